@@ -1,0 +1,70 @@
+# hpac_gym: 'make' or 'make help' lists the targets.
+
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --constraint constraints.txt
+PYTEST_ARGS ?=
+DEMO_ARGS ?=
+
+# One name for everything that decides what set-up installs, so that set-up runs again exactly when that changes.
+SETUP_ID := $(shell { cat pyproject.toml constraints.txt; grep PIP Makefile; } | cksum | tr ' ' '-')
+STAMP := $(VENV)/.setup-$(SETUP_ID)
+
+# Each expands to nothing, or ends make with one line and exit status 2.
+need-python = $(if $(shell $(PYTHON) -c 'import sys, venv; print(sys.version_info[:2] == (3, 11))' 2>/dev/null | grep True),,$(error \
+	hpac_gym needs Python 3.11 with venv and '$(PYTHON)' is none: install it, or name one with PYTHON=))
+need-compiler = $(if $(shell command -v $(firstword $(CC))),,$(error \
+	no C compiler '$(firstword $(CC))' found: install one such as gcc, or name one with CC=))
+
+.DEFAULT_GOAL := help
+.PHONY: help setup compiler firmware test test-all demo bench wheel lint clean
+MAKEFLAGS += --no-print-directory
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' Makefile | while IFS='|' read -r name text; do printf '  %-10s %s\n' "$$name" "$$text"; done
+
+setup: $(STAMP) ## make .venv and install every pinned dependency and the project
+
+$(STAMP):
+	$(need-python)
+	@test -x $(BIN)/python || { echo "Set-up: virtual environment in $(VENV)"; $(PYTHON) -m venv $(VENV); }
+	@echo "Set-up: PyTorch (the first time takes some minutes)"
+	@$(PIP) torch==2.13.0
+	@echo "Set-up: the other dependencies and the project"
+	@$(PIP) hatchling
+	@$(PIP) --no-build-isolation --editable '.[train,study,video,test]'
+	@rm -f $(VENV)/.setup-* && touch $@
+
+compiler:
+	$(need-compiler)
+	@:
+
+firmware: compiler ## build the firmware core and its host board
+	@$(MAKE) -C firmware CC='$(CC)'
+
+test: compiler setup firmware ## pass all the tests but the slow ones
+	@$(MAKE) -C firmware CC='$(CC)' check
+	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+test-all: compiler setup firmware ## pass all the tests, slow ones and firmware mutants too
+	@$(MAKE) -C firmware CC='$(CC)' check-all
+	@$(BIN)/python -m pytest -m '' $(PYTEST_ARGS)
+
+demo: compiler setup firmware ## train, evaluate and replay over the wire into runs/demo (under 30 minutes)
+	@$(BIN)/python -m agents.demo --out runs/demo $(DEMO_ARGS)
+
+bench: setup ## measure the model's speed
+	@$(BIN)/hpac bench
+
+wheel: setup ## build dist/*.whl
+	@$(BIN)/python -m pip wheel . --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist
+	@ls dist/*.whl
+
+lint: setup ## check the style of the Python code
+	@$(BIN)/ruff check .
+
+clean: ## remove what was built, but neither .venv nor runs
+	@rm -rf build dist .pytest_cache .hypothesis .ruff_cache
+	@find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
+	@$(MAKE) -C firmware clean

@@ -1,0 +1,79 @@
+"""The wheel: from it alone a clean environment makes the task, and the agents stay out of it."""
+
+import json
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def run(*command, **options) -> str:
+    """Standard output of a command that has to succeed."""
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False, **options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
+    run(*pip, "wheel", ROOT, "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def clean_python(wheel, tmp_path_factory) -> Path:
+    """A new environment that holds the wheel, and sees this one's dependencies but not its editable checkout.
+
+    A path that a .pth file adds has its own .pth files ignored, and an editable install is one of those.
+    """
+    folder = tmp_path_factory.mktemp("clean")
+    venv.create(folder, with_pip=False)
+    python = folder / "bin" / "python"
+    site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip())
+    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "--python", python)
+    run(*pip, "install", "--no-deps", "--no-index", wheel)
+    (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return python
+
+
+def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {name.split("/")[0] for name in names} == {"hpac_gym", "hpac_gym-0.1.0.dist-info"}
+    packed = {name for name in names if name.startswith("hpac_gym/")}
+    source = {str(p.relative_to(ROOT)) for p in (ROOT / "hpac_gym").rglob("*") if p.suffix in {".py", ".toml"}}
+    assets = {f"hpac_gym/{p.relative_to(ROOT)}" for p in (ROOT / "assets").rglob("*") if p.is_file()}
+    assert assets
+    assert source | assets <= packed
+
+
+def test_a_clean_environment_makes_the_task_from_the_wheel(clean_python, tmp_path):
+    script = """
+import importlib.util, json
+import gymnasium
+env = gymnasium.make("hpac_gym:HPAC-Grasp-v0")
+env.reset(seed=0)
+env.action_space.seed(0)
+reward = env.step(env.action_space.sample())[1]
+env.close()
+import hpac_gym
+print(json.dumps({"reward": float(reward), "package": hpac_gym.__file__,
+                  "agents": importlib.util.find_spec("agents") is not None}))
+"""
+    seen = json.loads(run(clean_python, "-c", script, cwd=tmp_path).splitlines()[-1])
+    package = Path(seen["package"]).parent
+    assert package.is_relative_to(clean_python.parents[1])
+    assert (package / "assets").is_dir()
+    assert seen["agents"] is False
+
+
+def test_the_command_of_the_wheel_tells_its_usage(clean_python, tmp_path):
+    assert "usage" in run(clean_python.with_name("hpac"), "--help", cwd=tmp_path).lower()
