@@ -1,0 +1,63 @@
+"""The paper as data and pure functions: joints, parameters, transmission, elasticity, command.
+
+Needs numpy alone. Arrays have shape (..., n); angles are in rad; every function takes an optional `hand`.
+"""
+
+from hpac_gym.model.command import (
+    ServoCommand,
+    action_from_synergy,
+    move_duration,
+    servo_from_action,
+    servo_from_joints,
+    stream_command,
+    synergy_from_action,
+    synergy_from_joints,
+)
+from hpac_gym.model.elasticity import (
+    elastic_deviation,
+    elastic_joints_from_servo,
+    joints_from_synergy,
+    spring_tension,
+)
+from hpac_gym.model.files import HPAC, load_hand
+from hpac_gym.model.joints import DIGITS, FINGERS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
+from hpac_gym.model.parameters import Digit, Hand
+from hpac_gym.model.transmission import (
+    rigid_joints_from_servo,
+    servo_from_synergy,
+    synergy_from_servo,
+    transmission_matrix,
+)
+from hpac_gym.model.workspace import clip_synergy, clip_to_workspace
+
+__all__ = [
+    "DIGITS",
+    "FINGERS",
+    "HPAC",
+    "JOINTS",
+    "JOINT_INDEX",
+    "SERVOS",
+    "SERVO_INDEX",
+    "Digit",
+    "Hand",
+    "ServoCommand",
+    "action_from_synergy",
+    "clip_synergy",
+    "clip_to_workspace",
+    "digit_joints",
+    "elastic_deviation",
+    "elastic_joints_from_servo",
+    "joints_from_synergy",
+    "load_hand",
+    "move_duration",
+    "rigid_joints_from_servo",
+    "servo_from_action",
+    "servo_from_joints",
+    "servo_from_synergy",
+    "spring_tension",
+    "stream_command",
+    "synergy_from_action",
+    "synergy_from_joints",
+    "synergy_from_servo",
+    "transmission_matrix",
+]

@@ -1,0 +1,62 @@
+"""Checks of a caller's arrays, with errors that name the value, the bound and the unit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpac_gym.errors import ShapeError, WorkspaceError
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-9
+"""Slack of every bound, for the rounding of a value that was computed to lie on it."""
+
+
+def as_array(value: ArrayLike, size: int, name: str) -> Array:
+    """The value as an array of shape (..., size).
+
+    Raises:
+        ShapeError: It is not numeric, or its last axis has another length.
+    """
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name} must be an array of numbers: {error}") from None
+    if array.ndim == 0 or array.shape[-1] != size:
+        raise ShapeError(f"{name} must have shape (..., {size}), not {array.shape}")
+    return array
+
+
+def as_finite_array(value: ArrayLike, size: int, name: str) -> Array:
+    """The value as an array of shape (..., size) without NaN or infinity.
+
+    Raises:
+        ShapeError: Wrong shape, or something that is not a finite number.
+    """
+    array = as_array(value, size, name)
+    if not np.isfinite(array).all():
+        raise ShapeError(f"{name} must be finite, not {array}")
+    return array
+
+
+def as_bounded_array(
+    value: ArrayLike, lower: Array, upper: Array, labels: Sequence[str], name: str, unit: str
+) -> Array:
+    """The value as an array of shape (..., n) that lies within its bounds.
+
+    Raises:
+        ShapeError: Wrong shape or not numeric.
+        WorkspaceError: NaN, infinite, or out of bounds by more than `TOLERANCE`.
+    """
+    array = as_array(value, len(labels), name)
+    inside = (array >= lower - TOLERANCE) & (array <= upper + TOLERANCE)
+    if not inside.all():
+        *_, column = where = tuple(np.argwhere(~inside)[0])
+        raise WorkspaceError(
+            f"{name} {labels[column]} = {array[where]:.6g} {unit} is outside "
+            f"[{lower[column]:.6g}, {upper[column]:.6g}] {unit}"
+        )
+    return array

@@ -1,0 +1,184 @@
+"""Eq. (15) and what surrounds it: from an action or a posture to the command that the servos get."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.errors import WorkspaceError
+from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array
+from hpac_gym.model.files import HPAC
+from hpac_gym.model.joints import JOINTS, SERVOS
+from hpac_gym.model.parameters import Hand
+from hpac_gym.model.transmission import unchecked_servo_from_synergy
+
+_ACTION_BOUND = np.ones(len(SERVOS))
+
+
+@dataclass(frozen=True, slots=True)
+class ServoCommand:
+    """Where all six servos shall be, and how long the move takes: they arrive together.
+
+    Raises:
+        ShapeError: `servo` is not six finite numbers.
+        WorkspaceError: `duration` is not finite and positive.
+    """
+
+    servo: Array
+    """Target angles u, shape (6,) [rad], read-only."""
+    duration: float
+    """Duration of the move [s]."""
+
+    def __post_init__(self) -> None:
+        servo = as_finite_array(self.servo, len(SERVOS), "servo").reshape(len(SERVOS)).copy()
+        servo.setflags(write=False)
+        object.__setattr__(self, "servo", servo)
+        if not 0 < self.duration < np.inf:
+            raise WorkspaceError(f"duration = {self.duration} s must be finite and greater than 0 s")
+
+
+def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Synergy coordinates of an action: −1 is Table I's lower bound (open), 1 its upper bound (closed).
+
+    Args:
+        action: shape (..., 6), −1…1, in the order of `SERVOS`.
+
+    Returns:
+        shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape.
+        WorkspaceError: NaN, or outside −1…1.
+    """
+    action = as_bounded_array(action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)")
+    share = np.minimum(np.maximum(action + 1, 0.0), 2.0) / 2
+    return hand.synergy_min + share * (hand.synergy_max - hand.synergy_min)
+
+
+def action_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
+    """The action that asks for given synergy coordinates: the inverse of `synergy_from_action`.
+
+    Args:
+        synergy: shape (..., 6) [rad].
+
+    Returns:
+        shape (..., 6), −1…1.
+
+    Raises:
+        ShapeError: Wrong shape.
+        WorkspaceError: NaN, or outside of Table I.
+    """
+    synergy = as_bounded_array(synergy, hand.synergy_min, hand.synergy_max, SERVOS, "synergy", "rad")
+    action = 2 * (synergy - hand.synergy_min) / (hand.synergy_max - hand.synergy_min) - 1
+    return np.minimum(np.maximum(action, -1.0), 1.0)
+
+
+def synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
+    """The manifold coordinates nearest to a posture: least squares per digit of q + b(q) against A q_root.
+
+    Exact on the elastic manifold. Not limited: off the manifold a coordinate can pass Table I.
+
+    Args:
+        joint_pos: q, shape (..., 15) [rad].
+
+    Returns:
+        synergy, shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
+    return joint_pos @ hand.synergy_projection.T
+
+
+def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Servo angles for a posture: H⁺[q̃ + b(q̃)].
+
+    Eq. (15). H⁺ is the closed-form inverse of each digit's block: exact on the elastic manifold, least squares per
+    digit off it. What the projection gives is then limited to the servo range, that is to Table I of the six driven joints.
+
+    Args:
+        joint_pos: q̃, inside of Table I (see `clip_to_workspace`), shape (..., 15) [rad].
+
+    Returns:
+        u★, shape (..., 6) [rad], within `hand.servo_min` and `hand.servo_max`.
+
+    Raises:
+        ShapeError: Wrong shape.
+        WorkspaceError: NaN, or a joint outside of Table I.
+    """
+    joint_pos = as_bounded_array(joint_pos, hand.joint_min, hand.joint_max, JOINTS, "joint_pos", "rad")
+    return _servo_from_admissible_joints(joint_pos, hand)
+
+
+def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
+    synergy = joint_pos @ hand.synergy_projection.T
+    np.maximum(synergy, hand.synergy_min, out=synergy)
+    np.minimum(synergy, hand.synergy_max, out=synergy)
+    return unchecked_servo_from_synergy(synergy, hand)
+
+
+def servo_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Servo angles for an action: the whole pipeline, action → synergy → joints → workspace → servos.
+
+    `synergy_from_action`, `joints_from_synergy`, `clip_to_workspace` and `servo_from_joints` in one go: every value is
+    checked where it comes in, and not again where it is known to be good.
+
+    Args:
+        action: shape (..., 6), −1…1, in the order of `SERVOS`.
+
+    Returns:
+        u★, shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape.
+        WorkspaceError: NaN, or outside −1…1.
+    """
+    target = synergy_from_action(action, hand).take(hand.servo_of_joint, axis=-1)
+    target *= hand.elastic_ratio
+    np.maximum(target, hand.joint_min, out=target)
+    np.minimum(target, hand.joint_max, out=target)
+    return _servo_from_admissible_joints(target, hand)
+
+
+def move_duration(servo_from: ArrayLike, servo_to: ArrayLike, hand: Hand = HPAC) -> float:
+    """How long the synchronised move between two servo poses takes at the rate limit.
+
+    The longest travel sets it and all six arrive together: one policy for every task, as in the paper.
+
+    Args:
+        servo_from: shape (6,) [rad].
+        servo_to: shape (6,) [rad].
+
+    Returns:
+        Duration [s], zero for no travel.
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    start = as_finite_array(servo_from, len(SERVOS), "servo_from")
+    travel = np.abs(as_finite_array(servo_to, len(SERVOS), "servo_to") - start)
+    return float((travel / hand.servo_rate_limit).max())
+
+
+def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Hand = HPAC) -> ServoCommand:
+    """The part of a synchronised move that fits one control period.
+
+    A policy changes its mind every period, so each command goes only as far along the straight line to the
+    target as the rate limit lets it, and ends exactly when the next one starts.
+
+    Args:
+        servo: where the servos were last commanded, shape (6,) [rad].
+        target: where they shall go, shape (6,) [rad].
+        period: control period [s].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+        WorkspaceError: `period` is not finite and positive.
+    """
+    servo = as_finite_array(servo, len(SERVOS), "servo")
+    duration = move_duration(servo, target, hand)
+    share = 1.0 if duration <= period else period / duration
+    return ServoCommand(servo + share * (np.asarray(target, dtype=float) - servo), period)

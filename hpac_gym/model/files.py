@@ -1,0 +1,114 @@
+"""Hand files: reading a `Hand` from TOML, with errors that name the file, the table and the field."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from importlib.resources import files
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.joints import DIGITS
+from hpac_gym.model.parameters import Digit, Hand
+
+SCHEMA = 1
+"""Version of the hand file that this code reads."""
+
+_SCALARS = ("d1", "d2", "servo_radius", "spring_stiffness", "tendon_stiffness", "drive_stiffness", "tension_limit")
+_LISTS = ("joint_radius", "path_length")
+
+
+def load_hand(path: str | PathLike[str]) -> Hand:
+    """The hand that a TOML file describes.
+
+    Raises:
+        ParameterError: The file cannot be read, is not TOML, has another schema, or a number is missing, not a
+            number, unknown or unphysical.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ParameterError(f"hand file {path}: {reason}") from None
+    return hand_from_toml(text, str(path))
+
+
+def hand_from_toml(text: str, origin: str) -> Hand:
+    """The hand that a TOML text describes; `origin` names it in errors.
+
+    Raises:
+        ParameterError: As `load_hand`.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ParameterError(f"hand file {origin}: not TOML: {error}") from None
+    try:
+        return _hand_from_table(table)
+    except ParameterError as error:
+        raise ParameterError(f"hand file {origin}: {error}") from None
+
+
+def _hand_from_table(table: dict[str, Any]) -> Hand:
+    if table.get("schema") != SCHEMA:
+        raise ParameterError(f"schema {table.get('schema')!r} is not {SCHEMA}")
+    digits = _table(table, "digits")
+    cmc = _table(table, "cmc")
+    return Hand(
+        name=str(table.get("name", "unnamed")),
+        digits={name: _digit(name, _table(digits, name)) for name in DIGITS},
+        workspace={name: _pair(value, name) for name, value in _table(table, "workspace").items()},
+        rate_limit=_number(_table(table, "servo"), "rate_limit"),
+        **{name: _number(cmc, name) for name in ("cmc_gain", "cmc_stiffness", "cmc_torque_limit")},
+        sources=_table(table, "sources"),
+    )
+
+
+def _digit(name: str, table: dict[str, Any]) -> Digit:
+    unknown = set(table) - {*_SCALARS, *_LISTS, "alpha_deg"}
+    if unknown:
+        raise ParameterError(f"digit {name} has unknown fields {', '.join(sorted(unknown))}")
+    try:
+        return Digit(
+            name=name,
+            alpha=math.radians(_number(table, "alpha_deg")),
+            **{key: _number(table, key) for key in _SCALARS},
+            **{key: _numbers(table, key) for key in _LISTS},
+        )
+    except ParameterError as error:
+        prefix = "" if str(error).startswith("digit") else f"digit {name}: "
+        raise ParameterError(f"{prefix}{error}") from None
+
+
+def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
+    if not isinstance(table.get(key), dict):
+        raise ParameterError(f"table [{key}] is missing")
+    return table[key]
+
+
+def _number(table: dict[str, Any], key: str) -> float:
+    value = table.get(key)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ParameterError(f"{key} must be a number, not {value!r}")
+    return float(value)
+
+
+def _numbers(table: dict[str, Any], key: str) -> tuple[float, ...]:
+    values = table.get(key)
+    if not isinstance(values, list):
+        raise ParameterError(f"{key} must be a list of numbers, not {values!r}")
+    return tuple(_number({key: value}, key) for value in values)
+
+
+def _pair(value: Any, name: str) -> tuple[float, float]:
+    pair = _numbers({name: value}, name)
+    if len(pair) != 2:
+        raise ParameterError(f"workspace of {name} must be [min, max] in rad, not {value!r}")
+    return pair
+
+
+HPAC = hand_from_toml((files("hpac_gym.model") / "data" / "hpac.toml").read_text(encoding="utf-8"), "hpac.toml")
+"""The nominal H-PAC hand."""

@@ -1,0 +1,299 @@
+"""The parameters of a hand: frozen, validated values, and what follows from them.
+
+A `Digit` holds one tendon's numbers, a `Hand` five digits, the directly driven CMC joint and Table I.
+Everything else (ratios, matrices, servo range) is derived from these once, by the equations of the paper,
+and cached as read-only arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from types import MappingProxyType
+from typing import Mapping
+
+import numpy as np
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+from hpac_gym.model.joints import DIGITS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
+
+
+def _read_only(array: Array) -> Array:
+    array.setflags(write=False)
+    return array
+
+
+def _require_positive(owner: str, name: str, value: float, unit: str) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise ParameterError(f"{owner}: {name} = {value} {unit} must be finite and greater than 0 {unit}")
+
+
+@dataclass(frozen=True, slots=True)
+class Digit:
+    """One digit's tendon, from the servo's hub to the fingertip.
+
+    Lists run from the root joint (MCP, or the thumb's MP) to the fingertip.
+
+    Raises:
+        ParameterError: A number is not finite and positive, a list has the wrong length, or the guides
+            cannot form the included angle.
+    """
+
+    name: str
+    d1: float
+    """Distance of the fixed guide from the root joint's axis [m]."""
+    d2: float
+    """Distance of the moving guide from the root joint's axis [m]."""
+    alpha: float
+    """Included angle between the guides at rest [rad]."""
+    servo_radius: float
+    """Radius r of the servo's hub [m]."""
+    joint_radius: tuple[float, ...]
+    """Pulley radius R of each joint, root first [m]."""
+    path_length: tuple[float, ...]
+    """Tendon path L between neighbouring joints, root first [m]."""
+    spring_stiffness: float
+    """k_s of the restoring spring [N/m]."""
+    tendon_stiffness: float
+    """EA of the coupling tendon [N]."""
+    drive_stiffness: float
+    """Stiffness of the driving tendon between servo and root joint [N/m]; the model takes it as rigid."""
+    tension_limit: float
+    """What the servo can pull on the driving tendon [N]."""
+
+    def __post_init__(self) -> None:
+        owner = f"digit {self.name}"
+        if self.name not in DIGITS:
+            raise ParameterError(f"{owner} is none of {', '.join(DIGITS)}")
+        joints = len(self.joints)
+        for name, length in (("joint_radius", joints), ("path_length", joints - 1)):
+            if len(getattr(self, name)) != length:
+                raise ParameterError(f"{owner}: {name} must have {length} entries, not {len(getattr(self, name))}")
+        units = {"alpha": "rad", "spring_stiffness": "N/m", "drive_stiffness": "N/m"}
+        units |= {"tendon_stiffness": "N", "tension_limit": "N"}
+        for item in fields(self)[1:]:
+            for value in np.atleast_1d(getattr(self, item.name)):
+                _require_positive(owner, item.name, float(value), units.get(item.name, "m"))
+        if self.alpha >= np.pi:
+            raise ParameterError(f"{owner}: alpha = {self.alpha} rad must be below {np.pi:.6g} rad")
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that the tendon couples, root first."""
+        return digit_joints(self.name)
+
+    @property
+    def rest_chord(self) -> float:
+        """L₀, the distance between the two guides at full extension [m]. Eq. (3)."""
+        return float(np.sqrt(self.d1**2 + self.d2**2 - 2 * self.d1 * self.d2 * np.cos(self.alpha)))
+
+    @property
+    def rigid_ratio(self) -> Array:
+        """A: joint angles per radian of the root joint, tendon taken as rigid. Eqs. (1), (2), (6).
+
+        A joint's angle is the inverse of its radius: 5:4:5 radii give 4:5:4 angles, 5:4 give 4:5.
+        """
+        radius = np.array(self.joint_radius)
+        return radius[0] / radius
+
+    @property
+    def compliance(self) -> Array:
+        """C of every joint, zero for the root [1/m]: k_s ΣL / (EA R), with ΣL the path up to the joint. Eqs. (12), (13)."""
+        path = np.concatenate([[0.0], np.cumsum(self.path_length)])
+        return self.spring_stiffness * path / (self.tendon_stiffness * np.array(self.joint_radius))
+
+    @property
+    def coupling_matrix(self) -> Array:
+        """M, with M q = A q_root on the elastic manifold, shape (n, n). Eqs. (12), (13)."""
+        return np.eye(len(self.joints)) + np.outer(self.compliance, self.joint_radius)
+
+    @property
+    def elastic_ratio(self) -> Array:
+        """M⁻¹A: joint angles per radian of the root joint, with the tendon's elasticity. Eqs. (12), (13)."""
+        return np.linalg.solve(self.coupling_matrix, self.rigid_ratio)
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A whole hand: five digits, the direct CMC drive, Table I and the servos' rate.
+
+    Arrays that are derived from these numbers are cached and read-only.
+
+    Raises:
+        ParameterError: A digit is missing, a bound is not ordered, or the servo range leaves the domain of Eq. (5).
+    """
+
+    name: str
+    digits: Mapping[str, Digit]
+    """The five digits by name."""
+    workspace: Mapping[str, tuple[float, float]]
+    """[q_min, q_max] of every joint by name [rad]. Table I."""
+    rate_limit: float
+    """Largest commanded servo speed, of all six [rad/s]."""
+    cmc_gain: float = 1.0
+    """g_CMC, radians of CMC per radian of servo 6. Eq. (8)."""
+    cmc_stiffness: float = 20.0
+    """Stiffness between servo 6 and the CMC joint [N·m/rad]."""
+    cmc_torque_limit: float = 0.8
+    """Stall torque of servo 6 [N·m]."""
+    sources: Mapping[str, str] = field(default_factory=dict, compare=False)
+    """Where each number comes from, by field name."""
+
+    def __post_init__(self) -> None:
+        for name, wanted in (("digits", DIGITS), ("workspace", JOINTS)):
+            given = getattr(self, name)
+            if set(given) != set(wanted):
+                wrong = sorted(set(given) ^ set(wanted))
+                raise ParameterError(f"hand {self.name}: {name} is missing or does not know {', '.join(wrong)}")
+            ordered = MappingProxyType({key: given[key] for key in wanted})
+            object.__setattr__(self, name, ordered)
+        for name, unit in (
+            ("rate_limit", "rad/s"),
+            ("cmc_gain", "rad/rad"),
+            ("cmc_stiffness", "N m/rad"),
+            ("cmc_torque_limit", "N m"),
+        ):
+            _require_positive(f"hand {self.name}", name, getattr(self, name), unit)
+        for joint, (lower, upper) in self.workspace.items():
+            if not (np.isfinite([lower, upper]).all() and lower < upper):
+                raise ParameterError(f"hand {self.name}: workspace of {joint} = [{lower}, {upper}] rad is not an interval")
+        for digit in self.digits.values():
+            lower, upper = self.workspace[digit.joints[0]]
+            if lower <= digit.alpha - np.pi or upper >= digit.alpha:
+                raise ParameterError(
+                    f"digit {digit.name}: workspace [{lower}, {upper}] rad must lie within the guides' "
+                    f"({digit.alpha - np.pi:.6g}, {digit.alpha:.6g}) rad"
+                )
+
+    def __reduce__(self):
+        plain = {f.name: getattr(self, f.name) for f in fields(self)}
+        plain |= {name: dict(plain[name]) for name in ("digits", "workspace", "sources")}
+        return _hand_from_fields, (plain,)
+
+    # The workspace, as arrays ------------------------------------------------
+
+    @cached_property
+    def joint_min(self) -> Array:
+        """q_min, shape (15,) [rad]. Table I."""
+        return _read_only(np.array([self.workspace[name][0] for name in JOINTS]))
+
+    @cached_property
+    def joint_max(self) -> Array:
+        """q_max, shape (15,) [rad]. Table I."""
+        return _read_only(np.array([self.workspace[name][1] for name in JOINTS]))
+
+    @cached_property
+    def synergy_min(self) -> Array:
+        """Table I of the six driven joints, shape (6,) [rad]."""
+        return _read_only(np.array([self.workspace[name][0] for name in SERVOS]))
+
+    @cached_property
+    def synergy_max(self) -> Array:
+        """Table I of the six driven joints, shape (6,) [rad]."""
+        return _read_only(np.array([self.workspace[name][1] for name in SERVOS]))
+
+    @cached_property
+    def servo_min(self) -> Array:
+        """Servo angles that put the driven joints at q_min, shape (6,) [rad]."""
+        return self._servo_at(self.synergy_min)
+
+    @cached_property
+    def servo_max(self) -> Array:
+        """Servo angles that put the driven joints at q_max, shape (6,) [rad]."""
+        return self._servo_at(self.synergy_max)
+
+    def _servo_at(self, synergy: Array) -> Array:
+        from hpac_gym.model.transmission import servo_from_synergy
+
+        return _read_only(servo_from_synergy(synergy, self))
+
+    @cached_property
+    def servo_rate_limit(self) -> Array:
+        """Largest commanded speed of each servo, shape (6,) [rad/s]."""
+        return _read_only(np.full(len(SERVOS), self.rate_limit))
+
+    # The tendon guides, stacked over the five flexing servos ------------------
+
+    @cached_property
+    def guide_alpha(self) -> Array:
+        """α of the five digits, shape (5,) [rad]."""
+        return self._stack("alpha")
+
+    @cached_property
+    def guide_sum(self) -> Array:
+        """d₁² + d₂², shape (5,) [m²]."""
+        return _read_only(self._stack("d1") ** 2 + self._stack("d2") ** 2)
+
+    @cached_property
+    def guide_product(self) -> Array:
+        """2 d₁ d₂, shape (5,) [m²]."""
+        return _read_only(2 * self._stack("d1") * self._stack("d2"))
+
+    @cached_property
+    def rest_chord(self) -> Array:
+        """L₀, shape (5,) [m]. Eq. (3)."""
+        return self._stack("rest_chord")
+
+    @cached_property
+    def servo_radius(self) -> Array:
+        """r, shape (5,) [m]."""
+        return self._stack("servo_radius")
+
+    def _stack(self, name: str) -> Array:
+        return _read_only(np.array([getattr(digit, name) for digit in self.digits.values()], dtype=float))
+
+    # The coupling, over all fifteen joints --------------------------------------
+
+    @cached_property
+    def servo_of_joint(self) -> np.ndarray:
+        """Index of the servo that moves each joint, shape (15,)."""
+        index = np.full(len(JOINTS), SERVO_INDEX["thumb_cmc"])
+        for digit in self.digits.values():
+            index[[JOINT_INDEX[name] for name in digit.joints]] = SERVO_INDEX[digit.joints[0]]
+        return _read_only(index)
+
+    @cached_property
+    def rigid_ratio(self) -> Array:
+        """Joint angle per radian of its synergy coordinate, tendon rigid, shape (15,). Eqs. (2), (6)."""
+        return self._ratio("rigid_ratio")
+
+    @cached_property
+    def elastic_ratio(self) -> Array:
+        """Joint angle per radian of its synergy coordinate, tendon elastic, shape (15,). Eqs. (12), (13)."""
+        return self._ratio("elastic_ratio")
+
+    def _ratio(self, name: str) -> Array:
+        ratio = np.ones(len(JOINTS))
+        for digit in self.digits.values():
+            ratio[[JOINT_INDEX[joint] for joint in digit.joints]] = getattr(digit, name)
+        return _read_only(ratio)
+
+    @cached_property
+    def deviation_matrix(self) -> Array:
+        """B with b(q) = B q, shape (15, 15). Eqs. (10), (11)."""
+        matrix = np.zeros((len(JOINTS), len(JOINTS)))
+        for digit in self.digits.values():
+            rows = [JOINT_INDEX[name] for name in digit.joints]
+            matrix[np.ix_(rows, rows)] = np.outer(digit.compliance, digit.joint_radius)
+        return _read_only(matrix)
+
+    @cached_property
+    def synergy_projection(self) -> Array:
+        """G with synergy = G q = P [q + b(q)], P the least-squares inverse of every digit's A, shape (6, 15). Eq. (15)."""
+        inverse = np.zeros((len(SERVOS), len(JOINTS)))
+        inverse[self.servo_of_joint, np.arange(len(JOINTS))] = self.rigid_ratio
+        inverse /= (inverse**2).sum(axis=1, keepdims=True)
+        return _read_only(inverse @ (np.eye(len(JOINTS)) + self.deviation_matrix))
+
+    @cached_property
+    def joint_radius(self) -> Array:
+        """R₁…R₁₄ by joint, 0 for the directly driven CMC, shape (15,) [m]."""
+        radius = np.zeros(len(JOINTS))
+        for digit in self.digits.values():
+            radius[[JOINT_INDEX[name] for name in digit.joints]] = digit.joint_radius
+        return _read_only(radius)
+
+
+def _hand_from_fields(plain: dict) -> Hand:
+    return Hand(**plain)

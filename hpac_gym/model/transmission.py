@@ -1,0 +1,126 @@
+"""Eqs. (3)–(9): servo angles to joint angles with a rigid tendon, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.errors import WorkspaceError
+from hpac_gym.model.checks import Array, as_finite_array
+from hpac_gym.model.files import HPAC
+from hpac_gym.model.joints import JOINTS, SERVOS
+from hpac_gym.model.parameters import Hand
+
+_CMC = len(SERVOS) - 1
+_REST_BAND = 1e-7
+"""Below this servo angle [rad] H(u) is its limit at rest: q/u would lose more digits than the limit is off."""
+
+
+def synergy_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Angles of the six driven joints for servo angles, tendon taken as rigid.
+
+    Eqs. (4), (5) for the fingers' MCP, Eq. (7) for the thumb's MP, Eq. (8) for CMC. The servo shortens the
+    chord between the two guides; the cosine law turns the chord back into an angle.
+
+    Args:
+        servo: u, shape (..., 6) [rad].
+
+    Returns:
+        synergy, shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+        WorkspaceError: No included angle has the chord that a servo asks for.
+    """
+    servo = as_finite_array(servo, len(SERVOS), "servo")
+    chord = hand.rest_chord - hand.servo_radius * servo[..., :_CMC]
+    cosine = (hand.guide_sum - chord**2) / hand.guide_product
+    possible = (chord >= 0) & (np.abs(cosine) <= 1)
+    if not possible.all():
+        *_, column = where = tuple(np.argwhere(~possible)[0])
+        raise WorkspaceError(
+            f"servo {SERVOS[column]} = {servo[where]:.6g} rad takes the tendon past its guides; "
+            f"the admissible range is [{hand.servo_min[column]:.6g}, {hand.servo_max[column]:.6g}] rad"
+        )
+    synergy = np.empty_like(servo)
+    synergy[..., :_CMC] = hand.guide_alpha - np.arccos(cosine)
+    synergy[..., _CMC] = hand.cmc_gain * servo[..., _CMC]
+    return synergy
+
+
+def servo_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Servo angles that put the six driven joints at given angles: the inverse of `synergy_from_servo`.
+
+    Args:
+        synergy: shape (..., 6) [rad].
+
+    Returns:
+        u, shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+        WorkspaceError: An angle would fold the guides past each other, or open them past straight.
+    """
+    synergy = as_finite_array(synergy, len(SERVOS), "synergy")
+    included = hand.guide_alpha - synergy[..., :_CMC]
+    possible = (included >= 0) & (included <= np.pi)
+    if not possible.all():
+        *_, column = where = tuple(np.argwhere(~possible)[0])
+        raise WorkspaceError(
+            f"synergy {SERVOS[column]} = {synergy[where]:.6g} rad is outside "
+            f"[{hand.guide_alpha[column] - np.pi:.6g}, {hand.guide_alpha[column]:.6g}] rad"
+        )
+    return unchecked_servo_from_synergy(synergy, hand)
+
+
+def unchecked_servo_from_synergy(synergy: Array, hand: Hand) -> Array:
+    """`servo_from_synergy` of angles that are known to lie in Table I, shape (..., 6) [rad]."""
+    chord = np.sqrt(hand.guide_sum - hand.guide_product * np.cos(hand.guide_alpha - synergy[..., :_CMC]))
+    servo = np.empty_like(synergy)
+    servo[..., :_CMC] = (hand.rest_chord - chord) / hand.servo_radius
+    servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
+    return servo
+
+
+def rigid_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Joint angles for servo angles, tendon taken as rigid: the paper's q_ideal.
+
+    Eq. (9), computed directly rather than as H(u)u, which is 0/0 at rest.
+
+    Args:
+        servo: u, shape (..., 6) [rad].
+
+    Returns:
+        q_ideal, shape (..., 15) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+        WorkspaceError: As `synergy_from_servo`.
+    """
+    return synergy_from_servo(servo, hand).take(hand.servo_of_joint, axis=-1) * hand.rigid_ratio
+
+
+def transmission_matrix(servo: ArrayLike, hand: Hand = HPAC) -> Array:
+    """H(u), the block-sparse map with q_ideal = H(u) u.
+
+    Eq. (9): fifteen entries are not zero, each a function of one servo. At rest an entry is its limit,
+    the ratio times r L₀ / (d₁ d₂ sin α).
+
+    Args:
+        servo: u, shape (..., 6) [rad].
+
+    Returns:
+        H, shape (..., 15, 6) [rad/rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+        WorkspaceError: As `synergy_from_servo`.
+    """
+    servo = as_finite_array(servo, len(SERVOS), "servo")
+    at_rest = np.full(len(SERVOS), hand.cmc_gain)
+    at_rest[:_CMC] = hand.servo_radius * hand.rest_chord / (hand.guide_product / 2 * np.sin(hand.guide_alpha))
+    moved = np.abs(servo) > _REST_BAND
+    gain = np.where(moved, synergy_from_servo(servo, hand) / np.where(moved, servo, 1.0), at_rest)
+    matrix = np.zeros((*servo.shape[:-1], len(JOINTS), len(SERVOS)))
+    matrix[..., np.arange(len(JOINTS)), hand.servo_of_joint] = gain[..., hand.servo_of_joint] * hand.rigid_ratio
+    return matrix

@@ -1,0 +1,45 @@
+"""Table I and Eq. (14): the admissible workspace, and the explicit limits of joints and synergies."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.model.checks import Array, as_finite_array
+from hpac_gym.model.files import HPAC
+from hpac_gym.model.joints import JOINTS, SERVOS
+from hpac_gym.model.parameters import Hand
+
+
+def clip_to_workspace(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Joint angles, each clipped to its admissible range.
+
+    Eq. (14), with Table I. The box is wider than what six servos can reach: `servo_from_joints` projects.
+
+    Args:
+        joint_pos: q_d, shape (..., 15) [rad].
+
+    Returns:
+        q̃_d, shape (..., 15) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
+    return np.minimum(np.maximum(joint_pos, hand.joint_min), hand.joint_max)
+
+
+def clip_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
+    """Synergy coordinates, each clipped to Table I's range of the joint that its servo drives.
+
+    Args:
+        synergy: shape (..., 6) [rad].
+
+    Returns:
+        shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    synergy = as_finite_array(synergy, len(SERVOS), "synergy")
+    return np.minimum(np.maximum(synergy, hand.synergy_min), hand.synergy_max)
