@@ -1,0 +1,148 @@
+"""The body of the hand: links, joints and masses as data, and its forward kinematics.
+
+Nothing here knows a simulator. The numbers and their sources are in ``data/geometry.toml``.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.model import FINGERS, digit_joints
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+GEOMETRY_FILE = Path(__file__).parent / "data" / "geometry.toml"
+FLEXION_AXIS: Vector = (0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A box whose faces are parallel to its link's axes."""
+
+    center: Vector
+    size: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Capsule:
+    """All points within ``radius`` of the segment from ``start`` to ``end``."""
+
+    start: Vector
+    end: Vector
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Phalanx:
+    """One moving link: its joint, and a capsule along +z from that joint.
+
+    ``origin`` and ``rpy`` place the link in its parent's frame at joint angle zero; ``axis`` is in the link's own frame.
+    """
+
+    joint: str
+    parent: str
+    origin: Vector
+    rpy: Vector
+    axis: Vector
+    length: float
+    mass: float
+    capsule: Capsule
+
+    @property
+    def link(self) -> str:
+        return f"{self.joint}_link"
+
+
+@dataclass(frozen=True, slots=True)
+class Digit:
+    """Three phalanges from the palm outwards, and the contact point on the last one, in that link's frame."""
+
+    name: str
+    phalanges: tuple[Phalanx, Phalanx, Phalanx]
+    pad: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    palm_mass: float
+    palm_solids: tuple[Box | Capsule, ...]
+    digits: tuple[Digit, ...]
+    effort: float
+    velocity: float
+
+    @property
+    def phalanges(self) -> tuple[Phalanx, ...]:
+        return tuple(phalanx for digit in self.digits for phalanx in digit.phalanges)
+
+    def digit(self, name: str) -> Digit:
+        return next(digit for digit in self.digits if digit.name == name)
+
+
+def load_geometry(path: Path = GEOMETRY_FILE) -> Geometry:
+    """The hand's body as ``data/geometry.toml`` gives it."""
+    table = tomllib.loads(path.read_text(encoding="utf-8"))
+    palm = table["palm"]
+    boxes = tuple(Box(tuple(box["center"]), tuple(box["size"])) for box in palm["boxes"])
+    capsules = tuple(Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in palm["capsules"])
+    return Geometry(
+        palm_mass=palm["mass"],
+        palm_solids=boxes + capsules,
+        digits=(_thumb(table["thumb"]), *(_finger(name, table[name]) for name in FINGERS)),
+        effort=table["limits"]["effort"],
+        velocity=table["limits"]["velocity"],
+    )
+
+
+def _finger(name: str, table: dict) -> Digit:
+    fan = np.deg2rad(table["fan_deg"])
+    return _digit(name, digit_joints(name), table, (-fan, 0.0, 0.0), FLEXION_AXIS)
+
+
+def _thumb(table: dict) -> Digit:
+    rpy = tuple(table["rpy"])
+    axis = rotation_from_rpy(rpy).T @ table["axis"]
+    return _digit("thumb", ("thumb_cmc", *digit_joints("thumb")), table, rpy, tuple(axis / np.linalg.norm(axis)))
+
+
+def _digit(name: str, joints: tuple[str, ...], table: dict, rpy: Vector, root_axis: Vector) -> Digit:
+    phalanges = []
+    parent, origin, axis = "palm", tuple(table["base"]), root_axis
+    for joint, length, radius, mass in zip(joints, table["lengths"], table["radii"], table["masses"], strict=True):
+        end = length - radius if joint == joints[-1] else length
+        capsule = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, end), radius)
+        phalanx = Phalanx(joint, parent, origin, rpy, axis, length, mass, capsule)
+        phalanges.append(phalanx)
+        parent, origin, rpy, axis = phalanx.link, (0.0, 0.0, length), (0.0, 0.0, 0.0), FLEXION_AXIS
+    return Digit(name, tuple(phalanges), (table["radii"][-1], 0.0, table["pad"]))
+
+
+def rotation_from_rpy(rpy: Vector) -> Array:
+    """The rotation matrix of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    roll, pitch, yaw = rpy
+    return rotation_about((0, 0, 1), yaw) @ rotation_about((0, 1, 0), pitch) @ rotation_about((1, 0, 0), roll)
+
+
+def rotation_about(axis: Vector | Array, angle: float) -> Array:
+    """The rotation matrix of a turn by ``angle`` [rad] about a unit ``axis`` (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def link_poses(digit: Digit, angles: Array) -> list[tuple[Array, Array]]:
+    """Position (3,) [m] and rotation (3, 3) of a digit's links in the hand frame.
+
+    Args:
+        digit: the digit.
+        angles: its joint angles from the palm outwards, shape (3,) [rad].
+    """
+    position, rotation, poses = np.zeros(3), np.eye(3), []
+    for phalanx, angle in zip(digit.phalanges, angles, strict=True):
+        position = position + rotation @ phalanx.origin
+        rotation = rotation @ rotation_from_rpy(phalanx.rpy) @ rotation_about(phalanx.axis, angle)
+        poses.append((position, rotation))
+    return poses
