@@ -37,8 +37,22 @@ def as_finite_array(value: ArrayLike, size: int, name: str) -> Array:
         ShapeError: Wrong shape, or something that is not a finite number.
     """
     array = as_array(value, size, name)
-    if not np.isfinite(array).all():
-        raise ShapeError(f"{name} must be finite, not {array}")
+    finite = np.isfinite(array)
+    if not finite.all():
+        where = tuple(int(index) for index in np.argwhere(~finite)[0])
+        raise ShapeError(f"{name}[{', '.join(map(str, where))}] = {array[where]} must be a finite number")
+    return array
+
+
+def as_finite_vector(value: ArrayLike, size: int, name: str) -> Array:
+    """The value as one array of shape (size,) without NaN or infinity.
+
+    Raises:
+        ShapeError: Wrong shape, or something that is not a finite number.
+    """
+    array = as_finite_array(value, size, name)
+    if array.ndim != 1:
+        raise ShapeError(f"{name} must have shape ({size},), not {array.shape}")
     return array
 
 

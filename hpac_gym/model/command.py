@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array
+from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array, as_finite_vector
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand
@@ -32,11 +32,15 @@ class ServoCommand:
     """Duration of the move [s]."""
 
     def __post_init__(self) -> None:
-        servo = as_finite_array(self.servo, len(SERVOS), "servo").reshape(len(SERVOS)).copy()
+        servo = as_finite_vector(self.servo, len(SERVOS), "servo").copy()
         servo.setflags(write=False)
         object.__setattr__(self, "servo", servo)
-        if not 0 < self.duration < np.inf:
-            raise WorkspaceError(f"duration = {self.duration} s must be finite and greater than 0 s")
+        _require_duration(self.duration)
+
+
+def _require_duration(duration: float) -> None:
+    if not 0 < duration < np.inf:
+        raise WorkspaceError(f"duration = {duration} s must be finite and greater than 0 s")
 
 
 def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
@@ -158,8 +162,8 @@ def move_duration(servo_from: ArrayLike, servo_to: ArrayLike, hand: Hand = HPAC)
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
     """
-    start = as_finite_array(servo_from, len(SERVOS), "servo_from")
-    travel = np.abs(as_finite_array(servo_to, len(SERVOS), "servo_to") - start)
+    start = as_finite_vector(servo_from, len(SERVOS), "servo_from")
+    travel = np.abs(as_finite_vector(servo_to, len(SERVOS), "servo_to") - start)
     return float((travel / hand.servo_rate_limit).max())
 
 
@@ -178,7 +182,9 @@ def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Han
         ShapeError: Wrong shape, NaN or infinity.
         WorkspaceError: `period` is not finite and positive.
     """
-    servo = as_finite_array(servo, len(SERVOS), "servo")
+    _require_duration(period)
+    servo = as_finite_vector(servo, len(SERVOS), "servo")
+    target = as_finite_vector(target, len(SERVOS), "target")
     duration = move_duration(servo, target, hand)
     share = 1.0 if duration <= period else period / duration
-    return ServoCommand(servo + share * (np.asarray(target, dtype=float) - servo), period)
+    return ServoCommand(servo + share * (target - servo), period)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Iterable
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
@@ -18,6 +19,8 @@ SCHEMA = 1
 
 _SCALARS = ("d1", "d2", "servo_radius", "spring_stiffness", "tendon_stiffness", "drive_stiffness", "tension_limit")
 _LISTS = ("joint_radius", "path_length")
+_CMC = ("cmc_gain", "cmc_stiffness", "cmc_torque_limit")
+_TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace")
 
 
 def load_hand(path: str | PathLike[str]) -> Hand:
@@ -55,22 +58,24 @@ def hand_from_toml(text: str, origin: str) -> Hand:
 def _hand_from_table(table: dict[str, Any]) -> Hand:
     if table.get("schema") != SCHEMA:
         raise ParameterError(f"schema {table.get('schema')!r} is not {SCHEMA}")
+    _refuse_unknown(table, _TOP, "the file")
     digits = _table(table, "digits")
-    cmc = _table(table, "cmc")
+    servo, cmc = _table(table, "servo"), _table(table, "cmc")
+    _refuse_unknown(digits, DIGITS, "[digits]")
+    _refuse_unknown(servo, ("rate_limit",), "[servo]")
+    _refuse_unknown(cmc, _CMC, "[cmc]")
     return Hand(
         name=str(table.get("name", "unnamed")),
         digits={name: _digit(name, _table(digits, name)) for name in DIGITS},
         workspace={name: _pair(value, name) for name, value in _table(table, "workspace").items()},
-        rate_limit=_number(_table(table, "servo"), "rate_limit"),
-        **{name: _number(cmc, name) for name in ("cmc_gain", "cmc_stiffness", "cmc_torque_limit")},
+        rate_limit=_number(servo, "rate_limit"),
+        **{name: _number(cmc, name) for name in _CMC},
         sources=_table(table, "sources"),
     )
 
 
 def _digit(name: str, table: dict[str, Any]) -> Digit:
-    unknown = set(table) - {*_SCALARS, *_LISTS, "alpha_deg"}
-    if unknown:
-        raise ParameterError(f"digit {name} has unknown fields {', '.join(sorted(unknown))}")
+    _refuse_unknown(table, (*_SCALARS, *_LISTS, "alpha_deg"), f"digit {name}")
     try:
         return Digit(
             name=name,
@@ -81,6 +86,12 @@ def _digit(name: str, table: dict[str, Any]) -> Digit:
     except ParameterError as error:
         prefix = "" if str(error).startswith("digit") else f"digit {name}: "
         raise ParameterError(f"{prefix}{error}") from None
+
+
+def _refuse_unknown(table: dict[str, Any], known: Iterable[str], owner: str) -> None:
+    unknown = sorted(set(table) - set(known))
+    if unknown:
+        raise ParameterError(f"{owner} has unknown fields {', '.join(unknown)}")
 
 
 def _table(table: dict[str, Any], key: str) -> dict[str, Any]:

@@ -7,10 +7,10 @@ and cached as read-only arrays.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from types import MappingProxyType
-from typing import Mapping
 
 import numpy as np
 
@@ -148,6 +148,7 @@ class Hand:
                 raise ParameterError(f"hand {self.name}: {name} is missing or does not know {', '.join(wrong)}")
             ordered = MappingProxyType({key: given[key] for key in wanted})
             object.__setattr__(self, name, ordered)
+        object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
         for name, unit in (
             ("rate_limit", "rad/s"),
             ("cmc_gain", "rad/rad"),

@@ -1,0 +1,141 @@
+"""Malformed input of every public function: a named error with value, bound and unit, one fault a row."""
+
+import numpy as np
+import pytest
+
+from hpac_gym.errors import HpacError, ShapeError, WorkspaceError
+from hpac_gym.model import (
+    HPAC,
+    ServoCommand,
+    action_from_synergy,
+    clip_synergy,
+    clip_to_workspace,
+    elastic_deviation,
+    elastic_joints_from_servo,
+    joints_from_synergy,
+    move_duration,
+    rigid_joints_from_servo,
+    servo_from_action,
+    servo_from_joints,
+    servo_from_synergy,
+    spring_tension,
+    stream_command,
+    synergy_from_action,
+    synergy_from_joints,
+    synergy_from_servo,
+    transmission_matrix,
+)
+
+SIX = (
+    synergy_from_action,
+    action_from_synergy,
+    servo_from_action,
+    joints_from_synergy,
+    clip_synergy,
+    servo_from_synergy,
+    synergy_from_servo,
+    rigid_joints_from_servo,
+    elastic_joints_from_servo,
+    transmission_matrix,
+)
+FIFTEEN = (clip_to_workspace, elastic_deviation, spring_tension, synergy_from_joints, servo_from_joints)
+WIDTHS = [(function, 6) for function in SIX] + [(function, 15) for function in FIFTEEN]
+
+
+def posture(index: int, value: float) -> np.ndarray:
+    joint_pos = np.zeros(15)
+    joint_pos[index] = value
+    return joint_pos
+
+
+def six(index: int, value: float) -> np.ndarray:
+    values = np.zeros(6)
+    values[index] = value
+    return values
+
+
+@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize("wrong", ["short", "long", "scalar", "empty"])
+def test_a_wrong_shape_is_told_with_both_shapes(function, width, wrong):
+    value = {"short": np.zeros(width - 1), "long": np.zeros((3, width + 1)), "scalar": np.float64(0), "empty": np.zeros(0)}[wrong]
+    with pytest.raises(ShapeError, match=rf"\(\.\.\., {width}\), not \({', '.join(map(str, value.shape))}"):
+        function(value)
+
+
+@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_value_that_is_no_finite_number_is_refused(function, width, value):
+    batch = np.zeros((2, width))
+    batch[1, 3] = value
+    with pytest.raises((ShapeError, WorkspaceError), match=r"finite|outside"):
+        function(batch)
+
+
+@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize("value", ["six words", None, [[0.0], [0.0, 1.0]], 1j])
+def test_what_is_no_array_of_numbers_is_refused(function, width, value):
+    with pytest.raises((ShapeError, WorkspaceError)):
+        function(value if not isinstance(value, complex) else [value] * width)
+
+
+OUT_OF_RANGE = [
+    (synergy_from_action, six(0, 1.5), r"action thumb_mp = 1\.5 .*\[-1, 1\]"),
+    (synergy_from_action, six(5, -1.001), r"action thumb_cmc = -1\.001 .*\[-1, 1\]"),
+    (servo_from_action, six(2, 2.0), r"action middle_mcp = 2 .*\[-1, 1\]"),
+    (action_from_synergy, six(1, 1.28), r"synergy index_mcp = 1\.28 rad .*\[0, 1\.27\] rad"),
+    (action_from_synergy, six(5, -0.1), r"synergy thumb_cmc = -0\.1 rad .*\[0, 1\.57\] rad"),
+    (servo_from_joints, posture(0, 1.0), r"joint_pos thumb_ip = 1 rad .*\[0, 0\.99\] rad"),
+    (servo_from_joints, posture(4, 1.289), r"joint_pos index_mcp = 1\.289 rad .*\[0, 1\.27\] rad"),
+    (servo_from_joints, posture(14, -0.2), r"joint_pos thumb_cmc = -0\.2 rad .*\[0, 1\.57\] rad"),
+    (servo_from_joints, posture(3, 90.0), r"joint_pos index_pip = 90 rad .*\[0, 1\.61\] rad"),
+    (synergy_from_servo, six(1, 4.0), r"servo index_mcp = 4 rad .*\[0, 1\.38\d*\] rad"),
+    (rigid_joints_from_servo, six(0, -1.0), r"servo thumb_mp = -1 rad .*\[0, 1\.3\d*\] rad"),
+    (elastic_joints_from_servo, six(4, 1e9), r"servo pinky_mcp = 1e\+09 rad .*\] rad"),
+    (transmission_matrix, six(3, 5.0), r"servo ring_mcp = 5 rad .*\] rad"),
+    (servo_from_synergy, six(2, 2.7), r"synergy middle_mcp = 2\.7 rad .*\[-0\.52\d*, 2\.61\d*\] rad"),
+    (servo_from_synergy, six(0, -0.6), r"synergy thumb_mp = -0\.6 rad .*\[-0\.52\d*, 2\.61\d*\] rad"),
+]
+
+
+@pytest.mark.parametrize(("function", "value", "message"), OUT_OF_RANGE)
+def test_a_value_out_of_range_is_told_with_name_bounds_and_unit(function, value, message):
+    with pytest.raises(WorkspaceError, match=message):
+        function(value)
+    with pytest.raises(WorkspaceError, match=message):
+        function(np.stack([np.zeros_like(value), value]))
+
+
+def test_a_rounding_error_past_a_bound_is_no_error():
+    assert servo_from_joints(HPAC.joint_max + 5e-10) == pytest.approx(servo_from_joints(HPAC.joint_max), abs=1e-8)
+    assert servo_from_action(np.ones(6) + 5e-10) == pytest.approx(HPAC.servo_max, abs=0)
+    with pytest.raises(WorkspaceError):
+        servo_from_joints(HPAC.joint_max + 2e-9)
+
+
+@pytest.mark.parametrize("duration", [0.0, -0.1, np.nan, np.inf])
+def test_a_command_needs_a_finite_positive_duration(duration):
+    with pytest.raises(WorkspaceError, match=r"duration = .* s must be .* 0 s"):
+        ServoCommand(np.zeros(6), duration)
+    with pytest.raises(WorkspaceError, match=r"duration = .* s must be .* 0 s"):
+        stream_command(np.zeros(6), np.ones(6), duration)
+
+
+@pytest.mark.parametrize("servo", [np.zeros(5), np.zeros(7), six(2, np.nan), np.zeros((2, 6))])
+def test_a_command_needs_six_finite_servo_angles(servo):
+    with pytest.raises(ShapeError):
+        ServoCommand(servo, 0.1)
+
+
+@pytest.mark.parametrize("fault", [np.zeros(5), six(1, np.nan), np.zeros((2, 6))])
+def test_a_move_needs_two_poses_of_six_finite_angles(fault):
+    for start, end in ((fault, np.zeros(6)), (np.zeros(6), fault)):
+        with pytest.raises(ShapeError):
+            move_duration(start, end)
+        with pytest.raises(ShapeError):
+            stream_command(start, end, 0.05)
+
+
+def test_every_error_is_one_of_ours_and_a_value_error():
+    for error in (ShapeError, WorkspaceError):
+        assert issubclass(error, HpacError)
+        assert issubclass(error, ValueError)

@@ -1,0 +1,260 @@
+"""What holds for every posture and every hand: inverses, monotony, limits, slopes, scaling."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hpac_gym.model import (
+    HPAC,
+    JOINT_INDEX,
+    JOINTS,
+    SERVOS,
+    Hand,
+    action_from_synergy,
+    clip_synergy,
+    clip_to_workspace,
+    elastic_deviation,
+    elastic_joints_from_servo,
+    joints_from_synergy,
+    move_duration,
+    rigid_joints_from_servo,
+    servo_from_action,
+    servo_from_joints,
+    servo_from_synergy,
+    stream_command,
+    synergy_from_action,
+    synergy_from_joints,
+    synergy_from_servo,
+    transmission_matrix,
+)
+
+actions = arrays(float, 6, elements=st.floats(-1, 1))
+synergies = arrays(float, 6, elements=st.floats(0, 1)).map(lambda share: share * HPAC.synergy_max)
+postures = arrays(float, 15, elements=st.floats(0, 1)).map(lambda share: share * HPAC.joint_max)
+wild_postures = arrays(float, 15, elements=st.floats(-10, 10))
+factors = st.floats(0.8, 1.25)
+
+
+def hand_with(**factor: float) -> Hand:
+    """The nominal hand with some numbers of every digit multiplied."""
+    changed = {}
+    for name, digit in HPAC.digits.items():
+        values = {}
+        for key, by in factor.items():
+            value = getattr(digit, key)
+            values[key] = tuple(by * x for x in value) if isinstance(value, tuple) else by * value
+        changed[name] = replace(digit, **values)
+    return replace(HPAC, digits=changed)
+
+
+@given(synergies)
+def test_servo_of_a_synergy_comes_back(synergy):
+    assert synergy_from_servo(servo_from_synergy(synergy)) == pytest.approx(synergy, abs=1e-12)
+
+
+@given(actions)
+def test_action_of_a_synergy_comes_back(action):
+    assert action_from_synergy(synergy_from_action(action)) == pytest.approx(action, abs=1e-12)
+
+
+@given(synergies)
+def test_synergy_of_a_posture_on_the_manifold_comes_back(synergy):
+    assert synergy_from_joints(joints_from_synergy(synergy)) == pytest.approx(synergy, abs=1e-12)
+
+
+@given(postures)
+def test_projection_of_a_posture_is_already_projected(posture):
+    once = joints_from_synergy(synergy_from_joints(posture))
+    assert joints_from_synergy(synergy_from_joints(once)) == pytest.approx(once, abs=1e-12)
+
+
+@given(postures)
+def test_off_the_manifold_no_other_synergy_fits_better(posture):
+    """The residual of the least squares is orthogonal to the directions in which the servos can move the hand."""
+    residual = posture + elastic_deviation(posture) - HPAC.rigid_ratio * synergy_from_joints(posture)[HPAC.servo_of_joint]
+    for servo in range(len(SERVOS)):
+        moved = HPAC.servo_of_joint == servo
+        assert residual[moved] @ HPAC.rigid_ratio[moved] == pytest.approx(0, abs=1e-12)
+
+
+@given(postures)
+def test_servo_of_any_admissible_posture_is_in_the_servo_range(posture):
+    servo = servo_from_joints(posture)
+    assert (servo >= HPAC.servo_min).all()
+    assert (servo <= HPAC.servo_max).all()
+
+
+def test_table_1_box_is_wider_than_the_servo_range():
+    """At Table I's upper corner the projection passes the servos' range in each finger, and the limit brings it back."""
+    assert (synergy_from_joints(HPAC.joint_max)[1:5] > HPAC.synergy_max[1:5]).all()
+    assert servo_from_joints(HPAC.joint_max)[1:5] == pytest.approx(HPAC.servo_max[1:5], abs=0)
+
+
+@given(wild_postures)
+def test_clip_to_workspace_is_idempotent_and_moves_no_inside_point(posture):
+    clipped = clip_to_workspace(posture)
+    assert (clip_to_workspace(clipped) == clipped).all()
+    inside = (posture >= HPAC.joint_min) & (posture <= HPAC.joint_max)
+    assert (clipped[inside] == posture[inside]).all()
+    servo_from_joints(clipped)
+
+
+@given(arrays(float, 6, elements=st.floats(-10, 10)))
+def test_clip_synergy_is_idempotent_and_gives_admissible_servos(synergy):
+    clipped = clip_synergy(synergy)
+    assert (clip_synergy(clipped) == clipped).all()
+    servo = servo_from_synergy(clipped)
+    assert (servo >= HPAC.servo_min).all()
+    assert (servo <= HPAC.servo_max).all()
+
+
+@given(actions)
+def test_servo_from_action_is_its_four_steps(action):
+    posture = joints_from_synergy(synergy_from_action(action))
+    assert servo_from_action(action) == pytest.approx(servo_from_joints(clip_to_workspace(posture)), abs=1e-12)
+
+
+@given(actions)
+def test_servo_from_action_asks_for_exactly_the_synergy(action):
+    assert synergy_from_servo(servo_from_action(action)) == pytest.approx(synergy_from_action(action), abs=1e-12)
+
+
+def test_action_minus_one_is_open_and_plus_one_is_closed():
+    assert servo_from_action(-np.ones(6)) == pytest.approx(HPAC.servo_min, abs=0)
+    assert servo_from_action(np.ones(6)) == pytest.approx(HPAC.servo_max, abs=1e-12)
+
+
+def test_zero_at_rest():
+    zero = np.zeros(6)
+    for forward in (rigid_joints_from_servo, elastic_joints_from_servo):
+        assert forward(zero) == pytest.approx(np.zeros(15), abs=1e-15)
+    assert (elastic_deviation(np.zeros(15)) == 0).all()
+    assert servo_from_joints(np.zeros(15)) == pytest.approx(zero, abs=1e-15)
+
+
+def test_every_joint_is_monotone_in_its_servo():
+    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 1000)
+    for forward in (rigid_joints_from_servo, elastic_joints_from_servo):
+        assert (np.diff(forward(servo), axis=0) > 0).all()
+
+
+@given(synergies)
+def test_a_servo_moves_its_own_digit_alone(synergy):
+    servo = servo_from_synergy(synergy)
+    posture = elastic_joints_from_servo(servo)
+    for column in range(len(SERVOS)):
+        moved = servo.copy()
+        moved[column] = HPAC.servo_max[column] / 2
+        others = HPAC.servo_of_joint != column
+        assert (elastic_joints_from_servo(moved)[others] == posture[others]).all()
+
+
+def test_slope_at_rest_is_the_limit_of_h():
+    """H(0) against a central difference of q(u): r L0 / (d1 d2 sin α), times the ratio."""
+    step = 1e-6
+    for column in range(len(SERVOS)):
+        ahead, behind = np.zeros(6), np.zeros(6)
+        ahead[column], behind[column] = step, -step
+        slope = (rigid_joints_from_servo(ahead) - rigid_joints_from_servo(behind)) / (2 * step)
+        assert transmission_matrix(np.zeros(6))[:, column] == pytest.approx(slope, rel=1e-8)
+
+
+def test_h_is_continuous_at_rest():
+    at_rest = transmission_matrix(np.zeros(6))
+    for servo in (1e-9, 0.99e-7, 1.01e-7, 1e-6, 1e-5):
+        assert transmission_matrix(np.full(6, servo)) == pytest.approx(at_rest, rel=2e-5, abs=1e-15)
+
+
+def test_elastic_becomes_rigid_as_the_tendon_stiffens():
+    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 50)
+    rigid = rigid_joints_from_servo(servo)
+    gaps = [np.abs(elastic_joints_from_servo(servo, hand_with(tendon_stiffness=by)) - rigid).max() for by in (1, 1e2, 1e4, 1e6)]
+    assert (np.diff(gaps) < 0).all()
+    assert gaps[-1] < 1e-7
+    assert gaps[1] / gaps[2] == pytest.approx(100, rel=0.01)
+
+
+def test_twice_the_stiffness_halves_the_deviation_at_equal_angles():
+    posture = 0.7 * HPAC.joint_max
+    assert 2 * elastic_deviation(posture, hand_with(tendon_stiffness=2)) == pytest.approx(elastic_deviation(posture), abs=1e-15)
+
+
+@given(factors)
+def test_one_scale_of_all_lengths_and_an_inverse_one_of_the_spring_change_nothing(by):
+    """Angles have no length scale: b depends on k_s L R / (EA R), which such a hand keeps."""
+    lengths = dict.fromkeys(("d1", "d2", "servo_radius", "joint_radius", "path_length"), by)
+    scaled = hand_with(**lengths, spring_stiffness=1 / by)
+    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 7)
+    assert elastic_joints_from_servo(servo, scaled) == pytest.approx(elastic_joints_from_servo(servo), abs=1e-12)
+
+
+@given(factors, factors, factors)
+def test_inverse_holds_for_any_hand(guide, spring, radius):
+    hand = hand_with(d2=guide, spring_stiffness=spring, joint_radius=radius)
+    servo = hand.servo_min + 0.6 * (hand.servo_max - hand.servo_min)
+    posture = clip_to_workspace(elastic_joints_from_servo(servo, hand), hand)
+    if (posture == elastic_joints_from_servo(servo, hand)).all():
+        assert servo_from_joints(posture, hand) == pytest.approx(servo, abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (4,), (2, 3), (0,)])
+def test_any_leading_shape(shape):
+    rng = np.random.default_rng(3)
+    action = rng.uniform(-1, 1, (*shape, 6))
+    posture = joints_from_synergy(synergy_from_action(action))
+    assert posture.shape == (*shape, 15)
+    assert transmission_matrix(synergy_from_action(action)).shape == (*shape, 15, 6)
+    servo = servo_from_joints(posture)
+    assert servo.shape == servo_from_action(action).shape == (*shape, 6)
+    for index in np.ndindex(shape):
+        assert servo[index] == pytest.approx(servo_from_joints(posture[index]), abs=1e-14)
+
+
+@given(synergies, synergies)
+def test_move_duration_is_the_slowest_servo_at_its_rate(start, end):
+    start, end = servo_from_synergy(start), servo_from_synergy(end)
+    assert move_duration(start, end) == pytest.approx(max(abs(end - start)) / 4.0)
+    assert move_duration(start, end) == move_duration(end, start)
+    assert move_duration(start, start) == 0
+
+
+@given(synergies, synergies, st.floats(0.01, 0.5))
+def test_streamed_commands_arrive_together_at_the_rate_limit(start, end, period):
+    servo, target = servo_from_synergy(start), servo_from_synergy(end)
+    steps = int(np.ceil(move_duration(servo, target) / period - 1e-9))
+    for _ in range(max(steps, 1)):
+        command = stream_command(servo, target, period)
+        assert command.duration == period
+        assert (abs(command.servo - servo) <= HPAC.servo_rate_limit * period + 1e-12).all()
+        remaining, travel = target - servo, command.servo - servo
+        assert abs(remaining * travel.max() - travel * remaining.max()).max() < 1e-9
+        servo = command.servo
+    assert servo == pytest.approx(target, abs=1e-9)
+
+
+def test_no_function_writes_into_its_arguments():
+    action, posture = np.full(6, 0.25), 0.5 * HPAC.joint_max
+    kept_action, kept_posture = action.copy(), posture.copy()
+    servo = servo_from_action(action)
+    kept_servo = servo.copy()
+    synergy_from_action(action)
+    servo_from_joints(posture)
+    clip_to_workspace(posture)
+    joints_from_synergy(synergy_from_servo(servo))
+    stream_command(servo, HPAC.servo_max, 0.05)
+    assert (action == kept_action).all()
+    assert (posture == kept_posture).all()
+    assert (servo == kept_servo).all()
+
+
+def test_distal_joints_lag_most():
+    """The strain adds up along the path: DIP is further behind than PIP in metres of tendon, MCP not at all."""
+    deviation = HPAC.joint_radius * elastic_deviation(0.8 * HPAC.joint_max)
+    for finger in ("index", "middle", "ring", "pinky"):
+        mcp, pip, dip = (deviation[JOINT_INDEX[f"{finger}_{suffix}"]] for suffix in ("mcp", "pip", "dip"))
+        assert mcp == 0 < pip < dip
+    assert len(JOINTS) == len(deviation)
