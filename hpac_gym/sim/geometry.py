@@ -59,11 +59,12 @@ class Phalanx:
 
 @dataclass(frozen=True, slots=True)
 class Digit:
-    """Three phalanges from the palm outwards, and the contact point on the last one, in that link's frame."""
+    """Three phalanges from the palm outwards; ``pad`` is the fingertip's contact point, in the last link's frame."""
 
     name: str
     phalanges: tuple[Phalanx, Phalanx, Phalanx]
     pad: Vector
+    pad_normal: Vector
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,27 +89,28 @@ def load_geometry(path: Path = GEOMETRY_FILE) -> Geometry:
     palm = table["palm"]
     boxes = tuple(Box(tuple(box["center"]), tuple(box["size"])) for box in palm["boxes"])
     capsules = tuple(Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in palm["capsules"])
+    pad_tilt = np.deg2rad(table["pad"]["tilt_deg"])
     return Geometry(
         palm_mass=palm["mass"],
         palm_solids=boxes + capsules,
-        digits=(_thumb(table["thumb"]), *(_finger(name, table[name]) for name in FINGERS)),
+        digits=(_thumb(table["thumb"], pad_tilt), *(_finger(name, table[name], pad_tilt) for name in FINGERS)),
         effort=table["limits"]["effort"],
         velocity=table["limits"]["velocity"],
     )
 
 
-def _finger(name: str, table: dict) -> Digit:
+def _finger(name: str, table: dict, pad_tilt: float) -> Digit:
     fan = np.deg2rad(table["fan_deg"])
-    return _digit(name, digit_joints(name), table, (-fan, 0.0, 0.0), FLEXION_AXIS)
+    return _digit(name, digit_joints(name), table, (-fan, 0.0, 0.0), FLEXION_AXIS, pad_tilt)
 
 
-def _thumb(table: dict) -> Digit:
+def _thumb(table: dict, pad_tilt: float) -> Digit:
     rpy = tuple(table["rpy"])
     axis = rotation_from_rpy(rpy).T @ table["axis"]
-    return _digit("thumb", ("thumb_cmc", *digit_joints("thumb")), table, rpy, tuple(axis / np.linalg.norm(axis)))
+    return _digit("thumb", ("thumb_cmc", *digit_joints("thumb")), table, rpy, tuple(axis / np.linalg.norm(axis)), pad_tilt)
 
 
-def _digit(name: str, joints: tuple[str, ...], table: dict, rpy: Vector, root_axis: Vector) -> Digit:
+def _digit(name: str, joints: tuple[str, ...], table: dict, rpy: Vector, root_axis: Vector, pad_tilt: float) -> Digit:
     phalanges = []
     parent, origin, axis = "palm", tuple(table["base"]), root_axis
     for joint, length, radius, mass in zip(joints, table["lengths"], table["radii"], table["masses"], strict=True):
@@ -117,7 +119,9 @@ def _digit(name: str, joints: tuple[str, ...], table: dict, rpy: Vector, root_ax
         phalanx = Phalanx(joint, parent, origin, rpy, axis, length, mass, capsule)
         phalanges.append(phalanx)
         parent, origin, rpy, axis = phalanx.link, (0.0, 0.0, length), (0.0, 0.0, 0.0), FLEXION_AXIS
-    return Digit(name, tuple(phalanges), (table["radii"][-1], 0.0, table["pad"]))
+    normal = (float(np.cos(pad_tilt)), 0.0, float(np.sin(pad_tilt)))
+    pad = tuple(np.add(capsule.end, np.multiply(capsule.radius, normal)).tolist())
+    return Digit(name, tuple(phalanges), pad, normal)
 
 
 def rotation_from_rpy(rpy: Vector) -> Array:
