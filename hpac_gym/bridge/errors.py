@@ -1,0 +1,49 @@
+"""The bridge's exceptions: one tree below `HpacError`, each also the built-in type that a caller would expect."""
+
+from __future__ import annotations
+
+from hpac_gym.errors import HpacError
+
+
+class BridgeError(HpacError):
+    """Base of everything that goes wrong between host and hand."""
+
+
+class FrameError(BridgeError, ValueError):
+    """A value does not fit its field on the wire, or received bytes are no frame of ours."""
+
+
+class PortError(BridgeError, OSError):
+    """The port cannot be opened, is used by another program, or has gone away."""
+
+
+class HandshakeError(BridgeError, ConnectionError):
+    """Nothing answered HELLO, or what answered is not a firmware for this hand."""
+
+
+class LinkTimeout(BridgeError, TimeoutError):
+    """The hand did not answer in time."""
+
+
+class RejectedError(BridgeError, RuntimeError):
+    """The hand refused a frame. Nothing has changed in it.
+
+    Attributes:
+        reason: name of the reason, of `protocol.Reason`.
+        servo: name of the servo at fault, or None.
+        state: the hand's state, of `protocol.State`.
+    """
+
+    def __init__(self, message: str, reason: str, servo: str | None, state: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+        self.servo = servo
+        self.state = state
+
+
+class FaultError(RejectedError):
+    """The hand refused a frame because a fault has latched. Only `HandLink.clear` leaves it."""
+
+
+class FirmwareMissing(BridgeError, FileNotFoundError):
+    """The host build of the firmware is not there. `make firmware` builds it."""

@@ -1,0 +1,113 @@
+"""The protocol description as Python values, read from `protocol.toml` beside this file.
+
+Pure data: names, codes and layouts. `frame` turns them into bytes, `generate` into the C header.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from dataclasses import dataclass
+from enum import IntEnum
+from importlib.resources import files
+
+_TYPE = re.compile(r"([ui])(8|16|32)(?:\[(\d+)\])?")
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field of a frame: `count` little-endian integers of `size` bytes each, starting at byte `offset`."""
+
+    name: str
+    signed: bool
+    size: int
+    count: int
+    offset: int
+    is_array: bool
+
+    @property
+    def struct_format(self) -> str:
+        """This field in the notation of the `struct` module."""
+        letter = {1: "b", 2: "h", 4: "i"}[self.size]
+        return f"{self.count}{letter if self.signed else letter.upper()}"
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message type: its code and the fixed layout of its payload."""
+
+    name: str
+    code: int
+    from_host: bool
+    meaning: str
+    fields: tuple[Field, ...]
+
+    @property
+    def length(self) -> int:
+        """Length of the payload [bytes]."""
+        return _length(self.fields)
+
+
+def _length(fields: tuple[Field, ...]) -> int:
+    return sum(field.size * field.count for field in fields)
+
+
+def _read_fields(pairs: list[list[str]]) -> tuple[Field, ...]:
+    fields: list[Field] = []
+    for name, type_name in pairs:
+        sign, bits, count = _TYPE.fullmatch(type_name).groups()
+        fields.append(Field(name, sign == "i", int(bits) // 8, int(count or 1), _length(tuple(fields)), bool(count)))
+    return tuple(fields)
+
+
+DESCRIPTION = tomllib.loads(files(__package__).joinpath("protocol.toml").read_text(encoding="utf-8"))
+"""The whole file, as read."""
+
+VERSION: int = DESCRIPTION["version"]
+FIRMWARE_VERSION: tuple[int, int, int] = tuple(DESCRIPTION["firmware_version"])
+HEADER = _read_fields(DESCRIPTION["frame"]["header"])
+HEADER_LENGTH = _length(HEADER)
+CRC_LENGTH = 4
+
+State = IntEnum("State", DESCRIPTION["enum"]["state"])
+Reason = IntEnum("Reason", DESCRIPTION["enum"]["reason"])
+Fault = IntEnum("Fault", DESCRIPTION["enum"]["fault"])
+Action = IntEnum("Action", DESCRIPTION["enum"]["action"])
+Reset = IntEnum("Reset", DESCRIPTION["enum"]["reset"])
+
+FLAG_MINIMUM_JERK: int = DESCRIPTION["flags"]["minimum_jerk"]
+FLAG_NO_ACK: int = DESCRIPTION["flags"]["no_ack"]
+
+CONSTANTS: dict[str, int] = DESCRIPTION["constants"]
+PULSE: dict[str, int] = DESCRIPTION["pulse"]
+LOAD: dict[str, int] = DESCRIPTION["load"]
+
+MESSAGES = {
+    entry["name"]: Message(
+        entry["name"], entry["code"], entry["from"] == "host", entry["meaning"], _read_fields(entry["fields"])
+    )
+    for entry in DESCRIPTION["message"]
+}
+"""All messages by name."""
+
+MESSAGE_BY_CODE = {message.code: message for message in MESSAGES.values()}
+
+FRAME_MAX = HEADER_LENGTH + max(message.length for message in MESSAGES.values()) + CRC_LENGTH
+"""Longest frame before COBS [bytes]."""
+
+HOST_FRAME_MAX = HEADER_LENGTH + max(m.length for m in MESSAGES.values() if m.from_host) + CRC_LENGTH
+"""Longest frame from the host before COBS [bytes]."""
+
+ANGLE_UNIT = 1e-4
+"""One step of an angle on the wire [rad]."""
+
+NO_SERVO = 255
+"""`servo` field of an ACK or FAULT that concerns no single servo."""
+
+
+def name_of(enum: type[IntEnum], value: int) -> str:
+    """Name of an enum's value; a value that this version does not know reads `unknown_7`."""
+    try:
+        return enum(value).name
+    except ValueError:
+        return f"unknown_{value}"
