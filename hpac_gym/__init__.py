@@ -1,1 +1,11 @@
-"""Reinforcement learning and control of the H-PAC tendon hand, from simulation to the servo."""
+"""Reinforcement learning and control of the H-PAC tendon hand, from simulation to the servo.
+
+Importing this package registers its Gymnasium environments; it loads neither PyBullet nor, where Gymnasium is missing, anything else.
+"""
+
+try:
+    from gymnasium.envs.registration import register
+except ImportError:  # the model and the bridge work without Gymnasium
+    pass
+else:
+    register(id="HPAC-Grasp-v0", entry_point="hpac_gym.envs:grasp", max_episode_steps=60)

@@ -1,0 +1,36 @@
+"""The physics of the hand in PyBullet: world, tendons, servos, hand, wrist and objects.
+
+This package alone knows PyBullet. Importing it keeps PyBullet's greeting off standard output.
+"""
+
+from hpac_gym.sim.quiet import quiet_stdout
+
+with quiet_stdout():
+    import pybullet  # noqa: F401
+
+from hpac_gym.sim.camera import Camera
+from hpac_gym.sim.hand import HandSettings, SimHand
+from hpac_gym.sim.objects import SHAPES, ObjectSpec, SimObject
+from hpac_gym.sim.scene import Scene, SceneSetup
+from hpac_gym.sim.servos import Servos, ServoSettings
+from hpac_gym.sim.tendons import Damping, Tendons
+from hpac_gym.sim.world import World, WorldSettings
+from hpac_gym.sim.wrist import Wrist
+
+__all__ = [
+    "SHAPES",
+    "Camera",
+    "Damping",
+    "HandSettings",
+    "ObjectSpec",
+    "Scene",
+    "SceneSetup",
+    "ServoSettings",
+    "Servos",
+    "SimHand",
+    "SimObject",
+    "Tendons",
+    "World",
+    "WorldSettings",
+    "Wrist",
+]

@@ -1,0 +1,123 @@
+"""The grasp task: close on an object, lift it, and keep it through a shake."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from hpac_gym.envs.phases import PHASES, Timetable
+from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.sim import SHAPES, ObjectSpec, Scene, SceneSetup
+
+PALM_SURFACE = 0.0125
+"""Distance of the palm's surface from the yz-plane of the hand frame [m]."""
+
+CLOSE = PHASES.index("close")
+
+
+class Outcome(Enum):
+    """How an episode stands."""
+
+    RUNNING = "running"
+    SUCCESS = "success"
+    FAILURE = "failure"
+
+
+@dataclass(frozen=True, slots=True)
+class GraspConfig:
+    """The ranges that an episode is drawn from, uniformly, and what counts as dropped."""
+
+    radius: tuple[float, float] = (0.020, 0.036)
+    """Half width of a box, radius of a cylinder or sphere [m]."""
+    half_height: tuple[float, float] = (0.030, 0.060)
+    """Of a box or cylinder [m]."""
+    mass: tuple[float, float] = (0.05, 0.40)
+    """[kg]"""
+    friction: tuple[float, float] = (0.35, 0.90)
+    """Of the object's surface; the hand's skin multiplies it by 0.9."""
+    gap: tuple[float, float] = (0.002, 0.025)
+    """From the palm to the object [m]."""
+    towards_thumb: tuple[float, float] = (-0.020, 0.025)
+    """Place of the object's centre along y of the hand frame [m]."""
+    beyond_wrist: tuple[float, float] = (0.090, 0.135)
+    """Place of the object's centre along z of the hand frame [m]."""
+    box_yaw: tuple[float, float] = (-0.5, 0.5)
+    """Turn of a box about the vertical [rad]."""
+    thumb_preshape: float = 1.2
+    """CMC at the start: the thumb stands opposite to the fingers [rad]."""
+    drop_distance: float = 0.06
+    """An object that moved farther than this in the hand is dropped [m]."""
+    timetable: Timetable = field(default_factory=Timetable)
+
+
+class Grasp:
+    """Draws episodes, judges them, and shapes the reward."""
+
+    def __init__(self, config: GraspConfig = GraspConfig()) -> None:
+        self.config = config
+        self.timetable = config.timetable
+
+    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
+        """Draw one episode: the object, its place in front of the palm, and the open hand."""
+        config = self.config
+        shape = SHAPES[rng.integers(len(SHAPES))]
+        width, depth, height = rng.uniform(*config.radius), rng.uniform(*config.radius), rng.uniform(*config.half_height)
+        yaw = rng.uniform(*config.box_yaw)
+        extents = {"cylinder": (width, width, height), "box": (width, depth, height), "sphere": (width, width, width)}[shape]
+        spec = ObjectSpec(shape, extents, rng.uniform(*config.mass), rng.uniform(*config.friction))
+        reach = width * abs(np.sin(yaw)) + depth * np.cos(yaw) if shape == "box" else width
+        place = [
+            PALM_SURFACE + reach + rng.uniform(*config.gap),
+            rng.uniform(*config.towards_thumb),
+            rng.uniform(*config.beyond_wrist),
+        ]
+        synergy = np.zeros(len(SERVO_INDEX))
+        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
+        return SceneSetup(spec, np.array(place), yaw, synergy, hand)
+
+    def start(self, setup: SceneSetup) -> None:
+        """Begin to judge an episode."""
+        self._place = setup.position
+        self.hold_time = 0.0
+
+    def judge(self, scene: Scene, object_pos: Array, forces: dict[str, float], dt: float) -> Outcome:
+        """Advance the hold timer by one control step and judge the episode.
+
+        It fails as soon as the object is dropped or knocked away. It succeeds at the end of the timetable, when the
+        hand has carried the object all the time since the lift was over, through the shake.
+        """
+        if np.linalg.norm(object_pos - self._place) > self.config.drop_distance:
+            return Outcome.FAILURE
+        carried = bool(forces) and not scene.on_support
+        self.hold_time = self.hold_time + dt if carried else 0.0
+        if scene.time < self.timetable.duration - dt / 2:
+            return Outcome.RUNNING
+        needed = self.timetable.duration - self.timetable.ends[1]
+        return Outcome.SUCCESS if self.hold_time > needed - dt / 2 else Outcome.FAILURE
+
+    def reward_terms(
+        self, outcome: Outcome, phase: int, object_pos: Array, forces: dict[str, float], action_change: Array
+    ) -> dict[str, float]:
+        """The dense reward of one control step, term by term; the reward is their sum.
+
+        * `contact`, while closing: for the thumb and for the fingers that touch the object, most when they oppose each other.
+        * `push`, while closing: against moving the object away from where it stood.
+        * `carry`, afterwards: for carrying the object free of its support.
+        * `effort`: against changing the action.
+        * `outcome`: success or failure, once.
+        """
+        closing = phase == CLOSE
+        fingers = sum(name in forces for name in FINGERS)
+        thumb = "thumb" in forces
+        opposed = float(thumb and fingers > 0)
+        moved = float(np.linalg.norm(object_pos - self._place)) / self.config.drop_distance
+        return {
+            "contact": (0.1 * thumb + 0.05 * fingers + 0.2 * opposed) if closing else 0.0,
+            "push": -0.3 * min(moved, 1.0) if closing else 0.0,
+            "carry": 0.5 * float(self.hold_time > 0) if not closing else 0.0,
+            "effort": -0.01 * float(np.square(action_change).sum()),
+            "outcome": {Outcome.SUCCESS: 10.0, Outcome.FAILURE: -5.0, Outcome.RUNNING: 0.0}[outcome],
+        }

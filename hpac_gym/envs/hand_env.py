@@ -1,0 +1,172 @@
+"""The one environment class: action to servos to physics to observation. What is to be done is the task's business."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from hpac_gym.envs.errors import EpisodeError
+from hpac_gym.envs.grasp import Grasp, Outcome
+from hpac_gym.envs.observation import Camera, CameraNoise, deployed_observation, observation_space
+from hpac_gym.envs.phases import PHASES
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, servo_from_action, servo_from_synergy, stream_command
+from hpac_gym.sim import Camera as Viewpoint
+from hpac_gym.sim import Scene, SceneSetup
+
+CONTROL_HZ = 20
+"""Commands a second."""
+
+Reward = Literal["dense", "sparse"]
+
+
+class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """A hand on a scripted wrist; six actions a step, one `ServoCommand` each.
+
+    Args:
+        task: draws episodes, judges them and shapes the reward.
+        hand: the hand's parameters, or a hand file.
+        reward: "dense" for the task's terms, "sparse" for 1 on success and 0 otherwise.
+        render_mode: None or "rgb_array".
+        noise: of the camera that sees the object.
+
+    Raises:
+        ParameterError: An unknown reward or render mode, or a bad hand file.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+
+    def __init__(
+        self,
+        task: Grasp,
+        hand: Hand | str | PathLike[str] = HPAC,
+        reward: Reward = "dense",
+        render_mode: str | None = None,
+        noise: CameraNoise = CameraNoise(),
+    ) -> None:
+        if reward not in ("dense", "sparse"):
+            raise ParameterError(f"reward {reward!r} is neither 'dense' nor 'sparse'")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ParameterError(f"render_mode {render_mode!r} is neither None nor 'rgb_array'")
+        self.task, self.reward, self.render_mode = task, reward, render_mode
+        self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
+        self.action_space = Box(-1.0, 1.0, (len(SERVOS),), np.float32)
+        self.observation_space = observation_space()
+        self.dt = 1.0 / CONTROL_HZ
+        self._noise = noise
+        self._scene: Scene | None = Scene(visuals=render_mode is not None)
+        self._running = False
+        self._viewpoint = Viewpoint()
+
+    @property
+    def scene(self) -> Scene:
+        """The physics below. For figures and tests; a policy must not look.
+
+        Raises:
+            EpisodeError: The environment is closed.
+        """
+        if self._scene is None:
+            raise EpisodeError("this environment is closed: make a new one")
+        return self._scene
+
+    @property
+    def phase(self) -> str:
+        """What the wrist is doing: one of `hpac_gym.envs.phases.PHASES`."""
+        return PHASES[self._phase]
+
+    @property
+    def command(self) -> ServoCommand:
+        """The last command that went to the servos: what a bridge sends to the real hand."""
+        return self._command
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode.
+
+        Args:
+            seed: of the environment's generator. Same seed, same episode, to the bit.
+            options: `{"setup": SceneSetup}` gives the episode instead of drawing it.
+        """
+        super().reset(seed=seed)
+        setup_rng, camera_rng = self.np_random.spawn(2)
+        setup: SceneSetup = (options or {}).get("setup") or self.task.setup(setup_rng, self.hand)
+        self.scene.reset(setup)
+        self.task.start(setup)
+        self._camera = Camera(setup.object, self._noise, camera_rng)
+        self._servo = servo_from_synergy(setup.synergy, self.hand)
+        self._command = ServoCommand(self._servo, self.dt)
+        self._last_action: NDArray[np.float64] | None = None
+        self._phase, self._running = 0, True
+        object_pos, rotation = self.scene.object_pose()
+        return self._observe(object_pos, rotation), self._info(Outcome.RUNNING, {}, {})
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Carry out one action for one control period.
+
+        Raises:
+            ShapeError: `action` has the wrong shape.
+            WorkspaceError: `action` has NaN, or leaves −1…1.
+            EpisodeError: Before `reset`, after the end of an episode, or after `close`.
+        """
+        scene = self.scene
+        if not self._running:
+            raise EpisodeError("no episode is running: call reset() first")
+        action = np.asarray(action, dtype=float)
+        target = servo_from_action(action, self.hand)
+        self._command = stream_command(self._servo, target, self.dt, self.hand)
+        self._servo = self._command.servo
+        scene.advance(self._command, self.task.timetable.wrist_path)
+
+        object_pos, rotation = scene.object_pose()
+        forces = scene.contact_forces()
+        outcome = self.task.judge(scene, object_pos, forces, self.dt)
+        change = np.zeros(len(SERVOS)) if self._last_action is None else action - self._last_action
+        terms = self.task.reward_terms(outcome, self._phase, object_pos, forces, change)
+        self._last_action = action
+        self._phase = self.task.timetable.phase(scene.time)
+        self._running = outcome is Outcome.RUNNING
+        reward = sum(terms.values()) if self.reward == "dense" else float(outcome is Outcome.SUCCESS)
+        info = self._info(outcome, terms, forces)
+        return self._observe(object_pos, rotation), reward, not self._running, False, info
+
+    def _observe(self, object_pos: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
+        progress = self.scene.time / self.task.timetable.duration
+        seen = self._camera.look(object_pos, rotation)
+        return deployed_observation(self.observation_space, self.hand, self._servo, seen, self._phase, progress)
+
+    def _info(self, outcome: Outcome, terms: dict[str, float], forces: dict[str, float]) -> dict[str, Any]:
+        return {
+            "is_success": outcome is Outcome.SUCCESS,
+            "outcome": outcome.value,
+            "phase": self.phase,
+            "reward_terms": terms,
+            "contact_force": float(sum(forces.values())),
+            "hold_time": self.task.hold_time,
+        }
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture, shape (360, 480, 3), or None without a render mode.
+
+        Raises:
+            EpisodeError: Before `reset`, or after `close`.
+        """
+        scene = self.scene
+        if self.render_mode is None:
+            return None
+        if not hasattr(self, "_camera"):
+            raise EpisodeError("nothing to render: call reset() first")
+        return self._viewpoint.picture(scene.world, scene.palm_position + (0.10, 0.03, 0.0))
+
+    def close(self) -> None:
+        """Leave the physics client. Closing twice is no error."""
+        if self._scene is not None:
+            self._scene.close()
+        self._scene, self._running = None, False

@@ -1,0 +1,110 @@
+"""What a deployed policy can know: its own commands, what the model predicts from them, and what a camera sees.
+
+The hand has no joint and no force sensors, so nothing here reads the simulated joints. The layout is the one table `FIELDS`;
+the observation's bounds, its names and its documentation all come from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from hpac_gym.envs.phases import PHASES
+from hpac_gym.model import JOINTS, SERVOS, Hand, elastic_joints_from_servo
+from hpac_gym.model.checks import Array
+from hpac_gym.sim import SHAPES, ObjectSpec
+
+LENGTH_UNIT = 0.05
+"""Lengths in the observation are multiples of this [m], so that every entry is of the order of one."""
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A run of entries in the observation vector."""
+
+    name: str
+    labels: tuple[str, ...]
+    unit: str
+    low: float
+    high: float
+    meaning: str
+
+
+FIELDS = (
+    Field("servo", SERVOS, "rad", 0.0, 2.0, "commanded servo angle"),
+    Field("joint_pos", JOINTS, "rad", 0.0, 2.0, "joint angle that the elastic model predicts for the command, Eqs. (12), (13)"),
+    Field("object_pos", AXES, "0.05 m", -4.0, 4.0, "seen centre of the object in the hand frame, from `GRASP_CENTRE`"),
+    Field("object_up", AXES, "1", -1.0, 1.0, "seen z axis of the object in the hand frame; zero for a sphere"),
+    Field("object_side", AXES, "1", -1.0, 1.0, "seen x axis of the object in the hand frame; zero for a sphere or cylinder"),
+    Field("object_size", AXES, "0.05 m", 0.0, 2.0, "seen half extents of the object along its own axes"),
+    Field("object_shape", SHAPES, "0/1", 0.0, 1.0, "which shape it is"),
+    Field("phase", PHASES, "0/1", 0.0, 1.0, "what the wrist is doing"),
+    Field("progress", ("time",), "1", 0.0, 1.0, "share of the episode that has passed"),
+)
+
+GRASP_CENTRE = np.array([0.045, 0.005, 0.1125])
+"""Origin of `object_pos` in the hand frame [m]: in front of the knuckles."""
+
+
+def observation_space() -> Box:
+    """The space of the deployed observation, shape (44,)."""
+    low = np.concatenate([np.full(len(field.labels), field.low) for field in FIELDS])
+    high = np.concatenate([np.full(len(field.labels), field.high) for field in FIELDS])
+    return Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNoise:
+    """Standard deviations of what the camera sees; all normally distributed."""
+
+    position: float = 0.0015
+    """Of each coordinate, every step [m]."""
+    angle: float = 0.02
+    """Of the rotation about each axis, every step [rad]."""
+    size: float = 0.03
+    """Of each half extent, once an episode, relative."""
+
+
+class Camera:
+    """Sees one object through one episode, with noise of its own random stream."""
+
+    def __init__(self, spec: ObjectSpec, noise: CameraNoise, rng: np.random.Generator) -> None:
+        self._noise, self._rng = noise, rng
+        self._shape = np.array([float(spec.shape == shape) for shape in SHAPES])
+        self._size = np.array(spec.half_extents) * (1 + noise.size * rng.standard_normal(3)) / LENGTH_UNIT
+        self._shows_up = float(spec.shape != "sphere")
+        self._shows_side = float(spec.shape == "box")
+
+    def look(self, position: Array, rotation: Array) -> list[Array]:
+        """The object's fields, in the order of `FIELDS`.
+
+        Args:
+            position: true centre in the hand frame, shape (3,) [m].
+            rotation: true rotation in the hand frame, shape (3, 3).
+        """
+        position = position + self._noise.position * self._rng.standard_normal(3)
+        tilt = self._noise.angle * self._rng.standard_normal(3)
+        seen = rotation + np.cross(tilt, rotation, axis=0)
+        axes = seen / np.linalg.norm(seen, axis=0)
+        return [
+            (position - GRASP_CENTRE) / LENGTH_UNIT,
+            self._shows_up * axes[:, 2],
+            self._shows_side * axes[:, 0],
+            self._size,
+            self._shape,
+        ]
+
+
+def deployed_observation(
+    space: Box, hand: Hand, servo: Array, seen: list[Array], phase: int, progress: float
+) -> NDArray[np.float32]:
+    """Join the parts; what leaves the bounds (an object out of view) stays at them."""
+    phases = np.zeros(len(PHASES))
+    phases[phase] = 1.0
+    parts = [servo, elastic_joints_from_servo(servo, hand), *seen, phases, [progress]]
+    return np.minimum(np.maximum(np.concatenate(parts), space.low), space.high, dtype=np.float32)

@@ -1,0 +1,134 @@
+"""A grasp scene: the hand on its wrist, an object on a post, a table below. Physics only, no task."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pybullet
+
+from hpac_gym.model import DIGITS, HPAC, Hand, ServoCommand
+from hpac_gym.model.checks import Array
+from hpac_gym.sim.hand import HandSettings, SimHand
+from hpac_gym.sim.objects import ObjectSpec, SimObject, add_fixed_box
+from hpac_gym.sim.world import World, WorldSettings
+from hpac_gym.sim.wrist import Wrist
+
+HAND_POSITION = np.array([0.0, 0.0, 0.25])
+"""Where the wrist starts in the world [m]."""
+HAND_ROTATION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Fingers along the world's +x, palm facing +y, thumb up."""
+_HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
+
+POST_HALF_WIDTH = 0.012
+_POST_FRICTION = 0.8
+_GREY = (0.55, 0.55, 0.58, 1.0)
+_WOOD = (0.78, 0.70, 0.58, 1.0)
+
+Path = Callable[[float], tuple[Array, Array]]
+"""Wrist offset, shape (3,) [m], and velocity, shape (3,) [m/s], at a time [s], in the world."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSetup:
+    """What one episode starts with."""
+
+    object: ObjectSpec
+    position: Array
+    """Centre of the object in the hand frame, shape (3,) [m]."""
+    yaw: float
+    """Turn of the object about the vertical [rad]."""
+    synergy: Array
+    """Hand at the start, shape (6,) [rad]."""
+    hand: Hand = HPAC
+    hand_settings: HandSettings = field(default_factory=HandSettings)
+
+
+class Scene:
+    """One world with a hand, an object and its support, built anew for every episode.
+
+    Args:
+        settings: of the world.
+        visuals: load what only a camera sees; without it a reset is faster and the physics the same.
+    """
+
+    def __init__(self, settings: WorldSettings = WorldSettings(), visuals: bool = True) -> None:
+        self.world = World(settings)
+        self._visuals = visuals
+        self.time = 0.0
+
+    def reset(self, setup: SceneSetup) -> None:
+        """Build the scene anew. The same setup gives the same trajectory, to the bit."""
+        self.time = 0.0
+        self.world.clear()
+        self.hand = SimHand(
+            self.world,
+            setup.hand,
+            setup.hand_settings,
+            "hpac_hand_on_wrist.urdf",
+            HAND_POSITION,
+            _HAND_QUATERNION,
+            self._visuals,
+        )
+        self.hand.reset(setup.synergy)
+        self.wrist = Wrist(self.hand, HAND_ROTATION)
+        centre = HAND_POSITION + HAND_ROTATION @ setup.position
+        turn = (0.0, 0.0, np.sin(setup.yaw / 2), np.cos(setup.yaw / 2))
+        self.object = SimObject(self.world, setup.object, centre, turn)
+        self._add_support(centre[2] - setup.object.half_extents[2], centre)
+        self._digit_of_link = {
+            index: next((digit for digit in DIGITS if name.startswith(digit)), "palm")
+            for name, index in self.hand.link_index.items()
+        }
+        self._offset = np.zeros(3)
+
+    def _add_support(self, height: float, centre: Array) -> None:
+        post = (POST_HALF_WIDTH, POST_HALF_WIDTH, height / 2)
+        self._supports = (
+            add_fixed_box(self.world, post, (centre[0], centre[1], height / 2), _GREY, _POST_FRICTION),
+            add_fixed_box(self.world, (0.35, 0.35, 0.01), (centre[0], centre[1], -0.01), _WOOD, _POST_FRICTION),
+        )
+
+    def advance(self, command: ServoCommand, path: Path) -> None:
+        """Carry out one servo command while the wrist follows its path: whole physics steps that fill its duration."""
+        dt = self.world.settings.dt
+        self.hand.command(command)
+        for _ in range(round(command.duration / dt)):
+            self.time += dt
+            self._offset, velocity = path(self.time)
+            self.wrist.move(self._offset, velocity)
+            self.hand.apply_tendons()
+            self.world.step()
+
+    def object_pose(self) -> tuple[Array, Array]:
+        """Centre, shape (3,) [m], and rotation, shape (3, 3), of the object in the frame of the hand."""
+        position, quaternion = self.object.pose()
+        rotation = np.reshape(pybullet.getMatrixFromQuaternion(quaternion.tolist()), (3, 3))
+        return HAND_ROTATION.T @ (position - HAND_POSITION - self._offset), HAND_ROTATION.T @ rotation
+
+    def contact_forces(self) -> dict[str, float]:
+        """Normal force between the object and the palm and every digit that touches it [N]."""
+        forces: dict[str, float] = {}
+        for contact in pybullet.getContactPoints(self.hand.body, self.object.body, physicsClientId=self.world.client):
+            if contact[8] <= 0:
+                part = self._digit_of_link[contact[3]]
+                forces[part] = forces.get(part, 0.0) + contact[9]
+        return forces
+
+    @property
+    def palm_position(self) -> Array:
+        """Where the wrist is now in the world, shape (3,) [m]."""
+        return HAND_POSITION + self._offset
+
+    @property
+    def on_support(self) -> bool:
+        """Whether the object touches the post or the table."""
+        return any(
+            pybullet.getContactPoints(self.object.body, support, physicsClientId=self.world.client)
+            for support in self._supports
+        )
+
+    def close(self) -> None:
+        """Leave the physics client. Closing twice is no error."""
+        self.world.close()

@@ -1,0 +1,67 @@
+"""Six position servos: a commanded ramp, and horns that follow it with limited speed and a dead band.
+
+The ramp is what the firmware does with a `ServoCommand`: all six move linearly from where their ramp stands, and arrive together.
+How hard a servo pulls is limited where it pulls: see `hpac_gym.sim.tendons`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.model import SERVOS, ServoCommand
+from hpac_gym.model.checks import Array
+
+
+@dataclass(frozen=True, slots=True)
+class ServoSettings:
+    """What a servo's data sheet says.
+
+    Raises:
+        ValueError: A speed that is not positive, or a negative dead band.
+    """
+
+    speed: float = 8.0
+    """No-load speed of the horn [rad/s]; chosen: 0.13 s/60°, a common hobby servo."""
+    dead_band: float = 2e-3
+    """Error that the servo leaves alone [rad]; chosen: 1.3 µs of pulse, a digital servo."""
+
+    def __post_init__(self) -> None:
+        if not (self.speed > 0 and self.dead_band >= 0):
+            raise ValueError(f"servo speed {self.speed} rad/s must be positive, dead band {self.dead_band} rad not negative")
+
+
+class Servos:
+    """State of the six servos: the ramp that they are told, and where their horns are."""
+
+    def __init__(self, settings: ServoSettings = ServoSettings()) -> None:
+        self.settings = settings
+        self.reset(np.zeros(len(SERVOS)))
+
+    def reset(self, servo: Array) -> None:
+        """Stand still at given angles, shape (6,) [rad]."""
+        self.horn = np.array(servo, dtype=float)
+        self.velocity = np.zeros(len(SERVOS))
+        self._start = self._target = self.horn.copy()
+        self._elapsed = self._duration = 1.0
+
+    @property
+    def commanded(self) -> Array:
+        """Where the ramp stands now, shape (6,) [rad]."""
+        share = min(self._elapsed / self._duration, 1.0)
+        return self._start + share * (self._target - self._start)
+
+    def command(self, command: ServoCommand) -> None:
+        """Start a move from where the ramp stands."""
+        self._start, self._target = self.commanded, command.servo
+        self._elapsed, self._duration = 0.0, command.duration
+
+    def advance(self, dt: float) -> None:
+        """Move ramp and horns on by one physics step of `dt` seconds."""
+        self._elapsed += dt
+        error = self.commanded - self.horn
+        reach = self.settings.speed * dt
+        step = np.minimum(np.maximum(error, -reach), reach) * (np.abs(error) > self.settings.dead_band)
+        self.horn += step
+        self.velocity = step / dt

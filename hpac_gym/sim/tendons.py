@@ -1,0 +1,156 @@
+"""The tendons and springs: joint torques from joint states and servo angles. Pure numpy, no simulator.
+
+Per digit, root joint first:
+
+* **drive**: a tendon from the servo's hub to the root joint. Stretch ``r u − (L₀ − chord(q))``; it pulls, never pushes, and
+  never harder than the servo can. Its moment arm is ``d₁ d₂ sin(α − q) / chord``.
+* **coupling**: a figure-eight loop between neighbouring joints, stretch ``R_i q_i − R_(i+1) q_(i+1)``, taut both ways. A finger's
+  first segment has stiffness 2EA/L and all the others EA/L: with these the static equilibrium in free space *is* Eq. (12), because the
+  restoring cable passes every joint and so the first segment carries twice the spring's tension. The thumb's one segment
+  has EA/L, which is Eq. (13).
+* **spring**: tension ``k_s Σ R q``, Eq. (10), acts on every joint with its radius. No pretension: a straight finger is held
+  by nothing but its stop, and a finger with a slack drive hangs where its weight and its spring balance.
+
+Tendons are Kelvin–Voigt elements: damping acts on the stretch's rate, so it vanishes in a tendon that follows its servo, and a
+slack one has none. CMC is a stiff spring between servo 6 and the joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, Hand
+from hpac_gym.model.checks import Array
+
+_CMC = SERVO_INDEX["thumb_cmc"]
+_CMC_JOINT = JOINT_INDEX["thumb_cmc"]
+_ROOTS = np.array([JOINT_INDEX[digit.joints[0]] for digit in HPAC.digits.values()])
+
+
+def coupling_rows(hand: Hand) -> tuple[Array, Array]:
+    """The coupling segments: how each one's stretch depends on the joints, and how stiff it is.
+
+    Returns:
+        Rows J with stretch = J q, shape (9, 15) [m/rad], and stiffnesses, shape (9,) [N/m].
+    """
+    rows, stiffnesses = [], []
+    for digit in hand.digits.values():
+        for segment, length in enumerate(digit.path_length):
+            row = np.zeros(len(JOINTS))
+            row[JOINT_INDEX[digit.joints[segment]]] = digit.joint_radius[segment]
+            row[JOINT_INDEX[digit.joints[segment + 1]]] = -digit.joint_radius[segment + 1]
+            doubled = 2.0 if segment == 0 and len(digit.path_length) > 1 else 1.0
+            rows.append(row)
+            stiffnesses.append(doubled * digit.tendon_stiffness / length)
+    return np.array(rows), np.array(stiffnesses)
+
+
+def spring_rows(hand: Hand) -> tuple[Array, Array]:
+    """The restoring springs: excursion = J q, shape (5, 15) [m/rad], and stiffnesses, shape (5,) [N/m]. Eq. (10)."""
+    rows = np.zeros((len(hand.digits), len(JOINTS)))
+    for row, digit in zip(rows, hand.digits.values(), strict=True):
+        row[[JOINT_INDEX[name] for name in digit.joints]] = digit.joint_radius
+    return rows, np.array([digit.spring_stiffness for digit in hand.digits.values()])
+
+
+@dataclass(frozen=True, slots=True)
+class Damping:
+    """How the tendons lose energy.
+
+    Raises:
+        ValueError: A negative value.
+    """
+
+    ratio: float = 0.4
+    """Damping ratio of each tendon with the inertia that it moves."""
+    joint: float = 5e-3
+    """Viscous friction of every joint [N·m·s/rad]."""
+
+    def __post_init__(self) -> None:
+        if not (self.ratio >= 0 and self.joint >= 0):
+            raise ValueError(f"damping ratio {self.ratio} and joint damping {self.joint} N m s/rad must not be negative")
+
+
+class Tendons:
+    """Torques of all tendons and springs of one hand.
+
+    Damping coefficients are those of an implicit step: a coefficient c on an element that moves the mass m becomes
+    c / (1 + c dt/m), which stays stable at any c.
+
+    Args:
+        hand: the parameters.
+        mass_matrix: joint-space inertia at a typical posture, shape (15, 15) [kg·m²]; only damping depends on it.
+        dt: physics step [s].
+        damping: how the tendons lose energy.
+    """
+
+    def __init__(self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping) -> None:
+        self.hand = hand
+        compliance = np.linalg.inv(mass_matrix)
+
+        def viscosity(stiffness: Array, mobility: Array) -> Array:
+            explicit = 2 * damping.ratio * np.sqrt(stiffness / mobility)
+            return explicit / (1 + explicit * dt * mobility)
+
+        rows, stiffness = coupling_rows(hand)
+        mobility = np.einsum("ij,jk,ik->i", rows, compliance, rows)
+        springs, spring_stiffness = spring_rows(hand)
+        stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (spring_stiffness[:, None] * springs)
+        viscosity_matrix = rows.T @ (viscosity(stiffness, mobility)[:, None] * rows) + damping.joint * np.eye(len(JOINTS))
+        self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
+
+        digits = hand.digits.values()
+        self._limit = np.array([digit.tension_limit for digit in digits])
+        self._stiffness = np.array([digit.drive_stiffness for digit in digits])
+        arm = self._arm_and_chord(hand.synergy_max[:_CMC])[0]
+        self._viscosity = viscosity(self._stiffness, arm**2 * np.diag(compliance)[_ROOTS])
+        cmc = viscosity(np.array(hand.cmc_stiffness), compliance[_CMC_JOINT, _CMC_JOINT])
+        self._cmc_viscosity = float(cmc)
+
+    def _arm_and_chord(self, root: Array) -> tuple[Array, Array]:
+        included = self.hand.guide_alpha - root
+        chord = np.sqrt(self.hand.guide_sum - self.hand.guide_product * np.cos(included))
+        return self.hand.guide_product / 2 * np.sin(included) / chord, chord
+
+    def drive_tension(self, joint_pos: Array, joint_vel: Array, servo: Array, servo_vel: Array) -> tuple[Array, Array]:
+        """Tension of the five driving tendons and their moment arms at the root joints.
+
+        Args:
+            joint_pos: q, shape (15,) [rad].
+            joint_vel: shape (15,) [rad/s].
+            servo: where the servos' horns are, shape (6,) [rad].
+            servo_vel: shape (6,) [rad/s].
+
+        Returns:
+            Tension, shape (5,) [N], and arm, shape (5,) [m].
+        """
+        hand = self.hand
+        arm, chord = self._arm_and_chord(joint_pos[_ROOTS])
+        stretch = hand.servo_radius * servo[:_CMC] - hand.rest_chord + chord
+        rate = hand.servo_radius * servo_vel[:_CMC] - arm * joint_vel[_ROOTS]
+        tension = (self._stiffness * stretch + self._viscosity * rate) * (stretch > 0)
+        return np.minimum(np.maximum(tension, 0.0), self._limit), arm
+
+    def torque(self, joint_pos: Array, joint_vel: Array, servo: Array, servo_vel: Array) -> tuple[Array, Array]:
+        """Torque of all elements on every joint, and the tension of the drives.
+
+        Args:
+            joint_pos: q, shape (15,) [rad].
+            joint_vel: shape (15,) [rad/s].
+            servo: where the servos' horns are, shape (6,) [rad].
+            servo_vel: shape (6,) [rad/s].
+
+        Returns:
+            Torque, shape (15,) [N·m], positive in flexion, and tension, shape (5,) [N].
+        """
+        hand = self.hand
+        torque = self._linear @ np.concatenate([joint_pos, joint_vel])
+        tension, arm = self.drive_tension(joint_pos, joint_vel, servo, servo_vel)
+        torque[_ROOTS] += tension * arm
+        twist = hand.cmc_gain * servo[_CMC] - joint_pos[_CMC_JOINT]
+        rate = hand.cmc_gain * servo_vel[_CMC] - joint_vel[_CMC_JOINT]
+        pull = hand.cmc_stiffness * twist + self._cmc_viscosity * rate
+        torque[_CMC_JOINT] += min(max(pull, -hand.cmc_torque_limit), hand.cmc_torque_limit)
+        return torque, tension

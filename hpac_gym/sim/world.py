@@ -1,0 +1,75 @@
+"""One PyBullet world: its client, its time step and its solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pybullet
+
+from hpac_gym.sim.quiet import quiet_stdout
+
+GRAVITY = 9.81
+"""[m/s²]"""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSettings:
+    """How the world is integrated; `docs/physics.md` has the measurements behind the numbers.
+
+    Raises:
+        ValueError: A rate that is not positive.
+    """
+
+    physics_hz: int = 240
+    """Physics steps a second."""
+    gravity: float = GRAVITY
+    """Downwards, along −z [m/s²]."""
+    constraint_softness: float = 1e-6
+    """Constraint force mixing of the direct solver: just enough to make redundant contacts solvable."""
+
+    def __post_init__(self) -> None:
+        if not self.physics_hz > 0:
+            raise ValueError(f"physics_hz = {self.physics_hz} Hz must be greater than 0 Hz")
+
+    @property
+    def dt(self) -> float:
+        """Physics step [s]."""
+        return 1.0 / self.physics_hz
+
+
+class World:
+    """A physics client without a window. Close it when done, or use it as a context manager."""
+
+    def __init__(self, settings: WorldSettings = WorldSettings()) -> None:
+        self.settings = settings
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self.clear()
+
+    def clear(self) -> None:
+        """Remove every body. What is loaded next behaves, to the bit, as in a new world."""
+        pybullet.resetSimulation(physicsClientId=self.client)
+        with quiet_stdout():
+            pybullet.setPhysicsEngineParameter(
+                fixedTimeStep=self.settings.dt,
+                constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG,
+                globalCFM=self.settings.constraint_softness,
+                deterministicOverlappingPairs=1,
+                physicsClientId=self.client,
+            )
+        pybullet.setGravity(0, 0, -self.settings.gravity, physicsClientId=self.client)
+
+    def step(self) -> None:
+        """Advance by one physics step."""
+        pybullet.stepSimulation(self.client)
+
+    def close(self) -> None:
+        """Disconnect. Closing twice is no error."""
+        if self.client >= 0:
+            pybullet.disconnect(self.client)
+            self.client = -1
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
