@@ -1,0 +1,118 @@
+"""Pictures and tables of a run: ``python -m agents.curves runs/NAME``.
+
+Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_curve.png``, ``results.md`` and
+``results.png`` beside them. What is not there yet is left out.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from agents.command import Parser, run
+from agents.errors import RunError
+from agents.evaluate import table
+from agents.files import replacing
+from agents.learning_curve import CURVE, read_curve
+
+RESULTS = "results.json"
+COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
+
+
+def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None = None) -> Figure:
+    """Success in training over environment steps, with the held-out results of every policy beside it."""
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(curve["steps"] / 1000, 100 * curve["success_rate"], color=COLOURS["learned"], label="learning, actions explored")
+    for name, numbers in (results or {}).get("policies", {}).items():
+        low, high = (100 * bound for bound in numbers["interval_95"])
+        label = f"{name}, {numbers['episodes']} held-out episodes: {numbers['success_rate']:.0%}"
+        axes.axhspan(low, high, color=COLOURS.get(name), alpha=0.18, linewidth=0)
+        axes.axhline(100 * numbers["success_rate"], color=COLOURS.get(name), linestyle="--", linewidth=1, label=label)
+    axes.set(xlabel="environment steps (thousands)", ylabel="success (%)", ylim=(-2, 102), xlim=(0, None))
+    if len(curve["seconds"]) > 1:
+        steps, minutes = curve["steps"] / 1000, curve["seconds"] / 60
+        # Steps and minutes both grow along a run, so that either can be read off the other.
+        axis = axes.secondary_xaxis("top", (lambda x: np.interp(x, steps, minutes), lambda t: np.interp(t, minutes, steps)))
+        axis.set_xlabel("training time (minutes)")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper left", fontsize="small")
+    return figure
+
+
+def result_chart(results: dict[str, Any]) -> Figure:
+    """Success of every policy with its 95 % interval."""
+    figure = Figure(figsize=(6, 0.9 + 0.6 * len(results["policies"])), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for place, (name, numbers) in enumerate(reversed(results["policies"].items())):
+        rate, (low, high) = numbers["success_rate"], numbers["interval_95"]
+        axes.barh(place, 100 * rate, color=COLOURS.get(name), height=0.6)
+        axes.errorbar(100 * rate, place, xerr=[[100 * (rate - low)], [100 * (high - rate)]], color="black", capsize=4)
+        axes.text(100 * high + 1.5, place, f"{rate:.0%}", va="center")
+    axes.set_yticks(range(len(results["policies"])), list(reversed(results["policies"])))
+    axes.set(xlim=(0, 108), xlabel="success on held-out episodes (%), Wilson 95 % interval")
+    return figure
+
+
+def report(folder: Path) -> list[Path]:
+    """Write the pictures and tables of a run; returns the files.
+
+    Raises:
+        RunError: There is nothing to show, or it cannot be read or written.
+    """
+    results = _read_results(folder / RESULTS)
+    written = []
+    if results is not None:
+        with replacing(folder / "results.md") as temporary:
+            temporary.write_text(_page(results))
+        _save(result_chart(results), folder / "results.png")
+        written += [folder / "results.md", folder / "results.png"]
+    if (folder / CURVE).exists():
+        _save(learning_curve(read_curve(folder / CURVE), results), folder / "learning_curve.png")
+        written.append(folder / "learning_curve.png")
+    if not written:
+        raise RunError(f"nothing to show in '{folder}': it has neither {CURVE} nor {RESULTS}")
+    return written
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = Parser(__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="folder of a run")
+    for path in report(parser.parse_args(argv).folder):
+        print(path)
+    return 0
+
+
+def _page(results: dict[str, Any]) -> str:
+    text = f"# {results['env_id'].rpartition(':')[2]}\n\n{table(results)}\n"
+    policy = results.get("policy")
+    if policy:
+        effort = f"{policy['steps']:,} environment steps in {policy['seconds'] / 60:.1f} minutes"
+        text += f"\nLearned: {policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
+        text += f"weights SHA-256 `{policy['sha256'][:16]}…`.\n"
+    return text + f"\nEvery policy met the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
+
+
+def _read_results(path: Path) -> dict[str, Any] | None:
+    try:
+        results = json.loads(path.read_text())
+        results["policies"], results["differences"], results["env_id"]
+        return results
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunError(f"cannot read '{path}': {error!r}") from None
+
+
+def _save(figure: Figure, path: Path) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,56 @@
+"""From random weights to the wire: train a grasp, judge it, and replay it through the serial port and the firmware.
+
+``make demo`` runs it; each step is a command that works on its own too, and is printed as such.
+"""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from agents.command import Parser, minutes, run, whole_number
+from agents.files import writable_folder
+from agents.recipes import RECIPES
+
+EVALUATION_MINUTES = 8.0  # 400 episodes of each of three policies fit; fewer are taken on a slower machine
+RESULTS = ("learning_curve.png", "results.md", "results.json", "grasps.mp4", "wire.jsonl")
+
+
+def steps(recipe: str, out: Path, training_minutes: float, episodes: int, seed: int) -> list[tuple[str, list[str]]]:
+    """What the demo does: a title, and the module with its arguments, of every step."""
+    policy, results = str(out / "policy.zip"), str(out / "results.json")
+    train = ["agents.train", "--recipe", recipe, "--out", str(out), "--seed", str(seed)]
+    judge = ["agents.evaluate", "--policy", policy, "--episodes", str(episodes), "--workers", "2"]
+    return [
+        ("Train from random weights", [*train, "--time-limit", f"{training_minutes:g}", "--overwrite"]),
+        ("Judge it and the baselines", [*judge, "--time-limit", f"{EVALUATION_MINUTES:g}", "--out", results]),
+        ("Draw the learning curve", ["agents.curves", str(out)]),
+        ("Replay it over the wire", ["agents.replay", "--policy", policy, "--out", str(out)]),
+    ]
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = Parser(__doc__.splitlines()[0])
+    parser.add_argument("--recipe", choices=sorted(RECIPES), default="grasp-sac", help="how to train")
+    parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder of the results")
+    parser.add_argument("--minutes", type=minutes, default=10.0, help="training time")
+    parser.add_argument("--episodes", type=whole_number(1), default=400, help="held-out episodes of each policy")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the training")
+    args = parser.parse_args(argv)
+    writable_folder(args.out)
+    for name in RESULTS:
+        (args.out / name).unlink(missing_ok=True)
+    started = time.monotonic()
+    for title, words in steps(args.recipe, args.out, args.minutes, args.episodes, args.seed):
+        print(f"\n== {title}\n   python -m {' '.join(words)}", flush=True)
+        status = subprocess.run([sys.executable, "-m", *words], check=False).returncode
+        if status:
+            return status  # the command has said why
+    print(f"\nDone in {(time.monotonic() - started) / 60:.1f} minutes. In {args.out}:")
+    for name in RESULTS:
+        print(f"   {name}{'' if (args.out / name).exists() else ' is missing'}")
+    return 0
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,241 @@
+"""Judge policies on held-out episodes: ``python -m agents.evaluate --policy FILE``.
+
+Every policy meets the same episodes, one per seed from ``--seed-start`` on; a learned or scripted policy is set beside
+the baselines. An episode depends on its seed alone, so that the numbers are the same whatever the number of workers.
+"""
+
+import json
+import multiprocessing
+import os
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from tqdm import tqdm
+
+from agents.command import Parser, minutes, run, whole_number
+from agents.files import replacing, writable_folder
+from agents.policies import BASELINES, Policy, load_policy
+from agents.policy_file import read_policy
+from agents.seeds import HELD_OUT_SEED
+from agents.statistics import paired_difference, wilson_interval
+from agents.tasks import make_task
+
+DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
+LEARNED = "learned"  # what a policy file is called in tables
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """How one episode ended: ``phase`` is the task's own name for where, if it tells."""
+
+    seed: int
+    success: bool
+    total_reward: float
+    steps: int
+    phase: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """The episodes of several policies by name; the n-th of each has the same seed."""
+
+    env_id: str
+    episodes: dict[str, tuple[Episode, ...]]
+
+    def summary(self) -> dict[str, Any]:
+        """What is reported: success with its interval, return, failures by phase, differences over paired episodes."""
+        names = list(self.episodes)
+        first = self.episodes[names[0]]
+        return {
+            "env_id": self.env_id,
+            "first_seed": first[0].seed,
+            "last_seed": first[-1].seed,
+            "policies": {name: _summary(episodes) for name, episodes in self.episodes.items()},
+            "differences": [self._difference(names[0], other) for other in names[1:]],
+        }
+
+    def _difference(self, first: str, second: str) -> dict[str, Any]:
+        pairs = list(zip(self.episodes[first], self.episodes[second], strict=True))
+        only_first = sum(a.success and not b.success for a, b in pairs)
+        only_second = sum(b.success and not a.success for a, b in pairs)
+        difference, low, high = paired_difference(only_first, only_second, len(pairs))
+        return {"of": first, "over": second, "success": difference, "interval_95": [low, high]}
+
+
+def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
+    """One episode from its seed to its end."""
+    observation, info = env.reset(seed=seed)
+    policy.reset(seed)
+    total_reward, steps, done = 0.0, 0, False
+    while not done:
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        total_reward, steps, done = total_reward + float(reward), steps + 1, terminated or truncated
+    phase = info.get("phase", getattr(env.unwrapped, "phase", None))
+    return Episode(seed, bool(info["is_success"]), total_reward, steps, None if phase is None else _phase_name(phase))
+
+
+def evaluate(
+    names: Sequence[str], env_id: str, episodes: int,
+    *, seed_start: int = HELD_OUT_SEED, workers: int = 1, time_limit: float = float("inf"),
+) -> Evaluation:  # fmt: skip
+    """Run policies over the same held-out episodes; a policy file goes by the name ``learned``.
+
+    ``time_limit`` [s] takes fewer episodes, the same first ones of every policy, where they do not all fit.
+
+    Raises:
+        TaskError: There is no such environment.
+        PolicyError: A policy cannot be loaded, or is of another environment.
+    """
+    env = make_task(env_id)
+    for name in names:
+        load_policy(name, env)  # a mistake ends here, not in a worker
+    env.close()
+    labels = [name if name in BASELINES else LEARNED for name in names]
+    deadline = time.monotonic() + time_limit
+    seeds = range(seed_start, seed_start + episodes)
+    rows = []
+    with _results(names, env_id, seeds, workers) as results, tqdm(
+        total=episodes, desc="evaluating", unit="seed", disable=not sys.stderr.isatty(), dynamic_ncols=True
+    ) as bar:  # fmt: skip
+        for row in results:
+            rows.append(row)
+            rates = (np.mean([done[number].success for done in rows]) for number in range(len(names)))
+            bar.set_postfix_str(", ".join(f"{label} {rate:.0%}" for label, rate in zip(labels, rates, strict=True)))
+            bar.update()
+            if time.monotonic() > deadline:
+                break
+    return Evaluation(env_id, {label: tuple(row[number] for row in rows) for number, label in enumerate(labels)})
+
+
+def table(summary: dict[str, Any]) -> str:
+    """A summary as a table in Markdown."""
+    columns = ("policy", "episodes", "success", "95 % interval", "mean return", "failures by phase")
+    lines = [f"| {' | '.join(columns)} |", "| --- " * len(columns) + "|"]
+    for name, numbers in summary["policies"].items():
+        low, high = numbers["interval_95"]
+        phases = ", ".join(f"{phase} {count}" for phase, count in numbers["failures_by_phase"].items()) or "–"
+        lines.append(
+            f"| {name} | {numbers['episodes']} | {numbers['success_rate']:.1%} | {low:.1%} … {high:.1%} "
+            f"| {numbers['return_mean']:.2f} | {phases} |"
+        )
+    for pair in summary["differences"]:
+        low, high = pair["interval_95"]
+        interval = f"{100 * pair['success']:+.1f} points ({100 * low:+.1f} … {100 * high:+.1f})"
+        lines += ["", f"Success of {pair['of']} over {pair['over']}, same episodes: {interval}."]
+    return "\n".join(lines)
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = _parser().parse_args(argv)
+    env_id = args.env or _task_of(args.policy)
+    names = [args.policy]
+    if not args.no_baselines and args.policy not in BASELINES:
+        names += reversed(BASELINES)
+    if args.out:
+        writable_folder(args.out.parent)
+    limits = {"workers": args.workers, "time_limit": 60 * args.time_limit}
+    result = evaluate(names, env_id, args.episodes, seed_start=args.seed_start, **limits)
+    summary = result.summary()
+    if args.policy not in BASELINES:
+        summary["policy"] = {"file": args.policy, **read_policy(Path(args.policy)).about}
+    text = json.dumps(summary, indent=2)
+    if args.out:
+        with replacing(args.out) as temporary:
+            temporary.write_text(text + "\n")
+    print(text if args.json else table(summary))
+    return 0
+
+
+def _parser() -> Parser:
+    parser = Parser(__doc__.splitlines()[0])
+    parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
+    parser.add_argument("--env", help="environment id; of a policy file, its own")
+    parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes of each policy")
+    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help=f"training stays below {HELD_OUT_SEED}")
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="then fewer episodes")
+    parser.add_argument("--no-baselines", action="store_true", help="not random and scripted beside a policy file")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--out", type=Path, help="write the JSON object to this file too")
+    return parser
+
+
+def _task_of(policy: str) -> str:
+    return DEFAULT_TASK if policy in BASELINES else read_policy(Path(policy)).about["env_id"]
+
+
+def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
+    wins = sum(episode.success for episode in episodes)
+    failures = Counter(episode.phase or "unknown" for episode in episodes if not episode.success)
+    returns = [episode.total_reward for episode in episodes]
+    return {
+        "episodes": len(episodes),
+        "successes": wins,
+        "success_rate": wins / len(episodes),
+        "interval_95": list(wilson_interval(wins, len(episodes))),
+        "return_mean": float(np.mean(returns)),
+        "return_std": float(np.std(returns)),
+        "steps_mean": float(np.mean([episode.steps for episode in episodes])),
+        "failures_by_phase": dict(failures.most_common()),
+    }
+
+
+def _phase_name(phase: Any) -> str:
+    return str(getattr(phase, "name", phase)).lower()
+
+
+@contextmanager
+def _results(names: Sequence[str], env_id: str, seeds: Sequence[int], workers: int) -> Iterator[Iterator[tuple[Episode, ...]]]:
+    """The rows of episodes, one per seed and in that order, as they are done."""
+    if workers == 1:
+        bench = _Bench(names, env_id)
+        yield map(bench.episodes, seeds)
+        bench.close()
+        return
+    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start_worker, (names, env_id))
+    try:
+        yield pool.map(_work, seeds)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+class _Bench:
+    """An environment with the policies that it is to judge."""
+
+    def __init__(self, names: Sequence[str], env_id: str) -> None:
+        self._env = make_task(env_id)
+        self._policies = [load_policy(name, self._env) for name in names]
+
+    def episodes(self, seed: int) -> tuple[Episode, ...]:
+        """An episode of each policy from the same seed."""
+        return tuple(run_episode(self._env, policy, seed) for policy in self._policies)
+
+    def close(self) -> None:
+        self._env.close()
+
+
+_bench: _Bench
+
+
+def _start_worker(names: Sequence[str], env_id: str) -> None:
+    global _bench
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the command, which ends its workers itself
+    _bench = _Bench(names, env_id)
+
+
+def _work(seed: int) -> tuple[Episode, ...]:
+    return _bench.episodes(seed)
+
+
+if __name__ == "__main__":
+    run(main)

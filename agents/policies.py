@@ -1,0 +1,93 @@
+"""Any policy by its name, or from its file: what evaluation, replay and the bridge drive a hand with."""
+
+from pathlib import Path
+from typing import Protocol
+
+import gymnasium
+import numpy as np
+
+from agents.errors import PolicyError
+from agents.policy_file import Actor, PolicyFile, read_policy
+from agents.tasks import same_task
+from hpac_gym.envs.scripted import ScriptedClosure
+
+BASELINES = ("random", "scripted")
+
+
+class Policy(Protocol):
+    """What acts. The same seed and the same observations give the same actions."""
+
+    def reset(self, seed: int) -> None:
+        """Forget the last episode; ``seed`` is the new one's."""
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """The action for an observation, shape (6,), −1…1."""
+
+
+class RandomPolicy:
+    """Uniform actions, anew at every control step."""
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        self._shape = env.action_space.shape
+
+    def reset(self, seed: int) -> None:
+        # A stream of its own: the environment draws from default_rng(seed) too.
+        self._rng = np.random.default_rng([seed, 1])
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        return self._rng.uniform(-1, 1, self._shape).astype(np.float32)
+
+
+class ScriptedPolicy:
+    """The closure by rule that the environment family brings: what learning has to beat."""
+
+    def __init__(self) -> None:
+        self._closure = ScriptedClosure()
+
+    def reset(self, seed: int) -> None:
+        self._closure.reset()
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        return self._closure.act(observation)
+
+
+class LearnedPolicy:
+    """A trained actor without its exploration."""
+
+    def __init__(self, actor: Actor) -> None:
+        self._actor = actor
+
+    def reset(self, seed: int) -> None:
+        pass
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        return self._actor(observation)
+
+
+def load_policy(name: str, env: gymnasium.Env) -> Policy:
+    """The policy ``random``, ``scripted``, or of a policy file, for this environment.
+
+    Raises:
+        PolicyError: The file is missing, damaged, or made for another environment.
+    """
+    if name == "random":
+        return RandomPolicy(env)
+    if name == "scripted":
+        return ScriptedPolicy()
+    return LearnedPolicy(policy_file_for(name, env).actor)
+
+
+def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
+    """The policy file of that path, checked against the environment.
+
+    Raises:
+        PolicyError: It is missing, damaged, or made for another environment.
+    """
+    policy = read_policy(Path(name))
+    made_for, env_id = policy.about["env_id"], env.spec.id
+    if not same_task(made_for, env_id):
+        raise PolicyError(f"policy file '{name}' was trained on {made_for}, not on {env_id}")
+    wanted = env.observation_space.shape[0], env.action_space.shape[0]
+    if policy.actor.sizes != wanted:
+        raise PolicyError(f"policy file '{name}' maps {policy.actor.sizes} values, {env_id} needs {wanted}")
+    return policy

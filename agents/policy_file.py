@@ -1,0 +1,126 @@
+"""A trained policy in one file: weights, scaling of the observation, and where it comes from.
+
+The file is a zip of ``policy.json`` (what it is and how it was made, with the SHA-256 of the weights) and ``actor.npz``
+(plain arrays: reading one runs no code of its maker, and needs neither PyTorch nor Stable-Baselines3).
+"""
+
+import hashlib
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.errors import PolicyError
+from agents.files import replacing
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Actor:
+    """The deterministic part of a trained actor: scaling, a multilayer perceptron with ReLU, tanh.
+
+    Attributes:
+        observation_mean: shape (n,), subtracted from an observation.
+        observation_scale: shape (n,), divides it afterwards.
+        observation_clip: bound of the scaled observation.
+        layers: weight, shape (outputs, inputs), and bias, shape (outputs,), of every layer.
+        mean_clip: bound of the last layer's output, before tanh.
+    """
+
+    observation_mean: np.ndarray
+    observation_scale: np.ndarray
+    observation_clip: float
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    mean_clip: float
+
+    def __call__(self, observation: np.ndarray) -> np.ndarray:
+        """The action for an observation, shape (n,) → shape (m,), −1…1."""
+        scaled = (np.asarray(observation, dtype=float) - self.observation_mean) / self.observation_scale
+        value = np.clip(scaled, -self.observation_clip, self.observation_clip).astype(np.float32)
+        *hidden, (last_weight, last_bias) = self.layers
+        for weight, bias in hidden:
+            value = np.maximum(weight @ value + bias, 0)
+        return np.tanh(np.clip(last_weight @ value + last_bias, -self.mean_clip, self.mean_clip))
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many values it observes, and how many it sets."""
+        return len(self.observation_mean), len(self.layers[-1][1])
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyFile:
+    """What a policy file holds: the actor, and a description with at least ``env_id``."""
+
+    actor: Actor
+    about: dict[str, Any]
+
+
+def write_policy(path: Path, policy: PolicyFile) -> None:
+    """Write a policy file; the same policy gives the same bytes.
+
+    Raises:
+        RunError: The folder cannot be written, or the disk is full.
+    """
+    actor = policy.actor
+    arrays = {
+        "observation_mean": actor.observation_mean,
+        "observation_scale": actor.observation_scale,
+        "observation_clip": np.float64(actor.observation_clip),
+        "mean_clip": np.float64(actor.mean_clip),
+    }
+    for number, (weight, bias) in enumerate(actor.layers):
+        arrays |= {f"weight_{number}": weight, f"bias_{number}": bias}
+    packed = io.BytesIO()
+    np.savez(packed, **arrays)
+    about = {"format": FORMAT, "sha256": hashlib.sha256(packed.getvalue()).hexdigest(), **policy.about}
+    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        archive.writestr(zipfile.ZipInfo("policy.json"), json.dumps(about, indent=2) + "\n")
+        archive.writestr(zipfile.ZipInfo("actor.npz"), packed.getvalue())
+
+
+def read_policy(path: Path) -> PolicyFile:
+    """Read a policy file.
+
+    Raises:
+        PolicyError: It is missing, damaged, no policy, or of a later format.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            about, packed = json.loads(archive.read("policy.json")), archive.read("actor.npz")
+        if about["format"] != FORMAT:
+            raise PolicyError(f"policy file '{path}' has format {about['format']}: this version reads format {FORMAT}")
+        if about["sha256"] != hashlib.sha256(packed).hexdigest():
+            raise PolicyError(f"policy file '{path}' is damaged: its weights do not match their SHA-256")
+        if not isinstance(about["env_id"], str):
+            raise PolicyError(f"policy file '{path}' is damaged: its env_id is no text")
+        return PolicyFile(_actor_from_arrays(dict(np.load(io.BytesIO(packed), allow_pickle=False))), about)
+    except FileNotFoundError:
+        raise PolicyError(f"no policy file '{path}'") from None
+    except OSError as error:
+        raise PolicyError(f"cannot read policy file '{path}': {error.strerror or error}") from None
+    except (zipfile.BadZipFile, zipfile.zlib.error, EOFError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise PolicyError(f"policy file '{path}' is damaged: {error}") from None
+    except (KeyError, TypeError, ValueError, NotImplementedError, RuntimeError) as error:
+        if isinstance(error, PolicyError):
+            raise
+        raise PolicyError(f"'{path}' is no policy file: {error}") from None
+
+
+def _actor_from_arrays(arrays: dict[str, np.ndarray]) -> Actor:
+    count = sum(name.startswith("weight_") for name in arrays)
+    layers = tuple((arrays[f"weight_{number}"], arrays[f"bias_{number}"]) for number in range(count))
+    mean, scale = arrays["observation_mean"], arrays["observation_scale"]
+    width = len(mean)
+    for weight, bias in layers:
+        if weight.shape != (len(bias), width):
+            raise PolicyError(f"a layer of shape {weight.shape} and {bias.shape} does not follow {width} values")
+        width = len(bias)
+    if not layers or scale.shape != mean.shape or not all(np.all(np.isfinite(array)) for array in arrays.values()):
+        raise PolicyError("the arrays of the actor are not those of a policy")
+    return Actor(mean, scale, float(arrays["observation_clip"]), layers, float(arrays["mean_clip"]))

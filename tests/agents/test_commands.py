@@ -1,0 +1,73 @@
+"""Every mistake on a command line ends in one line on standard error and exit status 2."""
+
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from agents.command import run
+
+ROOT = Path(__file__).resolve().parents[2]
+TINY = "tests.agents.tiny_task:Tiny-v0"
+GRASP = "--recipe grasp-sac --out {folder}/run"
+
+MISTAKES = [
+    ("train", "--recipe grasp-sac", "--out"),
+    ("train", "--out {folder}/run", "which recipe? --recipe is one of grasp-sac"),
+    ("train", "--recipe grasp-ppo --out {folder}/run", "unknown recipe 'grasp-ppo'"),
+    ("train", GRASP + " --steps -1", "'-1' is not a whole number of at least 1"),
+    ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
+    ("train", GRASP + " --set gamma=2", "gamma is 2.0: it must lie in 0…1"),
+    ("train", GRASP + " --set env_id=Nothing-v3", "no environment 'Nothing-v3'"),
+    ("train", GRASP + " --set env_id=nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
+    ("train", GRASP + " --set env_id=tests.agents.tiny_task:Tiny-v9", "no environment 'tests.agents.tiny_task:Tiny-v9'"),
+    ("train", "--recipe grasp-sac --out {folder}/file/run", "cannot write to folder"),
+    ("train", "--recipe grasp-sac --out /proc/run", "cannot write to folder '/proc/run'"),
+    ("train", "--recipe grasp-sac --out {folder}/taken", "already holds a run"),
+    ("train", "--out {folder}/run --resume", "no run to go on with"),
+    ("train", "--out {folder}/taken --resume", "cannot go on with"),
+    ("train", "--out {folder}/taken --resume --set gamma=0.9", "only --steps can change"),
+    ("evaluate", "", "--policy"),
+    ("evaluate", "--policy {folder}/none.zip", "no policy file"),
+    ("evaluate", "--policy {folder}/file", "is damaged"),
+    ("evaluate", "--policy random --env Nothing-v3", "no environment 'Nothing-v3'"),
+    ("evaluate", "--policy random --episodes 0", "'0' is not a whole number of at least 1"),
+    ("evaluate", "--policy random --workers none", "'none' is not a whole number of at least 1"),
+    ("evaluate", f"--policy random --env {TINY} --episodes 1 --out /proc/no/results.json", "cannot write to folder"),
+    ("curves", "{folder}", "nothing to show"),
+    ("curves", "{folder}/bent", "is no learning curve"),
+    ("demo", "--minutes 0", "'0' is not a positive number of minutes"),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("mistakes")
+    (folder / "file").write_text("no policy")
+    (folder / "taken").mkdir()
+    (folder / "taken" / "run.json").write_text("{}")
+    (folder / "bent").mkdir()
+    (folder / "bent" / "progress.csv").write_text("steps\none\n")
+    return folder
+
+
+@pytest.mark.parametrize(("command", "words", "complaint"), MISTAKES, ids=[f"{c} {w}" for c, w, _ in MISTAKES])
+def test_a_mistake_ends_in_one_line_and_status_2(folder, command, words, complaint, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [command, *words.format(folder=folder).split()])
+    with pytest.raises(SystemExit) as left:
+        run(import_module(f"agents.{command}").main)
+    said = capsys.readouterr().err.strip()
+    assert left.value.code == 2
+    assert said.startswith("error: ")
+    assert complaint in said
+    assert "\n" not in said
+
+
+def test_the_whole_command_says_no_more_than_that_line(folder):
+    line = [sys.executable, "-m", "agents.train", "--recipe", "grasp-ppo", "--out", str(folder / "run")]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr == "error: unknown recipe 'grasp-ppo': known are grasp-sac\n"
+    assert not (folder / "run").exists()

@@ -1,0 +1,53 @@
+import json
+
+import numpy as np
+import pytest
+
+from agents.evaluate import evaluate, main, run_episode, table
+from agents.policies import RandomPolicy
+from agents.seeds import HELD_OUT_SEED
+from agents.statistics import wilson_interval
+from agents.tasks import make_task
+
+TINY = "tests.agents.tiny_task:Tiny-v0"
+
+
+def test_episodes_do_not_depend_on_the_number_of_workers():
+    alone = evaluate(["random"], TINY, 12, workers=1)
+    assert evaluate(["random"], TINY, 12, workers=2) == alone
+    assert evaluate(["random"], TINY, 5, workers=1).episodes["random"] == alone.episodes["random"][:5]
+    assert [episode.seed for episode in alone.episodes["random"]] == list(range(HELD_OUT_SEED, HELD_OUT_SEED + 12))
+
+
+def test_random_actions_differ_between_seeds_and_repeat_for_one():
+    env = make_task(TINY)
+    policy = RandomPolicy(env)
+    first, second, again = (run_episode(env, policy, seed) for seed in (1, 2, 1))
+    assert first == again
+    assert first.total_reward != second.total_reward
+
+
+def test_the_summary_counts_what_the_episodes_say():
+    result = evaluate(["random"], TINY, 60)
+    episodes = result.episodes["random"]
+    wins = sum(episode.success for episode in episodes)
+    numbers = result.summary()["policies"]["random"]
+    assert numbers["successes"] == wins
+    assert tuple(numbers["interval_95"]) == wilson_interval(wins, 60)
+    assert numbers["return_mean"] == pytest.approx(np.mean([episode.total_reward for episode in episodes]))
+    assert numbers["failures_by_phase"] == {"end": 60 - wins}
+    assert f"| random | 60 | {wins / 60:.1%} |" in table(result.summary())
+
+
+def test_a_time_limit_takes_fewer_episodes_and_says_so():
+    result = evaluate(["random"], TINY, 10_000, time_limit=1e-9)
+    assert len(result.episodes["random"]) == 1
+    assert result.summary()["policies"]["random"]["episodes"] == 1
+
+
+def test_json_is_one_object_on_standard_output(capsys, tmp_path):
+    out = tmp_path / "new" / "results.json"
+    assert main(["--policy", "random", "--env", TINY, "--episodes", "3", "--workers", "1", "--json", "--out", str(out)]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads(out.read_text())
+    assert (printed["env_id"], printed["first_seed"]) == (TINY, HELD_OUT_SEED)

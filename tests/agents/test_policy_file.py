@@ -1,0 +1,110 @@
+import json
+import zipfile
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from agents.errors import PolicyError
+from agents.policies import load_policy
+from agents.policy_file import Actor, PolicyFile, read_policy, write_policy
+from agents.tasks import make_task
+
+TINY = "tests.agents.tiny_task:Tiny-v0"
+
+
+@pytest.fixture
+def policy() -> PolicyFile:
+    rng = np.random.default_rng(0)
+    sizes = (6, 8, 6)
+    layers = tuple(
+        (rng.normal(size=(n, m)).astype(np.float32), rng.normal(size=n).astype(np.float32))
+        for m, n in pairwise(sizes)
+    )
+    return PolicyFile(Actor(rng.normal(size=6), rng.uniform(0.5, 2, 6), 10.0, layers, 2.0), {"env_id": TINY})
+
+
+@pytest.fixture
+def path(policy, tmp_path):
+    write_policy(tmp_path / "policy.zip", policy)
+    return tmp_path / "policy.zip"
+
+
+def test_a_policy_reads_back_as_it_was_written(policy, path):
+    again = read_policy(path)
+    seen = np.linspace(-1, 1, 6)
+    assert np.array_equal(again.actor(seen), policy.actor(seen))
+    assert again.about["env_id"] == TINY
+    first = path.read_bytes()
+    write_policy(path, policy)
+    assert path.read_bytes() == first, "the same policy gives the same bytes"
+
+
+def test_actions_stay_inside_of_the_action_space(policy):
+    for seen in (np.full(6, 1e6), np.full(6, -1e6), np.zeros(6)):
+        action = policy.actor(seen)
+        assert action.dtype == np.float32
+        assert np.all(np.abs(action) <= 1)
+
+
+def rewrite(path, **members):
+    """Write the archive again with some members changed by a function each."""
+    with zipfile.ZipFile(path) as archive:
+        held = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in held.items():
+            archive.writestr(name, members.get(name.partition(".")[0], lambda data: data)(data))
+
+
+def edit(**changes):
+    return lambda data: json.dumps(json.loads(data) | changes)
+
+
+DAMAGE = {
+    "missing": lambda path: path.unlink(),
+    "a folder": lambda path: (path.unlink(), path.mkdir()),
+    "empty": lambda path: path.write_bytes(b""),
+    "text": lambda path: path.write_text("policy"),
+    "cut in half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
+    "a flipped byte": lambda path: path.write_bytes(flip(path.read_bytes(), 600)),
+    "another zip": lambda path: rezip(path, {"a.txt": "a"}),
+    "no weights": lambda path: rezip(path, {"policy.json": '{"format": 1, "sha256": "", "env_id": ""}'}),
+    "weights of another": lambda path: rewrite(path, actor=lambda data: data + b"\0"),
+    "a later format": lambda path: rewrite(path, policy=edit(format=99)),
+    "no environment": lambda path: rewrite(path, policy=edit(env_id=None)),
+    "a list for a description": lambda path: rewrite(path, policy=lambda data: "[]"),
+    "broken json": lambda path: rewrite(path, policy=lambda data: data[:-5]),
+    "another environment": lambda path: rewrite(path, policy=edit(env_id="HPAC-Grasp-v7")),
+}
+
+
+def flip(data: bytes, at: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ 0x55]) + data[at + 1 :]
+
+
+def rezip(path, members):
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_bad_file_ends_in_one_policy_error_that_names_it(path, damage):
+    DAMAGE[damage](path)
+    with pytest.raises(PolicyError) as caught:
+        load_policy(str(path), make_task(TINY))
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_policy_of_other_sizes_is_refused(path):
+    rewrite(path, policy=edit(env_id="tests.agents.tiny_task:Other-v0"))
+    with pytest.raises(PolicyError, match=r"maps \(6, 6\) values"):
+        load_policy(str(path), make_task("tests.agents.tiny_task:Other-v0"))
+
+
+def test_an_actor_with_a_hole_in_it_is_refused(policy, tmp_path):
+    policy.actor.layers[0][0][0, 0] = np.nan
+    write_policy(tmp_path / "nan.zip", policy)
+    with pytest.raises(PolicyError, match="arrays"):
+        read_policy(tmp_path / "nan.zip")
