@@ -24,7 +24,7 @@ void hpac_put_u32(uint8_t *at, uint32_t value)
     hpac_put_u16(at + 2, (uint16_t)(value >> 16));
 }
 
-/* Decode COBS in place: the output never overtakes the input. Returns the decoded length, or 0 if it is not COBS. */
+/* Decode COBS of fewer than 254 bytes in place: the output never overtakes the input. Returns the decoded length, or 0 if it is not COBS. */
 static size_t cobs_decode(uint8_t *bytes, size_t length)
 {
     size_t in = 0;
@@ -37,7 +37,7 @@ static size_t cobs_decode(uint8_t *bytes, size_t length)
         for (size_t i = 1; i < code; i++) {
             bytes[out++] = bytes[in++];
         }
-        if (code != 0xffu && in < length) {
+        if (in < length) {
             bytes[out++] = 0;
         }
     }

@@ -13,6 +13,14 @@ class FrameError(BridgeError, ValueError):
     """A value does not fit its field on the wire, or received bytes are no frame of ours."""
 
 
+class VersionError(FrameError):
+    """An intact frame of another protocol version."""
+
+    def __init__(self, version: int) -> None:
+        super().__init__(f"an intact frame of protocol version {version}")
+        self.version = version
+
+
 class PortError(BridgeError, OSError):
     """The port cannot be opened, is used by another program, or has gone away."""
 

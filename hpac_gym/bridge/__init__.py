@@ -1,0 +1,62 @@
+"""The wire: from a `ServoCommand` to the pulses of six servos. Needs the model, numpy and pyserial.
+
+```python
+from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, servo_from_pulses
+
+with HostBoard() as hand, HandLink(hand.connect) as link:   # or VirtualHand(): the same firmware, in virtual time
+    link.arm()
+    for command in commands:
+        link.move(command)
+        link.wait()
+        servo = servo_from_pulses(hand.pulses())            # what the servos were told, within 1e-4 rad of command.servo
+```
+"""
+
+from hpac_gym.bridge.errors import (
+    BridgeError,
+    FaultError,
+    FirmwareMissing,
+    FrameError,
+    HandshakeError,
+    LinkTimeout,
+    PortError,
+    RejectedError,
+)
+from hpac_gym.bridge.host_board import HostBoard
+from hpac_gym.bridge.link import HandLink
+from hpac_gym.bridge.protocol import Action, Fault, Reason, Reset, State
+from hpac_gym.bridge.pulses import pulses_from_servo, servo_from_pulses
+from hpac_gym.bridge.reports import HandInfo, HandStatus
+from hpac_gym.bridge.statistics import LinkStatistics
+from hpac_gym.bridge.transport import SerialTransport, SocketTransport, Transport, open_transport
+from hpac_gym.bridge.virtual_hand import VirtualHand
+from hpac_gym.bridge.wire_log import WireLog
+
+__all__ = [
+    "Action",
+    "BridgeError",
+    "Fault",
+    "FaultError",
+    "FirmwareMissing",
+    "FrameError",
+    "HandInfo",
+    "HandLink",
+    "HandStatus",
+    "HandshakeError",
+    "HostBoard",
+    "LinkStatistics",
+    "LinkTimeout",
+    "PortError",
+    "Reason",
+    "RejectedError",
+    "Reset",
+    "SerialTransport",
+    "SocketTransport",
+    "State",
+    "Transport",
+    "VirtualHand",
+    "WireLog",
+    "open_transport",
+    "pulses_from_servo",
+    "servo_from_pulses",
+]

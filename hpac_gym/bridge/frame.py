@@ -1,0 +1,174 @@
+"""The codec: frames as values, bytes in and out. Pure functions and one splitter; no I/O, no clock, no thread.
+
+On the wire a frame is COBS between zero bytes: header, payload of a fixed length, CRC-32 over both.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+from hpac_gym.bridge.errors import FrameError, VersionError
+from hpac_gym.bridge.protocol import (
+    CRC_LENGTH,
+    FRAME_MAX,
+    HEADER,
+    HEADER_LENGTH,
+    MESSAGE_BY_CODE,
+    MESSAGES,
+    VERSION,
+    Message,
+)
+
+_HEADER = struct.Struct("<" + "".join(part.struct_format for part in HEADER))
+_COBS_MAX = FRAME_MAX + 1
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One message as it stands in a frame: raw integers, in the units of docs/wire.md."""
+
+    name: str
+    seq: int = 0
+    flags: int = 0
+    fields: Mapping[str, int | tuple[int, ...]] = field(default_factory=dict)
+
+
+@cache
+def _payload(message: Message) -> struct.Struct:
+    return struct.Struct("<" + "".join(part.struct_format for part in message.fields))
+
+
+def encode(frame: Frame, version: int = VERSION) -> bytes:
+    """Bytes of a frame on the wire, with a zero before and after.
+
+    Raises:
+        FrameError: Unknown message, a field missing or too many, or a value that does not fit its field.
+    """
+    message = MESSAGES.get(frame.name)
+    if message is None:
+        raise FrameError(f"no message is called {frame.name!r}")
+    values: list[int] = []
+    for part in message.fields:
+        value = frame.fields.get(part.name)
+        value = value if part.is_array else (value,)
+        if value is None or len(value) != part.count or None in value:
+            raise FrameError(f"{frame.name}.{part.name} takes {part.count} integer(s), got {frame.fields.get(part.name)}")
+        values.extend(value)
+    if len(frame.fields) > len(message.fields):
+        raise FrameError(f"{frame.name} has no field {sorted(set(frame.fields) - {f.name for f in message.fields})}")
+    try:
+        body = _HEADER.pack(version, message.code, frame.seq, frame.flags) + _payload(message).pack(*values)
+    except struct.error as error:
+        raise FrameError(f"{frame.name} {dict(frame.fields)}, sequence {frame.seq}: {error}") from None
+    return b"\0" + cobs_encode(body + zlib.crc32(body).to_bytes(CRC_LENGTH, "little")) + b"\0"
+
+
+def decode(encoded: bytes) -> Frame:
+    """The frame in what stood between two zero bytes.
+
+    Raises:
+        FrameError: Not COBS, too short or too long, damaged, of another version, of an unknown type, or of a wrong length.
+    """
+    data = cobs_decode(encoded)
+    if not HEADER_LENGTH + CRC_LENGTH <= len(data) <= FRAME_MAX:
+        raise FrameError(f"a frame of {len(data)} bytes; they have {HEADER_LENGTH + CRC_LENGTH} to {FRAME_MAX}")
+    body, crc = data[:-CRC_LENGTH], int.from_bytes(data[-CRC_LENGTH:], "little")
+    if zlib.crc32(body) != crc:
+        raise FrameError(f"damaged: CRC is {crc:08x}, must be {zlib.crc32(body):08x}")
+    version, code, seq, flags = _HEADER.unpack_from(body)
+    if version != VERSION:
+        raise VersionError(version)
+    message = MESSAGE_BY_CODE.get(code)
+    if message is None:
+        raise FrameError(f"unknown message type 0x{code:02x}")
+    if len(body) != HEADER_LENGTH + message.length:
+        raise FrameError(f"{message.name} with {len(body) - HEADER_LENGTH} bytes of payload, must be {message.length}")
+    return Frame(message.name, seq, flags, _unpack(message, body))
+
+
+def _unpack(message: Message, body: bytes) -> dict[str, int | tuple[int, ...]]:
+    values = _payload(message).unpack_from(body, HEADER_LENGTH)
+    fields: dict[str, int | tuple[int, ...]] = {}
+    start = 0
+    for part in message.fields:
+        taken = values[start : start + part.count]
+        fields[part.name] = taken if part.is_array else taken[0]
+        start += part.count
+    return fields
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Consistent overhead byte stuffing: `data`, shorter than 254 bytes as every frame is, without a zero byte."""
+    return b"".join(bytes([len(run) + 1]) + run for run in data.split(b"\0"))
+
+
+def cobs_decode(encoded: bytes) -> bytes:
+    """The inverse of `cobs_encode`.
+
+    Raises:
+        FrameError: A zero byte, or a run that is longer than the rest.
+    """
+    runs = []
+    at = 0
+    while at < len(encoded):
+        code = encoded[at]
+        run = encoded[at + 1 : at + code]
+        if code == 0 or len(run) != code - 1 or 0 in run:
+            raise FrameError(f"not COBS at byte {at} of {encoded.hex()}")
+        runs.append(run)
+        at += code
+    return b"\0".join(runs)
+
+
+class FrameSplitter:
+    """Cuts a byte stream at its zeros; whatever is not a frame of ours is counted and left out.
+
+    Attributes:
+        rejected_bytes: bytes between zeros that made no frame, boot text for example.
+        rejected_frames: how many such pieces there were.
+        other_version: protocol version of the last intact frame that was not of ours, or None.
+    """
+
+    def __init__(self) -> None:
+        self.rejected_bytes = 0
+        self.rejected_frames = 0
+        self.other_version: int | None = None
+        self._pending = bytearray()
+        self._discarded = 0
+
+    def push(self, data: bytes) -> list[tuple[bytes, Frame]]:
+        """Take in received bytes; returns each whole frame's bytes between its zeros, and the frame."""
+        frames = []
+        *ended, rest = data.split(b"\0")
+        for piece in ended:
+            self._append(piece)
+            encoded = bytes(self._pending)
+            self._pending.clear()
+            if self._discarded:
+                self._reject(self._discarded)
+                self._discarded = 0
+            elif encoded:
+                try:
+                    frames.append((encoded, decode(encoded)))
+                except VersionError as error:
+                    self.other_version = error.version
+                    self._reject(len(encoded))
+                except FrameError:
+                    self._reject(len(encoded))
+        self._append(rest)
+        return frames
+
+    def _append(self, piece: bytes) -> None:
+        """Keep at most what a frame can hold: a flood without zeros must not fill the memory."""
+        self._pending += piece
+        if self._discarded or len(self._pending) > _COBS_MAX:
+            self._discarded += len(self._pending)
+            self._pending.clear()
+
+    def _reject(self, length: int) -> None:
+        self.rejected_bytes += length
+        self.rejected_frames += 1

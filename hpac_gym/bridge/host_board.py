@@ -1,0 +1,82 @@
+"""The firmware as a process of its own behind a pseudo-terminal, in real time."""
+
+from __future__ import annotations
+
+import os
+import select
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from hpac_gym.bridge.errors import PortError
+from hpac_gym.bridge.firmware_files import firmware_file
+from hpac_gym.bridge.transport import SerialTransport
+from hpac_gym.model import SERVOS
+
+_START_TIMEOUT = 5.0
+
+
+class HostBoard:
+    """Starts the host firmware on entry and ends it on exit; it also ends by itself when this process goes.
+
+    Args:
+        arguments: more command-line arguments of `hpac_host`, for example `("--boot-text",)`.
+
+    Attributes:
+        port: path of the pseudo-terminal.
+        process: the running firmware.
+    """
+
+    def __init__(self, arguments: tuple[str, ...] = ()) -> None:
+        self._arguments = arguments
+        self._pulses = np.zeros(len(SERVOS), dtype=np.int64)
+        self._read_to = 0
+
+    def __enter__(self) -> HostBoard:
+        program = firmware_file("hpac_host")
+        self._folder = tempfile.TemporaryDirectory(prefix="hpac_host_")
+        self._log = Path(self._folder.name) / "pulses.csv"
+        self.process = subprocess.Popen(
+            [program, "--pulses", self._log, "--parent", str(os.getpid()), *self._arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT)
+        self.port = self.process.stdout.readline().strip() if ready else ""
+        if not self.port:
+            self.__exit__()
+            raise PortError(f"{program} did not open a pseudo-terminal")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.terminate()
+        self.process.wait()
+        self.process.stdout.close()
+        self._folder.cleanup()
+
+    def connect(self) -> SerialTransport:
+        """A serial transport to this board, for `HandLink(board.connect)`."""
+        return SerialTransport(self.port)
+
+    def pulses(self) -> np.ndarray:
+        """The six pulse widths that the servos get now, shape (6,) [ns]; 0 is no pulse.
+
+        The firmware logs a change before it sends the answer that tells of it: after `HandLink.wait` or
+        `HandLink.status` this is at least as new as that answer.
+        """
+        changes = self.pulse_changes()
+        if len(changes):
+            self._pulses = changes[-1, 1:]
+        return self._pulses.copy()
+
+    def pulse_changes(self) -> np.ndarray:
+        """Every change of the widths since the last call, shape (n, 7): time [µs], then six widths [ns]."""
+        with self._log.open("rb") as log:
+            log.seek(self._read_to)
+            lines, newline, _ = log.read().rpartition(b"\n")
+        self._read_to += len(lines) + len(newline)
+        rows = [[int(value) for value in line.split(b",")] for line in lines.splitlines()]
+        return np.array(rows, dtype=np.int64).reshape(-1, 1 + len(SERVOS))

@@ -1,0 +1,156 @@
+"""Where bytes go: a serial port or pseudo-terminal, or a TCP socket. `virtual_hand` has the in-process one.
+
+A transport also owns the clock, so that a link over a virtual hand runs in virtual time and none of it sleeps.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from typing import Protocol
+
+import serial
+
+from hpac_gym.bridge.errors import PortError
+from hpac_gym.bridge.protocol import CONSTANTS
+
+READ_SIZE = 4096
+
+
+class Transport(Protocol):
+    """What a `HandLink` needs of a connection. Every method raises `PortError` once the other end has gone."""
+
+    def read(self, timeout: float) -> bytes:
+        """Bytes as soon as there are any; none after `timeout` [s]."""
+
+    def write(self, data: bytes) -> None:
+        """Send all of `data`, or raise."""
+
+    def now(self) -> float:
+        """Monotonic time [s]."""
+
+    def close(self) -> None:
+        """Let the port go. May be called twice."""
+
+
+class SerialTransport:
+    """A serial port or pseudo-terminal through pyserial, locked against a second program.
+
+    DTR and RTS are low before the port opens: many boards reset, or stay in their boot loader, otherwise.
+
+    Args:
+        port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, or any URL that pyserial takes.
+        write_timeout: a port that takes no bytes for this long has gone [s].
+
+    Raises:
+        PortError: No such port, no permission, or another program has it.
+    """
+
+    def __init__(self, port: str, baud: int = CONSTANTS["baud"], write_timeout: float = 1.0) -> None:
+        self.port = port
+        try:
+            self._serial = serial.serial_for_url(port, do_not_open=True, timeout=0, write_timeout=write_timeout)
+            self._serial.baudrate = baud
+            self._serial.dtr = False
+            self._serial.rts = False
+            self._serial.exclusive = True
+            self._serial.open()
+            self._serial.reset_input_buffer()
+        except (OSError, ValueError) as error:
+            raise PortError(_open_advice(port, error)) from error
+
+    def read(self, timeout: float) -> bytes:
+        """See `Transport.read`."""
+        try:
+            if self._serial.timeout != timeout:
+                self._serial.timeout = timeout
+            first = self._serial.read(1)
+            return first + self._serial.read(self._serial.in_waiting) if first else b""
+        except (OSError, TypeError) as error:  # TypeError: pyserial on a port that was closed meanwhile
+            raise PortError(f"{self.port} has gone: {error}") from error
+
+    def write(self, data: bytes) -> None:
+        """See `Transport.write`."""
+        try:
+            self._serial.write(data)
+        except (OSError, TypeError) as error:
+            raise PortError(f"{self.port} takes no bytes: {error}") from error
+
+    def now(self) -> float:
+        """See `Transport.now`."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._serial.close()
+
+
+def _open_advice(port: str, error: Exception) -> str:
+    text = str(error)
+    if "lock" in text.lower():
+        return f"{port} is used by another program; close it (`fuser {port}` names it)"
+    if "ermission" in text:
+        return f"{port}: permission denied; add yourself to the group of the port (Debian: dialout) and log in again"
+    if isinstance(error, FileNotFoundError) or "No such file" in text:
+        return f"{port}: no such port; `hpac doctor` lists the ones that are there"
+    return f"{port} cannot be opened: {text}"
+
+
+class SocketTransport:
+    """A TCP connection, for an emulated board or a serial-to-network bridge.
+
+    Raises:
+        PortError: Nobody listens there.
+    """
+
+    def __init__(self, host: str, port: int, timeout: float = 1.0) -> None:
+        self._name = f"socket://{host}:{port}"
+        try:
+            self._socket = socket.create_connection((host, port), timeout)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError as error:
+            raise PortError(f"{self._name} cannot be opened: {error}") from error
+        self._write_timeout = timeout
+
+    def read(self, timeout: float) -> bytes:
+        """See `Transport.read`."""
+        try:
+            self._socket.settimeout(max(timeout, 1e-6))  # 0 would mean non-blocking, another error
+            data = self._socket.recv(READ_SIZE)
+        except TimeoutError:
+            return b""
+        except OSError as error:
+            raise PortError(f"{self._name} has gone: {error}") from error
+        if not data:
+            raise PortError(f"{self._name} has gone: closed by the other end")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """See `Transport.write`."""
+        try:
+            self._socket.settimeout(self._write_timeout)
+            self._socket.sendall(data)
+        except OSError as error:
+            raise PortError(f"{self._name} takes no bytes: {error}") from error
+
+    def now(self) -> float:
+        """See `Transport.now`."""
+        return time.monotonic()
+
+    def close(self) -> None:
+        """See `Transport.close`."""
+        self._socket.close()
+
+
+def open_transport(port: str) -> Transport:
+    """The transport that a port's name asks for: `socket://HOST:PORT`, or else a serial port.
+
+    Raises:
+        PortError: The name is malformed, or the port cannot be opened.
+    """
+    if not port.startswith("socket://"):
+        return SerialTransport(port)
+    host, _, number = port.removeprefix("socket://").rpartition(":")
+    if not host or not number.isdecimal():
+        raise PortError(f"{port}: write socket://HOST:PORT")
+    return SocketTransport(host, int(number))

@@ -1,0 +1,180 @@
+"""The firmware core in this process: the same C code, a clock that only moves when somebody waits.
+
+Deterministic and faster than real time; nothing of it is a model of the firmware, it *is* the firmware.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+
+from hpac_gym.bridge.errors import PortError
+from hpac_gym.bridge.firmware_files import firmware_file
+from hpac_gym.bridge.protocol import Reset
+from hpac_gym.model import SERVOS
+
+_Pulses = ctypes.c_uint32 * len(SERVOS)
+
+
+class ServoConfig(ctypes.Structure):
+    """`hpac_servo_t` of firmware/core/hpac_servo.h."""
+
+    _fields_ = [
+        (name, ctypes.c_int32)
+        for name in (
+            *("min_urad", "max_urad", "rest_urad", "centre_urad", "rate_urad_s"),
+            *("ns_per_rad", "centre_ns", "trim_ns", "direction"),
+        )
+    ]
+
+
+Config = ServoConfig * len(SERVOS)
+"""`hpac_config_t` of firmware/core/hpac_hand.h."""
+
+
+@cache
+def load_library() -> ctypes.CDLL:
+    """The core as a shared library, its functions typed.
+
+    Raises:
+        FirmwareMissing: It has not been built.
+    """
+    library = ctypes.CDLL(str(firmware_file("libhpac.so")))
+    pointer, size, u64 = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
+    signatures = {
+        "hpac_library_hand_size": (size, []),
+        "hpac_library_config_size": (size, []),
+        "hpac_library_run": (u64, [pointer, u64, u64, u64, _Pulses]),
+        "hpac_config_default": (None, [pointer]),
+        "hpac_hand_init": (None, [pointer, pointer, ctypes.c_int, ctypes.c_uint16]),
+        "hpac_hand_receive": (None, [pointer, u64, ctypes.c_char_p, size]),
+        "hpac_hand_tick": (None, [pointer, u64, _Pulses]),
+        "hpac_hand_transmit": (size, [pointer, pointer, size]),
+    }
+    for name, (result, arguments) in signatures.items():
+        function = getattr(library, name)
+        function.restype = result
+        function.argtypes = arguments
+    return library
+
+
+def default_config() -> ctypes.Array[ServoConfig]:
+    """The servo table that the firmware was built with, for a test to change: trims, directions."""
+    config = Config()
+    load_library().hpac_config_default(config)
+    return config
+
+
+class VirtualHand:
+    """One hand with its own virtual clock. Use it like `HostBoard`.
+
+    Args:
+        period_us: how often the board ticks the core [µs].
+        config: servo table, see `default_config`.
+        on_pulses: called as `on_pulses(now_us, pulses)` after every tick that a link waits for; widths as in `pulses`.
+        start_us: where the clock starts [µs].
+    """
+
+    def __init__(
+        self,
+        period_us: int = 1000,
+        config: ctypes.Array[ServoConfig] | None = None,
+        reset: Reset = Reset.power_on,
+        on_pulses: Callable[[int, np.ndarray], None] | None = None,
+        start_us: int = 0,
+    ) -> None:
+        self._library = load_library()
+        self._hand = ctypes.create_string_buffer(self._library.hpac_library_hand_size())
+        self._config = config if config is not None else default_config()
+        self._pulses = _Pulses()
+        self._out = ctypes.create_string_buffer(1024)
+        self._period_us = period_us
+        self._on_pulses = on_pulses
+        self.now_us = start_us
+        """Virtual time [µs]."""
+        self.plugged = True
+        """Set to False to pull the cable: every transport then raises `PortError`."""
+        self.restart(reset)
+
+    def __enter__(self) -> VirtualHand:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def restart(self, reset: Reset = Reset.power_on, boot_count: int = 1) -> None:
+        """Reset the chip; the clock goes on."""
+        self._library.hpac_hand_init(self._hand, self._config, reset, boot_count)
+        self.tick()
+
+    def connect(self) -> VirtualTransport:
+        """A transport to this hand, for `HandLink(hand.connect)`."""
+        return VirtualTransport(self)
+
+    def pulses(self) -> np.ndarray:
+        """The six pulse widths now, shape (6,) [ns]; 0 is no pulse."""
+        return np.array(self._pulses, dtype=np.int64)
+
+    def receive(self, data: bytes) -> None:
+        """Give the firmware bytes from the host, now."""
+        self._library.hpac_hand_receive(self._hand, self.now_us, data, len(data))
+        self.tick()
+
+    def transmit(self) -> bytes:
+        """Take what the firmware has to say."""
+        length = self._library.hpac_hand_transmit(self._hand, self._out, len(self._out))
+        return self._out.raw[:length]
+
+    def tick(self) -> None:
+        """Let the firmware look at the clock, as the board does every period."""
+        self._library.hpac_hand_tick(self._hand, self.now_us, self._pulses)
+        if self._on_pulses:
+            self._on_pulses(self.now_us, self.pulses())
+
+    def run(self, seconds: float) -> bytes:
+        """Let time pass, in ticks, until the firmware has something to say or `seconds` are over; returns what it says."""
+        said = self.transmit()
+        until_us = self.now_us + math.ceil(seconds * 1e6)
+        while not said and self.now_us < until_us:
+            if self._on_pulses:
+                self.now_us = min(self.now_us + self._period_us, until_us)
+                self.tick()
+            else:
+                self.now_us = self._library.hpac_library_run(
+                    self._hand, self.now_us, until_us, self._period_us, self._pulses
+                )
+            said = self.transmit()
+        return said
+
+
+class VirtualTransport:
+    """The in-process twin of a serial port: reading lets virtual time pass."""
+
+    def __init__(self, hand: VirtualHand) -> None:
+        self._hand = hand
+        self._check()
+
+    def _check(self) -> None:
+        if not self._hand.plugged:
+            raise PortError("the virtual hand has gone: unplugged")
+
+    def read(self, timeout: float) -> bytes:
+        """See `Transport.read`."""
+        self._check()
+        return self._hand.run(timeout)
+
+    def write(self, data: bytes) -> None:
+        """See `Transport.write`."""
+        self._check()
+        self._hand.receive(data)
+
+    def now(self) -> float:
+        """Virtual time [s]."""
+        return self._hand.now_us * 1e-6
+
+    def close(self) -> None:
+        """See `Transport.close`."""
