@@ -74,6 +74,8 @@ class Geometry:
     digits: tuple[Digit, ...]
     effort: float
     velocity: float
+    opposition: dict[str, tuple[float, ...]]
+    """Synergy (6,) [rad] that brings the thumb's pad onto each finger's."""
 
     @property
     def phalanges(self) -> tuple[Phalanx, ...]:
@@ -96,6 +98,7 @@ def load_geometry(path: Path = GEOMETRY_FILE) -> Geometry:
         digits=(_thumb(table["thumb"], pad_tilt), *(_finger(name, table[name], pad_tilt) for name in FINGERS)),
         effort=table["limits"]["effort"],
         velocity=table["limits"]["velocity"],
+        opposition={finger: tuple(synergy) for finger, synergy in table["opposition"].items()},
     )
 
 

@@ -123,7 +123,8 @@ def _add_joint(robot: Xml.Element, name: str, kind: str, parent: str, child: str
     joint = Xml.SubElement(robot, "joint", name=name, type=kind)
     Xml.SubElement(joint, "parent", link=parent)
     Xml.SubElement(joint, "child", link=child)
-    Xml.SubElement(joint, "axis", xyz=_text(axis))
+    # Bullet's mass matrix prints a warning for an axis that is not of unit length to the last digit.
+    Xml.SubElement(joint, "axis", xyz=_text(axis, digits=15))
     return joint
 
 
@@ -209,8 +210,8 @@ def _rpy(solid: Solid) -> Vector:
     return (float(-np.arcsin(y)), float(np.arctan2(x, z)), 0.0)
 
 
-def _text(values: Vector | Array) -> str:
-    return " ".join(f"{value if abs(value) > 1e-15 else 0.0:.9g}" for value in values)
+def _text(values: Vector | Array, digits: int = 9) -> str:
+    return " ".join(f"{value if abs(value) > 1e-15 else 0.0:.{digits}g}" for value in values)
 
 
 def main() -> None:
