@@ -168,9 +168,7 @@ class HandLink:
             self.sleep(CONSTANTS["stagger_ms"] * 0.25e-3)
         self._busy_until = self._now()
 
-    def move(
-        self, command: ServoCommand, *, minimum_jerk: bool = False, acknowledge: bool = True, pace: bool = True
-    ) -> None:
+    def move(self, command: ServoCommand, *, minimum_jerk: bool = False, acknowledge: bool = True, pace: bool = True) -> None:
         """Send one synchronised move, and wait for the hand's ACK.
 
         The duration goes out in whole ms, rounded up, so that no move gets faster; angles in 1e-4 rad.

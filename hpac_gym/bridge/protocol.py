@@ -83,9 +83,7 @@ PULSE: dict[str, int] = DESCRIPTION["pulse"]
 LOAD: dict[str, int] = DESCRIPTION["load"]
 
 MESSAGES = {
-    entry["name"]: Message(
-        entry["name"], entry["code"], entry["from"] == "host", entry["meaning"], _read_fields(entry["fields"])
-    )
+    entry["name"]: Message(entry["name"], entry["code"], entry["from"] == "host", entry["meaning"], _read_fields(entry["fields"]))
     for entry in DESCRIPTION["message"]
 }
 """All messages by name."""

@@ -144,9 +144,7 @@ class VirtualHand:
                 self.now_us = min(self.now_us + self._period_us, until_us)
                 self.tick()
             else:
-                self.now_us = self._library.hpac_library_run(
-                    self._hand, self.now_us, until_us, self._period_us, self._pulses
-                )
+                self.now_us = self._library.hpac_library_run(self._hand, self.now_us, until_us, self._period_us, self._pulses)
             said = self.transmit()
         return said
 

@@ -29,9 +29,7 @@ class WireLog:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def record(
-        self, time: float, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None
-    ) -> None:
+    def record(self, time: float, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None) -> None:
         """Write one line; `round_trip` [s] if the frame is an answer."""
         line = {
             "t": round(time, 6),
