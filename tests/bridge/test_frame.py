@@ -1,0 +1,133 @@
+"""The codec: inverse of itself, equal to the C codec, and deaf to whatever is not a frame of ours."""
+
+import zlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hpac_gym.bridge.errors import FrameError, VersionError
+from hpac_gym.bridge.frame import Frame, FrameSplitter, cobs_decode, cobs_encode, decode, encode
+from hpac_gym.bridge.protocol import MESSAGES, VERSION
+
+
+def _field_values(field):
+    bits = 8 * field.size
+    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if field.signed else (0, (1 << bits) - 1)
+    integer = st.integers(low, high)
+    return st.tuples(*[integer] * field.count) if field.is_array else integer
+
+
+@st.composite
+def frames(draw):
+    message = draw(st.sampled_from(list(MESSAGES.values())))
+    fields = {field.name: draw(_field_values(field)) for field in message.fields}
+    return Frame(message.name, draw(st.integers(0, 0xFFFF)), draw(st.integers(0, 255)), fields)
+
+
+MOVE = Frame("move", 7, 0, {"duration_ms": 50, "servo": (0, 1, -1, 32767, -32768, 256)})
+
+
+@given(frames())
+def test_decode_is_the_inverse_of_encode(frame):
+    data = encode(frame)
+    assert data[0] == data[-1] == 0
+    assert 0 not in data[1:-1]
+    assert decode(data[1:-1]) == frame
+
+
+@given(st.binary(max_size=253))
+def test_cobs_decode_is_the_inverse_of_cobs_encode(data):
+    encoded = cobs_encode(data)
+    assert 0 not in encoded
+    assert len(encoded) == len(data) + 1
+    assert cobs_decode(encoded) == data
+
+
+@given(st.lists(frames(), max_size=5), st.data())
+def test_any_cut_of_a_stream_gives_the_same_frames(sent, data):
+    stream = b"".join(encode(frame) for frame in sent)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
+    splitter = FrameSplitter()
+    received = []
+    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
+        received += [frame for _, frame in splitter.push(stream[start:end])]
+    assert received == sent
+    assert splitter.rejected_frames == 0
+
+
+def test_a_move_takes_26_bytes():
+    assert len(encode(MOVE)) == 26
+
+
+def _resealed(body: bytes) -> bytes:
+    return cobs_encode(body + zlib.crc32(body).to_bytes(4, "little"))
+
+
+BODY = cobs_decode(encode(MOVE)[1:-1])[:-4]
+
+MALFORMED = {
+    "empty": b"",
+    "too short": cobs_encode(b"\1\3"),
+    "CRC one bit off": cobs_encode(BODY + (zlib.crc32(BODY) ^ 1).to_bytes(4, "little")),
+    "payload one bit off": cobs_encode(bytes([*BODY[:-1], BODY[-1] ^ 1]) + zlib.crc32(BODY).to_bytes(4, "little")),
+    "run longer than the rest": encode(MOVE)[1:-2],
+    "payload one byte short": _resealed(BODY[:-1]),
+    "payload one byte long": _resealed(BODY + b"\1"),
+    "unknown type": _resealed(bytes([VERSION, 0x70]) + BODY[2:]),
+    "other version": _resealed(bytes([VERSION + 1]) + BODY[1:]),
+    "longer than any frame": _resealed(BODY + bytes(100)),
+}
+
+
+@pytest.mark.parametrize("encoded", MALFORMED.values(), ids=MALFORMED)
+def test_decode_refuses_what_is_no_frame(encoded):
+    with pytest.raises(FrameError):
+        decode(encoded)
+
+
+@pytest.mark.parametrize("by", ["whole", "byte by byte"])
+@pytest.mark.parametrize("encoded", MALFORMED.values(), ids=MALFORMED)
+def test_splitter_loses_nothing_but_the_malformed_piece(encoded, by):
+    stream = encode(MOVE) + encoded + encode(MOVE)
+    splitter = FrameSplitter()
+    pieces = [stream] if by == "whole" else [bytes([byte]) for byte in stream]
+    received = [frame for piece in pieces for _, frame in splitter.push(piece)]
+    assert received == [MOVE, MOVE]
+    assert splitter.rejected_frames == (1 if encoded else 0)
+    assert splitter.rejected_bytes == len(encoded)
+
+
+def test_splitter_forgets_a_flood_without_zeros():
+    splitter = FrameSplitter()
+    for _ in range(1000):
+        assert splitter.push(b"x" * 1000) == []
+    assert [frame for _, frame in splitter.push(encode(MOVE))] == [MOVE]
+    assert splitter.rejected_bytes == 1_000_000
+
+
+def test_splitter_remembers_the_version_that_it_could_not_read():
+    splitter = FrameSplitter()
+    splitter.push(encode(MOVE, version=9))
+    assert splitter.other_version == 9
+    with pytest.raises(VersionError) as caught:
+        decode(encode(MOVE, version=9)[1:-1])
+    assert caught.value.version == 9
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame("nonsense"),
+        Frame("move", 1, 0, {"duration_ms": 50}),
+        Frame("move", 1, 0, {"duration_ms": 50, "servo": (0,) * 5}),
+        Frame("move", 1, 0, {"duration_ms": 50, "servo": (32768, 0, 0, 0, 0, 0)}),
+        Frame("move", 1, 0, {"duration_ms": 65536, "servo": (0,) * 6}),
+        Frame("move", 70000, 0, {"duration_ms": 50, "servo": (0,) * 6}),
+        Frame("hello", 1, 0, {"extra": 1}),
+    ],
+    ids=["unknown", "missing field", "five servos", "angle overflow", "duration overflow", "sequence overflow", "extra field"],
+)
+def test_encode_refuses_what_does_not_fit(frame):
+    with pytest.raises(FrameError):
+        encode(frame)

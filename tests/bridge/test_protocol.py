@@ -1,0 +1,62 @@
+"""The protocol has one owner: what is generated from it is up to date, and the servo table is the model's."""
+
+import numpy as np
+import pytest
+
+from hpac_gym.bridge import generate, protocol
+from hpac_gym.bridge.limits import limits_hash, servo_limits
+from hpac_gym.bridge.virtual_hand import Config, default_config, load_library
+from hpac_gym.model import HPAC, SERVOS
+
+
+def test_generated_files_are_up_to_date():
+    assert generate.HEADER.read_text() == generate.protocol_header()
+    document = generate.DOCUMENT.read_text()
+    assert document == generate.wire_document(document)
+    assert generate.main(["--check"]) == 0
+
+
+def test_servo_limits_are_the_models_to_half_a_step_of_the_wire():
+    limits = servo_limits()
+    assert [servo.name for servo in limits] == list(SERVOS)
+    half_step = 0.5 * protocol.ANGLE_UNIT + 1e-12
+    np.testing.assert_allclose([s.min_urad * 1e-6 for s in limits], HPAC.servo_min, atol=half_step)
+    np.testing.assert_allclose([s.max_urad * 1e-6 for s in limits], HPAC.servo_max, atol=half_step)
+    np.testing.assert_allclose([s.rate_urad_s * 1e-6 for s in limits], HPAC.servo_rate_limit)
+
+
+def test_firmware_was_compiled_with_this_servo_table():
+    library = load_library()
+    config = default_config()
+    assert library.hpac_library_config_size() == len(bytes(Config()))
+    for row, limits in zip(config, servo_limits(), strict=True):
+        assert (row.min_urad, row.max_urad, row.rest_urad) == (limits.min_urad, limits.max_urad, limits.rest_urad)
+        assert (row.rate_urad_s, row.centre_urad, row.centre_ns) == (limits.rate_urad_s, limits.centre_urad, limits.centre_ns)
+        assert (row.trim_ns, row.direction) == (0, 1)
+
+
+def test_limits_hash_changes_with_any_limit(monkeypatch):
+    before = limits_hash()
+    changed = [list(servo_limits()) for _ in SERVOS]
+    hashes = set()
+    for i, table in enumerate(changed):
+        row = table[i]
+        table[i] = type(row)(**{f: getattr(row, f) for f in row.__slots__} | {"max_urad": row.max_urad - 100})
+        monkeypatch.setattr("hpac_gym.bridge.limits.servo_limits", lambda _hand, table=table: table)
+        hashes.add(limits_hash())
+    assert len(hashes) == len(SERVOS)
+    assert before not in hashes
+
+
+@pytest.mark.parametrize("message", protocol.MESSAGES.values(), ids=lambda m: m.name)
+def test_fields_follow_each_other_without_gaps(message):
+    offset = 0
+    for field in message.fields:
+        assert field.offset == offset
+        offset += field.size * field.count
+    assert offset == message.length
+
+
+def test_codes_tell_host_from_hand():
+    assert all((message.code < 0x80) == message.from_host for message in protocol.MESSAGES.values())
+    assert len(protocol.MESSAGE_BY_CODE) == len(protocol.MESSAGES)
