@@ -1,0 +1,339 @@
+"""HPAC-Grasp-v0: the contract of Gymnasium, determinism, what is seen, what counts."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.envs import Grasp, HandEnv, ScriptedClosure
+from hpac_gym.envs.errors import EpisodeError
+from hpac_gym.envs.observation import FIELDS, GRASP_CENTRE, LENGTH_UNIT, CameraNoise
+from hpac_gym.envs.phases import PHASES, Timetable
+from hpac_gym.errors import ParameterError, ShapeError, WorkspaceError
+from hpac_gym.model import HPAC, SERVOS, elastic_joints_from_servo
+from hpac_gym.sim import ObjectSpec, SceneSetup
+
+ID = "HPAC-Grasp-v0"
+STEADY = CameraNoise(position=0.0, angle=0.0, size=0.0)
+
+FINGERPRINT = """
+import hashlib, sys, gymnasium, numpy as np, hpac_gym
+env = gymnasium.make("HPAC-Grasp-v0")
+digest = hashlib.sha256()
+rng = np.random.default_rng(3)
+observation, _ = env.reset(seed=int(sys.argv[1]))
+digest.update(observation.tobytes())
+for _ in range(60):
+    observation, reward, terminated, truncated, _ = env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+    digest.update(observation.tobytes() + np.float64(reward).tobytes())
+    if terminated or truncated:
+        observation, _ = env.reset()
+print(digest.hexdigest())
+"""
+
+
+@pytest.fixture
+def env():
+    with gymnasium.make(ID) as made:
+        yield made
+
+
+def a_setup(**change) -> SceneSetup:
+    """A cylinder in a good place, with some of its properties changed."""
+    spec = dataclasses.replace(ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.8), **change)
+    return SceneSetup(spec, np.array([0.048, 0.004, 0.112]), 0.0, np.array([0, 0, 0, 0, 0, 1.2]))
+
+
+def run(env, policy, setup=None, seed=0) -> tuple[list[dict], float]:
+    """One episode: the infos of its steps, and its return."""
+    observation, _ = env.reset(seed=seed, options={"setup": setup} if setup else None)
+    policy.reset()
+    infos, total, over = [], 0.0, False
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        infos.append(info)
+        total += reward
+        over = terminated or truncated
+    return infos, total
+
+
+class Still:
+    """Keeps the hand open."""
+
+    def reset(self) -> None: ...
+
+    def act(self, observation):
+        return np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
+
+
+def test_gymnasium_checker_passes(env):
+    check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_gymnasium_checker_passes_with_rendering():
+    with gymnasium.make(ID, render_mode="rgb_array") as made:
+        check_env(made.unwrapped)
+
+
+def test_stable_baselines3_checker_passes(env):
+    sb3_check_env(env)
+
+
+def test_spaces(env):
+    assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
+    assert env.observation_space.shape == (sum(len(field.labels) for field in FIELDS),)
+
+
+def fingerprint_of(env, seed: int) -> str:
+    """What FINGERPRINT prints, in this process and of this environment."""
+    import hashlib
+
+    digest, rng = hashlib.sha256(), np.random.default_rng(3)
+    observation, _ = env.reset(seed=seed)
+    digest.update(observation.tobytes())
+    for _ in range(60):
+        observation, reward, terminated, truncated, _ = env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+        digest.update(observation.tobytes() + np.float64(reward).tobytes())
+        if terminated or truncated:
+            observation, _ = env.reset()
+    return digest.hexdigest()
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_same_seed_same_trajectory_to_the_bit(env, seed):
+    """On re-reset, in a fresh env and in a subprocess."""
+    first = fingerprint_of(env, seed)
+    fingerprint_of(env, seed + 100)
+    assert fingerprint_of(env, seed) == first
+    with gymnasium.make(ID) as fresh:
+        assert fingerprint_of(fresh, seed) == first
+    with gymnasium.make(ID, render_mode="rgb_array") as seen:
+        assert fingerprint_of(seen, seed) == first, "visual shapes change the physics"
+    printed = subprocess.run(
+        [sys.executable, "-c", FINGERPRINT, str(seed)], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert printed.stdout.split() == [first], "standard output has something else, or another trajectory"
+
+
+def test_other_seeds_give_other_episodes(env):
+    assert fingerprint_of(env, 0) != fingerprint_of(env, 1)
+
+
+@pytest.mark.parametrize("place", [0, 2])
+def test_any_place_in_a_vector_env_gives_the_same_trajectory(place):
+    envs = gymnasium.make_vec(ID, num_envs=3, vectorization_mode="sync")
+    with gymnasium.make(ID) as single:
+        seeds = [50, 51, 52]
+        seeds[place] = 9
+        together, _ = envs.reset(seed=seeds)
+        alone, _ = single.reset(seed=9)
+        np.testing.assert_array_equal(together[place], alone)
+        rng = np.random.default_rng(0)
+        for _ in range(15):
+            actions = rng.uniform(-1, 1, (3, 6)).astype(np.float32)
+            together, *_ = envs.step(actions)
+            alone, *_ = single.step(actions[place])
+            np.testing.assert_array_equal(together[place], alone)
+    envs.close()
+
+
+def test_scripted_closure_lifts_an_easy_cylinder(env):
+    infos, total = run(env, ScriptedClosure(), a_setup())
+    assert infos[-1]["is_success"]
+    assert infos[-1]["hold_time"] >= Timetable().shake_time + Timetable().hold_time - 1e-9
+    assert total > 10.0
+
+
+def test_an_open_hand_leaves_the_object_on_its_post_and_fails(env):
+    infos, _ = run(env, Still(), a_setup())
+    assert not infos[-1]["is_success"]
+    assert infos[-1]["outcome"] == "failure"
+    assert infos[-1]["hold_time"] == 0.0
+
+
+def test_a_slippery_heavy_object_is_dropped(env):
+    infos, _ = run(env, ScriptedClosure(), a_setup(friction=0.02, mass=1.0))
+    assert infos[-1]["outcome"] == "failure"
+    assert infos[-1]["phase"] in ("lift", "shake")
+
+
+def test_phases_come_in_order_and_last_as_long_as_the_timetable_says(env):
+    infos, _ = run(env, ScriptedClosure(), a_setup())
+    names = [info["phase"] for info in infos]
+    assert sorted(names, key=PHASES.index) == names
+    table = Timetable()
+    assert len(infos) == round(table.duration * 20)
+    assert names.count("lift") == round(table.lift_time * 20)
+    assert names.count("shake") == round(table.shake_time * 20)
+
+
+def test_the_wrist_path_is_smooth_and_shakes_in_six_directions():
+    table = Timetable()
+    times = np.arange(0, table.duration, 1 / 240)
+    offsets, velocities = (np.array(part) for part in zip(*(table.wrist_path(t) for t in times), strict=True))
+    numeric = np.gradient(offsets, times, axis=0)
+    shake_begin, shake_end = table.ends[1], table.ends[2]
+    lift = times < shake_begin - 0.01
+    np.testing.assert_allclose(velocities[lift], numeric[lift], atol=2e-3)
+    shaking = offsets[(times > shake_begin) & (times < shake_end)] - [0, 0, table.lift_height]
+    np.testing.assert_allclose(shaking.max(axis=0), table.shake_distance, rtol=0.02)
+    np.testing.assert_allclose(shaking.min(axis=0), -table.shake_distance, rtol=0.02)
+
+
+def test_the_wrist_follows_its_path(env):
+    env.reset(seed=0, options={"setup": a_setup()})
+    for _ in range(40):
+        *_, terminated, _, _ = env.step(np.array([-1, -1, -1, -1, -1, 0.5], np.float32))
+        if terminated:
+            break
+    import pybullet
+
+    scene = env.unwrapped.scene
+    hand = scene.hand
+    palm = pybullet.getLinkState(hand.body, hand.link_index["palm"], physicsClientId=scene.world.client)[4]
+    np.testing.assert_allclose(palm, scene.palm_position, atol=2e-3)
+
+
+def test_reward_is_the_sum_of_its_named_terms(env):
+    env.reset(seed=4)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        _, reward, terminated, _, info = env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+        assert set(info["reward_terms"]) == {"contact", "push", "carry", "effort", "outcome"}
+        assert reward == pytest.approx(sum(info["reward_terms"].values()))
+        if terminated:
+            break
+
+
+def test_sparse_reward_is_success_alone():
+    with gymnasium.make(ID, reward="sparse") as sparse:
+        infos, total = run(sparse, ScriptedClosure(), a_setup())
+    assert total == float(infos[-1]["is_success"]) == 1.0
+
+
+def test_the_deployed_observation_cannot_tell_mass_or_friction_before_contact():
+    with gymnasium.make(ID) as env:
+        light, _ = env.reset(seed=5, options={"setup": a_setup()})
+        heavy, _ = env.reset(seed=5, options={"setup": a_setup(mass=0.4, friction=0.4)})
+    np.testing.assert_array_equal(light, heavy)
+
+
+def field(observation: np.ndarray, name: str) -> np.ndarray:
+    start = 0
+    for entry in FIELDS:
+        if entry.name == name:
+            return observation[start : start + len(entry.labels)]
+        start += len(entry.labels)
+    raise KeyError(name)
+
+
+def test_the_observation_holds_what_its_table_says():
+    env = HandEnv(Grasp(), noise=STEADY)
+    setup = a_setup()
+    observation, _ = env.reset(seed=0, options={"setup": setup})
+    np.testing.assert_allclose(field(observation, "object_pos"), (setup.position - GRASP_CENTRE) / LENGTH_UNIT, atol=1e-4)
+    np.testing.assert_allclose(field(observation, "object_size"), np.array(setup.object.half_extents) / LENGTH_UNIT, atol=1e-6)
+    np.testing.assert_allclose(field(observation, "object_up"), [0, 1, 0], atol=1e-6)  # the hand's y axis points up
+    np.testing.assert_array_equal(field(observation, "object_side"), 0)
+    np.testing.assert_array_equal(field(observation, "object_shape"), [1, 0, 0])
+    np.testing.assert_array_equal(field(observation, "phase"), [1, 0, 0, 0])
+    observation, *_ = env.step(np.zeros(6, np.float32))
+    servo = env.command.servo
+    np.testing.assert_allclose(field(observation, "servo"), servo, atol=1e-6)
+    np.testing.assert_allclose(field(observation, "joint_pos"), elastic_joints_from_servo(servo), atol=1e-6)
+    np.testing.assert_allclose(field(observation, "progress"), 0.05 / env.task.timetable.duration, atol=1e-6)
+    env.close()
+
+
+def test_the_seen_joints_are_predicted_and_not_measured():
+    """A blocked hand sees what it commanded: nothing in the observation reads the simulated joints."""
+    env = HandEnv(Grasp(), noise=STEADY)
+    env.reset(seed=0, options={"setup": a_setup(mass=5.0, friction=1.0)})
+    for _ in range(20):
+        observation, *_ = env.step(np.array([0.5, 1, 1, 1, 1, 0.5], np.float32))
+    seen, true = field(observation, "joint_pos"), env.scene.hand.joint_pos
+    assert np.abs(seen - true).max() > 0.1
+    np.testing.assert_allclose(seen, elastic_joints_from_servo(env.command.servo), atol=1e-6)
+    env.close()
+
+
+def test_commands_respect_the_rate_limit(env):
+    env.reset(seed=0)
+    last = env.unwrapped.command.servo
+    rng = np.random.default_rng(0)
+    for _ in range(15):
+        *_, terminated, _, _ = env.step(rng.choice([-1.0, 1.0], 6).astype(np.float32))
+        command = env.unwrapped.command
+        assert np.all(np.abs(command.servo - last) <= HPAC.servo_rate_limit * command.duration + 1e-12)
+        last = command.servo
+        if terminated:
+            break
+
+
+@pytest.mark.parametrize(
+    ("action", "error"),
+    [
+        (np.array([0, 0, np.nan, 0, 0, 0]), WorkspaceError),
+        (np.array([0, 0, np.inf, 0, 0, 0]), WorkspaceError),
+        (np.array([0, 0, 1.5, 0, 0, 0]), WorkspaceError),
+        (np.zeros(5), ShapeError),
+        (np.zeros((2, 6)), ShapeError),
+    ],
+)
+def test_a_bad_action_raises_and_moves_nothing(action, error):
+    env = HandEnv(Grasp())
+    env.reset(seed=0)
+    before = env.scene.time
+    with pytest.raises(error, match=SERVOS[2] if error is WorkspaceError else "shape"):
+        env.step(action)
+    assert env.scene.time == before
+    env.close()
+
+
+def test_calls_out_of_order_say_so():
+    env = HandEnv(Grasp())
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(np.zeros(6))
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    for call in (lambda: env.step(np.zeros(6)), env.reset, env.render):
+        with pytest.raises(EpisodeError, match="closed"):
+            call()
+
+
+def test_a_finished_episode_does_not_go_on():
+    env = HandEnv(Grasp())
+    run(env, Still(), a_setup())
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(np.zeros(6))
+    env.close()
+
+
+@pytest.mark.parametrize("options", [{"reward": "shaped"}, {"render_mode": "human"}, {"hand": "/no/such/hand.toml"}])
+def test_bad_options_are_named(options):
+    with pytest.raises(ParameterError, match=next(iter(options.values()))):
+        HandEnv(Grasp(), **options)
+
+
+def test_a_picture_shows_something_without_a_display(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with gymnasium.make(ID, render_mode="rgb_array") as env:
+        env.reset(seed=0)
+        picture = env.render()
+    assert picture.shape == (360, 480, 3)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 10
+
+
+def test_info_can_be_logged(env):
+    env.reset(seed=0)
+    *_, info = env.step(np.zeros(6, np.float32))
+    assert json.loads(json.dumps(info)) == info
