@@ -12,7 +12,7 @@ import numpy as np
 
 from hpac_gym.model import HPAC, JOINTS
 from hpac_gym.sim.assets import ASSET_FOLDERS
-from hpac_gym.sim.geometry import Array, Box, Capsule, Digit, Geometry, Phalanx, Vector, load_geometry
+from hpac_gym.sim.geometry import Array, Box, Capsule, Geometry, Phalanx, Vector, load_geometry
 
 HAND_URDF = "hpac_hand.urdf"
 HAND_ON_WRIST_URDF = "hpac_hand_on_wrist.urdf"
@@ -51,9 +51,8 @@ def hand_urdf(geometry: Geometry, on_wrist: bool = False) -> str:
     _add_palm(robot, geometry)
     for digit in geometry.digits:
         for phalanx in digit.phalanges:
-            _add_phalanx(robot, phalanx)
+            _add_phalanx(robot, phalanx, tip="pad" if phalanx is digit.phalanges[-1] else "phalanx")
             _add_hinge(robot, phalanx, geometry)
-        _add_pad(robot, digit)
     Xml.indent(robot)
     return HEADER + Xml.tostring(robot, encoding="unicode") + "\n"
 
@@ -81,23 +80,14 @@ def _add_palm(robot: Xml.Element, geometry: Geometry) -> None:
         _add_collision(link, solid)
 
 
-def _add_phalanx(robot: Xml.Element, phalanx: Phalanx) -> None:
+def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, tip: str) -> None:
     link = Xml.SubElement(robot, "link", name=phalanx.link)
     _add_inertial(link, *solid_inertia((phalanx.capsule,), phalanx.mass), phalanx.mass)
     radius = phalanx.capsule.radius
-    _add_visual(link, phalanx.capsule, "phalanx")
+    _add_visual(link, phalanx.capsule, "phalanx", tip)
     pin = Capsule((0.0, -0.75 * radius, 0.0), (0.0, 0.75 * radius, 0.0), 0.5 * radius)
     _add_visual(link, pin, "hinge")
     _add_collision(link, phalanx.capsule)
-
-
-def _add_pad(robot: Xml.Element, digit: Digit) -> None:
-    """A coloured fingertip, a little proud of the collision capsule; seen, not touched."""
-    tip = digit.phalanges[-1]
-    link = robot.find(f"link[@name='{tip.link}']")
-    toward_pad = 0.3 * tip.capsule.radius * np.array(digit.pad_normal)
-    start = tip.capsule.end + toward_pad
-    _add_visual(link, Capsule(tuple(start - (0, 0, 0.5 * tip.capsule.radius)), tuple(start), 0.76 * tip.capsule.radius), "pad")
 
 
 def _add_hinge(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry) -> None:
@@ -149,17 +139,18 @@ def _add_collision(link: Xml.Element, solid: Solid) -> None:
         _add_shape(link, "collision", _center(solid), _rpy(solid), "capsule", **size)
 
 
-def _add_visual(link: Xml.Element, solid: Solid, material: str) -> None:
+def _add_visual(link: Xml.Element, solid: Solid, material: str, end_material: str | None = None) -> None:
     """Draws a capsule as a tube and two balls, which PyBullet's renderer rounds better than its capsule."""
     if isinstance(solid, Box):
-        shapes = [_add_shape(link, "visual", solid.center, _rpy(solid), "box", size=_text(solid.size))]
-    else:
-        radius = _text((solid.radius,))
-        tube = {"radius": radius, "length": _text((_length(solid),))}
-        shapes = [_add_shape(link, "visual", _center(solid), _rpy(solid), "cylinder", **tube)]
-        shapes += [_add_shape(link, "visual", end, _rpy(solid), "sphere", radius=radius) for end in (solid.start, solid.end)]
-    for shape in shapes:
+        shape = _add_shape(link, "visual", solid.center, _rpy(solid), "box", size=_text(solid.size))
         Xml.SubElement(shape, "material", name=material)
+        return
+    radius = _text((solid.radius,))
+    tube = _add_shape(link, "visual", _center(solid), _rpy(solid), "cylinder", radius=radius, length=_text((_length(solid),)))
+    start = _add_shape(link, "visual", solid.start, _rpy(solid), "sphere", radius=radius)
+    end = _add_shape(link, "visual", solid.end, _rpy(solid), "sphere", radius=radius)
+    for shape, name in ((tube, material), (start, material), (end, end_material or material)):
+        Xml.SubElement(shape, "material", name=name)
 
 
 def _add_shape(link: Xml.Element, kind: str, center: Vector | Array, rpy: Vector, body: str, **size: str) -> Xml.Element:
