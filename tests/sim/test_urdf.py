@@ -11,6 +11,7 @@ import pytest
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, JOINTS, joints_from_synergy
 from hpac_gym.sim.assets import AssetError, asset_path
 from hpac_gym.sim.geometry import Capsule, link_poses, load_geometry
+from hpac_gym.sim.thumb_search import find_opposition
 from hpac_gym.sim.urdf import HAND_ON_WRIST_URDF, HAND_URDF, hand_urdf, solid_inertia
 
 GEOMETRY = load_geometry()
@@ -142,6 +143,11 @@ def test_thumb_touches_the_finger_pad_to_pad(hand, finger):
     pads, normals = zip(*(_pad(hand, name) for name in ("thumb", finger)), strict=True)
     assert np.linalg.norm(pads[0] - pads[1]) < 2e-3
     assert np.degrees(np.arccos(-normals[0] @ normals[1])) < 40
+
+
+@pytest.mark.parametrize("finger", FINGERS)
+def test_opposition_posture_is_the_one_that_the_search_finds(finger):
+    np.testing.assert_allclose(find_opposition(GEOMETRY, finger).synergy, GEOMETRY.opposition[finger], atol=2e-3)
 
 
 def test_own_kinematics_are_those_of_the_loaded_body(hand):
