@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -35,11 +36,15 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         render_mode: None or "rgb_array".
         noise: of the camera that sees the object.
 
+    Attributes:
+        transmit: what a command passes through on its way to the simulated servos: identity, unless a bridge puts the
+            wire and the firmware between. Observations keep to what was commanded.
+
     Raises:
         ParameterError: An unknown reward or render mode, or a bad hand file.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
 
     def __init__(
         self,
@@ -62,6 +67,7 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._scene: Scene | None = Scene(visuals=render_mode is not None)
         self._running = False
         self._viewpoint = Viewpoint()
+        self.transmit: Callable[[ServoCommand], ServoCommand] = lambda command: command
 
     @property
     def scene(self) -> Scene:
@@ -123,7 +129,7 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         target = servo_from_action(action, self.hand)
         self._command = stream_command(self._servo, target, self.dt, self.hand)
         self._servo = self._command.servo
-        scene.advance(self._command, self.task.timetable.wrist_path)
+        scene.advance(self.transmit(self._command), self.task.timetable.wrist_path)
 
         object_pos, rotation = scene.object_pose()
         forces = scene.contact_forces()
@@ -163,7 +169,7 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             return None
         if not hasattr(self, "_camera"):
             raise EpisodeError("nothing to render: call reset() first")
-        return self._viewpoint.picture(scene.world, scene.palm_position + (0.10, 0.03, 0.0))
+        return self._viewpoint.picture(scene.world, scene.palm_position + np.array([0.10, 0.03, 0.0]))
 
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""

@@ -3,9 +3,9 @@
 This package alone knows PyBullet. Importing it keeps PyBullet's greeting off standard output.
 """
 
-from hpac_gym.sim.quiet import quiet_stdout
+from hpac_gym.sim.quiet import quiet_output
 
-with quiet_stdout():
+with quiet_output():
     import pybullet  # noqa: F401
 
 from hpac_gym.sim.camera import Camera

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand, ServoCommand, joints_from_synergy, servo_from_synergy
 from hpac_gym.model.checks import Array, as_finite_array
 from hpac_gym.sim.assets import asset_path
-from hpac_gym.sim.quiet import quiet_stdout
+from hpac_gym.sim.quiet import quiet_output
 from hpac_gym.sim.servos import Servos, ServoSettings
 from hpac_gym.sim.tendons import Damping, Tendons
 from hpac_gym.sim.world import World
@@ -102,7 +102,7 @@ class SimHand:
         """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15, 15) [kg·m²]."""
         posture = np.zeros(len(self.joint_index))
         posture[self._joints] = joints_from_synergy(self.hand.synergy_max / 2, self.hand)
-        with quiet_stdout():  # it prints that a unit axis is not one, at the last bit
+        with quiet_output():  # it prints that a unit axis is not one, at the last bit
             matrix = np.array(pybullet.calculateMassMatrix(self.body, posture.tolist(), physicsClientId=self._client))
         return matrix[np.ix_(self._joints, self._joints)]
 

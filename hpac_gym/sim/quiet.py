@@ -1,4 +1,4 @@
-"""PyBullet prints from C straight to file descriptor 1, where a command's own output goes. This keeps it out."""
+"""PyBullet prints from C straight to file descriptors 1 and 2, where a command's own lines go. This keeps it out."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def quiet_stdout() -> Iterator[None]:
-    """Send what C code writes to standard output nowhere, for as long as the block runs."""
+def quiet_output() -> Iterator[None]:
+    """Send what C code writes to standard output and error nowhere, for as long as the block runs."""
     sys.stdout.flush()
-    saved = os.dup(1)
+    sys.stderr.flush()
+    saved = [(descriptor, os.dup(descriptor)) for descriptor in (1, 2)]
     sink = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(sink, 1)
+        for descriptor, _ in saved:
+            os.dup2(sink, descriptor)
         yield
     finally:
-        os.dup2(saved, 1)
-        os.close(saved)
+        for descriptor, copy in saved:
+            os.dup2(copy, descriptor)
+            os.close(copy)
         os.close(sink)

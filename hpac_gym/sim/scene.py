@@ -19,7 +19,7 @@ HAND_POSITION = np.array([0.0, 0.0, 0.25])
 """Where the wrist starts in the world [m]."""
 HAND_ROTATION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Fingers along the world's +x, palm facing +y, thumb up."""
-_HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
+HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
 
 POST_HALF_WIDTH = 0.012
 _POST_FRICTION = 0.8
@@ -68,7 +68,7 @@ class Scene:
             setup.hand_settings,
             "hpac_hand_on_wrist.urdf",
             HAND_POSITION,
-            _HAND_QUATERNION,
+            HAND_QUATERNION,
             self._visuals,
         )
         self.hand.reset(setup.synergy)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pybullet
 
-from hpac_gym.sim.quiet import quiet_stdout
+from hpac_gym.sim.quiet import quiet_output
 
 GRAVITY = 9.81
 """[m/s²]"""
@@ -48,7 +48,7 @@ class World:
     def clear(self) -> None:
         """Remove every body. What is loaded next behaves, to the bit, as in a new world."""
         pybullet.resetSimulation(physicsClientId=self.client)
-        with quiet_stdout():
+        with quiet_output():
             pybullet.setPhysicsEngineParameter(
                 fixedTimeStep=self.settings.dt,
                 constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG,

@@ -6,10 +6,19 @@ import numpy as np
 import pybullet
 import pytest
 
-from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, ServoCommand, joints_from_synergy
-from hpac_gym.model import servo_from_synergy
-from hpac_gym.sim import HandSettings, ObjectSpec, ServoSettings, SimHand, SimObject, Wrist, World, WorldSettings
-from hpac_gym.sim.scene import HAND_POSITION, HAND_ROTATION, _HAND_QUATERNION
+from hpac_gym.model import (
+    FINGERS,
+    HPAC,
+    JOINT_INDEX,
+    JOINTS,
+    SERVO_INDEX,
+    SERVOS,
+    ServoCommand,
+    joints_from_synergy,
+    servo_from_synergy,
+)
+from hpac_gym.sim import HandSettings, ObjectSpec, ServoSettings, SimHand, SimObject, World, WorldSettings, Wrist
+from hpac_gym.sim.scene import HAND_POSITION, HAND_QUATERNION, HAND_ROTATION
 
 ROOTS = [JOINT_INDEX[name] for name in SERVOS]
 
@@ -119,7 +128,7 @@ def contact_torque(hand: SimHand, joints: list[str]) -> np.ndarray:
 def test_a_held_cylinder_creeps_less_than_2_mm_in_10_s():
     """0.15 kg, 50 mm wide, held from the side in a closed grasp."""
     with World() as world:
-        hand = SimHand(world, urdf="hpac_hand_on_wrist.urdf", position=HAND_POSITION, orientation=_HAND_QUATERNION)
+        hand = SimHand(world, urdf="hpac_hand_on_wrist.urdf", position=HAND_POSITION, orientation=HAND_QUATERNION)
         Wrist(hand, HAND_ROTATION)
         synergy = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
         hand.reset(synergy)
@@ -183,7 +192,8 @@ def test_a_servo_leaves_its_dead_band_alone(weightless):
 
 
 @pytest.mark.parametrize(
-    ("settings", "change"), [(ServoSettings, {"speed": 0.0}), (ServoSettings, {"dead_band": -1.0}), (WorldSettings, {"physics_hz": 0})]
+    ("settings", "change"),
+    [(ServoSettings, {"speed": 0.0}), (ServoSettings, {"dead_band": -1.0}), (WorldSettings, {"physics_hz": 0})],
 )
 def test_settings_name_the_bad_value(settings, change):
     with pytest.raises(ValueError, match=str(next(iter(change.values())))):

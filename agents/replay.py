@@ -1,0 +1,166 @@
+"""Replay a policy over the wire: ``python -m agents.replay --policy FILE --out runs/NAME``.
+
+Every command goes policy → ServoCommand → serial frame → pseudo-terminal → firmware core → pulse widths → simulated
+servos: the simulated hand gets what the pulses say, not what the policy asked for. The folder gets ``grasps.mp4``,
+``wire.jsonl`` (every frame) and ``replay.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from tqdm import tqdm
+
+from agents.command import Parser, run, whole_number
+from agents.errors import RunError
+from agents.evaluate import DEFAULT_TASK
+from agents.files import replacing, writable_folder
+from agents.policies import BASELINES, Policy, load_policy
+from agents.policy_file import read_policy
+from agents.seeds import HELD_OUT_SEED
+from agents.video import Video
+from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.model import SERVOS, ServoCommand, move_duration
+
+PULSE_TOLERANCE = 2e-4
+"""How far the pulses at the end of a move may be from the commanded angles [rad]: two steps of the wire."""
+
+
+@dataclass
+class Report:
+    """What a replay showed."""
+
+    policy: str
+    env_id: str
+    first_seed: int
+    episodes: int = 0
+    successes: int = 0
+    moves: int = 0
+    worst_pulse_error_rad: float = 0.0
+    frames_sent: int = 0
+    frames_acked: int = 0
+    frames_rejected: int = 0
+    frames_retried: int = 0
+    round_trip_p50_ms: float = 0.0
+    round_trip_p99_ms: float = 0.0
+
+    @property
+    def faults(self) -> list[str]:
+        """What was not as it must be: nothing, or one line each."""
+        lines = []
+        if self.worst_pulse_error_rad > PULSE_TOLERANCE:
+            lines.append(f"pulses are {self.worst_pulse_error_rad:.2e} rad off, above {PULSE_TOLERANCE:.0e} rad")
+        if self.frames_acked != self.frames_sent or self.frames_rejected:
+            lines.append(f"{self.frames_acked} of {self.frames_sent} frames acknowledged, {self.frames_rejected} rejected")
+        return lines
+
+
+class Wire:
+    """Sends each command to the firmware and hands on what its pulses say at the end of the move."""
+
+    def __init__(self, hand: HostBoard | VirtualHand, link: HandLink) -> None:
+        self._hand, self._link = hand, link
+        self.moves, self.worst_error = 0, 0.0
+
+    def begin(self, servo: np.ndarray) -> None:
+        """Arm anew, which puts the servos at rest, and go to where an episode starts."""
+        self._link.clear()
+        self._link.arm()
+        duration = move_duration(np.zeros(len(SERVOS)), servo)
+        if duration > 0:
+            # A tenth slower than the limit: the firmware counts whole milliseconds and refuses what is too fast.
+            self.transmit(ServoCommand(servo, 1.1 * duration + 0.01))
+
+    def transmit(self, command: ServoCommand) -> ServoCommand:
+        """The command as the servos get it."""
+        self._link.move(command)
+        self._link.wait()
+        servo = servo_from_pulses(self._hand.pulses())
+        self.moves += 1
+        self.worst_error = max(self.worst_error, float(np.abs(servo - command.servo).max()))
+        return ServoCommand(servo, command.duration)
+
+
+def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, video: Video, report: Report) -> None:
+    """Run the episodes of these seeds with the wire between policy and simulated hand."""
+    task = env.unwrapped
+    task.transmit = wire.transmit
+    bar = tqdm(seeds, desc="replaying", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
+    for seed in bar:
+        observation, info = env.reset(seed=seed)
+        policy.reset(seed)
+        wire.begin(task.command.servo)
+        done = False
+        while not done:
+            observation, _, terminated, truncated, info = env.step(policy.act(observation))
+            video.add(env.render(), f"seed {seed}   {info['phase']}")
+            done = terminated or truncated
+        video.hold(env.render(), f"seed {seed}   {info['outcome']}")
+        report.episodes += 1
+        report.successes += info["is_success"]
+        bar.set_postfix_str(f"{report.successes} of {report.episodes} held")
+
+
+def main(argv: list[str] | None = None) -> int:
+    args = _parser().parse_args(argv)
+    writable_folder(args.out)
+    env_id = DEFAULT_TASK if args.policy in BASELINES else read_policy(Path(args.policy)).about["env_id"]
+    env = gymnasium.make(env_id, render_mode="rgb_array")
+    policy = load_policy(args.policy, env)
+    report = Report(args.policy, env_id, args.seed_start)
+    with ExitStack() as stack:
+        stack.callback(env.close)
+        hand = stack.enter_context(VirtualHand() if args.virtual else HostBoard())
+        log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
+        video = stack.enter_context(Video(args.out / "grasps.mp4", env.metadata["render_fps"]))
+        link = stack.enter_context(HandLink(hand.connect, log=log))
+        wire = Wire(hand, link)
+        replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), video, report)
+        link.clear()
+        _take_statistics(report, wire, link)
+    text = json.dumps(asdict(report), indent=2)
+    with replacing(args.out / "replay.json") as temporary:
+        temporary.write_text(text + "\n")
+    print(text if args.json else _summary(report))
+    if report.faults:
+        raise RunError(f"the wire did not keep its promise: {'; '.join(report.faults)}")
+    return 0
+
+
+def _take_statistics(report: Report, wire: Wire, link: HandLink) -> None:
+    statistics = link.statistics
+    report.moves, report.worst_pulse_error_rad = wire.moves, wire.worst_error
+    report.frames_sent, report.frames_acked = statistics.sent, statistics.acked
+    report.frames_rejected, report.frames_retried = statistics.rejected, statistics.retried
+    report.round_trip_p50_ms = 1e3 * statistics.round_trip(50)
+    report.round_trip_p99_ms = 1e3 * statistics.round_trip(99)
+
+
+def _summary(report: Report) -> str:
+    return (
+        f"{report.successes} of {report.episodes} grasps held over the wire; {report.moves} moves, pulses at most "
+        f"{report.worst_pulse_error_rad:.1e} rad from the command\n"
+        f"{report.frames_acked} of {report.frames_sent} frames acknowledged, {report.frames_rejected} rejected, "
+        f"round trip p50 {report.round_trip_p50_ms:.2f} ms, p99 {report.round_trip_p99_ms:.2f} ms"
+    )
+
+
+def _parser() -> Parser:
+    parser = Parser(__doc__.splitlines()[0])
+    parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
+    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
+    parser.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    return parser
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,46 @@
+"""A film of what was rendered, each picture with a line of text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import imageio.v2 as imageio
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from agents.errors import RunError
+
+_TEXT_SIZE = 15
+
+
+class Video:
+    """Writes an MP4 file picture by picture; a context manager.
+
+    Raises:
+        RunError: The file cannot be written.
+    """
+
+    def __init__(self, path: Path, frames_per_second: int) -> None:
+        self._fps = frames_per_second
+        self._font = ImageFont.load_default(_TEXT_SIZE)
+        try:
+            self._writer = imageio.get_writer(path, fps=frames_per_second, macro_block_size=None, quality=7)
+        except OSError as error:
+            raise RunError(f"cannot write '{path}': {error.strerror or error}") from error
+
+    def __enter__(self) -> Video:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.close()
+
+    def add(self, picture: np.ndarray, text: str) -> None:
+        """Append a picture, shape (height, width, 3), with a line of text in its corner."""
+        image = Image.fromarray(picture)
+        ImageDraw.Draw(image).text((10, 8), text, fill=(40, 40, 40), font=self._font)
+        self._writer.append_data(np.asarray(image))
+
+    def hold(self, picture: np.ndarray, text: str, seconds: float = 0.5) -> None:
+        """Append a picture that stays for some time [s]."""
+        for _ in range(round(seconds * self._fps)):
+            self.add(picture, text)
