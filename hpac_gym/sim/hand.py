@@ -17,7 +17,11 @@ from hpac_gym.sim.tendons import Damping, Tendons
 from hpac_gym.sim.world import World
 
 _ROOT_JOINTS = frozenset(SERVOS)
-_LOAD_FLAGS = pybullet.URDF_USE_SELF_COLLISION | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+_LOAD_FLAGS = (
+    pybullet.URDF_USE_INERTIA_FROM_FILE
+    | pybullet.URDF_USE_SELF_COLLISION
+    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,10 @@ Per digit, root joint first:
 
 * **drive**: a tendon from the servo's hub to the root joint. Stretch ``r u − (L₀ − chord(q))``; it pulls, never pushes, and
   never harder than the servo can. Its moment arm is ``d₁ d₂ sin(α − q) / chord``.
-* **coupling**: a figure-eight loop between neighbouring joints, stretch ``R_i q_i − R_(i+1) q_(i+1)``, taut both ways. A finger's
-  first segment has stiffness 2EA/L and all the others EA/L: with these the static equilibrium in free space *is* Eq. (12), because the
-  restoring cable passes every joint and so the first segment carries twice the spring's tension. The thumb's one segment
-  has EA/L, which is Eq. (13).
+* **coupling**: a figure-eight loop between neighbouring joints, stretch ``R_i q_i − R_(i+1) q_(i+1)``, taut both ways. A
+  finger's first segment has stiffness 2EA/L and all the others EA/L: with these the static equilibrium in free space *is*
+  Eq. (12), because the restoring cable passes every joint and so the first segment carries twice the spring's tension. The
+  thumb's one segment has EA/L, which is Eq. (13).
 * **spring**: tension ``k_s Σ R q``, Eq. (10), acts on every joint with its radius. No pretension: a straight finger is held
   by nothing but its stop, and a finger with a slack drive hangs where its weight and its spring balance.
 
