@@ -1,0 +1,126 @@
+"""The paper's processing of a record: radians, zero-phase Butterworth, unwrapping, drift correction; then points.
+
+Unwrapping stands before the filter here: a low-pass smears a jump of 2π over its neighbours, and on a record without such a
+jump the order makes no difference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from hpac_gym.errors import WorkspaceError
+from hpac_gym.model.checks import Array
+from hpac_gym.study.record import PHASES, RecordError, Sweep, joints_of_servo
+
+CUTOFF_HZ = 1.0
+"""Cut-off of the low-pass: the sweep's own motion, one point a second, and little of the camera's noise."""
+_REST = PHASES.index("rest")
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """The sampling points of a sweep: the mean of what was measured while the servos held still."""
+
+    trial: np.ndarray
+    """Shape (k,)."""
+    swept: np.ndarray
+    """Index in `SERVOS`, shape (k,)."""
+    phase: np.ndarray
+    """Index in `PHASES`, shape (k,)."""
+    servo: Array
+    """u, shape (k, 6) [rad]."""
+    joint_pos: Array
+    """q_meas, shape (k, 15) [rad]."""
+
+
+def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
+    """The record after the paper's processing, segment by segment.
+
+    Raises:
+        RecordError: A segment is not sampled evenly, or is too short to filter.
+        WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
+    """
+    joint_pos = sweep.joint_pos.copy()
+    for rows in sweep.segments():
+        rate = sampling_rate(sweep.time[rows])
+        joint_pos[rows] = low_pass(np.unwrap(joint_pos[rows], axis=0), rate, cutoff_hz)
+    return without_drift(sweep.with_joint_pos(joint_pos))
+
+
+def sampling_rate(time: Array) -> float:
+    """Rate of even samples [Hz].
+
+    Raises:
+        RecordError: A gap is off the median by more than 5 %.
+    """
+    gaps = np.diff(time)
+    period = float(np.median(gaps)) if gaps.size else 0.0
+    if period <= 0 or np.abs(gaps - period).max() > 0.05 * period:
+        raise RecordError(f"samples from {time[0]:g} s to {time[-1]:g} s are not evenly spaced; a filter needs them so")
+    return 1.0 / period
+
+
+def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
+    """Second-order Butterworth low-pass, run forwards and backwards so that it has no phase.
+
+    Args:
+        values: shape (n, ...).
+        rate_hz: sampling rate.
+        cutoff_hz: cut-off frequency.
+
+    Raises:
+        WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
+        RecordError: Fewer samples than the filter needs at its ends.
+    """
+    if not 0 < cutoff_hz < rate_hz / 2:
+        raise WorkspaceError(f"cut-off = {cutoff_hz} Hz must lie between 0 and {rate_hz / 2:g} Hz")
+    sections = signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
+    pad = int(np.ceil(rate_hz / cutoff_hz))
+    if len(values) <= pad:
+        raise RecordError(f"a segment of {len(values)} samples is too short: the filter needs more than {pad}")
+    return signal.sosfiltfilt(sections, values, axis=0, padlen=pad)
+
+
+def without_drift(sweep: Sweep) -> Sweep:
+    """The record less the camera's drift: the straight line in time through what the swept joints read at rest.
+
+    Uses the rest poses of a segment alone, where the swept joints are at zero. A segment that rests only at one end gets a
+    constant, one that never rests is left alone.
+    """
+    joint_pos = sweep.joint_pos.copy()
+    for rows in sweep.segments():
+        rest = rows[sweep.phase[rows] == _REST]
+        if not rest.size:
+            continue
+        time = sweep.time[rest] - sweep.time[rows[0]]
+        moving = np.flatnonzero(sweep.phase[rows] != _REST)
+        both_ends = moving.size and rest[0] < rows[moving[0]] and rest[-1] > rows[moving[-1]]
+        basis = np.vander(time, 2 if both_ends else 1)
+        for joint in joints_of_servo(int(sweep.swept[rows[0]])):
+            seen = ~np.isnan(joint_pos[rest, joint])
+            if seen.sum() >= basis.shape[1]:
+                line = np.linalg.lstsq(basis[seen], joint_pos[rest[seen], joint], rcond=None)[0]
+                joint_pos[rows, joint] -= np.polyval(line, sweep.time[rows] - sweep.time[rows[0]])
+    return sweep.with_joint_pos(joint_pos)
+
+
+def points(sweep: Sweep) -> Points:
+    """One entry for every sampling point of every segment and direction.
+
+    Raises:
+        RecordError: No sample stands at a sampling point.
+    """
+    held = (sweep.point >= 0) & (sweep.phase != _REST)
+    if not held.any():
+        raise RecordError("column point: no row of a flexion or an extension is at a sampling point (all are −1)")
+    keys = np.stack([sweep.trial, sweep.swept, sweep.phase, sweep.point], axis=1)[held]
+    unique, group = np.unique(keys, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    count = np.bincount(group)[:, None]
+    servo, joint_pos = np.zeros((len(unique), 6)), np.zeros((len(unique), 15))
+    np.add.at(servo, group, sweep.servo[held])
+    np.add.at(joint_pos, group, sweep.joint_pos[held])
+    return Points(unique[:, 0], unique[:, 1], unique[:, 2], servo / count, joint_pos / count)

@@ -1,0 +1,110 @@
+"""The reference hand: the nominal one with tolerances, friction, drive stretch and a camera, from one file and its seed."""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, Digit, Hand
+from hpac_gym.sim import HandSettings
+from hpac_gym.study.rig import Camera, Protocol, Rig
+
+REFERENCE_FILE = Path(__file__).parent / "data" / "reference.toml"
+SCHEMA = 1
+_NUMBERS = tuple(item.name for item in fields(Digit) if item.name not in ("name", "tension_limit"))
+_FIELDS = {
+    "scale": _NUMBERS,
+    "tolerance": _NUMBERS,
+    "physics": ("joint_friction",),
+    "camera": ("rate_hz", "noise_deg", "drift_deg_per_min"),
+    "protocol": ("points", "seconds_per_point", "hold", "rest", "cutoff_hz"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """A rig whose hand differs from the nominal one, and how its record is filtered."""
+
+    rig: Rig
+    cutoff_hz: float
+    seed: int
+
+
+def varied_hand(hand: Hand, tolerance: Mapping[str, float], rng: np.random.Generator) -> Hand:
+    """A hand whose numbers are drawn about those of another, each digit's on its own.
+
+    Args:
+        hand: the centre.
+        tolerance: relative standard deviation by field name of `Digit`; what is not named stays.
+        rng: the draw.
+    """
+    digits = {}
+    for name, digit in hand.digits.items():
+        changed = {}
+        for field, sigma in tolerance.items():
+            value = getattr(digit, field)
+            factor = 1 + sigma * rng.standard_normal(np.shape(value))
+            changed[field] = tuple((factor * value).tolist()) if isinstance(value, tuple) else float(factor * value)
+        digits[name] = replace(digit, **changed)
+    return replace(hand, digits=digits)
+
+
+def scaled_hand(hand: Hand, scale: Mapping[str, float]) -> Hand:
+    """The same hand with some numbers of every digit multiplied, by field name of `Digit`."""
+    digits = {}
+    for name, digit in hand.digits.items():
+        changed = {}
+        for field, factor in scale.items():
+            value = getattr(digit, field)
+            changed[field] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+        digits[name] = replace(digit, **changed)
+    return replace(hand, digits=digits)
+
+
+def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = HPAC) -> Reference:
+    """The reference hand that a TOML file describes, about the hand `base`.
+
+    Raises:
+        ParameterError: The file cannot be read, is not TOML, or lacks a number, or has one that is unknown or negative.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ParameterError(f"reference file {path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ParameterError(f"reference file {path}: not TOML: {error}") from None
+    if table.get("schema") != SCHEMA:
+        raise ParameterError(f"reference file {path}: schema {table.get('schema')!r} is not {SCHEMA}")
+    _check(table, path)
+    camera, protocol = table["camera"], dict(table["protocol"])
+    cutoff_hz = protocol.pop("cutoff_hz")
+    rig = Rig(
+        hand=varied_hand(scaled_hand(base, table["scale"]), table["tolerance"], np.random.default_rng(table["seed"])),
+        settings=HandSettings(joint_friction=table["physics"]["joint_friction"]),
+        camera=Camera(camera["rate_hz"], math.radians(camera["noise_deg"]), math.radians(camera["drift_deg_per_min"]) / 60),
+        protocol=Protocol(**protocol),
+    )
+    return Reference(rig, cutoff_hz, table["seed"])
+
+
+def _check(table: dict, path: str | os.PathLike[str]) -> None:
+    if not isinstance(table.get("seed"), int):
+        raise ParameterError(f"reference file {path}: seed must be a whole number, not {table.get('seed')!r}")
+    for name, known in _FIELDS.items():
+        section = table.get(name)
+        if not isinstance(section, dict):
+            raise ParameterError(f"reference file {path}: table [{name}] is missing")
+        required = () if known is _NUMBERS else known
+        wrong = sorted((set(section) - set(known)) | (set(required) - set(section)))
+        if wrong:
+            raise ParameterError(f"reference file {path}: [{name}] lacks or does not know {', '.join(wrong)}")
+        for field, value in section.items():
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < math.inf:
+                raise ParameterError(f"reference file {path}: {field} = {value!r} must be a number of at least 0")

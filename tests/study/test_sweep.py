@@ -1,0 +1,168 @@
+"""The paper's measurement, repeated on the reference hand: its printed figures come out of the physics."""
+
+import argparse
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, JOINTS
+from hpac_gym.study import sweep as command
+from hpac_gym.study.accuracy import EVALUATED, accuracy, residuals, workspace
+from hpac_gym.study.processing import points, processed
+from hpac_gym.study.record import Sweep, read_sweep, write_sweep
+from hpac_gym.study.reference import REFERENCE_FILE, load_reference, scaled_hand
+
+REFERENCE = load_reference()
+
+
+def evaluate(sweep: Sweep):
+    return accuracy(residuals(points(processed(sweep, REFERENCE.cutoff_hz))))
+
+
+@pytest.fixture(scope="module")
+def evaluation() -> Sweep:
+    """The evaluation sweep of ``hpac sweep``."""
+    return command.simulate(REFERENCE, command.EVALUATION_STREAM)
+
+
+@pytest.fixture(scope="module")
+def errors(evaluation):
+    return evaluate(evaluation)
+
+
+def test_index_dip_mae_of_1_15_degrees_without_compensation(errors):
+    """Abstract: "The MAE of the index DIP joint decreases from 1.15°"."""
+    assert errors.mae_deg["uncompensated"]["index_dip"] == pytest.approx(1.15, abs=0.05)
+
+
+def test_index_dip_mae_of_0_18_degrees_with_compensation(errors):
+    """Abstract: "… to 0.18°"."""
+    assert errors.mae_deg["compensated"]["index_dip"] == pytest.approx(0.18, abs=0.05)
+
+
+def test_uncompensated_residuals_approach_2_0_degrees(errors):
+    """Results: "approaching 2.0° for some joints"; the index DIP's is the largest."""
+    largest = errors.max_residual_deg["uncompensated"]
+    assert largest["index_dip"] == pytest.approx(2.0, abs=0.1)
+    assert max(largest, key=largest.get) == "index_dip"
+
+
+def test_all_nine_joints_below_0_23_degrees_with_compensation(errors):
+    """Abstract: "all nine evaluated joints achieve an MAE below 0.23°"."""
+    assert len(errors.mae_deg["compensated"]) == 9
+    assert max(errors.mae_deg["compensated"].values()) < 0.23
+
+
+def test_index_dip_shows_the_largest_reduction_and_every_joint_improves(errors):
+    """Results: "the index DIP showing the largest reduction"; the remaining joints "also exhibit clear improvements"."""
+    gain = {name: errors.mae_deg["uncompensated"][name] - errors.mae_deg["compensated"][name] for name in EVALUATED}
+    assert max(gain, key=gain.get) == "index_dip"
+    assert min(gain.values()) > 0.25
+
+
+def test_twice_the_stiffness_of_tendon_and_drive_halves_the_uncompensated_error():
+    """Eq. (11), δ = T L / EA, in the physics: 0.5 ± 0.03 of the index DIP's uncompensated MAE."""
+    stiff = replace(REFERENCE.rig, hand=scaled_hand(REFERENCE.rig.hand, {"tendon_stiffness": 2.0, "drive_stiffness": 2.0}))
+    found = []
+    for rig in (REFERENCE.rig, stiff):
+        sweep = rig.sweep(np.random.default_rng(0), servos=("index_mcp",))
+        found.append(evaluate(sweep).mae_deg["uncompensated"]["index_dip"])
+    assert found[1] / found[0] == pytest.approx(0.5, abs=0.03)
+
+
+def test_none_of_the_evaluation_data_changes_the_prediction(evaluation):
+    """"The measurements … are not used to identify or fit": other measurements, same model to the bit."""
+    other = evaluation.with_joint_pos(evaluation.joint_pos * 1.5)
+    first, second = (residuals(points(sweep)) for sweep in (evaluation, other))
+    for name in EVALUATED:
+        for kind in ("uncompensated", "compensated"):
+            predicted = [found[name].measured - getattr(found[name], kind) for found in (first, second)]
+            assert predicted[0] == pytest.approx(predicted[1], abs=1e-14)
+
+
+def test_the_sweep_is_monotonic_over_the_admissible_range(evaluation):
+    """"For each servo j, a separate monotonic sweep over its admissible range is discretized into K_j sampling points"."""
+    for rows in evaluation.segments():
+        servo = int(evaluation.swept[rows[0]])
+        flexion = rows[evaluation.phase[rows] == 1]
+        angles = evaluation.servo[flexion, servo]
+        assert (np.diff(angles) >= -1e-12).all()
+        assert (angles[0], angles[-1]) == pytest.approx((HPAC.servo_min[servo], HPAC.servo_max[servo]), abs=1e-9)
+        assert np.unique(evaluation.point[flexion]).tolist() == [-1, *range(REFERENCE.rig.protocol.points)]
+
+
+def test_a_separate_sweep_yields_a_table_in_the_form_of_table_1():
+    """Table I: every joint from 0 to its largest angle; the driven joints reach its bound, the others stay inside of it."""
+    sweep = command.simulate(REFERENCE, command.WORKSPACE_STREAM, points=5, seconds_per_point=1.5, hold=0.5)
+    table = workspace(points(processed(sweep, cutoff_hz=4.0)))
+    assert tuple(table) == JOINTS
+    for name, (low, high) in table.items():
+        assert low == pytest.approx(0.0, abs=0.01)
+        assert high < HPAC.workspace[name][1] + 0.005
+        if not name.endswith(("_pip", "_dip")):
+            assert high == pytest.approx(HPAC.workspace[name][1], abs=0.01)
+    text = command.workspace_table(table, HPAC)
+    assert "| Index MCP | q5 | [0.00, 1.2" in text
+
+
+def test_same_seed_same_record_other_stream_other_noise():
+    rig = REFERENCE.rig.with_protocol(points=3, rest=0.5)
+    once, again, other = (rig.sweep(np.random.default_rng(seed), servos=("index_mcp",)) for seed in (1, 1, 2))
+    assert (once.joint_pos == again.joint_pos).all()
+    assert (once.servo == other.servo).all()
+    assert (once.joint_pos != other.joint_pos).all()
+
+
+def options(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return parser.parse_args(list(words))
+
+
+def test_the_command_evaluates_a_record_and_prints_one_object(evaluation, errors, tmp_path, capsys):
+    write_sweep(tmp_path / "sweep.csv", evaluation)
+    out = tmp_path / "out"
+    assert command.run(options("--record", str(tmp_path / "sweep.csv"), "--out", str(out), "--json")) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["mae_deg"]["uncompensated"] == pytest.approx(errors.mae_deg["uncompensated"], abs=1e-4)
+    assert set(printed["max_residual_deg"]) == {"uncompensated", "compensated"}
+    assert set(printed["mae_deg"]["compensated"]) == set(EVALUATED)
+    assert {path.name for path in out.iterdir()} == {"residuals.png", "mae.png", "accuracy.csv", "sweep.json"}
+    for name in ("residuals.png", "mae.png"):
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_the_command_sweeps_the_reference_hand(tmp_path, capsys):
+    assert command.run(options("--out", str(tmp_path), "--population", "20")) == 0
+    assert "| Index DIP | 1.1" in capsys.readouterr().out
+    result = json.loads((tmp_path / "sweep.json").read_text())
+    assert result["population_mae_deg"]["hands"] == 20
+    assert set(result["workspace_rad"]) == set(JOINTS)
+    assert len(read_sweep(tmp_path / "sweep.csv")) > len(read_sweep(tmp_path / "workspace.csv")) > 0
+
+
+REFERENCE_FAULTS = [
+    ("schema = 1", "schema = 3", "schema 3 is not 1"),
+    ("seed = 1", "seed = 1.5", r"seed must be a whole number, not 1\.5"),
+    ("noise_deg = 0.1", "noise_rad = 0.1", r"\[camera\] lacks or does not know noise_deg, noise_rad"),
+    ("d1 = 0.0002", "d9 = 0.0002", r"\[tolerance\] lacks or does not know d9"),
+    ("joint_friction = 1.0e-3", "joint_friction = -1", "joint_friction = -1 must be a number of at least 0"),
+    ("[physics]", "[physics", "not TOML"),
+    ("[camera]", "[kamera]", r"table \[camera\] is missing"),
+]
+
+
+@pytest.mark.parametrize(("good", "bad", "message"), REFERENCE_FAULTS)
+def test_a_faulty_reference_file_is_told(tmp_path, good, bad, message):
+    text = REFERENCE_FILE.read_text()
+    assert good in text
+    path = tmp_path / "reference.toml"
+    path.write_text(text.replace(good, bad, 1))
+    with pytest.raises(ParameterError, match=message):
+        load_reference(path)
+    with pytest.raises(ParameterError, match="No such file"):
+        load_reference(tmp_path / "none.toml")
