@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import Enum
 
 import numpy as np
 
+from hpac_gym.envs.observation import Field
 from hpac_gym.envs.phases import PHASES, Timetable
+from hpac_gym.envs.task import Outcome
 from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.sim import SHAPES, ObjectSpec, Scene, SceneSetup
@@ -18,33 +19,25 @@ PALM_SURFACE = 0.0125
 CLOSE = PHASES.index("close")
 
 
-class Outcome(Enum):
-    """How an episode stands."""
-
-    RUNNING = "running"
-    SUCCESS = "success"
-    FAILURE = "failure"
-
-
 @dataclass(frozen=True, slots=True)
 class GraspConfig:
     """The ranges that an episode is drawn from, uniformly, and what counts as dropped."""
 
-    radius: tuple[float, float] = (0.020, 0.036)
+    radius: tuple[float, float] = (0.010, 0.030)
     """Half width of a box, radius of a cylinder or sphere [m]."""
     half_height: tuple[float, float] = (0.030, 0.060)
     """Of a box or cylinder [m]."""
-    mass: tuple[float, float] = (0.05, 0.40)
+    mass: tuple[float, float] = (0.05, 0.25)
     """[kg]"""
-    friction: tuple[float, float] = (0.35, 0.90)
+    friction: tuple[float, float] = (0.6, 1.0)
     """Of the object's surface; the hand's skin multiplies it by 0.9."""
-    gap: tuple[float, float] = (0.002, 0.025)
+    gap: tuple[float, float] = (0.003, 0.030)
     """From the palm to the object [m]."""
-    towards_thumb: tuple[float, float] = (-0.020, 0.025)
+    towards_thumb: tuple[float, float] = (-0.030, 0.035)
     """Place of the object's centre along y of the hand frame [m]."""
-    beyond_wrist: tuple[float, float] = (0.090, 0.135)
+    beyond_wrist: tuple[float, float] = (0.095, 0.140)
     """Place of the object's centre along z of the hand frame [m]."""
-    box_yaw: tuple[float, float] = (-0.5, 0.5)
+    box_yaw: tuple[float, float] = (-0.8, 0.8)
     """Turn of a box about the vertical [rad]."""
     thumb_preshape: float = 1.2
     """CMC at the start: the thumb stands opposite to the fingers [rad]."""
@@ -54,7 +47,9 @@ class GraspConfig:
 
 
 class Grasp:
-    """Draws episodes, judges them, and shapes the reward."""
+    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.envs.task.Task`."""
+
+    fields: tuple[Field, ...] = ()
 
     def __init__(self, config: GraspConfig = GraspConfig()) -> None:
         self.config = config
@@ -82,6 +77,10 @@ class Grasp:
         """Begin to judge an episode."""
         self._place = setup.position
         self.hold_time = 0.0
+
+    def values(self, scene: Scene) -> Array:
+        """The task adds nothing to the observation."""
+        return np.empty(0)
 
     def judge(self, scene: Scene, object_pos: Array, forces: dict[str, float], dt: float) -> Outcome:
         """Advance the hold timer by one control step and judge the episode.

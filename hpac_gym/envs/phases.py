@@ -23,7 +23,7 @@ class Timetable:
     lift_time: float = 0.6
     lift_height: float = 0.12
     shake_time: float = 0.9
-    shake_distance: float = 0.025
+    shake_distance: float = 0.02
     """Amplitude of the shake: one period of a sine along x, then y, then z, so six directions [m]."""
     hold_time: float = 0.3
 
@@ -32,6 +32,11 @@ class Timetable:
             raise ValueError(f"durations of {self} must be greater than 0 s")
         if not min(self.lift_height, self.shake_distance) >= 0:
             raise ValueError(f"distances of {self} must not be negative")
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """Names, in order."""
+        return PHASES
 
     @property
     def ends(self) -> tuple[float, float, float, float]:
