@@ -22,6 +22,7 @@ from hpac_gym.model.elasticity import (
 from hpac_gym.model.files import HPAC, load_hand
 from hpac_gym.model.joints import DIGITS, FINGERS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
 from hpac_gym.model.parameters import Digit, Hand
+from hpac_gym.model.postures import POSTURES, Posture, Reach, posture, reach
 from hpac_gym.model.transmission import (
     rigid_joints_from_servo,
     servo_from_synergy,
@@ -36,10 +37,13 @@ __all__ = [
     "HPAC",
     "JOINTS",
     "JOINT_INDEX",
+    "POSTURES",
     "SERVOS",
     "SERVO_INDEX",
     "Digit",
     "Hand",
+    "Posture",
+    "Reach",
     "ServoCommand",
     "action_from_synergy",
     "clip_synergy",
@@ -50,6 +54,8 @@ __all__ = [
     "joints_from_synergy",
     "load_hand",
     "move_duration",
+    "posture",
+    "reach",
     "rigid_joints_from_servo",
     "servo_from_action",
     "servo_from_joints",

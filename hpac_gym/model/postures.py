@@ -1,0 +1,104 @@
+"""Named postures: the paper's 13 gestures and the hand shapes of its 16 grasps, as fifteen joint targets each."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.errors import HpacError
+from hpac_gym.model.checks import Array
+from hpac_gym.model.command import servo_from_joints
+from hpac_gym.model.elasticity import elastic_joints_from_servo
+from hpac_gym.model.files import HPAC
+from hpac_gym.model.joints import FINGERS, JOINT_INDEX, JOINTS
+from hpac_gym.model.parameters import Hand
+from hpac_gym.model.workspace import clip_to_workspace
+
+_PARTS = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
+
+
+class PostureError(HpacError, LookupError):
+    """No posture has this name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Posture:
+    """A named target."""
+
+    name: str
+    panel: int
+    """Its panel in the paper's figure of postures and grasps, 1 to 29."""
+    kind: str
+    """`opposition`, `gesture` or `grasp`."""
+    about: str
+    target_joint_pos: Array
+    """q_d, shape (15,) [rad], read-only."""
+    aliases: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """What six servos make of a posture."""
+
+    joint_pos: Array
+    """The posture that the hand takes, on its elastic manifold, shape (15,) [rad]."""
+    servo: Array
+    """u★ of Eq. (15), shape (6,) [rad]."""
+    distance: float
+    """Euclidean distance of the target from what the hand takes, over all joints [rad]."""
+
+
+def _posture(name: str, table: dict[str, Any]) -> Posture:
+    target = np.empty(len(JOINTS))
+    for digit, parts in _PARTS.items():
+        target[[JOINT_INDEX[f"{digit}_{part}"] for part in parts]] = table[digit]
+    target.setflags(write=False)
+    return Posture(name, table["panel"], table["kind"], table["about"], target, tuple(table.get("aliases", ())))
+
+
+def _load() -> dict[str, Posture]:
+    table = tomllib.loads((files("hpac_gym.model") / "data" / "postures.toml").read_text(encoding="utf-8"))
+    del table["schema"]
+    return {name: _posture(name, entry) for name, entry in table.items()}
+
+
+POSTURES: Mapping[str, Posture] = MappingProxyType(_load())
+"""All 29 by name, in the order of the paper's panels."""
+
+_BY_ANY_NAME = {name: posture for posture in POSTURES.values() for name in (posture.name, *posture.aliases)}
+
+
+def posture(name: str) -> Posture:
+    """The posture of a name or an alias.
+
+    Raises:
+        PostureError: There is none; the message names the nearest ones.
+    """
+    if name in _BY_ANY_NAME:
+        return _BY_ANY_NAME[name]
+    near = difflib.get_close_matches(name, _BY_ANY_NAME, n=3, cutoff=0.4) or list(_BY_ANY_NAME)[:3]
+    raise PostureError(f"no posture {name!r}; there are {len(POSTURES)}, among them {', '.join(near)}")
+
+
+def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
+    """What the hand makes of a target: clipped by Eq. (14), projected onto its manifold by Eq. (15).
+
+    Args:
+        target_joint_pos: q_d, shape (15,) [rad].
+        hand: the parameters.
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    target = np.asarray(target_joint_pos, dtype=float)
+    servo = servo_from_joints(clip_to_workspace(target, hand), hand)
+    joint_pos = elastic_joints_from_servo(servo, hand)
+    return Reach(joint_pos, servo, float(np.linalg.norm(target - joint_pos)))

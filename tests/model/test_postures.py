@@ -1,0 +1,96 @@
+"""The paper's 13 gestures and 16 grasp shapes, findable by name, and what six servos make of them."""
+
+import numpy as np
+import pytest
+
+from hpac_gym.errors import HpacError
+from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, JOINTS, POSTURES, joints_from_synergy, posture, reach
+from hpac_gym.model.postures import PostureError
+
+
+def of(name: str, part: str) -> dict[str, float]:
+    """The target of one kind of joint in each finger."""
+    target = posture(name).target_joint_pos
+    return {finger: target[JOINT_INDEX[f"{finger}_{part}"]] for finger in FINGERS}
+
+
+def test_13_target_configurations():
+    """"13 target configurations shown in (1-13)"."""
+    assert [item.panel for item in POSTURES.values() if item.kind != "grasp"] == list(range(1, 14))
+
+
+def test_16_representative_grasps():
+    """"An extended set of 16 representative grasps", panels 14 to 29."""
+    assert [item.panel for item in POSTURES.values() if item.kind == "grasp"] == list(range(14, 30))
+
+
+def test_panels_1_to_3_are_the_thumb_oppositions():
+    """"thumb opposition to the index, middle, and ring fingers (1-3)"."""
+    found = [item.name for item in POSTURES.values() if item.kind == "opposition"]
+    assert found == ["oppose_index", "oppose_middle", "oppose_ring"]
+
+
+def test_panels_4_to_7_are_multi_finger_gestures():
+    """"representative multi-finger gestures (4-7)"."""
+    assert [item.panel for item in POSTURES.values()][3:7] == [4, 5, 6, 7]
+
+
+@pytest.mark.parametrize("digit", range(1, 9))
+def test_digit_gestures_1_to_8_are_all_there(digit):
+    """"digit gestures 1-8 (8-13)": as the six panels 8 to 13 and two of the multi-finger gestures."""
+    item = posture(f"digit_{digit}")
+    assert 4 <= item.panel <= 13
+    straight = {1: 1, 2: 2, 3: 3, 4: 4, 5: 4, 6: 1, 7: 0, 8: 1}[digit]
+    assert sum(angle == 0 for angle in of(f"digit_{digit}", "mcp").values()) == straight
+
+
+def test_panels_8_to_13_are_digit_gestures():
+    assert all(item.name.startswith("digit_") for item in POSTURES.values() if 8 <= item.panel <= 13)
+
+
+@pytest.mark.parametrize("name", POSTURES)
+def test_every_target_lies_in_table_1(name):
+    target = POSTURES[name].target_joint_pos
+    assert target.shape == (len(JOINTS),)
+    assert (target >= HPAC.joint_min).all()
+    assert (target <= HPAC.joint_max).all()
+
+
+@pytest.mark.parametrize("name", POSTURES)
+def test_what_the_hand_makes_of_a_target_is_on_its_manifold_and_in_its_servos_range(name):
+    taken = reach(POSTURES[name].target_joint_pos)
+    again = reach(np.maximum(taken.joint_pos, 0.0))
+    assert again.distance < 1e-9
+    assert again.servo == pytest.approx(taken.servo, abs=1e-9)
+    assert (taken.servo >= HPAC.servo_min).all()
+    assert (taken.servo <= HPAC.servo_max).all()
+    assert taken.distance == pytest.approx(np.linalg.norm(POSTURES[name].target_joint_pos - taken.joint_pos))
+    assert taken.distance < 0.4
+
+
+def test_a_posture_on_the_manifold_is_at_no_distance_and_one_off_it_is_not():
+    on = joints_from_synergy(HPAC.synergy_max / 2)
+    assert reach(on).distance < 1e-12
+    off = on.copy()
+    off[JOINT_INDEX["index_dip"]] += 0.1
+    assert 0.05 < reach(off).distance < 0.1
+
+
+def test_no_two_postures_are_the_same():
+    targets = np.array([item.target_joint_pos for item in POSTURES.values()])
+    apart = np.abs(targets[:, None] - targets[None]).max(axis=-1)
+    assert apart[~np.eye(len(targets), dtype=bool)].min() > 0.05
+
+
+def test_an_unknown_posture_is_told_with_near_names():
+    with pytest.raises(PostureError, match=r"no posture 'oppose_indx'; there are 29, among them .*oppose_index"):
+        posture("oppose_indx")
+    with pytest.raises(PostureError, match="no posture ''"):
+        posture("")
+    assert issubclass(PostureError, HpacError)
+    assert issubclass(PostureError, LookupError)
+
+
+def test_targets_are_read_only():
+    with pytest.raises(ValueError, match="read-only"):
+        posture("fist").target_joint_pos[0] = 1.0
