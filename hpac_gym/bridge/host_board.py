@@ -16,6 +16,7 @@ from hpac_gym.bridge.transport import SerialTransport
 from hpac_gym.model import SERVOS
 
 _START_TIMEOUT = 5.0
+_END_TIMEOUT = 1.0
 
 
 class HostBoard:
@@ -53,7 +54,11 @@ class HostBoard:
 
     def __exit__(self, *_: object) -> None:
         self.process.terminate()
-        self.process.wait()
+        try:
+            self.process.wait(_END_TIMEOUT)
+        except subprocess.TimeoutExpired:  # stopped in a debugger, say
+            self.process.kill()
+            self.process.wait()
         self.process.stdout.close()
         self._folder.cleanup()
 

@@ -101,6 +101,7 @@ class HandLink:
             PortError: The port cannot be opened.
             HandshakeError: Nothing answers, or a firmware of another protocol version.
         """
+        self._drop()
         self._exchange = Exchange(self._open(), self.statistics, self._take_in, self._log)
         attempts = max(1, math.ceil(self._handshake_timeout / _HELLO_PERIOD))
         try:
@@ -128,7 +129,6 @@ class HandLink:
             PortError, HandshakeError: It did not come back in time; the last reason.
         """
         deadline = monotonic() + timeout
-        self._drop()
         while True:
             try:
                 return self.connect()
@@ -289,6 +289,9 @@ class HandLink:
         raise RejectedError(text, name_of(Reason, reason), servo, self.state)
 
     def _fault_error(self, what: str, reason: str, servo: str | None) -> FaultError:
+        if self._fault == Fault.none.name:  # the frame that told of it was lost
+            with suppress(BridgeError):
+                self._connected().request("status", {"period_ms": 0}, **self._patience)
         return FaultError(f"the hand is in fault ({self._fault}): {what}; clear() leaves it", reason, servo, self.state)
 
     def _take_in(self, frame: Frame) -> None:

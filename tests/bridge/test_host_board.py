@@ -1,0 +1,146 @@
+"""HandLink against the firmware as a process: real pseudo-terminal, real clock, pyserial."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from hpac_gym.bridge import (
+    FaultError,
+    FirmwareMissing,
+    HandLink,
+    HandshakeError,
+    HostBoard,
+    PortError,
+    open_transport,
+    servo_from_pulses,
+)
+from hpac_gym.bridge.firmware_files import BUILD_VARIABLE
+from hpac_gym.model import HPAC, ServoCommand, stream_command
+
+POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
+
+
+def test_streamed_commands_are_acknowledged_and_the_pulses_decode_to_them(host_board):
+    servo = np.zeros(6)
+    with HandLink(host_board.connect) as link:
+        link.arm()
+        for _ in range(40):
+            command = stream_command(servo, HPAC.servo_max, 0.05)
+            servo = command.servo
+            link.move(command)
+            link.wait()
+            np.testing.assert_allclose(servo_from_pulses(host_board.pulses()), servo, atol=2e-4)
+        assert link.statistics.acked == link.statistics.sent
+        assert link.statistics.rejected == 0
+
+
+def test_pulse_changes_tell_the_whole_move(host_board):
+    with HandLink(host_board.connect) as link:
+        link.arm()
+        host_board.pulse_changes()
+        link.move(ServoCommand(POSE, 0.5))
+        link.wait()
+        changes = host_board.pulse_changes()
+    assert len(changes) > 50
+    assert 0.4e6 < changes[-1, 0] - changes[0, 0] < 0.6e6
+    assert np.all(np.diff(changes[:, 1:], axis=0) >= 0)
+    np.testing.assert_allclose(servo_from_pulses(changes[-1, 1:]), POSE, atol=1e-4)
+
+
+def test_a_killed_host_leaves_the_hand_safe_within_the_watchdog_time(host_board):
+    program = (
+        "import sys, time; from hpac_gym.bridge import HandLink, Action; from hpac_gym.model import ServoCommand\n"
+        "link = HandLink(sys.argv[1]); link.connect(); link.arm(Action.detach)\n"
+        "link.move(ServoCommand([0.5] * 6, 10.0)); print('armed', flush=True); link.sleep(60)"
+    )
+    host = subprocess.Popen([sys.executable, "-c", program, host_board.port], stdout=subprocess.PIPE, text=True)
+    assert host.stdout.readline().strip() == "armed"
+    host.kill()
+    killed_at = time.monotonic()
+    host.wait()
+    host.stdout.close()
+    while host_board.pulses().any():
+        assert time.monotonic() - killed_at < 2.0
+        time.sleep(0.005)
+    assert time.monotonic() - killed_at < 0.9
+    with HandLink(host_board.connect) as link:
+        with pytest.raises(FaultError, match="watchdog"):
+            link.arm()
+
+
+def test_boot_text_is_counted_and_harmless():
+    with HostBoard(("--boot-text",)) as board, HandLink(board.connect) as link:
+        link.arm()
+        assert link.state == "armed"
+
+
+def test_a_second_host_is_locked_out(host_board):
+    with HandLink(host_board.connect) as first:
+        with pytest.raises(PortError, match="used by another program"):
+            HandLink(host_board.connect).connect()
+        assert first.heartbeat() == "idle"
+    with HandLink(host_board.connect) as second:
+        assert second.state == "idle"
+
+
+def test_a_board_that_dies_is_a_port_error_and_never_a_hang(host_board):
+    with HandLink(host_board.connect) as link:
+        link.arm()
+        host_board.process.kill()
+        host_board.process.wait()
+        with pytest.raises(PortError):
+            for _ in range(10):
+                link.heartbeat()
+
+
+def test_a_stopped_board_is_a_timeout_and_never_a_hang(host_board):
+    with HandLink(host_board.connect, handshake_timeout=0.3) as link:
+        host_board.process.send_signal(signal.SIGSTOP)
+        try:
+            start = time.monotonic()
+            with pytest.raises(TimeoutError):
+                link.heartbeat()
+            assert time.monotonic() - start < 1.0
+            with pytest.raises(HandshakeError):
+                link.reconnect(timeout=0)
+        finally:
+            host_board.process.send_signal(signal.SIGCONT)
+
+
+def test_the_board_ends_with_its_parent(tmp_path):
+    program = (
+        "import os, sys; from hpac_gym.bridge import HostBoard\n"
+        "board = HostBoard().__enter__(); print(board.process.pid, flush=True); os._exit(1)"
+    )
+    answer = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=False)
+    pid = int(answer.stdout)
+    deadline = time.monotonic() + 2.0
+    while _alive(pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def _alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    with open(f"/proc/{pid}/stat") as stat:
+        return stat.read().split(")")[-1].split()[0] != "Z"
+
+
+@pytest.mark.parametrize("port", ["/dev/does_not_exist", "socket://localhost:1", "socket://nonsense"])
+def test_a_wrong_port_is_one_clear_error(port):
+    with pytest.raises(PortError, match=port):
+        open_transport(port)
+
+
+def test_a_missing_build_says_how_to_make_it(monkeypatch, tmp_path):
+    monkeypatch.setenv(BUILD_VARIABLE, str(tmp_path))
+    with pytest.raises(FirmwareMissing, match="make firmware"):
+        HostBoard().__enter__()

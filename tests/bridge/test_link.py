@@ -1,0 +1,373 @@
+"""HandLink against the firmware core, in virtual time."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hpac_gym.bridge import (
+    Action,
+    FaultError,
+    FrameError,
+    HandLink,
+    HandshakeError,
+    LinkTimeout,
+    PortError,
+    RejectedError,
+    Reset,
+    VirtualHand,
+    WireLog,
+    pulses_from_servo,
+    servo_from_pulses,
+)
+from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.virtual_hand import VirtualTransport
+from hpac_gym.errors import HpacError
+from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration, stream_command
+
+POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
+
+
+def streamed(rng, count):
+    """Commands as the environment makes them: 20 Hz, at the rate limit, towards a target that changes."""
+    servo = np.zeros(6)
+    for i in range(count):
+        if i % 10 == 0:
+            target = rng.uniform(HPAC.servo_min, HPAC.servo_max)
+        command = stream_command(servo, target, 0.05)
+        servo = command.servo
+        yield command
+
+
+def test_handshake_greets_and_does_not_arm(virtual_hand, link):
+    assert link.info.firmware_version == "0.1.0"
+    assert link.info.watchdog == 0.5
+    assert link.state == "idle"
+    assert not virtual_hand.pulses().any()
+
+
+def test_arm_attaches_all_servos_at_rest(virtual_hand, armed):
+    assert armed.last_status.attached == SERVOS
+    np.testing.assert_allclose(servo_from_pulses(virtual_hand.pulses()), 0, atol=1e-5)
+
+
+def test_every_streamed_command_is_acknowledged_and_reached(virtual_hand, armed):
+    for command in streamed(np.random.default_rng(1), 200):
+        armed.move(command)
+        status = armed.wait()
+        np.testing.assert_allclose(servo_from_pulses(virtual_hand.pulses()), command.servo, atol=1e-4)
+        np.testing.assert_allclose(status.servo, command.servo, atol=1e-4)
+    assert armed.statistics.acked == armed.statistics.sent
+    assert armed.statistics.rejected == 0
+
+
+def test_paced_moves_need_no_waiting_by_the_caller(virtual_hand, armed):
+    start = virtual_hand.now_us
+    for command in streamed(np.random.default_rng(2), 40):
+        armed.move(command)
+    armed.wait()
+    assert 40 * 0.05 <= (virtual_hand.now_us - start) * 1e-6 <= 40 * 0.052
+    np.testing.assert_allclose(servo_from_pulses(virtual_hand.pulses()), command.servo, atol=1e-4)
+
+
+def test_two_runs_give_the_same_pulses_to_the_nanosecond():
+    def trace():
+        pulses = []
+        hand = VirtualHand(on_pulses=lambda now_us, widths: pulses.append((now_us, *widths)))
+        with HandLink(hand.connect) as link:
+            link.arm()
+            for command in streamed(np.random.default_rng(3), 30):
+                link.move(command)
+            link.wait()
+        return np.array(pulses)
+
+    np.testing.assert_array_equal(trace(), trace())
+
+
+def test_duration_is_rounded_up_to_whole_milliseconds(virtual_hand, armed):
+    armed.move(ServoCommand(np.full(6, 0.2), 0.0500001))
+    assert armed.wait().state == "armed"
+    assert armed.statistics.rejected == 0
+
+
+def test_closing_disarms(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        assert virtual_hand.pulses().all()
+    assert not virtual_hand.pulses().any()
+
+
+# --- refusals -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("servo", "duration", "reason", "at"),
+    [
+        (HPAC.servo_max + [0, 0.001, 0, 0, 0, 0], 2.0, "angle", "index_mcp"),
+        (HPAC.servo_min - [0, 0, 0, 0, 0, 0.001], 2.0, "angle", "thumb_cmc"),
+        ([0, 0, 0.5, 0, 0, 0], 0.1, "rate", "middle_mcp"),
+        (POSE, 0.005, "duration", None),
+        (POSE, 10.5, "duration", None),
+    ],
+    ids=["above", "below", "too fast", "too short", "too long"],
+)
+def test_inadmissible_moves_are_refused_whole(virtual_hand, armed, servo, duration, reason, at):
+    before = virtual_hand.pulses()
+    with pytest.raises(RejectedError) as caught:
+        armed.move(ServoCommand(servo, duration))
+    assert (caught.value.reason, caught.value.servo) == (reason, at)
+    armed.sleep(0.1)
+    np.testing.assert_array_equal(virtual_hand.pulses(), before)
+    assert armed.statistics.rejected == 1
+
+
+def test_an_angle_beyond_the_wire_never_leaves_the_host(armed):
+    with pytest.raises(FrameError):
+        armed.move(ServoCommand(np.full(6, 4.0), 1.0))
+
+
+def test_moving_unarmed_is_refused(link):
+    with pytest.raises(RejectedError, match="state idle") as caught:
+        link.move(ServoCommand(POSE, 1.0))
+    assert caught.value.reason == "state"
+
+
+def test_arm_refuses_a_firmware_with_other_limits(virtual_hand):
+    slower = dataclasses.replace(HPAC, rate_limit=HPAC.rate_limit / 2)
+    with HandLink(virtual_hand.connect, hand=slower) as link:
+        with pytest.raises(HandshakeError, match="limits"):
+            link.arm()
+        assert link.state == "idle"
+
+
+def test_firmware_refuses_a_host_with_other_limits(link):
+    with pytest.raises(RejectedError, match="limits"):
+        link._request("arm", {"limits_hash": link._limits_hash ^ 1, "action": 0})
+
+
+# --- silence, faults ------------------------------------------------------------------------------------------------
+
+
+def test_silence_ends_in_a_latched_fault_that_clear_leaves(virtual_hand, armed):
+    virtual_hand.run(0.6)
+    with pytest.raises(FaultError, match="watchdog"):
+        armed.move(ServoCommand(POSE, 1.0))
+    with pytest.raises(FaultError):
+        armed.arm()
+    armed.clear()
+    armed.arm()
+    armed.move(ServoCommand(POSE, 1.0))
+    assert armed.wait().counters["watchdog_trips"] == 1
+
+
+def test_sleep_keeps_an_armed_hand_alive(armed):
+    armed.sleep(5.0)
+    assert armed.status().counters["watchdog_trips"] == 0
+    assert armed.state == "armed"
+
+
+def test_a_long_move_survives_the_watchdog(armed):
+    armed.move(ServoCommand(POSE, 3.0))
+    np.testing.assert_allclose(armed.wait().servo, POSE, atol=1e-4)
+
+
+def test_estop_stops_the_pulses_and_sleep_tells_of_faults(virtual_hand, armed):
+    armed.move(ServoCommand(POSE, 1.0))
+    armed.estop()
+    assert not virtual_hand.pulses().any()
+    assert armed.status().fault == "estop"
+
+
+def test_a_fault_while_waiting_raises(virtual_hand, armed):
+    virtual_hand.receive(encode(Frame("estop", 9)))
+    with pytest.raises(FaultError, match="estop"):
+        armed.sleep(1.0)
+
+
+@pytest.mark.parametrize(("reset", "fault"), [(Reset.brownout, "brownout"), (Reset.crash, "crash")])
+def test_a_suspicious_reset_needs_a_clear(reset, fault):
+    with HandLink(VirtualHand(reset=reset).connect) as link:
+        with pytest.raises(FaultError):
+            link.arm()
+        assert link.status().fault == fault
+        link.clear()
+        link.arm()
+        assert link.state == "armed"
+
+
+@pytest.mark.parametrize("action", Action)
+def test_the_chosen_safe_action_happens(virtual_hand, link, action):
+    link.arm(action)
+    link.move(ServoCommand(POSE, 1.0))
+    link.wait()
+    virtual_hand.run(0.6)
+    virtual_hand.run(0.2)
+    pulses = virtual_hand.pulses()
+    if action == Action.hold:
+        np.testing.assert_array_equal(pulses, pulses_from_servo(POSE))
+    elif action == Action.detach:
+        assert not pulses.any()
+    else:
+        assert np.all(servo_from_pulses(pulses) < POSE)
+        virtual_hand.run(3.0)
+        assert not virtual_hand.pulses().any()
+
+
+# --- bad lines ------------------------------------------------------------------------------------------------------
+
+
+class LossyTransport(VirtualTransport):
+    """Loses or damages a share of the frames each way."""
+
+    def __init__(self, hand, rng, loss):
+        super().__init__(hand)
+        self.rng, self.loss = rng, loss
+
+    def _spoil(self, data):
+        fate = self.rng.random()
+        if fate < self.loss / 2:
+            return b""
+        if fate < self.loss and data:
+            spoilt = bytearray(data)
+            spoilt[self.rng.integers(len(data))] ^= 1 << self.rng.integers(8)
+            return bytes(spoilt)
+        return data
+
+    def write(self, data):
+        super().write(self._spoil(data))
+
+    def read(self, timeout):
+        return self._spoil(super().read(timeout))
+
+
+def test_every_command_arrives_once_over_a_line_that_loses_a_tenth():
+    hand = VirtualHand()
+    rng = np.random.default_rng(5)
+    with HandLink(lambda: LossyTransport(hand, rng, 0.1), attempts=10, timeout=0.03) as link:
+        link.arm()
+        for command in streamed(np.random.default_rng(6), 200):
+            link.move(command)
+            np.testing.assert_allclose(link.wait().servo, command.servo, atol=1e-4)
+        assert link.statistics.retried > 10
+        assert link.statistics.rejected == 0
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.binary(max_size=60), max_size=4))
+def test_boot_text_and_noise_before_the_handshake_do_no_harm(noise):
+    hand = VirtualHand()
+    for piece in noise:
+        hand.receive(piece)
+
+    class Noisy(VirtualTransport):
+        def read(self, timeout):
+            prefix = noise.pop() if noise else b""
+            return prefix + super().read(timeout)
+
+    with HandLink(lambda: Noisy(hand)) as link:
+        link.arm()
+        assert link.state == "armed"
+
+
+class Deaf(VirtualTransport):
+    def write(self, data):
+        pass
+
+
+class OtherVersion(VirtualTransport):
+    def read(self, timeout):
+        return super().read(timeout) and encode(
+            Frame(
+                "device_hello",
+                1,
+                0,
+                {"firmware_version": (9, 0, 0), "limits_hash": 0, "watchdog_ms": 1, "reset": 0, "boot_count": 0, "state": 0},
+            ),
+            version=9,
+        )
+
+
+def test_silence_on_connecting_is_a_handshake_error(virtual_hand):
+    with pytest.raises(HandshakeError, match="silence"):
+        HandLink(lambda: Deaf(virtual_hand), handshake_timeout=0.5).connect()
+
+
+def test_another_protocol_version_is_named(virtual_hand):
+    with pytest.raises(HandshakeError, match="protocol 9"):
+        HandLink(lambda: OtherVersion(virtual_hand), handshake_timeout=0.5).connect()
+
+
+def test_a_hand_that_stops_answering_ends_in_a_timeout(virtual_hand, armed):
+    armed._exchange.transport.write = lambda data: None
+    with pytest.raises(LinkTimeout, match="heartbeat"):
+        armed.heartbeat()
+    assert armed.statistics.timeouts == 1
+
+
+def test_unplug_and_replug_reconnects_disarmed(virtual_hand, armed):
+    virtual_hand.plugged = False
+    with pytest.raises(PortError):
+        armed.move(ServoCommand(POSE, 1.0))
+    with pytest.raises(PortError):
+        armed.reconnect(timeout=0.1)
+    virtual_hand.plugged = True
+    armed.reconnect(timeout=1.0)
+    assert armed.state == "idle"
+    assert not virtual_hand.pulses().any()
+    with pytest.raises(RejectedError):
+        armed.move(ServoCommand(POSE, 1.0))
+
+
+def test_a_reset_of_the_board_is_noticed(virtual_hand, armed):
+    virtual_hand.restart(Reset.power_on, boot_count=2)
+    with pytest.raises(RejectedError, match="state boot"):
+        armed.move(ServoCommand(POSE, 1.0))
+    assert armed.reconnect().boot_count == 2
+
+
+def test_all_errors_are_one_tree():
+    for error in (PortError, HandshakeError, LinkTimeout, RejectedError, FaultError, FrameError):
+        assert issubclass(error, HpacError)
+    assert issubclass(PortError, OSError)
+    assert issubclass(LinkTimeout, TimeoutError)
+
+
+# --- log, pulses ----------------------------------------------------------------------------------------------------
+
+
+def test_the_wire_log_has_every_frame(virtual_hand, tmp_path):
+    with WireLog(tmp_path / "wire.jsonl") as log, HandLink(virtual_hand.connect, log=log) as link:
+        link.arm()
+        link.move(ServoCommand(POSE, 1.0))
+    lines = [json.loads(line) for line in (tmp_path / "wire.jsonl").read_text().splitlines()]
+    sent = [line for line in lines if line["direction"] == "sent"]
+    answers = [line for line in lines if "round_trip" in line]
+    assert [line["seq"] for line in sent] == [line["seq"] for line in answers]
+    assert len(lines) == link.statistics.sent + link.statistics.received
+    move = next(line for line in sent if line["message"] == "move")
+    assert move["fields"] == {"duration_ms": 1000, "servo": [5000, 4000, 3000, 2000, 1000, 6000]}
+    assert encode(Frame("move", move["seq"], 0, move["fields"]))[1:-1].hex() == move["hex"]
+    ack = next(line for line in answers if line.get("acked") == "move")
+    assert (ack["reason"], ack["state"]) == ("ok", "armed")
+
+
+@given(st.lists(st.floats(0, 1), min_size=6, max_size=6))
+def test_servo_from_pulses_is_the_inverse_of_pulses_from_servo(share):
+    servo = HPAC.servo_min + np.array(share) * (HPAC.servo_max - HPAC.servo_min)
+    np.testing.assert_allclose(servo_from_pulses(pulses_from_servo(servo)), servo, atol=1e-6)
+
+
+def test_no_pulse_has_no_angle(virtual_hand):
+    with pytest.raises(FrameError, match="not armed"):
+        servo_from_pulses(virtual_hand.pulses())
+
+
+def test_minimum_jerk_arrives_at_rest_and_on_time(virtual_hand, armed):
+    duration = 1.875 * move_duration(np.zeros(6), POSE) + 0.01
+    armed.move(ServoCommand(POSE, duration), minimum_jerk=True)
+    armed.sleep(duration / 2)
+    np.testing.assert_allclose(armed.status().servo, POSE / 2, atol=0.02)
+    np.testing.assert_allclose(armed.wait().servo, POSE, atol=1e-4)
