@@ -12,11 +12,14 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hpac_gym.envs.errors import EpisodeError
-from hpac_gym.envs.grasp import Grasp, Outcome
-from hpac_gym.envs.observation import Camera, CameraNoise, deployed_observation, observation_space
-from hpac_gym.envs.phases import PHASES
+from hpac_gym.envs.link import Link
+from hpac_gym.envs.observation import Camera, CameraNoise, deployed_fields, one_hot, space_of, within
+from hpac_gym.envs.quality import grasp_quality
+from hpac_gym.envs.randomization import Randomization, changed_noise, changed_setup, randomization
+from hpac_gym.envs.task import Outcome, Task
+from hpac_gym.envs.views import VIEW_TARGET, Obs, Observation, view
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, servo_from_action, servo_from_synergy, stream_command
+from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, elastic_joints_from_servo, load_hand
 from hpac_gym.sim import Camera as Viewpoint
 from hpac_gym.sim import Scene, SceneSetup
 
@@ -26,7 +29,7 @@ CONTROL_HZ = 20
 Reward = Literal["dense", "sparse"]
 
 
-class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """A hand on a scripted wrist; six actions a step, one `ServoCommand` each.
 
     Args:
@@ -35,39 +38,46 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         reward: "dense" for the task's terms, "sparse" for 1 on success and 0 otherwise.
         render_mode: None or "rgb_array".
         noise: of the camera that sees the object.
+        obs: "deploy" for what the real hand has, "privileged" for a critic, "image" for a picture and the deployed vector.
+        randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, or a
+            `Randomization`; None is "nominal", which changes nothing.
 
     Attributes:
         transmit: what a command passes through on its way to the simulated servos: identity, unless a bridge puts the
             wire and the firmware between. Observations keep to what was commanded.
 
     Raises:
-        ParameterError: An unknown reward or render mode, or a bad hand file.
+        ParameterError: An unknown reward, render mode, obs or randomize, or a bad hand file.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
 
     def __init__(
         self,
-        task: Grasp,
+        task: Task,
         hand: Hand | str | PathLike[str] = HPAC,
         reward: Reward = "dense",
         render_mode: str | None = None,
         noise: CameraNoise = CameraNoise(),
+        obs: Obs = "deploy",
+        randomize: Randomization | str | None = None,
     ) -> None:
         if reward not in ("dense", "sparse"):
             raise ParameterError(f"reward {reward!r} is neither 'dense' nor 'sparse'")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ParameterError(f"render_mode {render_mode!r} is neither None nor 'rgb_array'")
         self.task, self.reward, self.render_mode = task, reward, render_mode
+        self.randomization = randomization(randomize)
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
+        fields = deployed_fields(task.timetable.phases, task.fields)
+        self._view, self._deployed = view(obs, fields), space_of(fields)
         self.action_space = Box(-1.0, 1.0, (len(SERVOS),), np.float32)
-        self.observation_space = observation_space()
+        self.observation_space = self._view.space
         self.dt = 1.0 / CONTROL_HZ
-        self._noise = noise
-        self._scene: Scene | None = Scene(visuals=render_mode is not None)
-        self._running = False
-        self._viewpoint = Viewpoint()
         self.transmit: Callable[[ServoCommand], ServoCommand] = lambda command: command
+        self._noise, self._viewpoint = noise, Viewpoint()
+        self._scene: Scene | None = Scene(visuals=render_mode is not None or obs == "image")
+        self._running = False
 
     @property
     def scene(self) -> Scene:
@@ -82,17 +92,15 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
 
     @property
     def phase(self) -> str:
-        """What the wrist is doing: one of `hpac_gym.envs.phases.PHASES`."""
-        return PHASES[self._phase]
+        """What the wrist is doing: one of the task's `timetable.phases`."""
+        return self.task.timetable.phases[self._phase]
 
     @property
     def command(self) -> ServoCommand:
         """The last command that went to the servos: what a bridge sends to the real hand."""
-        return self._command
+        return self._link.command
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Start an episode.
 
         Args:
@@ -102,19 +110,19 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         super().reset(seed=seed)
         setup_rng, camera_rng = self.np_random.spawn(2)
         setup: SceneSetup = (options or {}).get("setup") or self.task.setup(setup_rng, self.hand)
+        drawn = self.randomization.draw(setup_rng)
+        setup = changed_setup(setup, drawn)
         self.scene.reset(setup)
         self.task.start(setup)
-        self._camera = Camera(setup.object, self._noise, camera_rng)
-        self._servo = servo_from_synergy(setup.synergy, self.hand)
-        self._command = ServoCommand(self._servo, self.dt)
+        self._camera = Camera(setup.object, changed_noise(self._noise, drawn), camera_rng)
+        self._link = Link(self.hand, setup.synergy, self.dt, drawn, setup_rng)
         self._last_action: NDArray[np.float64] | None = None
-        self._phase, self._running = 0, True
+        self._phase, self._running, self._held_at = 0, True, None
         object_pos, rotation = self.scene.object_pose()
-        return self._observe(object_pos, rotation), self._info(Outcome.RUNNING, {}, {})
+        info = self._info(Outcome.RUNNING, {}, object_pos, {})
+        return self._observe(object_pos, rotation, {}), info | {"randomized": {name: list(v) for name, v in drawn.items()}}
 
-    def step(
-        self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out one action for one control period.
 
         Raises:
@@ -126,10 +134,7 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if not self._running:
             raise EpisodeError("no episode is running: call reset() first")
         action = np.asarray(action, dtype=float)
-        target = servo_from_action(action, self.hand)
-        self._command = stream_command(self._servo, target, self.dt, self.hand)
-        self._servo = self._command.servo
-        scene.advance(self.transmit(self._command), self.task.timetable.wrist_path)
+        scene.advance(self._link.send(action, self.transmit), self.task.timetable.wrist_path)
 
         object_pos, rotation = scene.object_pose()
         forces = scene.contact_forces()
@@ -140,23 +145,38 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         self._phase = self.task.timetable.phase(scene.time)
         self._running = outcome is Outcome.RUNNING
         reward = sum(terms.values()) if self.reward == "dense" else float(outcome is Outcome.SUCCESS)
-        info = self._info(outcome, terms, forces)
-        return self._observe(object_pos, rotation), reward, not self._running, False, info
+        info = self._info(outcome, terms, object_pos, forces)
+        return self._observe(object_pos, rotation, forces), reward, not self._running, False, info
 
-    def _observe(self, object_pos: NDArray[np.float64], rotation: NDArray[np.float64]) -> NDArray[np.float32]:
-        progress = self.scene.time / self.task.timetable.duration
-        seen = self._camera.look(object_pos, rotation)
-        return deployed_observation(self.observation_space, self.hand, self._servo, seen, self._phase, progress)
+    def _observe(self, object_pos: NDArray, rotation: NDArray, forces: dict[str, float]) -> Observation:
+        servo, timetable = self._link.command.servo, self.task.timetable
+        parts = [
+            servo,
+            elastic_joints_from_servo(servo, self.hand),
+            *self._camera.look(object_pos, rotation),
+            one_hot(self._phase, len(timetable.phases)),
+            [self.scene.time / timetable.duration],
+            self.task.values(self.scene),
+        ]
+        return self._view.see(within(self._deployed, np.concatenate(parts)), self.scene, forces)
 
-    def _info(self, outcome: Outcome, terms: dict[str, float], forces: dict[str, float]) -> dict[str, Any]:
-        return {
+    def _info(
+        self, outcome: Outcome, terms: dict[str, float], object_pos: NDArray, forces: dict[str, float]
+    ) -> dict[str, Any]:
+        if not self.task.hold_time:
+            self._held_at = None
+        elif self._held_at is None:
+            self._held_at = object_pos
+        info = {
             "is_success": outcome is Outcome.SUCCESS,
             "outcome": outcome.value,
             "phase": self.phase,
             "reward_terms": terms,
             "contact_force": float(sum(forces.values())),
             "hold_time": self.task.hold_time,
+            "slip": 0.0 if self._held_at is None else float(np.linalg.norm(object_pos - self._held_at)),
         }
+        return info if outcome is Outcome.RUNNING else info | {"epsilon": grasp_quality(self.scene)}
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, shape (360, 480, 3), or None without a render mode.
@@ -169,7 +189,7 @@ class HandEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             return None
         if not hasattr(self, "_camera"):
             raise EpisodeError("nothing to render: call reset() first")
-        return self._viewpoint.picture(scene.world, scene.palm_position + np.array([0.10, 0.03, 0.0]))
+        return self._viewpoint.picture(scene.world, scene.palm_position + VIEW_TARGET)
 
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""

@@ -1,6 +1,6 @@
 """What a deployed policy can know: its own commands, what the model predicts from them, and what a camera sees.
 
-The hand has no joint and no force sensors, so nothing here reads the simulated joints. The layout is the one table `FIELDS`;
+The hand has no joint and no force sensors, so nothing here reads the simulated joints. The layout is one table of `Field`;
 the observation's bounds, its names and its documentation all come from it.
 """
 
@@ -13,7 +13,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hpac_gym.envs.phases import PHASES
-from hpac_gym.model import JOINTS, SERVOS, Hand, elastic_joints_from_servo
+from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.sim import SHAPES, ObjectSpec
 
@@ -35,27 +35,40 @@ class Field:
     meaning: str
 
 
-FIELDS = (
-    Field("servo", SERVOS, "rad", 0.0, 2.0, "commanded servo angle"),
-    Field("joint_pos", JOINTS, "rad", 0.0, 2.0, "joint angle that the elastic model predicts for the command, Eqs. (12), (13)"),
-    Field("object_pos", AXES, "0.05 m", -4.0, 4.0, "seen centre of the object in the hand frame, from `GRASP_CENTRE`"),
-    Field("object_up", AXES, "1", -1.0, 1.0, "seen z axis of the object in the hand frame; zero for a sphere"),
-    Field("object_side", AXES, "1", -1.0, 1.0, "seen x axis of the object in the hand frame; zero for a sphere or cylinder"),
-    Field("object_size", AXES, "0.05 m", 0.0, 2.0, "seen half extents of the object along its own axes"),
-    Field("object_shape", SHAPES, "0/1", 0.0, 1.0, "which shape it is"),
-    Field("phase", PHASES, "0/1", 0.0, 1.0, "what the wrist is doing"),
-    Field("progress", ("time",), "1", 0.0, 1.0, "share of the episode that has passed"),
-)
+
+def deployed_fields(phases: tuple[str, ...], extra: tuple[Field, ...] = ()) -> tuple[Field, ...]:
+    """The table of the deployed observation, for a task's phases and with what the task adds at the end."""
+    return (
+        Field("servo", SERVOS, "rad", 0.0, 2.0, "commanded servo angle"),
+        Field("joint_pos", JOINTS, "rad", 0.0, 2.0, "joint angle that the model predicts for the command, Eqs. (12), (13)"),
+        Field("object_pos", AXES, "0.05 m", -4.0, 4.0, "seen centre of the object in the hand frame, from `GRASP_CENTRE`"),
+        Field("object_up", AXES, "1", -1.0, 1.0, "seen z axis of the object in the hand frame; zero for a sphere"),
+        Field("object_side", AXES, "1", -1.0, 1.0, "seen x axis of the object in the hand frame; zero for a sphere or cylinder"),
+        Field("object_size", AXES, "0.05 m", 0.0, 2.0, "seen half extents of the object along its own axes"),
+        Field("object_shape", SHAPES, "0/1", 0.0, 1.0, "which shape it is"),
+        Field("phase", phases, "0/1", 0.0, 1.0, "what the wrist is doing"),
+        Field("progress", ("time",), "1", 0.0, 1.0, "share of the episode that has passed"),
+        *extra,
+    )
+
+
+FIELDS = deployed_fields(PHASES)
+"""The table of `HPAC-Grasp-v0`."""
 
 GRASP_CENTRE = np.array([0.045, 0.005, 0.1125])
 """Origin of `object_pos` in the hand frame [m]: in front of the knuckles."""
 
 
-def observation_space() -> Box:
-    """The space of the deployed observation, shape (44,)."""
-    low = np.concatenate([np.full(len(field.labels), field.low) for field in FIELDS])
-    high = np.concatenate([np.full(len(field.labels), field.high) for field in FIELDS])
+def space_of(fields: tuple[Field, ...]) -> Box:
+    """The box that a table describes."""
+    low = np.concatenate([np.full(len(field.labels), field.low) for field in fields])
+    high = np.concatenate([np.full(len(field.labels), field.high) for field in fields])
     return Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+
+
+def within(space: Box, values: Array) -> NDArray[np.float32]:
+    """The values as an observation; what leaves the bounds (an object out of view) stays at them."""
+    return np.minimum(np.maximum(values, space.low), space.high, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +113,8 @@ class Camera:
         ]
 
 
-def deployed_observation(
-    space: Box, hand: Hand, servo: Array, seen: list[Array], phase: int, progress: float
-) -> NDArray[np.float32]:
-    """Join the parts; what leaves the bounds (an object out of view) stays at them."""
-    phases = np.zeros(len(PHASES))
-    phases[phase] = 1.0
-    parts = [servo, elastic_joints_from_servo(servo, hand), *seen, phases, [progress]]
-    return np.minimum(np.maximum(np.concatenate(parts), space.low), space.high, dtype=np.float32)
+def one_hot(index: int, length: int) -> Array:
+    """Zeros with a one at `index`."""
+    row = np.zeros(length)
+    row[index] = 1.0
+    return row

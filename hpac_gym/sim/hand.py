@@ -34,6 +34,8 @@ class HandSettings:
 
     servo: ServoSettings = field(default_factory=ServoSettings)
     damping: Damping = field(default_factory=Damping)
+    slack: tuple[float, ...] = (0.0,) * 5
+    """What each driving tendon has to wind up before it pulls, by digit [m]."""
     joint_friction: float = 0.0
     """Coulomb friction of every joint [N·m]."""
     root_armature: float = 1e-3
@@ -80,7 +82,7 @@ class SimHand:
         self._joints = [self.joint_index[name] for name in JOINTS]
         self._prepare_joints()
         self.servos = Servos(settings.servo)
-        self.tendons = Tendons(hand, self._mass_matrix(), world.settings.dt, settings.damping)
+        self.tendons = Tendons(hand, self._mass_matrix(), world.settings.dt, settings.damping, settings.slack)
         self.tension = np.zeros(len(SERVOS) - 1)
 
     def _prepare_joints(self) -> None:

@@ -6,6 +6,7 @@ How hard a servo pulls is limited where it pulls: see `hpac_gym.sim.tendons`.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ class ServoSettings:
     """What a servo's data sheet says.
 
     Raises:
-        ValueError: A speed that is not positive, or a negative dead band.
+        ValueError: A speed that is not positive, or a negative dead band or lag.
     """
 
     speed: float = 8.0
@@ -27,9 +28,13 @@ class ServoSettings:
     dead_band: float = 2e-3
     """Error that the servo leaves alone [rad]; chosen: 1.3 µs of pulse, a digital servo."""
 
+    lag: float = 0.0
+    """From the ramp to the servo's answer: transport, electronics, filtering [s]. In whole physics steps."""
+
     def __post_init__(self) -> None:
-        if not (self.speed > 0 and self.dead_band >= 0):
-            raise ValueError(f"servo speed {self.speed} rad/s must be positive, dead band {self.dead_band} rad not negative")
+        if not (self.speed > 0 and self.dead_band >= 0 and self.lag >= 0):
+            raise ValueError(f"servo speed {self.speed} rad/s must be positive, dead band {self.dead_band} rad not negative, "
+                             f"nor lag {self.lag} s")
 
 
 class Servos:
@@ -45,6 +50,7 @@ class Servos:
         self.velocity = np.zeros(len(SERVOS))
         self._start = self._target = self.horn.copy()
         self._elapsed = self._duration = 1.0
+        self._first, self._past = self.horn.copy(), deque[Array]()
 
     @property
     def commanded(self) -> Array:
@@ -60,8 +66,16 @@ class Servos:
     def advance(self, dt: float) -> None:
         """Move ramp and horns on by one physics step of `dt` seconds."""
         self._elapsed += dt
-        error = self.commanded - self.horn
+        error = self._told(dt) - self.horn
         reach = self.settings.speed * dt
         step = np.minimum(np.maximum(error, -reach), reach) * (np.abs(error) > self.settings.dead_band)
         self.horn += step
         self.velocity = step / dt
+
+    def _told(self, dt: float) -> Array:
+        """Where the ramp stood one lag ago, shape (6,) [rad]."""
+        if not self.settings.lag:
+            return self.commanded
+        self._past.append(self.commanded)
+        late = round(self.settings.lag / dt)
+        return self._past.popleft() if len(self._past) > late else self._first

@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
@@ -84,10 +85,12 @@ class Tendons:
         mass_matrix: joint-space inertia at a typical posture, shape (15, 15) [kg·m²]; only damping depends on it.
         dt: physics step [s].
         damping: how the tendons lose energy.
+        slack: what each drive has to wind up before it pulls, shape (5,) or () [m].
     """
 
-    def __init__(self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping) -> None:
+    def __init__(self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping, slack: ArrayLike = 0.0) -> None:
         self.hand = hand
+        self._too_long = np.asarray(slack, dtype=float)
         compliance = np.linalg.inv(mass_matrix)
 
         def viscosity(stiffness: Array, mobility: Array) -> Array:
@@ -128,7 +131,7 @@ class Tendons:
         """
         hand = self.hand
         arm, chord = self._arm_and_chord(joint_pos[_ROOTS])
-        stretch = hand.servo_radius * servo[:_CMC] - hand.rest_chord + chord
+        stretch = hand.servo_radius * servo[:_CMC] - hand.rest_chord + chord - self._too_long
         rate = hand.servo_radius * servo_vel[:_CMC] - arm * joint_vel[_ROOTS]
         tension = (self._stiffness * stretch + self._viscosity * rate) * (stretch > 0)
         return np.minimum(np.maximum(tension, 0.0), self._limit), arm
