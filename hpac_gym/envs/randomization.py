@@ -1,0 +1,191 @@
+"""What differs from episode to episode beside the task's own draw: the hand, the object, the camera, the link.
+
+The nominal hand stays what the policy's model knows: only the simulated one is changed. Every quantity has a random stream
+of its own, derived from the environment's generator by the quantity's name, so that a new one changes no other's draws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
+from zlib import crc32
+
+import numpy as np
+
+from hpac_gym.envs.observation import CameraNoise
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import DIGITS, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.sim import SceneSetup
+
+Range = tuple[float, float]
+_SAME: Range = (1.0, 1.0)
+_NONE: Range = (0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Randomization:
+    """Ranges, each drawn from uniformly once an episode. The defaults are the nominal hand: no range, no draw.
+
+    Raises:
+        ParameterError: A range that is not ordered, or leaves its bounds.
+    """
+
+    tendon_stiffness: Range = _SAME
+    """Factor of EA and of the drive's stiffness, one for each digit; 0.5…1.3."""
+    slack: Range = _NONE
+    """Length that a driving tendon has too much, one for each digit; 0…3 mm [m]."""
+    joint_friction: Range = _NONE
+    """Coulomb friction of every joint; 0…0.02 N·m [N·m]."""
+    skin_friction: Range = _SAME
+    """Factor of the friction of the hand's skin; 0.3…2."""
+    object_friction: Range = _SAME
+    """Factor of the friction of the object's surface; 0.3…2."""
+    object_mass: Range = _SAME
+    """Factor of the object's mass; 0.2…5."""
+    object_position: Range = _NONE
+    """Offset of the object along y and along z of the hand frame, two draws; ±20 mm [m]."""
+    object_yaw: Range = _NONE
+    """Turn of the object about the vertical; ±π [rad]."""
+    sensor_noise: Range = _SAME
+    """Factor of `CameraNoise`; 0…10."""
+    servo_lag: Range = _NONE
+    """From a command to the servos' answer; 0…0.15 s [s]."""
+    dead_band: Range | None = None
+    """Error that a servo leaves alone, 0…0.1 rad, instead of `ServoSettings.dead_band` [rad]."""
+    dropped_frames: Range = _NONE
+    """Share of the commands that never arrive; 0…0.5."""
+
+    def __post_init__(self) -> None:
+        for name, (lowest, highest) in BOUNDS.items():
+            given = getattr(self, name)
+            if given is not None and not lowest <= given[0] <= given[1] <= highest:
+                raise ParameterError(f"randomization {name} = {given} must be a range within [{lowest:g}, {highest:g}]")
+
+    def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
+        """The values of one episode, by name; what has its nominal value is left out."""
+        nominal = Randomization()
+        wanted = [field.name for field in fields(self) if getattr(self, field.name) != getattr(nominal, field.name)]
+        return {name: stream(rng, name).uniform(*getattr(self, name), _DRAWS.get(name, 1)) for name in wanted}
+
+
+BOUNDS: Mapping[str, Range] = MappingProxyType(
+    {
+        "tendon_stiffness": (0.5, 1.3),
+        "slack": (0.0, 3e-3),
+        "joint_friction": (0.0, 0.02),
+        "skin_friction": (0.3, 2.0),
+        "object_friction": (0.3, 2.0),
+        "object_mass": (0.2, 5.0),
+        "object_position": (-0.02, 0.02),
+        "object_yaw": (-np.pi, np.pi),
+        "sensor_noise": (0.0, 10.0),
+        "servo_lag": (0.0, 0.15),
+        "dead_band": (0.0, 0.1),
+        "dropped_frames": (0.0, 0.5),
+    }
+)
+"""What a range may hold. The tendons' upper bound keeps the stiffest mode's ω dt where the integration is stable."""
+
+_DRAWS = {"tendon_stiffness": len(DIGITS), "slack": len(DIGITS), "object_position": 2}
+
+PRESETS: Mapping[str, Randomization] = MappingProxyType(
+    {
+        "nominal": Randomization(),
+        "hand": Randomization(
+            tendon_stiffness=(0.8, 1.2), slack=(0.0, 1e-3), joint_friction=(0.0, 5e-3), skin_friction=(0.8, 1.2)
+        ),
+        "link": Randomization(servo_lag=(0.0, 0.15), dead_band=(0.0, 0.02), dropped_frames=(0.0, 0.05)),
+        "full": Randomization(
+            tendon_stiffness=(0.8, 1.2),
+            slack=(0.0, 1e-3),
+            joint_friction=(0.0, 5e-3),
+            skin_friction=(0.8, 1.2),
+            object_friction=(0.8, 1.2),
+            object_mass=(0.8, 1.25),
+            object_position=(-3e-3, 3e-3),
+            object_yaw=(-0.1, 0.1),
+            sensor_noise=(0.5, 2.0),
+            servo_lag=(0.0, 0.15),
+            dead_band=(0.0, 0.02),
+            dropped_frames=(0.0, 0.05),
+        ),
+    }
+)
+"""The named randomizations: nothing; the hand's mechanics; the way from host to servo; all of it, and object and camera."""
+
+
+def randomization(named: Randomization | str | None) -> Randomization:
+    """The randomization of that name; None is "nominal".
+
+    Raises:
+        ParameterError: There is none.
+    """
+    if isinstance(named, Randomization):
+        return named
+    if (named or "nominal") not in PRESETS:
+        raise ParameterError(f"randomize {named!r} is none of {', '.join(PRESETS)}")
+    return PRESETS[named or "nominal"]
+
+
+def stream(rng: np.random.Generator, name: str) -> np.random.Generator:
+    """A generator of its own for a name, the same whatever `rng` has drawn or spawned."""
+    parent = rng.bit_generator.seed_seq
+    return np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, crc32(name.encode()))))
+
+
+def changed_hand(hand: Hand, factors: Array) -> Hand:
+    """The hand with the stiffness of each digit's tendons multiplied, factors of shape (5,)."""
+    digits = {
+        name: replace(
+            digit,
+            tendon_stiffness=digit.tendon_stiffness * float(factor),
+            drive_stiffness=digit.drive_stiffness * float(factor),
+        )
+        for (name, digit), factor in zip(hand.digits.items(), factors, strict=True)
+    }
+    return replace(hand, digits=digits)
+
+
+def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
+    """An episode with drawn values put over it."""
+    if not values:
+        return setup
+
+    def value(name: str, nominal: float) -> float:
+        return float(values[name][0]) if name in values else nominal
+
+    hand, spec, settings = setup.hand, setup.object, setup.hand_settings
+    if "tendon_stiffness" in values:
+        hand = changed_hand(hand, values["tendon_stiffness"])
+    servo = replace(settings.servo, lag=value("servo_lag", 0.0), dead_band=value("dead_band", settings.servo.dead_band))
+    settings = replace(
+        settings,
+        servo=servo,
+        slack=tuple(values.get("slack", np.array(settings.slack)).tolist()),
+        joint_friction=value("joint_friction", settings.joint_friction),
+        contact_friction=settings.contact_friction * value("skin_friction", 1.0),
+    )
+    spec = replace(
+        spec,
+        mass=spec.mass * value("object_mass", 1.0),
+        friction=spec.friction * value("object_friction", 1.0),
+    )
+    offset = np.concatenate([[0.0], values.get("object_position", np.zeros(2))])
+    return replace(
+        setup,
+        object=spec,
+        position=setup.position + offset,
+        yaw=setup.yaw + value("object_yaw", 0.0),
+        hand=hand,
+        hand_settings=settings,
+    )
+
+
+def changed_noise(noise: CameraNoise, values: Mapping[str, Array]) -> CameraNoise:
+    """Camera noise with the drawn factor."""
+    if "sensor_noise" not in values:
+        return noise
+    factor = float(values["sensor_noise"][0])
+    return CameraNoise(noise.position * factor, noise.angle * factor, noise.size * factor)
