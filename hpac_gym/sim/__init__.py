@@ -10,7 +10,8 @@ with quiet_output():
 
 from hpac_gym.sim.camera import Camera
 from hpac_gym.sim.hand import HandSettings, SimHand
-from hpac_gym.sim.objects import SHAPES, ObjectSpec, SimObject
+from hpac_gym.sim.object_models import ObjectModel, load_object_models
+from hpac_gym.sim.objects import SHAPES, ObjectSpec, SimObject, Support
 from hpac_gym.sim.scene import Scene, SceneSetup
 from hpac_gym.sim.servos import Servos, ServoSettings
 from hpac_gym.sim.tendons import Damping, Tendons
@@ -22,6 +23,7 @@ __all__ = [
     "Camera",
     "Damping",
     "HandSettings",
+    "ObjectModel",
     "ObjectSpec",
     "Scene",
     "SceneSetup",
@@ -29,8 +31,10 @@ __all__ = [
     "Servos",
     "SimHand",
     "SimObject",
+    "Support",
     "Tendons",
     "World",
     "WorldSettings",
     "Wrist",
+    "load_object_models",
 ]

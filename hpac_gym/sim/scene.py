@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,14 +11,14 @@ import pybullet
 from hpac_gym.model import DIGITS, HPAC, Hand, ServoCommand
 from hpac_gym.model.checks import Array
 from hpac_gym.sim.hand import HandSettings, SimHand
-from hpac_gym.sim.objects import ObjectSpec, SimObject, add_fixed_box
+from hpac_gym.sim.objects import ObjectSpec, SimObject, Support, add_fixed_box
 from hpac_gym.sim.world import World, WorldSettings
 from hpac_gym.sim.wrist import Wrist
 
 HAND_POSITION = np.array([0.0, 0.0, 0.25])
 """Where the wrist starts in the world [m]."""
 HAND_ROTATION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Fingers along the world's +x, palm facing +y, thumb up."""
+"""Unless a setup says otherwise: fingers along the world's +x, palm facing +y, thumb up."""
 HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
 
 POST_HALF_WIDTH = 0.012
@@ -43,6 +43,12 @@ class SceneSetup:
     """Hand at the start, shape (6,) [rad]."""
     hand: Hand = HPAC
     hand_settings: HandSettings = field(default_factory=HandSettings)
+    hand_quaternion: tuple[float, float, float, float] = HAND_QUATERNION
+    """Orientation of the hand's frame in the world, xyzw."""
+    object_quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Orientation of the object in the world before its yaw, xyzw."""
+    support: Support | None = None
+    """What the object stands on; None is a post that does not turn with it."""
 
 
 class Scene:
@@ -51,6 +57,9 @@ class Scene:
     Args:
         settings: of the world.
         visuals: load what only a camera sees; without it a reset is faster and the physics the same.
+
+    Attributes:
+        hand_rotation: of the hand's frame in the world, shape (3, 3); the wrist slides, but does not turn.
     """
 
     def __init__(self, settings: WorldSettings = WorldSettings(), visuals: bool = True) -> None:
@@ -68,27 +77,34 @@ class Scene:
             setup.hand_settings,
             "hpac_hand_on_wrist.urdf",
             HAND_POSITION,
-            HAND_QUATERNION,
+            setup.hand_quaternion,
             self._visuals,
         )
         self.hand.reset(setup.synergy)
-        self.wrist = Wrist(self.hand, HAND_ROTATION)
-        centre = HAND_POSITION + HAND_ROTATION @ setup.position
+        self.hand_rotation = _matrix(setup.hand_quaternion)
+        self.wrist = Wrist(self.hand, self.hand_rotation)
+        centre = HAND_POSITION + self.hand_rotation @ setup.position
         turn = (0.0, 0.0, np.sin(setup.yaw / 2), np.cos(setup.yaw / 2))
-        self.object = SimObject(self.world, setup.object, centre, turn)
-        self._add_support(centre[2] - setup.object.half_extents[2], centre)
+        orientation = _turned(setup.object_quaternion, turn)
+        self.object = SimObject(self.world, setup.object, centre, orientation, self._visuals)
+        self._add_support(setup, centre, turn)
         self._digit_of_link = {
             index: next((digit for digit in DIGITS if name.startswith(digit)), "palm")
             for name, index in self.hand.link_index.items()
         }
         self._offset = np.zeros(3)
 
-    def _add_support(self, height: float, centre: Array) -> None:
-        post = (POST_HALF_WIDTH, POST_HALF_WIDTH, height / 2)
-        self._supports = (
-            add_fixed_box(self.world, post, (centre[0], centre[1], height / 2), _GREY, _POST_FRICTION),
-            add_fixed_box(self.world, (0.35, 0.35, 0.01), (centre[0], centre[1], -0.01), _WOOD, _POST_FRICTION),
-        )
+    def _add_support(self, setup: SceneSetup, centre: Array, turn: tuple[float, float, float, float]) -> None:
+        reach = np.abs(_matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
+        support = setup.support or Support((POST_HALF_WIDTH, POST_HALF_WIDTH))
+        turn = turn if setup.support else (0.0, 0.0, 0.0, 1.0)
+        below, turned = np.array([centre[0], centre[1], 0.0]), _matrix(turn)
+        boxes = [
+            add_fixed_box(self.world, half_extents, below + turned @ place, _GREY, _POST_FRICTION, turn)
+            for half_extents, place in support.boxes(centre[2] - reach)
+        ]
+        table = add_fixed_box(self.world, (0.35, 0.35, 0.01), (centre[0], centre[1], -0.01), _WOOD, _POST_FRICTION)
+        self._supports = (*boxes, table)
 
     def advance(self, command: ServoCommand, path: Path) -> None:
         """Carry out one servo command while the wrist follows its path: whole physics steps that fill its duration."""
@@ -104,8 +120,8 @@ class Scene:
     def object_pose(self) -> tuple[Array, Array]:
         """Centre, shape (3,) [m], and rotation, shape (3, 3), of the object in the frame of the hand."""
         position, quaternion = self.object.pose()
-        rotation = np.reshape(pybullet.getMatrixFromQuaternion(quaternion.tolist()), (3, 3))
-        return HAND_ROTATION.T @ (position - HAND_POSITION - self._offset), HAND_ROTATION.T @ rotation
+        to_hand = self.hand_rotation.T
+        return to_hand @ (position - HAND_POSITION - self._offset), to_hand @ _matrix(quaternion.tolist())
 
     def contact_forces(self) -> dict[str, float]:
         """Normal force between the object and the palm and every digit that touches it [N]."""
@@ -132,3 +148,14 @@ class Scene:
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""
         self.world.close()
+
+
+def _matrix(quaternion: Sequence[float]) -> Array:
+    """The rotation matrix of a quaternion xyzw, shape (3, 3)."""
+    return np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+
+
+def _turned(quaternion: Sequence[float], turn: Sequence[float]) -> tuple[float, ...]:
+    """A quaternion xyzw after a turn about the vertical; unlike PyBullet's product it leaves the identity's bits alone."""
+    (x, y, z, w), (_, _, sine, cosine) = quaternion, turn
+    return cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w, cosine * w - sine * z
