@@ -82,7 +82,7 @@ class SimHand:
         self._joints = [self.joint_index[name] for name in JOINTS]
         self._prepare_joints()
         self.servos = Servos(settings.servo)
-        self.tendons = Tendons(hand, self._mass_matrix(), world.settings.dt, settings.damping, settings.slack)
+        self.tendons = Tendons(hand, self.inertia(), world.settings.dt, settings.damping, settings.slack)
         self.tension = np.zeros(len(SERVOS) - 1)
 
     def _prepare_joints(self) -> None:
@@ -104,7 +104,7 @@ class SimHand:
                 self.body, index, localInertiaDiagonal=(inertia + armature).tolist(), physicsClientId=self._client
             )
 
-    def _mass_matrix(self) -> Array:
+    def inertia(self) -> Array:
         """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15, 15) [kg·m²]."""
         posture = np.zeros(len(self.joint_index))
         posture[self._joints] = joints_from_synergy(self.hand.synergy_max / 2, self.hand)

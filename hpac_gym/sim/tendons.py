@@ -112,6 +112,18 @@ class Tendons:
         cmc = viscosity(np.array(hand.cmc_stiffness), compliance[_CMC_JOINT, _CMC_JOINT])
         self._cmc_viscosity = float(cmc)
 
+    def stiffness_matrix(self, synergy: Array) -> Array:
+        """How the joint torques answer to the joint angles where all drives are taut, shape (15, 15) [N·m/rad].
+
+        Args:
+            synergy: angles of the driven joints, shape (6,) [rad]; the drives' moment arms depend on them.
+        """
+        matrix = -self._linear[:, : len(JOINTS)]
+        arm, _ = self._arm_and_chord(synergy[:_CMC])
+        matrix[_ROOTS, _ROOTS] += self._stiffness * arm**2
+        matrix[_CMC_JOINT, _CMC_JOINT] += self.hand.cmc_stiffness
+        return matrix
+
     def _arm_and_chord(self, root: Array) -> tuple[Array, Array]:
         included = self.hand.guide_alpha - root
         chord = np.sqrt(self.hand.guide_sum - self.hand.guide_product * np.cos(included))
