@@ -16,7 +16,6 @@ from hpac_gym.model import (
     FINGERS,
     HPAC,
     JOINT_INDEX,
-    JOINTS,
     SERVO_INDEX,
     SERVOS,
     ServoCommand,
@@ -195,7 +194,8 @@ def main() -> int:
         print(json.dumps([{**asdict(figure), "holds": figure.holds} for figure in measured], indent=2))
     else:
         for figure in measured:
-            print(f"{figure.name:<58} {figure.value:9.2g} {figure.unit:<4} mark {figure.limit:g}{'' if figure.holds else '  MISSED'}")
+            missed = "" if figure.holds else "  MISSED"
+            print(f"{figure.name:<58} {figure.value:9.2g} {figure.unit:<4} mark {figure.limit:g}{missed}")
     return 0 if all(figure.holds for figure in measured) else 1
 
 
