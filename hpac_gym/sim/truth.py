@@ -8,7 +8,7 @@ import numpy as np
 import pybullet
 
 from hpac_gym.model.checks import Array
-from hpac_gym.sim.scene import HAND_ROTATION, Scene
+from hpac_gym.sim.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,9 @@ def object_velocity(scene: Scene) -> tuple[Array, Array]:
     Along the axes of the hand frame.
     """
     linear, angular = pybullet.getBaseVelocity(scene.object.body, physicsClientId=scene.world.client)
-    return HAND_ROTATION.T @ linear, HAND_ROTATION.T @ angular
+    return scene.hand_rotation.T @ linear, scene.hand_rotation.T @ angular
 
 
 def hand_from_world(scene: Scene, position: Array) -> Array:
     """A point of the world, shape (3,) [m], in the frame of the hand."""
-    return HAND_ROTATION.T @ (position - scene.palm_position)
+    return scene.hand_rotation.T @ (position - scene.palm_position)
