@@ -19,7 +19,7 @@ from hpac_gym.model.elasticity import (
     joints_from_synergy,
     spring_tension,
 )
-from hpac_gym.model.files import HPAC, load_hand
+from hpac_gym.model.files import HPAC, hand_to_toml, load_hand
 from hpac_gym.model.joints import DIGITS, FINGERS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
 from hpac_gym.model.parameters import Digit, Hand
 from hpac_gym.model.postures import POSTURES, Posture, Reach, posture, reach
@@ -51,6 +51,7 @@ __all__ = [
     "digit_joints",
     "elastic_deviation",
     "elastic_joints_from_servo",
+    "hand_to_toml",
     "joints_from_synergy",
     "load_hand",
     "move_duration",

@@ -1,7 +1,8 @@
-"""Hand files: reading a `Hand` from TOML, with errors that name the file, the table and the field."""
+"""Hand files: a `Hand` from TOML, with errors that name the file, the table and the field, and back into it."""
 
 from __future__ import annotations
 
+import json
 import math
 import tomllib
 from collections.abc import Iterable
@@ -53,6 +54,21 @@ def hand_from_toml(text: str, origin: str) -> Hand:
         return _hand_from_table(table)
     except ParameterError as error:
         raise ParameterError(f"hand file {origin}: {error}") from None
+
+
+def hand_to_toml(hand: Hand) -> str:
+    """A hand as the text of a hand file, which `hand_from_toml` reads again."""
+    lines = [f"schema = {SCHEMA}", f"name = {json.dumps(hand.name)}", "", "[sources]"]
+    lines += [f"{key} = {json.dumps(text, ensure_ascii=False)}" for key, text in hand.sources.items()]
+    lines += ["", "[servo]", f"rate_limit = {hand.rate_limit!r}", "", "[cmc]"]
+    lines += [f"{key} = {getattr(hand, key)!r}" for key in _CMC]
+    for name, digit in hand.digits.items():
+        lines += ["", f"[digits.{name}]", f"alpha_deg = {math.degrees(digit.alpha)!r}"]
+        lines += [f"{key} = {getattr(digit, key)!r}" for key in _SCALARS]
+        lines += [f"{key} = {list(getattr(digit, key))!r}" for key in _LISTS]
+    lines += ["", "[workspace]"]
+    lines += [f"{joint} = {list(bounds)!r}" for joint, bounds in hand.workspace.items()]
+    return "\n".join(lines) + "\n"
 
 
 def _hand_from_table(table: dict[str, Any]) -> Hand:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from hpac_gym.study import gallery, sweep
+from hpac_gym.study import calibrate, gallery, sweep
 
 
 def add_commands(subparsers: argparse._SubParsersAction, send_posture: gallery.Send | None = None) -> None:
@@ -16,6 +16,7 @@ def add_commands(subparsers: argparse._SubParsersAction, send_posture: gallery.S
             from above, because the study does not know the bridge.
     """
     _add(subparsers, "sweep", sweep)
+    _add(subparsers, "calibrate", calibrate)
     _add(subparsers, "posture", gallery, send=send_posture)
 
 

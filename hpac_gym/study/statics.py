@@ -15,6 +15,7 @@ from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array, as_finite_array
 
 FLEXION, EXTENSION = 1.0, -1.0
+_TINY = 1e-9  # where a folded digit has no arm left
 _ITERATIONS = 8  # of a contraction by less than 0.05 each
 
 
@@ -136,7 +137,7 @@ def settled_digit(servo: Array, digit: Digit, friction: Friction = Friction(), d
     for _ in range(_ITERATIONS):
         chord = rest_chord - np.maximum(digit.servo_radius * servo - stretch, 0.0)
         root = digit.alpha - np.arccos(np.clip((squares - chord**2) / product, -1.0, 1.0))
-        arm = product / 2 * np.sin(digit.alpha - root) / chord
+        arm = np.maximum(product / 2 * np.sin(digit.alpha - root), _TINY) / np.maximum(chord, _TINY)
         tension = np.maximum(statics.load_slope * root + statics.load_offset, 0.0) / arm
         stretch = np.minimum(tension, digit.tension_limit) / digit.drive_stiffness
     root = np.maximum(root, slack_below)

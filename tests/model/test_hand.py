@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, JOINTS, Digit, Hand, ServoCommand, load_hand, servo_from_action
+from hpac_gym.model import HPAC, JOINTS, Digit, Hand, ServoCommand, hand_to_toml, load_hand, servo_from_action
 
 TEXT = (files("hpac_gym.model") / "data" / "hpac.toml").read_text(encoding="utf-8")
 TABLE = tomllib.loads(TEXT)
@@ -38,6 +38,16 @@ def hand_file(tmp_path):
 
 def test_a_loaded_file_is_the_nominal_hand(hand_file):
     assert load_hand(hand_file(r"^name = .*$", 'name = "H-PAC"')) == HPAC
+
+
+def test_a_written_hand_is_read_again(tmp_path):
+    ring = replace(HPAC.digits["ring"], d2=0.031)
+    changed = replace(HPAC, name='a "quoted" hand', cmc_gain=0.98, digits={**HPAC.digits, "ring": ring})
+    path = tmp_path / "hand.toml"
+    for hand in (HPAC, changed):
+        path.write_text(hand_to_toml(hand), encoding="utf-8")
+        assert load_hand(path) == hand
+        assert dict(load_hand(path).sources) == dict(hand.sources)
 
 
 def test_every_field_of_the_file_has_a_source():
