@@ -9,3 +9,5 @@ except ImportError:  # the model and the bridge work without Gymnasium
     pass
 else:
     register(id="HPAC-Grasp-v0", entry_point="hpac_gym.envs:grasp", max_episode_steps=60)
+    register(id="HPAC-PickPlace-v0", entry_point="hpac_gym.envs:pick_place", max_episode_steps=110)
+    register(id="HPAC-Posture-v0", entry_point="hpac_gym.envs:PostureEnv", max_episode_steps=40)

@@ -17,7 +17,7 @@ from hpac_gym.envs.observation import CameraNoise
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import DIGITS, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.sim import SceneSetup
+from hpac_gym.sim import HandSettings, SceneSetup
 
 Range = tuple[float, float]
 _SAME: Range = (1.0, 1.0)
@@ -148,36 +148,42 @@ def changed_hand(hand: Hand, factors: Array) -> Hand:
     return replace(hand, digits=digits)
 
 
+def changed_mechanics(hand: Hand, settings: HandSettings, values: Mapping[str, Array]) -> tuple[Hand, HandSettings]:
+    """The hand to simulate, and its settings, with drawn values put over them."""
+    if not values:
+        return hand, settings
+    if "tendon_stiffness" in values:
+        hand = changed_hand(hand, values["tendon_stiffness"])
+    servo = replace(
+        settings.servo,
+        lag=_value(values, "servo_lag", settings.servo.lag),
+        dead_band=_value(values, "dead_band", settings.servo.dead_band),
+    )
+    return hand, replace(
+        settings,
+        servo=servo,
+        slack=tuple(values["slack"].tolist()) if "slack" in values else settings.slack,
+        joint_friction=_value(values, "joint_friction", settings.joint_friction),
+        contact_friction=settings.contact_friction * _value(values, "skin_friction", 1.0),
+    )
+
+
 def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
     """An episode with drawn values put over it."""
     if not values:
         return setup
-
-    def value(name: str, nominal: float) -> float:
-        return float(values[name][0]) if name in values else nominal
-
-    hand, spec, settings = setup.hand, setup.object, setup.hand_settings
-    if "tendon_stiffness" in values:
-        hand = changed_hand(hand, values["tendon_stiffness"])
-    servo = replace(settings.servo, lag=value("servo_lag", 0.0), dead_band=value("dead_band", settings.servo.dead_band))
-    settings = replace(
-        settings,
-        servo=servo,
-        slack=tuple(values.get("slack", np.array(settings.slack)).tolist()),
-        joint_friction=value("joint_friction", settings.joint_friction),
-        contact_friction=settings.contact_friction * value("skin_friction", 1.0),
-    )
+    hand, settings = changed_mechanics(setup.hand, setup.hand_settings, values)
     spec = replace(
-        spec,
-        mass=spec.mass * value("object_mass", 1.0),
-        friction=spec.friction * value("object_friction", 1.0),
+        setup.object,
+        mass=setup.object.mass * _value(values, "object_mass", 1.0),
+        friction=setup.object.friction * _value(values, "object_friction", 1.0),
     )
     offset = np.concatenate([[0.0], values.get("object_position", np.zeros(2))])
     return replace(
         setup,
         object=spec,
         position=setup.position + offset,
-        yaw=setup.yaw + value("object_yaw", 0.0),
+        yaw=setup.yaw + _value(values, "object_yaw", 0.0),
         hand=hand,
         hand_settings=settings,
     )
@@ -185,7 +191,9 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
 
 def changed_noise(noise: CameraNoise, values: Mapping[str, Array]) -> CameraNoise:
     """Camera noise with the drawn factor."""
-    if "sensor_noise" not in values:
-        return noise
-    factor = float(values["sensor_noise"][0])
+    factor = _value(values, "sensor_noise", 1.0)
     return CameraNoise(noise.position * factor, noise.angle * factor, noise.size * factor)
+
+
+def _value(values: Mapping[str, Array], name: str, nominal: float) -> float:
+    return float(values[name][0]) if name in values else nominal

@@ -109,12 +109,21 @@ VIEW_TARGET = np.array([0.10, 0.03, 0.0])
 """What pictures are centred on, from the wrist, in the world [m]."""
 
 
+def known(obs: Obs) -> Obs:
+    """The name, if it is one of a view.
+
+    Raises:
+        ParameterError: It is none.
+    """
+    if obs not in get_args(Obs):
+        raise ParameterError(f"obs {obs!r} is none of {', '.join(get_args(Obs))}")
+    return obs
+
+
 def view(obs: Obs, fields: tuple[Field, ...]) -> View:
     """The view of that name over a table of the deployed observation.
 
     Raises:
         ParameterError: There is none.
     """
-    if obs not in get_args(Obs):
-        raise ParameterError(f"obs {obs!r} is none of {', '.join(get_args(Obs))}")
-    return {"deploy": Deployed, "privileged": Privileged, "image": Image}[obs](fields)
+    return {"deploy": Deployed, "privileged": Privileged, "image": Image}[known(obs)](fields)

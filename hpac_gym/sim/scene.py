@@ -22,8 +22,10 @@ HAND_ROTATION = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
 
 POST_HALF_WIDTH = 0.012
+TARGET_HALF_WIDTH = 0.05
 _POST_FRICTION = 0.8
 _GREY = (0.55, 0.55, 0.58, 1.0)
+_GREEN = (0.45, 0.62, 0.48, 1.0)
 _WOOD = (0.78, 0.70, 0.58, 1.0)
 
 Path = Callable[[float], tuple[Array, Array]]
@@ -49,6 +51,8 @@ class SceneSetup:
     """Orientation of the object in the world before its yaw, xyzw."""
     support: Support | None = None
     """What the object stands on; None is a post that does not turn with it."""
+    target: Array | None = None
+    """Centre of the object where it shall stand later, on a post of its own, as `position`; None for nowhere."""
 
 
 class Scene:
@@ -60,6 +64,7 @@ class Scene:
 
     Attributes:
         hand_rotation: of the hand's frame in the world, shape (3, 3); the wrist slides, but does not turn.
+        target: where the object shall stand, its centre in the world, shape (3,) [m]; only with a setup that has one.
     """
 
     def __init__(self, settings: WorldSettings = WorldSettings(), visuals: bool = True) -> None:
@@ -105,6 +110,15 @@ class Scene:
         ]
         table = add_fixed_box(self.world, (0.35, 0.35, 0.01), (centre[0], centre[1], -0.01), _WOOD, _POST_FRICTION)
         self._supports = (*boxes, table)
+        self._target_post: int | None = None
+        if setup.target is not None:
+            self.target = HAND_POSITION + self.hand_rotation @ setup.target
+            self._target_post = self._add_target(self.target - [0.0, 0.0, reach])
+            self._supports = (*self._supports, self._target_post)
+
+    def _add_target(self, top: Array) -> int:
+        half_extents = (TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, top[2] / 2)
+        return add_fixed_box(self.world, half_extents, (top[0], top[1], top[2] / 2), _GREEN, _POST_FRICTION)
 
     def advance(self, command: ServoCommand, path: Path) -> None:
         """Carry out one servo command while the wrist follows its path: whole physics steps that fill its duration."""
@@ -144,6 +158,12 @@ class Scene:
             pybullet.getContactPoints(self.object.body, support, physicsClientId=self.world.client)
             for support in self._supports
         )
+
+    @property
+    def on_target(self) -> bool:
+        """Whether the object touches the post where it shall stand."""
+        post, client = self._target_post, self.world.client
+        return post is not None and bool(pybullet.getContactPoints(self.object.body, post, physicsClientId=client))
 
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""

@@ -46,3 +46,9 @@ def object_velocity(scene: Scene) -> tuple[Array, Array]:
 def hand_from_world(scene: Scene, position: Array) -> Array:
     """A point of the world, shape (3,) [m], in the frame of the hand."""
     return scene.hand_rotation.T @ (position - scene.palm_position)
+
+
+def tilt(scene: Scene) -> float:
+    """Angle between the object's z axis and the vertical [rad]."""
+    up = scene.hand_rotation[2] @ scene.object_pose()[1][:, 2]
+    return float(np.arccos(min(max(up, -1.0), 1.0)))

@@ -1,0 +1,248 @@
+"""HPAC-PickPlace-v0: the paper's four phases. The wrist is scripted; when and how to close and to open is the policy's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.envs.grasp import PALM_SURFACE
+from hpac_gym.envs.hand_env import CONTROL_HZ
+from hpac_gym.envs.observation import AXES, GRASP_CENTRE, LENGTH_UNIT, Field
+from hpac_gym.envs.scripted import CLOSE_TIME, THUMB_CLOSED, THUMB_OPPOSED
+from hpac_gym.envs.task import Outcome
+from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand, action_from_synergy
+from hpac_gym.model.checks import Array
+from hpac_gym.sim import ObjectSpec, Scene, SceneSetup
+from hpac_gym.sim.truth import hand_from_world, tilt
+
+PHASES = ("reach", "close", "lift", "place")
+REACH, CLOSE, LIFT, PLACE = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class PickPlaceTimetable:
+    """How long each part takes, and the way of the wrist: along the fingers to the object, up, across, down, and back.
+
+    Raises:
+        ValueError: A duration that is not positive.
+    """
+
+    carry: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From the object's first place to the target, in the world [m]."""
+    reach_time: float = 0.6
+    close_time: float = 1.2
+    lift_time: float = 0.6
+    carry_time: float = 0.8
+    lower_time: float = 0.5
+    release_time: float = 0.6
+    retreat_time: float = 0.6
+    rest_time: float = 0.2
+    reach_distance: float = 0.12
+    """Along the fingers, there and back [m]."""
+    lift_height: float = 0.10
+    """[m]"""
+    clearance: float = 0.003
+    """How far above its target the object is let go [m]."""
+
+    def __post_init__(self) -> None:
+        if not min(self.durations) > 0:
+            raise ValueError(f"durations of {self} must be greater than 0 s")
+
+    @property
+    def durations(self) -> tuple[float, ...]:
+        """Of reach, close, lift, carry, lower, release, retreat and rest [s]."""
+        return (
+            self.reach_time, self.close_time, self.lift_time, self.carry_time,
+            self.lower_time, self.release_time, self.retreat_time, self.rest_time,
+        )  # fmt: skip
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """When each of `durations` is over [s]."""
+        return tuple(np.cumsum(self.durations).tolist())
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """Names, in order; what comes after the lift is the place."""
+        return PHASES
+
+    @property
+    def duration(self) -> float:
+        """Length of an episode [s]."""
+        return self.ends[-1]
+
+    def phase(self, time: float) -> int:
+        """Index into `PHASES` of the phase that runs, or begins, at a time [s]; the last one stays."""
+        return min(sum(time > end - 1e-9 for end in self.ends[: LIFT + 1]), PLACE)
+
+    def wrist_path(self, time: float) -> tuple[Array, Array]:
+        """Offset, shape (3,) [m], and velocity, shape (3,) [m/s], of the wrist in the world: one minimum jerk a move."""
+        offset, velocity = np.zeros(3), np.zeros(3)
+        for begin, duration, way in self._moves():
+            share = min(max((time - begin) / duration, 0.0), 1.0)
+            offset += share**3 * (10 - 15 * share + 6 * share**2) * way
+            velocity += 30 * share**2 * (1 - share) ** 2 / duration * way
+        return offset, velocity
+
+    def _moves(self) -> list[tuple[float, float, Array]]:
+        """When each move begins [s], how long it takes [s], and its way, shape (3,) [m]."""
+        ends = self.ends
+        along, up = np.array([self.reach_distance, 0.0, 0.0]), np.array([0.0, 0.0, self.lift_height])
+        return [
+            (0.0, self.reach_time, along),
+            (ends[1], self.lift_time, up),
+            (ends[2], self.carry_time, np.array(self.carry)),
+            (ends[3], self.lower_time, np.array([0.0, 0.0, self.clearance]) - up),
+            (ends[5], self.retreat_time, -along),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class PickPlaceConfig:
+    """The ranges that an episode is drawn from, uniformly, and what counts as placed."""
+
+    radius: tuple[float, float] = (0.020, 0.028)
+    """Of the cylinder, or half width of the box [m]."""
+    half_height: tuple[float, float] = (0.068, 0.080)
+    """Tall enough for the hand to stay clear of what the object stands on [m]."""
+    mass: tuple[float, float] = (0.05, 0.20)
+    """[kg]"""
+    friction: tuple[float, float] = (0.6, 1.0)
+    """Of the object's surface; the hand's skin multiplies it by 0.9."""
+    gap: tuple[float, float] = (0.006, 0.015)
+    """From the palm to the object, once the wrist has reached it [m]."""
+    towards_thumb: tuple[float, float] = (-0.005, 0.010)
+    """Place of the object's centre along y of the hand frame [m]."""
+    beyond_wrist: tuple[float, float] = (0.105, 0.125)
+    """Place of the object's centre along z of the hand frame, once the wrist has reached it [m]."""
+    carry_forward: tuple[float, float] = (-0.04, 0.08)
+    """Way to the target along the fingers [m]."""
+    carry_aside: tuple[float, float] = (0.16, 0.24)
+    """Way to the target along the palm's normal [m]."""
+    thumb_preshape: float = 1.2
+    """CMC at the start: the thumb stands opposite to the fingers [rad]."""
+    drop_distance: float = 0.06
+    """An object that moved farther than this from where it belongs is dropped [m]."""
+    tolerance: float = 0.03
+    """From the target, across it [m]."""
+    upright: float = 0.2
+    """Largest tilt of an object that stands [rad]."""
+    timetable: PickPlaceTimetable = field(default_factory=PickPlaceTimetable)
+
+
+class PickPlace:
+    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.envs.task.Task`."""
+
+    fields = (Field("target_pos", AXES, "0.05 m", -10.0, 10.0, "where the object shall stand, as `object_pos`"),)
+
+    def __init__(self, config: PickPlaceConfig = PickPlaceConfig()) -> None:
+        self.config = config
+        self.timetable = config.timetable
+
+    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
+        """Draw one episode: the object, its place ahead of the hand, its target, and the open hand."""
+        config = self.config
+        shape = ("cylinder", "box")[rng.integers(2)]
+        width, height = rng.uniform(*config.radius), rng.uniform(*config.half_height)
+        spec = ObjectSpec(shape, (width, width, height), rng.uniform(*config.mass), rng.uniform(*config.friction))
+        place = np.array(
+            [
+                PALM_SURFACE + width + rng.uniform(*config.gap),
+                rng.uniform(*config.towards_thumb),
+                rng.uniform(*config.beyond_wrist) + self.timetable.reach_distance,
+            ]
+        )
+        target = place + np.array([rng.uniform(*config.carry_aside), 0.0, rng.uniform(*config.carry_forward)])
+        synergy = np.zeros(len(SERVO_INDEX))
+        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
+        return SceneSetup(spec, place, 0.0, synergy, hand, target=target)
+
+    def start(self, setup: SceneSetup) -> None:
+        """Begin to judge an episode; the wrist's way leads from the object to its target."""
+        if setup.target is None:
+            raise ValueError("a setup of PickPlace needs a target")
+        aside, up, forward = setup.target - setup.position
+        self.timetable = replace(self.config.timetable, carry=(float(forward), float(aside), float(up)))
+        self._place, self._target = setup.position, setup.target
+        self._grasped_at: Array | None = None
+        self.hold_time = 0.0
+
+    def values(self, scene: Scene) -> Array:
+        """Where the target is in the hand frame, in the units of `object_pos`."""
+        return (hand_from_world(scene, scene.target) - GRASP_CENTRE) / LENGTH_UNIT
+
+    def judge(self, scene: Scene, object_pos: Array, forces: dict[str, float], dt: float) -> Outcome:
+        """Advance by one control step and judge the episode.
+
+        It fails as soon as the object is knocked over on the way to it, or is lost between lift and release. It succeeds
+        at the end of the timetable, when the object stands at its target and the hand does not touch it.
+        """
+        wrist = self.timetable.wrist_path(scene.time)[0]
+        away = object_pos + wrist[[1, 2, 0]]  # along the axes of the hand, from where the hand was at first
+        carried = bool(forces) and not scene.on_support
+        self.hold_time = self.hold_time + dt if carried else 0.0
+        close, lowered = self.timetable.ends[1], self.timetable.ends[4]
+        self._standing = scene.on_target and tilt(scene) < self.config.upright
+        self._distance = float(np.linalg.norm((away - self._target)[[0, 2]]))
+        if scene.time < close - dt / 2:
+            self._lost = float(np.linalg.norm(away - self._place))
+            self._grasped_at = object_pos
+        elif scene.time < lowered - dt / 2:
+            self._lost = float(np.linalg.norm(object_pos - self._grasped_at))
+        else:
+            self._lost = float(np.linalg.norm(away - self._target))
+        if self._lost > self.config.drop_distance:
+            return Outcome.FAILURE
+        if scene.time < self.timetable.duration - dt / 2:
+            return Outcome.RUNNING
+        placed = self._standing and not forces and self._distance < self.config.tolerance
+        return Outcome.SUCCESS if placed else Outcome.FAILURE
+
+    def reward_terms(
+        self, outcome: Outcome, phase: int, object_pos: Array, forces: dict[str, float], action_change: Array
+    ) -> dict[str, float]:
+        """The dense reward of one control step, term by term; the reward is their sum.
+
+        * `contact`, while closing: for the thumb and for the fingers that touch the object, most when they oppose each other.
+        * `push`, while reaching and closing: against moving the object away from where it stood.
+        * `carry`, while lifting and placing: for carrying the object free of its support.
+        * `place`, while placing: for an object that stands at its target, most when the hand has let it go.
+        * `effort`: against changing the action.
+        * `outcome`: success or failure, once.
+        """
+        fingers = sum(name in forces for name in FINGERS)
+        thumb = "thumb" in forces
+        opposed = float(thumb and fingers > 0)
+        before = phase in (REACH, CLOSE)
+        stands = phase == PLACE and self._standing
+        return {
+            "contact": (0.1 * thumb + 0.05 * fingers + 0.2 * opposed) if phase == CLOSE else 0.0,
+            "push": -0.3 * min(self._lost / self.config.drop_distance, 1.0) if before else 0.0,
+            "carry": 0.5 * float(self.hold_time > 0) if not before else 0.0,
+            "place": (0.5 + 0.5 * float(not forces)) if stands else 0.0,
+            "effort": -0.01 * float(np.square(action_change).sum()),
+            "outcome": {Outcome.SUCCESS: 20.0, Outcome.FAILURE: -5.0, Outcome.RUNNING: 0.0}[outcome],
+        }
+
+
+class ScriptedPickPlace:
+    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its target."""
+
+    def __init__(self, timetable: PickPlaceTimetable = PickPlaceTimetable()) -> None:
+        self._close, self._open = timetable.ends[0], timetable.ends[4]
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._time = 0.0
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action, shape (6,); the observation is ignored."""
+        self._time += 1 / CONTROL_HZ
+        closed = HPAC.synergy_max.copy()
+        closed[SERVO_INDEX["thumb_mp"]] = THUMB_CLOSED
+        share = min(max((self._time - self._close) / CLOSE_TIME, 0.0), 1.0)
+        synergy = closed * (share if self._time < self._open else 0.0)
+        synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED
+        return action_from_synergy(synergy).astype(np.float32)

@@ -1,0 +1,124 @@
+"""HPAC-PickPlace-v0: the four phases, what counts as placed, and the target."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.envs import PickPlace, ScriptedClosure, ScriptedPickPlace
+from hpac_gym.envs.observation import GRASP_CENTRE, LENGTH_UNIT
+from hpac_gym.envs.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
+
+ID = "HPAC-PickPlace-v0"
+OPEN = np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
+
+
+@pytest.fixture(scope="module")
+def env():
+    with gymnasium.make(ID) as made:
+        yield made
+
+
+class Still:
+    def reset(self) -> None: ...
+
+    def act(self, observation):
+        return OPEN
+
+
+class NeverOpens(ScriptedPickPlace):
+    """Closes and holds on."""
+
+    def reset(self) -> None:
+        super().reset()
+        self._open = np.inf
+
+
+def episode(env, policy, seed: int):
+    observation, info = env.reset(seed=seed)
+    policy.reset()
+    infos, total, over = [], 0.0, False
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        infos.append(info)
+        total += reward
+        over = terminated or truncated
+    return infos, total
+
+
+def test_scripted_placing_succeeds_where_holding_on_or_doing_nothing_fails(env):
+    won = {policy: 0 for policy in (ScriptedPickPlace, NeverOpens, Still, ScriptedClosure)}
+    for policy in won:
+        for seed in range(6):
+            infos, _ = episode(env, policy(), seed)
+            won[policy] += infos[-1]["is_success"]
+    assert won[ScriptedPickPlace] >= 2
+    assert won[NeverOpens] == won[Still] == won[ScriptedClosure] == 0
+
+
+def test_the_four_phases_come_in_order(env):
+    infos, _ = episode(env, ScriptedPickPlace(), 3)
+    names = [info["phase"] for info in infos]
+    assert sorted(names, key=PHASES.index) == names
+    assert set(names) == set(PHASES)
+    assert len(infos) == round(PickPlaceTimetable().duration * 20)
+
+
+def test_an_open_hand_does_not_touch_the_object_on_its_way(env):
+    for seed in range(6):
+        env.reset(seed=seed)
+        for _ in range(12):
+            *_, terminated, _, info = env.step(OPEN)
+            assert not terminated
+            assert info["contact_force"] == 0.0
+
+
+def test_success_is_an_object_that_stands_alone_at_its_target(env):
+    for seed in range(12):
+        infos, _ = episode(env, ScriptedPickPlace(), seed)
+        if infos[-1]["is_success"]:
+            break
+    scene = env.unwrapped.scene
+    assert infos[-1]["contact_force"] == 0.0
+    assert scene.on_target
+    centre = scene.object.pose()[0]
+    assert np.linalg.norm((centre - scene.target)[:2]) < PickPlaceConfig().tolerance
+    assert centre[2] == pytest.approx(scene.target[2], abs=2e-3)
+
+
+def test_the_target_in_the_observation_moves_with_the_wrist(env):
+    observation, _ = env.reset(seed=1)
+    setup_target = observation[-3:] * LENGTH_UNIT + GRASP_CENTRE
+    scene = env.unwrapped.scene
+    np.testing.assert_allclose(scene.palm_position + scene.hand_rotation @ setup_target, scene.target, atol=1e-6)
+    for _ in range(10):
+        observation, *_ = env.step(OPEN)
+    now = observation[-3:] * LENGTH_UNIT + GRASP_CENTRE
+    np.testing.assert_allclose(scene.palm_position + scene.hand_rotation @ now, scene.target, atol=1e-6)
+    assert not np.allclose(now, setup_target, atol=0.01)
+
+
+def test_the_wrist_path_is_smooth_and_ends_where_it_should():
+    table = PickPlaceTimetable(carry=(0.05, 0.2, 0.01))
+    times = np.arange(0, table.duration, 1 / 240)
+    offsets, velocities = (np.array(part) for part in zip(*(table.wrist_path(t) for t in times), strict=True))
+    np.testing.assert_allclose(velocities, np.gradient(offsets, times, axis=0), atol=5e-3)
+    np.testing.assert_allclose(offsets[-1], [0.05, 0.2, 0.01 + table.clearance], atol=1e-6)
+
+
+def test_reward_is_the_sum_of_its_named_terms(env):
+    env.reset(seed=4)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        _, reward, terminated, _, info = env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+        assert set(info["reward_terms"]) == {"contact", "push", "carry", "place", "effort", "outcome"}
+        assert reward == pytest.approx(sum(info["reward_terms"].values()))
+        if terminated:
+            break
+
+
+def test_a_setup_without_a_target_is_refused():
+    task = PickPlace()
+    setup = task.setup(np.random.default_rng(0))
+    with pytest.raises(ValueError, match="target"):
+        task.start(type(setup)(setup.object, setup.position, setup.yaw, setup.synergy))

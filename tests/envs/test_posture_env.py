@@ -1,0 +1,104 @@
+"""HPAC-Posture-v0: goals, rewards, and hindsight replay."""
+
+import gymnasium
+import numpy as np
+import pytest
+from stable_baselines3 import SAC, HerReplayBuffer
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.envs.posture import CAMERA_NOISE, TOLERANCE, PostureEnv
+from hpac_gym.errors import ParameterError, ShapeError
+from hpac_gym.model import HPAC, JOINTS, action_from_synergy, joints_from_synergy, synergy_from_joints
+
+ID = "HPAC-Posture-v0"
+
+
+@pytest.fixture
+def env():
+    with gymnasium.make(ID) as made:
+        yield made
+
+
+def obvious_action(goal: np.ndarray) -> np.ndarray:
+    """Asks for the goal's own synergy."""
+    synergy = np.clip(synergy_from_joints(goal), HPAC.synergy_min, HPAC.synergy_max)
+    return action_from_synergy(synergy).astype(np.float32)
+
+
+def test_the_obvious_action_reaches_nine_goals_in_ten(env):
+    reached = 0
+    for seed in range(20):
+        observation, _ = env.reset(seed=seed)
+        truncated = False
+        while not truncated:
+            observation, reward, terminated, truncated, info = env.step(obvious_action(observation["desired_goal"]))
+            assert not terminated
+        reached += info["is_success"]
+    assert reached >= 18
+
+
+def test_goals_lie_on_the_manifold_of_the_hand(env):
+    for seed in range(20):
+        goal = env.reset(seed=seed)[0]["desired_goal"]
+        np.testing.assert_allclose(joints_from_synergy(synergy_from_joints(goal)), goal, atol=1e-6)
+
+
+def test_compute_reward_is_vectorised_and_what_step_returns():
+    for reward in ("dense", "sparse"):
+        with gymnasium.make(ID, reward=reward) as env:
+            observation, _ = env.reset(seed=0)
+            rows, rewards = [], []
+            for _ in range(30):
+                observation, value, *_ = env.step(obvious_action(observation["desired_goal"]))
+                rows.append(observation)
+                rewards.append(value)
+            achieved, desired = (np.array([row[name] for row in rows]) for name in ("achieved_goal", "desired_goal"))
+            np.testing.assert_array_equal(env.unwrapped.compute_reward(achieved, desired, None), rewards)
+            assert env.unwrapped.compute_reward(achieved.reshape(3, 10, -1), desired.reshape(3, 10, -1), {}).shape == (3, 10)
+    assert rewards[0] == -1.0
+    assert rewards[-1] == 0.0
+
+
+def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint():
+    env = PostureEnv(reward="sparse")
+    goal = np.zeros(len(JOINTS))
+    near, far = goal.copy(), goal.copy()
+    near[3], far[3] = 0.99 * TOLERANCE, 1.01 * TOLERANCE
+    np.testing.assert_array_equal(env.compute_reward(np.array([goal, near, far]), goal, {}), [0, 0, -1])
+    env.close()
+
+
+def test_the_achieved_goal_is_measured_by_a_camera(env):
+    observation, _ = env.reset(seed=0)
+    env.step(np.zeros(6, np.float32))
+    errors = []
+    for _ in range(30):
+        observation, *_ = env.step(np.zeros(6, np.float32))
+        errors.append(observation["achieved_goal"] - env.unwrapped._body.joint_pos)
+    assert np.std(errors) == pytest.approx(CAMERA_NOISE, rel=0.15)
+
+
+def test_a_goal_can_be_given(env):
+    goal = joints_from_synergy(HPAC.synergy_max / 3)
+    observation, _ = env.reset(seed=0, options={"goal": goal})
+    np.testing.assert_allclose(observation["desired_goal"], goal, atol=1e-6)
+    for wrong in (np.zeros(6), np.full(15, np.nan)):
+        with pytest.raises(ShapeError, match="goal"):
+            env.reset(options={"goal": wrong})
+
+
+def test_hindsight_replay_runs_on_it():
+    with gymnasium.make(ID, reward="sparse") as env:
+        buffer = {"n_sampled_goal": 4, "goal_selection_strategy": "future"}
+        model = SAC(
+            "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, replay_buffer_kwargs=buffer,
+            learning_starts=82, buffer_size=1000, policy_kwargs={"net_arch": [8]}, batch_size=16,
+        )  # fmt: skip
+        model.learn(100)
+        assert model.replay_buffer.sample(16).rewards.shape == (16, 1)
+
+
+@pytest.mark.parametrize("options", [{"reward": "shaped"}, {"render_mode": "human"}, {"obs": "all"}, {"randomize": "wild"}])
+def test_bad_options_are_named(options):
+    with pytest.raises(ParameterError, match=next(iter(options.values()))):
+        PostureEnv(**options)
