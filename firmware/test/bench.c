@@ -1,0 +1,136 @@
+#include "bench.h"
+
+#include <string.h>
+
+#include "hpac_crc32.h"
+
+void bench_start(bench_t *bench)
+{
+    hpac_config_t config;
+    memset(bench, 0, sizeof *bench);
+    hpac_config_default(&config);
+    hpac_hand_init(&bench->hand, &config, HPAC_RESET_POWER_ON, 1);
+    bench->now_us = 1000000;
+    hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+}
+
+void bench_idle(bench_t *bench)
+{
+    bench_start(bench);
+    bench_send(bench, HPAC_HELLO, 0, NULL, 0);
+}
+
+void bench_armed(bench_t *bench, hpac_action_t action)
+{
+    uint8_t arm[HPAC_ARM_LENGTH];
+    bench_idle(bench);
+    hpac_put_u32(arm + HPAC_ARM_AT_LIMITS_HASH, HPAC_LIMITS_HASH);
+    arm[HPAC_ARM_AT_ACTION] = (uint8_t)action;
+    bench_send(bench, HPAC_ARM, 0, arm, sizeof arm);
+    bench_run(bench, HPAC_SERVOS * HPAC_STAGGER_MS);
+}
+
+size_t bench_frame(uint8_t *wire, uint8_t version, uint8_t type, uint16_t seq, uint8_t flags, const uint8_t *payload,
+                   size_t length)
+{
+    uint8_t frame[HPAC_HEADER_LENGTH + 64 + HPAC_CRC_LENGTH] = { version, type };
+    hpac_put_u16(frame + HPAC_AT_SEQ, seq);
+    frame[HPAC_AT_FLAGS] = flags;
+    if (length > 0u) {
+        memcpy(frame + HPAC_HEADER_LENGTH, payload, length);
+    }
+    size_t body = HPAC_HEADER_LENGTH + length;
+    hpac_put_u32(frame + body, hpac_crc32(frame, body));
+    size_t code_at = 1;
+    size_t at = 2;
+    wire[0] = 0;
+    for (size_t i = 0; i < body + HPAC_CRC_LENGTH; i++) {
+        if (frame[i] == 0u) {
+            wire[code_at] = (uint8_t)(at - code_at);
+            code_at = at++;
+        } else {
+            wire[at++] = frame[i];
+        }
+    }
+    wire[code_at] = (uint8_t)(at - code_at);
+    wire[at++] = 0;
+    return at;
+}
+
+static void take_in(bench_t *bench)
+{
+    uint8_t bytes[HPAC_TX_CAPACITY];
+    size_t length = hpac_hand_transmit(&bench->hand, bytes, sizeof bytes);
+    hpac_rx_t rx;
+    hpac_rx_init(&rx);
+    for (size_t i = 0; i < length; i++) {
+        if (bytes[i] == 0u && rx.received > 2u) { /* the type is the third byte of our frames: 1st code, version */
+            uint8_t type = rx.frame[2];
+            if (bench->answer_types[type] < 255u) {
+                bench->answer_types[type]++;
+            }
+        }
+        if (hpac_rx_push(&rx, bytes[i]) == HPAC_RX_FRAME && rx.frame[HPAC_AT_TYPE] == HPAC_ACK) {
+            const uint8_t *payload = rx.frame + HPAC_HEADER_LENGTH;
+            bench->acks++;
+            bench->acked = payload[HPAC_ACK_AT_ACKED];
+            bench->reason = payload[HPAC_ACK_AT_REASON];
+            bench->servo = payload[HPAC_ACK_AT_SERVO];
+        }
+    }
+}
+
+void bench_feed(bench_t *bench, const uint8_t *bytes, size_t length)
+{
+    hpac_hand_receive(&bench->hand, bench->now_us, bytes, length);
+    hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+    take_in(bench);
+}
+
+int bench_send(bench_t *bench, uint8_t type, uint8_t flags, const uint8_t *payload, size_t length)
+{
+    uint8_t wire[128];
+    bench->acks = 0;
+    memset(bench->answer_types, 0, sizeof bench->answer_types);
+    bench_feed(bench, wire, bench_frame(wire, HPAC_VERSION, type, ++bench->seq, flags, payload, length));
+    return bench->acks > 0 ? bench->reason : -1;
+}
+
+int bench_move(bench_t *bench, uint8_t flags, uint16_t duration_ms, const int16_t servo[HPAC_SERVOS])
+{
+    uint8_t payload[HPAC_MOVE_LENGTH];
+    hpac_put_u16(payload + HPAC_MOVE_AT_DURATION_MS, duration_ms);
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        hpac_put_u16(payload + HPAC_MOVE_AT_SERVO + 2 * i, (uint16_t)servo[i]);
+    }
+    return bench_send(bench, HPAC_MOVE, flags, payload, sizeof payload);
+}
+
+void bench_run(bench_t *bench, uint32_t ms)
+{
+    for (uint32_t i = 0; i < ms; i++) {
+        bench->now_us += 1000u;
+        hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+        take_in(bench);
+    }
+}
+
+bool bench_silent(const bench_t *bench)
+{
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        if (bench->pulses[i] != 0u) {
+            return false;
+        }
+    }
+    return true;
+}
+
+bool bench_all_pulses(const bench_t *bench)
+{
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        if (bench->pulses[i] == 0u) {
+            return false;
+        }
+    }
+    return true;
+}

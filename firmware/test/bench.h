@@ -1,0 +1,44 @@
+/* A hand on the bench: frames in, the last ACK and six pulses out, time by hand. */
+#ifndef BENCH_H
+#define BENCH_H
+
+#include "hpac_hand.h"
+
+typedef struct {
+    hpac_hand_t hand;
+    uint64_t now_us;
+    uint32_t pulses[HPAC_SERVOS];
+    uint16_t seq;
+    int acks;                        /* since bench_send() was called last */
+    uint8_t acked, reason, servo;    /* of the last ACK */
+    uint8_t answer_types[256];       /* how often each type was answered since bench_send(), up to 255 */
+} bench_t;
+
+/* A hand just switched on, with the generated servo table. */
+void bench_start(bench_t *bench);
+
+/* A hand that has been greeted, or armed with all its servos attached. */
+void bench_idle(bench_t *bench);
+void bench_armed(bench_t *bench, hpac_action_t action);
+
+/* Send one frame with the next sequence number; returns the ACK's reason, or -1 if none came. */
+int bench_send(bench_t *bench, uint8_t type, uint8_t flags, const uint8_t *payload, size_t length);
+
+/* MOVE with angles in 1e-4 rad. */
+int bench_move(bench_t *bench, uint8_t flags, uint16_t duration_ms, const int16_t servo[HPAC_SERVOS]);
+
+/* Encode a frame of any version, type and sequence; returns its length on the wire. */
+size_t bench_frame(uint8_t *wire, uint8_t version, uint8_t type, uint16_t seq, uint8_t flags, const uint8_t *payload,
+                   size_t length);
+
+/* Feed raw bytes now, and take in the answers. */
+void bench_feed(bench_t *bench, const uint8_t *bytes, size_t length);
+
+/* Let time pass in steps of 1 ms. */
+void bench_run(bench_t *bench, uint32_t ms);
+
+/* True if no servo, or every servo, gets pulses. */
+bool bench_silent(const bench_t *bench);
+bool bench_all_pulses(const bench_t *bench);
+
+#endif

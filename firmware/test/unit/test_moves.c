@@ -1,0 +1,172 @@
+/* MOVE: limits, rates, durations, sequence, pre-emption; and that a refusal changes nothing. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "bench.h"
+#include "check.h"
+#include "hpac_motion.h"
+#include "tests.h"
+
+static const int16_t half[HPAC_SERVOS] = { 6000, 6000, 6000, 6000, 6000, 6000 };
+
+static void all_servos_arrive_together(void)
+{
+    static const int16_t target[HPAC_SERVOS] = { 1000, 2000, 3000, 4000, 5000, 6000 };
+    for (uint8_t flags = 0; flags < 2u; flags++) {
+        bench_t bench;
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        CHECK(bench_move(&bench, flags, 400, target) == HPAC_REASON_OK);
+        bench_run(&bench, 200);
+        for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+            CHECK(abs(hpac_motion_angle(&bench.hand, i) - target[i] * 50) <= 1);
+        }
+        bench_run(&bench, 200);
+        for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+            CHECK(hpac_motion_angle(&bench.hand, i) == target[i] * 100);
+            CHECK(bench.pulses[i] == hpac_servo_pulse(&bench.hand.config.servo[i], target[i] * 100));
+        }
+        CHECK(!hpac_ramp_moving(&bench.hand.ramp, bench.now_us));
+    }
+}
+
+static void refused(bench_t *bench, uint8_t flags, uint16_t ms, const int16_t *servo, int reason, unsigned which)
+{
+    hpac_ramp_t before = bench->hand.ramp;
+    CHECK(bench_move(bench, flags, ms, servo) == reason);
+    CHECK(bench->servo == which);
+    CHECK(memcmp(&before, &bench->hand.ramp, sizeof before) == 0);
+}
+
+static void limits_are_exact_for_each_servo(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        const hpac_servo_t *limits = &bench.hand.config.servo[i];
+        int16_t target[HPAC_SERVOS] = { 0 };
+        target[i] = (int16_t)(limits->max_urad / 100);
+        CHECK(bench_move(&bench, 0, 1000, target) == HPAC_REASON_OK);
+        target[i]++;
+        refused(&bench, 0, 1000, target, HPAC_REASON_ANGLE, i);
+        target[i] = (int16_t)(limits->min_urad / 100 - 1);
+        refused(&bench, 0, 1000, target, HPAC_REASON_ANGLE, i);
+        target[i] = INT16_MIN;
+        refused(&bench, 0, 10000, target, HPAC_REASON_ANGLE, i);
+    }
+}
+
+static void the_rate_limit_has_the_stated_tolerance(void)
+{
+    /* 4 rad/s: 0.2 rad in 50 ms, and 1 ms and 1e-4 rad more at the most */
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        bench_t bench;
+        int16_t target[HPAC_SERVOS] = { 0 };
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        target[i] = 2042;
+        refused(&bench, 0, 50, target, HPAC_REASON_RATE, i);
+        target[i] = 2041;
+        CHECK(bench_move(&bench, 0, 50, target) == HPAC_REASON_OK);
+    }
+}
+
+static void minimum_jerk_needs_room_for_its_peak(void)
+{
+    bench_t bench;
+    int16_t target[HPAC_SERVOS] = { 0, 0, 0, 2000, 0, 0 };
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    refused(&bench, HPAC_FLAG_MINIMUM_JERK, 90, target, HPAC_REASON_RATE, 3); /* peak 1.875 * 0.2 / 0.09 = 4.17 rad/s */
+    CHECK(bench_move(&bench, HPAC_FLAG_MINIMUM_JERK, 94, target) == HPAC_REASON_OK);
+}
+
+static void durations_are_bounded(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    refused(&bench, 0, 0, half, HPAC_REASON_DURATION, HPAC_NO_SERVO);
+    refused(&bench, 0, HPAC_MOVE_MIN_MS - 1, half, HPAC_REASON_DURATION, HPAC_NO_SERVO);
+    refused(&bench, 0, HPAC_MOVE_MAX_MS + 1, half, HPAC_REASON_DURATION, HPAC_NO_SERVO);
+    CHECK(bench_move(&bench, 0, HPAC_MOVE_MAX_MS, half) == HPAC_REASON_OK);
+}
+
+static void sequence_numbers_only_go_forward(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench.seq = 65530;
+    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+    bench.seq += 20; /* over the wrap */
+    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+    uint16_t last = bench.seq;
+    bench.seq = (uint16_t)(last - 2u);
+    refused(&bench, 0, 1000, half, HPAC_REASON_STALE, HPAC_NO_SERVO);
+    bench.seq = (uint16_t)(last - 1u);
+    refused(&bench, 0, 999, half, HPAC_REASON_STALE, HPAC_NO_SERVO); /* same number, another move */
+    bench.seq = (uint16_t)(last + 0x8000u - 1u);
+    refused(&bench, 0, 1000, half, HPAC_REASON_STALE, HPAC_NO_SERVO);
+    bench_send(&bench, HPAC_HELLO, 0, NULL, 0);
+    CHECK(!bench.hand.any_move);
+}
+
+static void a_repeated_frame_is_acknowledged_and_not_carried_out_again(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+    bench_run(&bench, 100);
+    hpac_ramp_t running = bench.hand.ramp;
+    bench.seq--;
+    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+    CHECK(memcmp(&running, &bench.hand.ramp, sizeof running) == 0);
+}
+
+static void a_move_pre_empts_from_the_present_pose_and_speed(void)
+{
+    static const int16_t back[HPAC_SERVOS] = { 3000, 3000, 3000, 3000, 3000, 3000 };
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench_move(&bench, HPAC_FLAG_MINIMUM_JERK, 600, half);
+    bench_run(&bench, 300);
+    int32_t angle = hpac_motion_angle(&bench.hand, 1);
+    int32_t speed = hpac_ramp_speed(&bench.hand.ramp, 1, bench.now_us);
+    CHECK(speed > 1000000);
+    CHECK(bench_move(&bench, HPAC_FLAG_MINIMUM_JERK, 600, back) == HPAC_REASON_OK);
+    CHECK(bench.hand.ramp.from[1] == angle);
+    CHECK(abs(hpac_ramp_speed(&bench.hand.ramp, 1, bench.now_us) - speed) <= 2);
+}
+
+/* At full speed towards the limit, no minimum-jerk move may be accepted whose overshoot would pass it. */
+static void an_overshoot_past_a_limit_is_refused(void)
+{
+    static const int16_t near[HPAC_SERVOS] = { 12000, 12000, 12000, 12000, 12000, 12000 };
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench_move(&bench, 0, 310, near) == HPAC_REASON_OK);
+    bench_run(&bench, 300);
+    CHECK(bench_move(&bench, HPAC_FLAG_MINIMUM_JERK, 1000, near) == HPAC_REASON_ANGLE);
+    CHECK(bench.hand.state == HPAC_STATE_ARMED);
+}
+
+static void flags_are_checked(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench_move(&bench, 4, 1000, half) == HPAC_REASON_FLAGS);
+    CHECK(bench_move(&bench, HPAC_FLAG_NO_ACK, 1000, half) == -1);
+    CHECK(hpac_ramp_moving(&bench.hand.ramp, bench.now_us));
+    CHECK(bench_move(&bench, HPAC_FLAG_NO_ACK, 1, half) == HPAC_REASON_DURATION); /* refusals are always told */
+    CHECK(bench_send(&bench, HPAC_HEARTBEAT, HPAC_FLAG_MINIMUM_JERK, NULL, 0) == HPAC_REASON_FLAGS);
+}
+
+void test_moves(void)
+{
+    all_servos_arrive_together();
+    limits_are_exact_for_each_servo();
+    the_rate_limit_has_the_stated_tolerance();
+    minimum_jerk_needs_room_for_its_peak();
+    durations_are_bounded();
+    sequence_numbers_only_go_forward();
+    a_repeated_frame_is_acknowledged_and_not_carried_out_again();
+    a_move_pre_empts_from_the_present_pose_and_speed();
+    an_overshoot_past_a_limit_is_refused();
+    flags_are_checked();
+}
