@@ -2,7 +2,7 @@
 
 Every command goes policy → ServoCommand → serial frame → pseudo-terminal → firmware core → pulse widths → simulated
 servos: the simulated hand gets what the pulses say, not what the policy asked for. The folder gets ``grasps.mp4``,
-``wire.jsonl`` (every frame) and ``replay.json``.
+``grasps.png`` (the end of each phase), ``wire.jsonl`` (every frame) and ``replay.json``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from agents.files import replacing, writable_folder
 from agents.policies import BASELINES, Policy, load_policy
 from agents.policy_file import read_policy
 from agents.seeds import HELD_OUT_SEED
-from agents.video import Video
+from agents.video import Sheet, Video
 from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
 
@@ -87,7 +87,9 @@ class Wire:
         return ServoCommand(servo, command.duration)
 
 
-def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, video: Video, report: Report) -> None:
+def replay(
+    policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, video: Video, sheet: Sheet, report: Report
+) -> None:
     """Run the episodes of these seeds with the wire between policy and simulated hand."""
     task = env.unwrapped
     task.transmit = wire.transmit
@@ -96,12 +98,19 @@ def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, video: 
         observation, info = env.reset(seed=seed)
         policy.reset(seed)
         wire.begin(task.command.servo)
-        done = False
+        sheet.begin_row()
+        done, phase, picture = False, info["phase"], env.render()
+        sheet.add(picture)
         while not done:
             observation, _, terminated, truncated, info = env.step(policy.act(observation))
-            video.add(env.render(), f"seed {seed}   {info['phase']}")
+            if info["phase"] != phase:
+                sheet.add(picture)
+                phase = info["phase"]
+            picture = env.render()
+            video.add(picture, f"seed {seed}   {phase}")
             done = terminated or truncated
-        video.hold(env.render(), f"seed {seed}   {info['outcome']}")
+        sheet.add(picture)
+        video.hold(picture, f"seed {seed}   {info['outcome']}")
         report.episodes += 1
         report.successes += info["is_success"]
         bar.set_postfix_str(f"{report.successes} of {report.episodes} held")
@@ -120,10 +129,11 @@ def main(argv: list[str] | None = None) -> int:
         log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
         video = stack.enter_context(Video(args.out / "grasps.mp4", env.metadata["render_fps"]))
         link = stack.enter_context(HandLink(hand.connect, log=log))
-        wire = Wire(hand, link)
-        replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), video, report)
+        wire, sheet = Wire(hand, link), Sheet()
+        replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), video, sheet, report)
         link.clear()
         _take_statistics(report, wire, link)
+    sheet.write(args.out / "grasps.png")
     text = json.dumps(asdict(report), indent=2)
     with replacing(args.out / "replay.json") as temporary:
         temporary.write_text(text + "\n")

@@ -1,4 +1,4 @@
-"""A film of what was rendered, each picture with a line of text."""
+"""What was rendered: a film with a line of text in each picture, and a sheet of stills."""
 
 from __future__ import annotations
 
@@ -44,3 +44,33 @@ class Video:
         """Append a picture that stays for some time [s]."""
         for _ in range(round(seconds * self._fps)):
             self.add(picture, text)
+
+
+class Sheet:
+    """A sheet of stills, one row an episode."""
+
+    def __init__(self) -> None:
+        self._rows: list[list[np.ndarray]] = []
+
+    def begin_row(self) -> None:
+        """Start a new episode."""
+        self._rows.append([])
+
+    def add(self, picture: np.ndarray) -> None:
+        """Append a picture, shape (height, width, 3), to the row."""
+        self._rows[-1].append(picture)
+
+    def write(self, path: Path, width: int = 1200) -> None:
+        """Write the sheet as an image of a given width [px]; a short row ends in white.
+
+        Raises:
+            RunError: The file cannot be written.
+        """
+        columns = max(len(row) for row in self._rows)
+        blank = np.full_like(self._rows[0][0], 255)
+        sheet = np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in self._rows])
+        image = Image.fromarray(sheet)
+        try:
+            image.resize((width, round(width * image.height / image.width)), Image.Resampling.LANCZOS).save(path)
+        except OSError as error:
+            raise RunError(f"cannot write '{path}': {error.strerror or error}") from error

@@ -23,10 +23,10 @@ class Camera:
     """[px]"""
     height: int = 360
     """[px]"""
-    distance: float = 0.42
+    distance: float = 0.31
     """From the target [m]."""
-    yaw_deg: float = 35.0
-    pitch_deg: float = -22.0
+    yaw_deg: float = 160.0
+    pitch_deg: float = -20.0
     field_of_view_deg: float = 42.0
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class Camera:
             self.height,
             view,
             projection,
-            lightDirection=[0.4, -0.6, 1.0],
+            lightDirection=[0.5, 0.8, 1.0],
             shadow=1,
             renderer=pybullet.ER_TINY_RENDERER,
             physicsClientId=world.client,
