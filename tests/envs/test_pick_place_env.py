@@ -47,7 +47,7 @@ def episode(env, policy, seed: int):
 
 
 def test_scripted_placing_succeeds_where_holding_on_or_doing_nothing_fails(env):
-    won = {policy: 0 for policy in (ScriptedPickPlace, NeverOpens, Still, ScriptedClosure)}
+    won = dict.fromkeys((ScriptedPickPlace, NeverOpens, Still, ScriptedClosure), 0)
     for policy in won:
         for seed in range(6):
             infos, _ = episode(env, policy(), seed)

@@ -31,7 +31,7 @@ def test_the_obvious_action_reaches_nine_goals_in_ten(env):
         observation, _ = env.reset(seed=seed)
         truncated = False
         while not truncated:
-            observation, reward, terminated, truncated, info = env.step(obvious_action(observation["desired_goal"]))
+            observation, _, terminated, truncated, info = env.step(obvious_action(observation["desired_goal"]))
             assert not terminated
         reached += info["is_success"]
     assert reached >= 18
