@@ -38,6 +38,8 @@ class HandSettings:
     """What each driving tendon has to wind up before it pulls, by digit [m]."""
     joint_friction: float = 0.0
     """Coulomb friction of every joint [N·m]."""
+    tendon_friction: float = 0.0
+    """Share of the tendons' load that every joint's guides hold back, on top of `joint_friction`."""
     root_armature: float = 1e-3
     """Inertia added about each MCP, MP and CMC [kg·m²]."""
     armature: float = 3e-4
@@ -145,7 +147,14 @@ class SimHand:
     def apply_tendons(self) -> None:
         """Advance the servos by one physics step and put the tendons' torques on the joints, for the step to come."""
         self.servos.advance(self.world.settings.dt)
-        torque, self.tension = self.tendons.torque(*self.joint_state(), self.servos.horn, self.servos.velocity)
+        joint_pos, joint_vel = self.joint_state()
+        torque, self.tension = self.tendons.torque(joint_pos, joint_vel, self.servos.horn, self.servos.velocity)
+        if self.settings.tendon_friction:
+            friction = self.settings.joint_friction + self.settings.tendon_friction * self.tendons.load(joint_pos, self.tension)
+            pybullet.setJointMotorControlArray(
+                self.body, self._joints, pybullet.VELOCITY_CONTROL, targetVelocities=[0.0] * len(self._joints),
+                forces=friction.tolist(), physicsClientId=self._client,
+            )  # fmt: skip
         pybullet.setJointMotorControlArray(
             self.body, self._joints, pybullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=self._client
         )

@@ -103,6 +103,8 @@ class Tendons:
         stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (spring_stiffness[:, None] * springs)
         viscosity_matrix = rows.T @ (viscosity(stiffness, mobility)[:, None] * rows) + damping.joint * np.eye(len(JOINTS))
         self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
+        self._coupling, self._levers = stiffness[:, None] * rows, np.abs(rows).T
+        self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
 
         digits = hand.digits.values()
         self._limit = np.array([digit.tension_limit for digit in digits])
@@ -147,6 +149,20 @@ class Tendons:
         rate = hand.servo_radius * servo_vel[:_CMC] - arm * joint_vel[_ROOTS]
         tension = (self._stiffness * stretch + self._viscosity * rate) * (stretch > 0)
         return np.minimum(np.maximum(tension, 0.0), self._limit), arm
+
+    def load(self, joint_pos: Array, tension: Array) -> Array:
+        """What the tendons and the spring press every joint's guides with: their torques, added without their signs.
+
+        Args:
+            joint_pos: q, shape (15,) [rad].
+            tension: of the drives, shape (5,) [N].
+
+        Returns:
+            Shape (15,) [N·m].
+        """
+        load = self._levers @ np.abs(self._coupling @ joint_pos) + self._spring_torque @ joint_pos
+        load[_ROOTS] += tension * self._arm_and_chord(joint_pos[_ROOTS])[0]
+        return np.maximum(load, 0.0)
 
     def torque(self, joint_pos: Array, joint_vel: Array, servo: Array, servo_vel: Array) -> tuple[Array, Array]:
         """Torque of all elements on every joint, and the tension of the drives.
