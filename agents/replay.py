@@ -62,9 +62,12 @@ class Report:
 
 
 class Wire:
-    """Sends each command to the firmware and hands on what its pulses say at the end of the move."""
+    """Sends each command to the firmware and hands on what its pulses say at the end of the move.
 
-    def __init__(self, hand: HostBoard | VirtualHand, link: HandLink) -> None:
+    A hand at a port of its own shows no pulses: then the simulated hand does what was commanded and acknowledged.
+    """
+
+    def __init__(self, hand: HostBoard | VirtualHand | None, link: HandLink) -> None:
         self._hand, self._link = hand, link
         self.moves, self.worst_error = 0, 0.0
 
@@ -81,8 +84,10 @@ class Wire:
         """The command as the servos get it."""
         self._link.move(command)
         self._link.wait()
-        servo = servo_from_pulses(self._hand.pulses())
         self.moves += 1
+        if self._hand is None:
+            return command
+        servo = servo_from_pulses(self._hand.pulses())
         self.worst_error = max(self.worst_error, float(np.abs(servo - command.servo).max()))
         return ServoCommand(servo, command.duration)
 
@@ -125,10 +130,10 @@ def main(argv: list[str] | None = None) -> int:
     report = Report(args.policy, env_id, args.seed_start)
     with ExitStack() as stack:
         stack.callback(env.close)
-        hand = stack.enter_context(VirtualHand() if args.virtual else HostBoard())
+        hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
         log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
+        link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
         video = stack.enter_context(Video(args.out / "grasps.mp4", env.metadata["render_fps"]))
-        link = stack.enter_context(HandLink(hand.connect, log=log))
         wire, sheet = Wire(hand, link), Sheet()
         replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), video, sheet, report)
         link.clear()
@@ -167,7 +172,9 @@ def _parser() -> Parser:
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
-    parser.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
+    hand = parser.add_mutually_exclusive_group()
+    hand.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
+    hand.add_argument("--port", help="a hand at this serial port, which then moves as the simulated one does")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
 

@@ -1,0 +1,59 @@
+"""The replay over the wire: policy → frame → firmware → pulses → simulated servos."""
+
+import json
+
+import pytest
+
+from agents.errors import RunError
+from agents.replay import PULSE_TOLERANCE, Report, main
+from hpac_gym.bridge import HostBoard
+
+
+def replayed(out, *arguments: str) -> dict:
+    """Replay one scripted episode and read its report."""
+    assert main(["--policy", "scripted", "--out", str(out), "--episodes", "1", *arguments]) == 0
+    return json.loads((out / "replay.json").read_text())
+
+
+@pytest.mark.parametrize("arguments", [(), ("--virtual",)], ids=["host process on a pty", "in process"])
+def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, arguments):
+    report = replayed(tmp_path, *arguments)
+    assert report["frames_sent"] == report["frames_acked"] > report["moves"] >= 10
+    assert report["frames_rejected"] == 0
+    assert 0 < report["worst_pulse_error_rad"] <= PULSE_TOLERANCE
+    assert (tmp_path / "grasps.mp4").stat().st_size > 10_000
+    assert (tmp_path / "grasps.png").stat().st_size > 10_000
+
+
+def test_the_wire_log_has_every_move_and_its_acknowledgement(tmp_path):
+    report = replayed(tmp_path, "--virtual")
+    lines = [json.loads(line) for line in (tmp_path / "wire.jsonl").read_text().splitlines()]
+    moves = [line["seq"] for line in lines if line["direction"] == "sent" and line["message"] == "move"]
+    acked = [line["seq"] for line in lines if line.get("acked") == "move" and line["reason"] == "ok"]
+    assert moves == acked
+    assert len(moves) == report["moves"]
+
+
+def test_a_hand_at_a_port_of_its_own_is_driven_too(tmp_path):
+    with HostBoard() as board:
+        report = replayed(tmp_path, "--port", board.port)
+        assert len(board.pulse_changes()) > 100, "the servos behind the port did not move"
+    assert report["frames_acked"] == report["frames_sent"]
+
+
+def test_a_wrong_port_is_one_line_and_status_2(tmp_path, capfd):
+    from agents.command import run
+
+    with pytest.raises(SystemExit) as left:
+        run(lambda: main(["--policy", "scripted", "--out", str(tmp_path), "--port", "/dev/no-such-port"]))
+    assert left.value.code == 2
+    said = capfd.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert "/dev/no-such-port" in said[0]
+
+
+def test_a_wire_that_breaks_its_promise_is_reported():
+    report = Report("scripted", "HPAC-Grasp-v0", 0, worst_pulse_error_rad=1e-3, frames_sent=10, frames_acked=9)
+    assert len(report.faults) == 2
+    assert not Report("scripted", "HPAC-Grasp-v0", 0).faults
+    assert issubclass(RunError, ValueError | RuntimeError | OSError)
