@@ -1,0 +1,6 @@
+#pragma once
+#ifndef STUB_LEDC_BITS
+#error "say -DSTUB_LEDC_BITS=20 (ESP32, C6) or 14 (C3, S2, S3)"
+#endif
+#define SOC_LEDC_TIMER_BIT_WIDTH STUB_LEDC_BITS
+#define SOC_LEDC_SUPPORT_APB_CLOCK 1
