@@ -9,7 +9,7 @@ import numpy as np
 from agents.errors import PolicyError
 from agents.policy_file import Actor, PolicyFile, read_policy
 from agents.tasks import same_task
-from hpac_gym.envs.scripted import ScriptedClosure
+from hpac_gym.envs.scripted import scripted_closure
 
 BASELINES = ("random", "scripted")
 
@@ -39,10 +39,10 @@ class RandomPolicy:
 
 
 class ScriptedPolicy:
-    """The closure by rule that the environment family brings: what learning has to beat."""
+    """The closure by rule that the environment family brings for the task: what learning has to beat."""
 
-    def __init__(self) -> None:
-        self._closure = ScriptedClosure()
+    def __init__(self, env: gymnasium.Env) -> None:
+        self._closure = scripted_closure(getattr(env.unwrapped, "task", None))
 
     def reset(self, seed: int) -> None:
         self._closure.reset()
@@ -73,7 +73,7 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     if name == "random":
         return RandomPolicy(env)
     if name == "scripted":
-        return ScriptedPolicy()
+        return ScriptedPolicy(env)
     return LearnedPolicy(policy_file_for(name, env).actor)
 
 

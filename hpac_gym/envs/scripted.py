@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hpac_gym.envs.grasp_data import NamedGrasp
 from hpac_gym.envs.hand_env import CONTROL_HZ
+from hpac_gym.envs.named import GraspByName
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
 
 CLOSE_TIME = 0.8
@@ -17,7 +19,14 @@ THUMB_OPPOSED = 1.2
 
 
 class ScriptedClosure:
-    """Thumb opposite to the fingers, all digits closed at one speed, then held: it never looks at the object."""
+    """All digits closed at one speed, then held: it never looks at the object.
+
+    Args:
+        grasp: closes from its first shape to its last one; None closes the whole hand, the thumb opposite to the fingers.
+    """
+
+    def __init__(self, grasp: NamedGrasp | None = None) -> None:
+        self._grasp = grasp
 
     def reset(self) -> None:
         """Begin an episode."""
@@ -26,8 +35,17 @@ class ScriptedClosure:
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
         self._time += 1 / CONTROL_HZ
+        share = min(self._time / CLOSE_TIME, 1.0)
+        if self._grasp is not None:
+            synergy = self._grasp.preshape + share * (self._grasp.closed - self._grasp.preshape)
+            return action_from_synergy(synergy).astype(np.float32)
         closed = HPAC.synergy_max.copy()
         closed[SERVO_INDEX["thumb_mp"]] = THUMB_CLOSED
-        synergy = closed * min(self._time / CLOSE_TIME, 1.0)
+        synergy = closed * share
         synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED
         return action_from_synergy(synergy).astype(np.float32)
+
+
+def scripted_closure(task: object) -> ScriptedClosure:
+    """The scripted closure for a task: that of its named grasp, if it has one."""
+    return ScriptedClosure(task.grasp if isinstance(task, GraspByName) else None)

@@ -135,9 +135,13 @@ class Support:
     """Half of the distance between the walls on either side; infinite for none [m]."""
     wall_height: float = 0.02
     """Above the post [m]."""
+    spread: float = 0.0
+    """Half of the distance of two such posts along x; 0 is one post [m]."""
+    table_height: float = 0.0
+    """Of the table below it in the world; the wrist starts at 0.25 [m]."""
 
     def __post_init__(self) -> None:
-        if not min(*self.half_width, *(self.gap or ()), self.wall_height) > 0:
+        if not (min(*self.half_width, *(self.gap or ()), self.wall_height) > 0 and self.spread >= 0):
             raise ValueError(f"lengths of {self} must be greater than 0 m")
 
     def boxes(self, height: float) -> list[tuple[tuple[float, float, float], tuple[float, float, float]]]:
@@ -147,7 +151,8 @@ class Support:
             height: of the object's underside above the table [m].
         """
         (x, y), (across, along) = self.half_width, self.offset
-        found = [((x, y, height / 2), (across, along, height / 2))]
+        places = {across - self.spread, across + self.spread}
+        found = [((x, y, height / 2), (place, along, height / 2)) for place in sorted(places)]
         gap_x, gap_y = self.gap or (np.inf, np.inf)
         tall, half = height + self.wall_height, WALL_THICKNESS / 2
         for side in (-1, 1):

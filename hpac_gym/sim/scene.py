@@ -103,12 +103,13 @@ class Scene:
         reach = np.abs(_matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
         support = setup.support or Support((POST_HALF_WIDTH, POST_HALF_WIDTH))
         turn = turn if setup.support else (0.0, 0.0, 0.0, 1.0)
-        below, turned = np.array([centre[0], centre[1], 0.0]), _matrix(turn)
+        floor = support.table_height
+        below, turned = np.array([centre[0], centre[1], floor]), _matrix(turn)
         boxes = [
             add_fixed_box(self.world, half_extents, below + turned @ place, _GREY, _POST_FRICTION, turn)
-            for half_extents, place in support.boxes(centre[2] - reach)
+            for half_extents, place in support.boxes(centre[2] - reach - floor)
         ]
-        table = add_fixed_box(self.world, (0.35, 0.35, 0.01), (centre[0], centre[1], -0.01), _WOOD, _POST_FRICTION)
+        table = add_fixed_box(self.world, (0.35, 0.35, 0.01), (centre[0], centre[1], floor - 0.01), _WOOD, _POST_FRICTION)
         self._supports = (*boxes, table)
         self._target_post: int | None = None
         if setup.target is not None:
