@@ -23,7 +23,7 @@ REACH, CLOSE, LIFT, PLACE = range(4)
 
 @dataclass(frozen=True, slots=True)
 class PickPlaceTimetable:
-    """How long each part takes, and the way of the wrist: along the fingers to the object, up, across, down, and back.
+    """How long each part takes, and the way of the wrist: sideways to the object, up, across, down, and back.
 
     Raises:
         ValueError: A duration that is not positive.
@@ -39,8 +39,8 @@ class PickPlaceTimetable:
     release_time: float = 0.6
     retreat_time: float = 0.6
     rest_time: float = 0.2
-    reach_distance: float = 0.12
-    """Along the fingers, there and back [m]."""
+    reach: tuple[float, float, float] = (0.04, 0.12, 0.0)
+    """The way to the object, and back in the end, in the world [m]."""
     lift_height: float = 0.10
     """[m]"""
     clearance: float = 0.003
@@ -89,13 +89,13 @@ class PickPlaceTimetable:
     def _moves(self) -> list[tuple[float, float, Array]]:
         """When each move begins [s], how long it takes [s], and its way, shape (3,) [m]."""
         ends = self.ends
-        along, up = np.array([self.reach_distance, 0.0, 0.0]), np.array([0.0, 0.0, self.lift_height])
+        reach, up = np.array(self.reach), np.array([0.0, 0.0, self.lift_height])
         return [
-            (0.0, self.reach_time, along),
+            (0.0, self.reach_time, reach),
             (ends[1], self.lift_time, up),
             (ends[2], self.carry_time, np.array(self.carry)),
             (ends[3], self.lower_time, np.array([0.0, 0.0, self.clearance]) - up),
-            (ends[5], self.retreat_time, -along),
+            (ends[5], self.retreat_time, -reach),
         ]
 
 
@@ -151,9 +151,11 @@ class PickPlace:
             [
                 PALM_SURFACE + width + rng.uniform(*config.gap),
                 rng.uniform(*config.towards_thumb),
-                rng.uniform(*config.beyond_wrist) + self.timetable.reach_distance,
+                rng.uniform(*config.beyond_wrist),
             ]
         )
+        forward, aside, up = self.timetable.reach
+        place += [aside, up, forward]
         target = place + np.array([rng.uniform(*config.carry_aside), 0.0, rng.uniform(*config.carry_forward)])
         synergy = np.zeros(len(SERVO_INDEX))
         synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
