@@ -13,6 +13,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.errors import EpisodeError
+from hpac_gym.envs.observation import CameraNoise
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.errors import ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
@@ -82,6 +83,24 @@ def test_physics_reward_and_observation_are_those_of_the_version_number(name, en
     expected, found = json.loads(FILE.read_text(encoding="utf-8"))[name], fingerprint(env)["episodes"]
     for then, now in zip(expected, found, strict=True):
         assert now == pytest.approx(then, rel=TOLERANCE, abs=TOLERANCE), f"{name} is not what it was"
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"randomize": Randomization(skin_friction=(0.97, 0.97))},
+        {"randomize": Randomization(tendon_stiffness=(0.98, 0.98))},
+        {"randomize": Randomization(servo_lag=(0.005, 0.005))},
+        {"noise": CameraNoise(position=0.002)},
+        {"reward": "sparse"},
+    ],
+    ids=["friction", "tendons", "lag", "camera", "reward"],
+)
+def test_a_small_change_of_physics_reward_or_observation_changes_the_fingerprint(fault):
+    expected = json.loads(FILE.read_text(encoding="utf-8"))["HPAC-Grasp-v0"]
+    with gymnasium.make("HPAC-Grasp-v0", **fault) as env:
+        found = fingerprint(env)["episodes"]
+    assert any(now != pytest.approx(then, rel=TOLERANCE, abs=TOLERANCE) for then, now in zip(expected, found, strict=True))
 
 
 @pytest.fixture(scope="module")
