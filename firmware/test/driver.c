@@ -1,7 +1,9 @@
 /* A hostile host: frames good, absurd, damaged, cut and junk, at random times, and after each one the promises of the
  * core are checked.
  *
- *   hpac_driver FRAMES SEED     prints one line "name value" a figure; exits with 1 if a promise was broken. */
+ *   hpac_driver FRAMES SEED [damaged]   prints one line "name value" a figure; exits with 1 if a promise was broken.
+ *
+ * With `damaged` nearly all frames are damaged ones. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -177,9 +179,9 @@ static void intact_frame(bench_t *bench, figures_t *figures)
     figures->estop_ignored += type == HPAC_ESTOP && accepted && !bench_silent(bench);
 }
 
-static void step(bench_t *bench, figures_t *figures)
+static void step(bench_t *bench, bool mostly_damaged, figures_t *figures)
 {
-    uint32_t kind = any(20);
+    uint32_t kind = mostly_damaged && any(50) != 0u ? 14u : any(20);
     if (kind < 14u) {
         intact_frame(bench, figures);
     } else if (kind < 18u) {
@@ -197,6 +199,7 @@ int main(int count, char **arguments)
 {
     uint64_t frames = count > 1 ? strtoull(arguments[1], NULL, 10) : 100000u;
     random_state = count > 2 ? strtoull(arguments[2], NULL, 10) * 2u + 1u : 1u;
+    bool mostly_damaged = count > 3 && strcmp(arguments[3], "damaged") == 0;
     figures_t figures = { 0 };
     bench_t bench;
     bench_start(&bench);
@@ -204,7 +207,7 @@ int main(int count, char **arguments)
         any(2); /* leave the small seeds behind */
     }
     while (figures.frames < frames) {
-        step(&bench, &figures);
+        step(&bench, mostly_damaged, &figures);
         if (figures.frames % 100000u == 0u) { /* 16-bit counters stay at their largest: start again with the same state */
             memset(&bench.hand.count, 0, sizeof bench.hand.count);
             memset(bench.hand.heat, 0, sizeof bench.hand.heat);

@@ -106,8 +106,8 @@ def test_closing_disarms(virtual_hand):
 @pytest.mark.parametrize(
     ("servo", "duration", "reason", "at"),
     [
-        (HPAC.servo_max + [0, 0.001, 0, 0, 0, 0], 2.0, "angle", "index_mcp"),
-        (HPAC.servo_min - [0, 0, 0, 0, 0, 0.001], 2.0, "angle", "thumb_cmc"),
+        (HPAC.servo_max + np.array([0, 0.001, 0, 0, 0, 0]), 2.0, "angle", "index_mcp"),
+        (HPAC.servo_min - np.array([0, 0, 0, 0, 0, 0.001]), 2.0, "angle", "thumb_cmc"),
         ([0, 0, 0.5, 0, 0, 0], 0.1, "rate", "middle_mcp"),
         (POSE, 0.005, "duration", None),
         (POSE, 10.5, "duration", None),
