@@ -93,7 +93,8 @@ class SimObject:
         )
 
     def _model(self, name: str, position: list[float], orientation: list[float], visuals: bool) -> int:
-        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        # Without the second flag a cylinder becomes a hull of flat faces that stands 1 mm off the hand.
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
         spec = self.spec
         body = pybullet.loadURDF(
             str(asset_path(f"objects/{name}.urdf")), position, orientation, globalScaling=spec.scale,
@@ -135,13 +136,13 @@ class Support:
     """Half of the distance between the walls on either side; infinite for none [m]."""
     wall_height: float = 0.02
     """Above the post [m]."""
-    spread: float = 0.0
-    """Half of the distance of two such posts along x; 0 is one post [m]."""
+    spread: tuple[float, float] = (0.0, 0.0)
+    """From the middle to either one of two such posts; zero is one post [m]."""
     table_height: float = 0.0
     """Of the table below it in the world; the wrist starts at 0.25 [m]."""
 
     def __post_init__(self) -> None:
-        if not (min(*self.half_width, *(self.gap or ()), self.wall_height) > 0 and self.spread >= 0):
+        if not min(*self.half_width, *(self.gap or ()), self.wall_height) > 0:
             raise ValueError(f"lengths of {self} must be greater than 0 m")
 
     def boxes(self, height: float) -> list[tuple[tuple[float, float, float], tuple[float, float, float]]]:
@@ -150,16 +151,16 @@ class Support:
         Args:
             height: of the object's underside above the table [m].
         """
-        (x, y), (across, along) = self.half_width, self.offset
-        places = {across - self.spread, across + self.spread}
-        found = [((x, y, height / 2), (place, along, height / 2)) for place in sorted(places)]
-        gap_x, gap_y = self.gap or (np.inf, np.inf)
-        tall, half = height + self.wall_height, WALL_THICKNESS / 2
-        for side in (-1, 1):
-            if np.isfinite(gap_x):
-                found.append(((half, y, tall / 2), (across + side * (gap_x + half), along, tall / 2)))
-            if np.isfinite(gap_y):
-                found.append(((x, half, tall / 2), (across, along + side * (gap_y + half), tall / 2)))
+        (x, y), (gap_x, gap_y) = self.half_width, self.gap or (np.inf, np.inf)
+        tall, half, found = height + self.wall_height, WALL_THICKNESS / 2, []
+        for across, along in {(sign * self.spread[0], sign * self.spread[1]): None for sign in (-1, 1)}:
+            across, along = across + self.offset[0], along + self.offset[1]
+            found.append(((x, y, height / 2), (across, along, height / 2)))
+            for side in (-1, 1):
+                if np.isfinite(gap_x):
+                    found.append(((half, y, tall / 2), (across + side * (gap_x + half), along, tall / 2)))
+                if np.isfinite(gap_y):
+                    found.append(((x, half, tall / 2), (across, along + side * (gap_y + half), tall / 2)))
         return found
 
 
