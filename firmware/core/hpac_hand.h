@@ -70,7 +70,8 @@ void hpac_config_default(hpac_config_t *config);
  * `config` is copied. */
 void hpac_hand_init(hpac_hand_t *hand, const hpac_config_t *config, hpac_reset_t reset, uint16_t boot_count);
 
-/* Take in bytes from the host, any bytes. Every intact frame is carried out whole or refused whole, and answered. */
+/* Take in bytes from the host, any bytes. Every intact frame is carried out whole or refused whole, and answered. Read
+ * the clock after the bytes: with an older time a move seems to come before the one before it has ended. */
 void hpac_hand_receive(hpac_hand_t *hand, uint64_t now_us, const uint8_t *bytes, size_t length);
 
 /* Advance to `now_us` and write the six pulse widths [ns]; 0 is no pulse. A time before the last one counts as it. */

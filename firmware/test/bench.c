@@ -106,13 +106,26 @@ int bench_move(bench_t *bench, uint8_t flags, uint16_t duration_ms, const int16_
     return bench_send(bench, HPAC_MOVE, flags, payload, sizeof payload);
 }
 
+static void pass(bench_t *bench, uint32_t ms)
+{
+    bench->now_us += 1000u * ms;
+    hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+    take_in(bench);
+}
+
 void bench_run(bench_t *bench, uint32_t ms)
 {
     for (uint32_t i = 0; i < ms; i++) {
-        bench->now_us += 1000u;
-        hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
-        take_in(bench);
+        pass(bench, 1);
     }
+}
+
+void bench_skip(bench_t *bench, uint32_t ms)
+{
+    for (; ms > 20u; ms -= 20u) {
+        pass(bench, 20);
+    }
+    pass(bench, ms);
 }
 
 bool bench_silent(const bench_t *bench)

@@ -34,8 +34,9 @@ size_t bench_frame(uint8_t *wire, uint8_t version, uint8_t type, uint16_t seq, u
 /* Feed raw bytes now, and take in the answers. */
 void bench_feed(bench_t *bench, const uint8_t *bytes, size_t length);
 
-/* Let time pass in steps of 1 ms. */
+/* Let time pass in steps of 1 ms, or in steps of a servo's period. */
 void bench_run(bench_t *bench, uint32_t ms);
+void bench_skip(bench_t *bench, uint32_t ms);
 
 /* True if no servo, or every servo, gets pulses. */
 bool bench_silent(const bench_t *bench);

@@ -60,7 +60,7 @@ driver() {
 fuzz() {
     make -s "$build/fuzz_$1"
     mkdir -p "$build/corpus_$1"
-    "$build/fuzz_$1" -max_total_time="$fuzz_seconds" -print_final_stats=1 -artifact_prefix="$build/" \
+    "$build/fuzz_$1" -max_total_time="$fuzz_seconds" -max_len=512 -print_final_stats=1 -artifact_prefix="$build/" \
         "$build/corpus_$1" "test/fuzz/corpus_$1" >"$build/fuzz_$1.txt" 2>&1 || { tail -40 "$build/fuzz_$1.txt"; exit 1; }
     echo "fuzz $1: $(sed -n 's/stat::number_of_executed_units: *//p' "$build/fuzz_$1.txt") runs in $fuzz_seconds s, no finding"
 }

@@ -1,5 +1,6 @@
 """What hangs on the other end may be slow, loud, half dead or just starting: no call waits for ever."""
 
+import contextlib
 import socket
 import threading
 import time
@@ -103,10 +104,8 @@ class Server:
     def _run(self):
         connection, _ = self._listener.accept()
         with connection:
-            try:
+            with contextlib.suppress(OSError):
                 self._serve(connection, self.stop)
-            except OSError:
-                pass
 
     def __enter__(self):
         self._thread.start()

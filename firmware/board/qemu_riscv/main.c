@@ -18,10 +18,10 @@ int main(void)
     hpac_hand_init(&hand, &config, HPAC_RESET_POWER_ON, 1);
     for (;;) {
         uint8_t byte;
-        uint64_t now_us = virt_clock_us();
         while (virt_read_byte(&byte)) {
-            hpac_hand_receive(&hand, now_us, &byte, 1);
+            hpac_hand_receive(&hand, virt_clock_us(), &byte, 1); /* the clock after the byte: never before it came */
         }
+        uint64_t now_us = virt_clock_us();
         if (now_us >= next_us) {
             next_us = now_us + TICK_US;
             hpac_hand_tick(&hand, now_us, pulses);
