@@ -102,7 +102,8 @@ class Camera:
         """
         position = position + self._noise.position * self._rng.standard_normal(3)
         tilt = self._noise.angle * self._rng.standard_normal(3)
-        seen = rotation + np.cross(tilt, rotation, axis=0)
+        turned = [tilt[i - 2] * rotation[i - 1] - tilt[i - 1] * rotation[i - 2] for i in range(3)]  # tilt × each axis
+        seen = rotation + np.array(turned)
         axes = seen / np.linalg.norm(seen, axis=0)
         return [
             (position - GRASP_CENTRE) / LENGTH_UNIT,

@@ -131,7 +131,8 @@ class SimHand:
     def joint_state(self) -> tuple[Array, Array]:
         """True joint angles and speeds, shapes (15,) [rad] and (15,) [rad/s]. The real hand cannot measure them."""
         states = pybullet.getJointStates(self.body, self._joints, physicsClientId=self._client)
-        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+        position, velocity, *_ = zip(*states, strict=True)
+        return np.array(position), np.array(velocity)
 
     @property
     def joint_pos(self) -> Array:

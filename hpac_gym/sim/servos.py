@@ -48,19 +48,19 @@ class Servos:
         """Stand still at given angles, shape (6,) [rad]."""
         self.horn = np.array(servo, dtype=float)
         self.velocity = np.zeros(len(SERVOS))
-        self._start = self._target = self.horn.copy()
+        self._start, self._way = self.horn.copy(), np.zeros(len(SERVOS))
         self._elapsed = self._duration = 1.0
         self._first, self._past = self.horn.copy(), deque[Array]()
 
     @property
     def commanded(self) -> Array:
         """Where the ramp stands now, shape (6,) [rad]."""
-        share = min(self._elapsed / self._duration, 1.0)
-        return self._start + share * (self._target - self._start)
+        return self._start + min(self._elapsed / self._duration, 1.0) * self._way
 
     def command(self, command: ServoCommand) -> None:
         """Start a move from where the ramp stands."""
-        self._start, self._target = self.commanded, command.servo
+        self._start = self.commanded
+        self._way = command.servo - self._start
         self._elapsed, self._duration = 0.0, command.duration
 
     def advance(self, dt: float) -> None:

@@ -27,6 +27,7 @@ class Wrist:
         self._hand = hand
         self._slides = [hand.joint_index[name] for name in SLIDES]
         self._to_slides = np.asarray(rotation, dtype=float).T
+        self._last: tuple[list[float], list[float]] | None = None
         self.move(np.zeros(3), np.zeros(3))
 
     def move(self, offset: Array, velocity: Array) -> None:
@@ -36,12 +37,16 @@ class Wrist:
             offset: from the start, in the world, shape (3,) [m].
             velocity: shape (3,) [m/s].
         """
+        wanted = (self._to_slides @ offset).tolist(), (self._to_slides @ velocity).tolist()
+        if wanted == self._last:  # the motors keep what they were told
+            return
+        self._last = wanted
         pybullet.setJointMotorControlArray(
             self._hand.body,
             self._slides,
             pybullet.POSITION_CONTROL,
-            targetPositions=(self._to_slides @ offset).tolist(),
-            targetVelocities=(self._to_slides @ velocity).tolist(),
+            targetPositions=wanted[0],
+            targetVelocities=wanted[1],
             forces=[FORCE_LIMIT] * 3,
             positionGains=[_POSITION_GAIN] * 3,
             velocityGains=[1.0] * 3,
