@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("record", type=Path, metavar="sweep.csv", help="the record; a joint without measurement may be left out")
     parser.add_argument("--out", type=Path, required=True, metavar="TOML", help="the hand file to write")
     parser.add_argument("--base", type=Path, metavar="TOML", help="the hand's design (default: the nominal hand)")
-    parser.add_argument("--spread", type=float, default=SPREAD, metavar="S", help="relative spread about the design (%(default)s)")
+    parser.add_argument("--spread", type=float, default=SPREAD, metavar="S", help="relative spread about the design")
     parser.add_argument(
         "--radii-known", action="store_true", help="joint radii have the design's ratios to 0.1 %%, so that k_s L/EA can be told"
     )

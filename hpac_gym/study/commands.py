@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from hpac_gym.study import calibrate, gallery, sweep
+from hpac_gym.study import beyond, calibrate, gallery, sweep
 
 
 def add_commands(subparsers: argparse._SubParsersAction, send_posture: gallery.Send | None = None) -> None:
@@ -17,6 +17,7 @@ def add_commands(subparsers: argparse._SubParsersAction, send_posture: gallery.S
     """
     _add(subparsers, "sweep", sweep)
     _add(subparsers, "calibrate", calibrate)
+    _add(subparsers, "study", beyond)
     _add(subparsers, "posture", gallery, send=send_posture)
 
 

@@ -15,8 +15,8 @@ from hpac_gym.errors import WorkspaceError
 from hpac_gym.model.checks import Array
 from hpac_gym.study.record import PHASES, RecordError, Sweep, joints_of_servo
 
-CUTOFF_HZ = 1.0
-"""Cut-off of the low-pass: the sweep's own motion, one point a second, and little of the camera's noise."""
+CUTOFF_HZ = 3.0
+"""Cut-off of the low-pass. A point is held for half a second: much lower, and the steps beside it would smear into it."""
 _REST = PHASES.index("rest")
 
 

@@ -13,19 +13,32 @@ import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Digit, Hand
-from hpac_gym.sim import HandSettings
+from hpac_gym.sim import HandSettings, ServoSettings
 from hpac_gym.study.rig import Camera, Protocol, Rig
 
 REFERENCE_FILE = Path(__file__).parent / "data" / "reference.toml"
 SCHEMA = 1
 _NUMBERS = tuple(item.name for item in fields(Digit) if item.name not in ("name", "tension_limit"))
 _FIELDS = {
-    "scale": _NUMBERS,
     "tolerance": _NUMBERS,
-    "physics": ("joint_friction",),
+    "physics": ("joint_friction", "dead_band"),
     "camera": ("rate_hz", "noise_deg", "drift_deg_per_min"),
     "protocol": ("points", "seconds_per_point", "hold", "rest", "cutoff_hz"),
+    "trials": ("tendon_friction", "friction_spread", "seat"),
+    "tracking": ("servo_lag",),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class TrialSettings:
+    """What differs between two trials of one hand."""
+
+    tendon_friction: float
+    """Share of the tendons' load that every joint's guides hold back."""
+    friction_spread: float
+    """Relative standard deviation of the frictions."""
+    seat: float
+    """Standard deviation of where a driving tendon seats on its hub [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +48,9 @@ class Reference:
     rig: Rig
     cutoff_hz: float
     seed: int
+    trials: TrialSettings
+    servo_lag: float
+    """From the command to the servo's answer, in tracking [s]."""
 
 
 def varied_hand(hand: Hand, tolerance: Mapping[str, float], rng: np.random.Generator) -> Hand:
@@ -86,12 +102,14 @@ def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = H
     camera, protocol = table["camera"], dict(table["protocol"])
     cutoff_hz = protocol.pop("cutoff_hz")
     rig = Rig(
-        hand=varied_hand(scaled_hand(base, table["scale"]), table["tolerance"], np.random.default_rng(table["seed"])),
-        settings=HandSettings(joint_friction=table["physics"]["joint_friction"]),
+        hand=varied_hand(base, table["tolerance"], np.random.default_rng(table["seed"])),
+        settings=HandSettings(
+            joint_friction=table["physics"]["joint_friction"], servo=ServoSettings(dead_band=table["physics"]["dead_band"])
+        ),
         camera=Camera(camera["rate_hz"], math.radians(camera["noise_deg"]), math.radians(camera["drift_deg_per_min"]) / 60),
         protocol=Protocol(**protocol),
     )
-    return Reference(rig, cutoff_hz, table["seed"])
+    return Reference(rig, cutoff_hz, table["seed"], TrialSettings(**table["trials"]), table["tracking"]["servo_lag"])
 
 
 def _check(table: dict, path: str | os.PathLike[str]) -> None:

@@ -60,10 +60,10 @@ class Camera:
 class Protocol:
     """How a servo is swept: rest, K points one after the other, back to rest."""
 
-    points: int = 41
+    points: int = 31
     """K, over the servo's admissible range, both ends included."""
-    seconds_per_point: float = 1.0
-    hold: float = 0.25
+    seconds_per_point: float = 1.5
+    hold: float = 0.5
     """The last part of a point, in which the servo stands still and the points are taken [s]."""
     rest: float = 2.0
     """Before and after, the digit laid against its stops [s]."""
@@ -122,16 +122,18 @@ class Rig:
             sim.command(ServoCommand(target, moving))
             record(moving, phase)
             record(self.protocol.hold, phase, point)
+            labels[-1] = (phase, -1)  # so that the point's samples lie evenly about the middle of the hold
 
         angles = np.linspace(base.servo_min[swept], base.servo_max[swept], self.protocol.points)
         rest()
         for point, angle in enumerate(angles):
             go_to(angle, _FLEXION, point)
-        for point, angle in reversed(list(enumerate(angles))):
-            if self.protocol.both_directions:
+        if self.protocol.both_directions:
+            for point, angle in reversed(list(enumerate(angles))):
                 go_to(angle, _EXTENSION, point)
-            elif point % 5 == 0:
-                go_to(angle, _EXTENSION, -1)
+        else:
+            record(self.protocol.hold, _EXTENSION)  # the way back starts well after the last point
+            go_to(angles[0], _EXTENSION, -1)
         rest()
 
         count = len(labels)

@@ -30,7 +30,7 @@ def _segment(
     swept: int, hand: Hand, friction: Friction, rng: np.random.Generator, camera: Camera, protocol: Protocol, base: Hand
 ) -> Sweep:
     rest = round(protocol.rest * camera.rate_hz)
-    held = max(round(protocol.hold * camera.rate_hz), 1)
+    held = max(round(protocol.hold * camera.rate_hz) - 1, 1)
     angles = np.linspace(base.servo_min[swept], base.servo_max[swept], protocol.points)
     start = np.arange(rest) / camera.rate_hz
     moving = protocol.rest + protocol.seconds_per_point * np.arange(1, protocol.points + 1)

@@ -194,10 +194,10 @@ def test_a_digit_that_the_record_does_not_sweep_keeps_its_numbers_and_says_why(r
 
 def test_a_record_that_supports_no_fit_is_told(record):
     flexion = record.phase == PHASES.index("flexion")
-    with pytest.raises(IdentificationError, match=r"supports no fit: .*index: 5 sampling points of servo index_mcp, fewer than 8"):
+    with pytest.raises(IdentificationError, match=r"supports no fit: .*index: 5 sampling points of .*index_mcp, fewer than 8"):
         identify(record[~flexion | (record.point < 5)])
-    with pytest.raises(IdentificationError, match=r"index: servo index_mcp sweeps 25% of its range, less than 30%"):
-        identify(record[~flexion | (record.point < 11)])
+    with pytest.raises(IdentificationError, match=r"index: servo index_mcp sweeps 27% of its range, less than 30%"):
+        identify(record[~flexion | (record.point < 9)])
     with pytest.raises(IdentificationError, match="no measurement of index_mcp, index_pip, index_dip"):
         identify(record.with_joint_pos(np.full_like(record.joint_pos, np.nan)))
     with pytest.raises(IdentificationError, match="spread"):
@@ -257,4 +257,4 @@ def test_a_camera_without_noise_gives_the_truth_of_what_can_be_told(hidden):
     truth = values(hidden[0].digits["ring"], hidden[1].joint)
     estimates = {item.name: (item.value, true) for item, true in zip(found.fits["ring"].estimates, truth, strict=True)}
     for name in ("hub", "reach", "alpha"):
-        assert estimates[name][0] == pytest.approx(estimates[name][1], rel=2e-3)
+        assert estimates[name][0] == pytest.approx(estimates[name][1], rel=6e-3)
