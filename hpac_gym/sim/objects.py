@@ -76,17 +76,17 @@ class SimObject:
     ) -> None:
         self.spec, self._client = spec, world.client
         place = list(position), list(orientation)
-        self.body = self._primitive(*place) if spec.model is None else self._model(spec.model, *place, visuals)
+        self.body = self._primitive(*place, visuals) if spec.model is None else self._model(spec.model, *place, visuals)
         pybullet.changeDynamics(
             self.body, -1, lateralFriction=spec.friction, linearDamping=0, angularDamping=0, physicsClientId=self._client
         )
 
-    def _primitive(self, position: list[float], orientation: list[float]) -> int:
+    def _primitive(self, position: list[float], orientation: list[float], visuals: bool) -> int:
         self._to_frame: tuple[Array, Array] | None = None
         return pybullet.createMultiBody(
             self.spec.mass,
             _collision_shape(self.spec, self._client),
-            _visual_shape(self.spec, self._client),
+            _visual_shape(self.spec, self._client) if visuals else -1,
             position,
             orientation,
             physicsClientId=self._client,
@@ -168,16 +168,20 @@ def add_fixed_box(
     world: World,
     half_extents: ArrayLike,
     position: ArrayLike,
-    color: ArrayLike,
+    color: ArrayLike | None,
     friction: float,
     orientation: ArrayLike = (0, 0, 0, 1),
 ) -> int:
-    """A box that never moves, such as a table. Returns its body."""
-    size = list(half_extents)
+    """A box that never moves, such as a table; without a colour no camera sees it. Returns its body."""
+    size, visual = list(half_extents), -1
+    if color is not None:
+        visual = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=size, rgbaColor=list(color), physicsClientId=world.client
+        )
     body = pybullet.createMultiBody(
         0,
         pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=size, physicsClientId=world.client),
-        pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=size, rgbaColor=list(color), physicsClientId=world.client),
+        visual,
         list(position),
         list(orientation),
         physicsClientId=world.client,

@@ -106,10 +106,11 @@ class Scene:
         floor = support.table_height
         below, turned = np.array([centre[0], centre[1], floor]), _matrix(turn)
         boxes = [
-            add_fixed_box(self.world, half_extents, below + turned @ place, _GREY, _POST_FRICTION, turn)
+            add_fixed_box(self.world, half_extents, below + turned @ place, self._color(_GREY), _POST_FRICTION, turn)
             for half_extents, place in support.boxes(centre[2] - reach - floor)
         ]
-        table = add_fixed_box(self.world, (0.35, 0.35, 0.01), (centre[0], centre[1], floor - 0.01), _WOOD, _POST_FRICTION)
+        place = (centre[0], centre[1], floor - 0.01)
+        table = add_fixed_box(self.world, (0.35, 0.35, 0.01), place, self._color(_WOOD), _POST_FRICTION)
         self._supports = (*boxes, table)
         self._target_post: int | None = None
         if setup.target is not None:
@@ -119,7 +120,10 @@ class Scene:
 
     def _add_target(self, top: Array) -> int:
         half_extents = (TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, top[2] / 2)
-        return add_fixed_box(self.world, half_extents, (top[0], top[1], top[2] / 2), _GREEN, _POST_FRICTION)
+        return add_fixed_box(self.world, half_extents, (top[0], top[1], top[2] / 2), self._color(_GREEN), _POST_FRICTION)
+
+    def _color(self, color: tuple[float, ...]) -> tuple[float, ...] | None:
+        return color if self._visuals else None
 
     def advance(self, command: ServoCommand, path: Path) -> None:
         """Carry out one servo command while the wrist follows its path: whole physics steps that fill its duration."""
