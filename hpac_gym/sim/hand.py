@@ -59,6 +59,7 @@ class SimHand:
         position: of the wrist in the world, shape (3,) [m].
         orientation: of the hand's frame in the world, quaternion xyzw, shape (4,).
         visuals: load what only a camera sees.
+        tendons: of an equal hand in an equal world, to use again; made anew if None.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class SimHand:
         position: ArrayLike = (0.0, 0.0, 0.0),
         orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         visuals: bool = True,
+        tendons: Tendons | None = None,
     ) -> None:
         self.world, self.hand, self.settings = world, hand, settings
         self._client = world.client
@@ -84,7 +86,7 @@ class SimHand:
         self._joints = [self.joint_index[name] for name in JOINTS]
         self._prepare_joints()
         self.servos = Servos(settings.servo)
-        self.tendons = Tendons(hand, self.inertia(), world.settings.dt, settings.damping, settings.slack)
+        self.tendons = tendons or Tendons(hand, self.inertia(), world.settings.dt, settings.damping, settings.slack)
         self.tension = np.zeros(len(SERVOS) - 1)
 
     def _prepare_joints(self) -> None:

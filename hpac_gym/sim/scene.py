@@ -71,11 +71,14 @@ class Scene:
         self.world = World(settings)
         self._visuals = visuals
         self.time = 0.0
+        self.hand: SimHand | None = None
 
     def reset(self, setup: SceneSetup) -> None:
         """Build the scene anew. The same setup gives the same trajectory, to the bit."""
         self.time = 0.0
         self.world.clear()
+        last = self.hand
+        same = last is not None and last.hand is setup.hand and last.settings == setup.hand_settings
         self.hand = SimHand(
             self.world,
             setup.hand,
@@ -84,6 +87,7 @@ class Scene:
             HAND_POSITION,
             setup.hand_quaternion,
             self._visuals,
+            last.tendons if same else None,
         )
         self.hand.reset(setup.synergy)
         self.hand_rotation = _matrix(setup.hand_quaternion)
