@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Fit, write the hand file, the report and its figures."""
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record, allow_missing=True)
-    found = identify(record, base, arguments.spread, arguments.radii_known)
+    found = identify(record, base, arguments.spread, arguments.radii_known, shown=not arguments.json)
     hand = named(found, base, arguments.record.name)
     folder = arguments.report or arguments.out.with_name(f"{arguments.out.stem}-report")
     text = report(found, base, record)

@@ -18,6 +18,7 @@ from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.study.combinations import TYPICAL_FRICTION, combinations, digit_with, values
 from hpac_gym.study.processing import without_drift
+from hpac_gym.study.progress import progress
 from hpac_gym.study.record import PHASES, Sweep
 from hpac_gym.study.statics import Friction, settled_digit
 
@@ -105,7 +106,9 @@ def predicted_joints(servo: Array, found: Identification) -> Array:
     return joint_pos
 
 
-def identify(record: Sweep, base: Hand = HPAC, spread: float = SPREAD, radii_known: bool = False) -> Identification:
+def identify(
+    record: Sweep, base: Hand = HPAC, spread: float = SPREAD, radii_known: bool = False, shown: bool = False
+) -> Identification:
     """The hand that a record shows.
 
     Args:
@@ -114,6 +117,7 @@ def identify(record: Sweep, base: Hand = HPAC, spread: float = SPREAD, radii_kno
         spread: relative standard deviation of each parameter about the design.
         radii_known: the ratios of joint radii are the design's, to `RADIUS_SPREAD`; without that a free-space sweep
             cannot tell them from the elasticity.
+        shown: draw a progress bar.
 
     Raises:
         IdentificationError: No digit can be fitted, or `spread` is not positive; the message says why.
@@ -121,7 +125,7 @@ def identify(record: Sweep, base: Hand = HPAC, spread: float = SPREAD, radii_kno
     if not 0 < spread < 1:
         raise IdentificationError(f"spread = {spread} must lie between 0 and 1")
     fits, kept = {}, {}
-    for servo, (name, digit) in enumerate(base.digits.items()):
+    for servo, (name, digit) in progress(list(enumerate(base.digits.items())), "digits", shown):
         try:
             fits[name] = _fit_digit(_samples(record, servo, digit.joints, base), digit, spread, radii_known)
         except IdentificationError as error:

@@ -15,7 +15,7 @@ from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
 from hpac_gym.study import figures
 from hpac_gym.study.accuracy import Accuracy, accuracy, residuals, workspace
 from hpac_gym.study.files import write_text
-from hpac_gym.study.population import mae_of_population
+from hpac_gym.study.population import Interval, mae_of_population
 from hpac_gym.study.processing import CUTOFF_HZ, points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
 from hpac_gym.study.reference import REFERENCE_FILE, Reference, load_reference
@@ -59,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     found = residuals(points(processed(record, cutoff_hz)), hand)
     errors = accuracy(found)
     result |= asdict(errors)
+    text = accuracy_table(errors)
     if not arguments.record and arguments.population > 0:
         friction = Friction(reference.rig.settings.joint_friction)
         population = mae_of_population(arguments.population, reference.seed, HPAC, friction, shown=shown)
@@ -66,11 +67,13 @@ def run(arguments: argparse.Namespace) -> int:
             "hands": arguments.population,
             **{kind: {name: asdict(value) for name, value in values.items()} for kind, values in population.items()},
         }
+        text += f"\n\n{population_table(population, arguments.population)}"
     figures.save(figures.residual_figure(found), out / "residuals.png")
     figures.save(figures.mae_figure(errors), out / "mae.png")
     write_text(out / "accuracy.csv", accuracy_csv(errors))
+    write_text(out / "accuracy.md", text + "\n")
     write_text(out / "sweep.json", json.dumps(result, indent=2) + "\n")
-    print(json.dumps(result) if arguments.json else f"{accuracy_table(errors)}\nwritten to {out}")
+    print(json.dumps(result) if arguments.json else f"{text}\nwritten to {out}")
     return 0
 
 
@@ -85,6 +88,17 @@ def accuracy_table(errors: Accuracy) -> str:
     for name in errors.mae_deg["compensated"]:
         cells = [table[kind][name] for table in (errors.mae_deg, errors.max_residual_deg) for kind in table]
         lines.append(f"| {figures.label(name)} | {' | '.join(f'{cell:.2f}' for cell in cells)} |")
+    return "\n".join(lines)
+
+
+def population_table(population: dict[str, dict[str, Interval]], hands: int) -> str:
+    """Median and middle 95 % of the population's errors as a Markdown table."""
+    lines = [f"MAE [°] of {hands} built hands, median and the middle 95 %:", ""]
+    lines += ["| joint | uncompensated | compensated |", "|---|--:|--:|"]
+    for name in population["compensated"]:
+        values = (population[kind][name] for kind in ("uncompensated", "compensated"))
+        cells = (f"{value.median:.2f} [{value.low:.2f}, {value.high:.2f}]" for value in values)
+        lines.append(f"| {figures.label(name)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -130,7 +130,7 @@ def test_the_command_evaluates_a_record_and_prints_one_object(evaluation, errors
     assert printed["mae_deg"]["uncompensated"] == pytest.approx(errors.mae_deg["uncompensated"], abs=1e-4)
     assert set(printed["max_residual_deg"]) == {"uncompensated", "compensated"}
     assert set(printed["mae_deg"]["compensated"]) == set(EVALUATED)
-    assert {path.name for path in out.iterdir()} == {"residuals.png", "mae.png", "accuracy.csv", "sweep.json"}
+    assert {path.name for path in out.iterdir()} == {"residuals.png", "mae.png", "accuracy.csv", "accuracy.md", "sweep.json"}
     for name in ("residuals.png", "mae.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
 
@@ -138,7 +138,9 @@ def test_the_command_evaluates_a_record_and_prints_one_object(evaluation, errors
 @pytest.mark.slow
 def test_the_command_sweeps_the_reference_hand(tmp_path, capsys):
     assert command.run(options("--out", str(tmp_path), "--population", "20")) == 0
-    assert "| Index DIP | 1.1" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "| Index DIP | 1.1" in text
+    assert "MAE [°] of 20 built hands" in text
     result = json.loads((tmp_path / "sweep.json").read_text())
     assert result["population_mae_deg"]["hands"] == 20
     assert set(result["workspace_rad"]) == set(JOINTS)

@@ -1,0 +1,28 @@
+"""The progress bar: passes every item on, and shows itself on standard error when its time has come."""
+
+import pytest
+
+from hpac_gym.study import progress as module
+from hpac_gym.study.progress import progress
+
+
+def test_what_is_soon_done_shows_nothing(capsys):
+    assert list(progress(range(5), "label")) == list(range(5))
+    assert capsys.readouterr().err == ""
+
+
+def test_what_takes_long_shows_how_far_it_is(capsys, monkeypatch):
+    monkeypatch.setattr(module, "_PATIENCE", -1.0)
+    assert list(progress("abcd", "label")) == list("abcd")
+    seen = capsys.readouterr()
+    assert seen.out == ""
+    assert "label" in seen.err
+    assert "2/4" in seen.err
+    assert seen.err.rstrip().endswith("s")
+
+
+@pytest.mark.parametrize("items", [[], [1]])
+def test_none_is_shown_where_none_is_wanted(items, capsys, monkeypatch):
+    monkeypatch.setattr(module, "_PATIENCE", -1.0)
+    assert list(progress(items, "label", shown=False)) == items
+    assert capsys.readouterr().err == ""
