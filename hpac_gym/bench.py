@@ -1,6 +1,6 @@
 """``python -m hpac_gym.bench``: what the library costs on this machine, each figure beside a bare one of the same run.
 
-A section is a function that returns its rows; ``SECTIONS`` lists them by name.
+A section is a function that measures and returns its text and its figures; ``SECTIONS`` lists them by name.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,32 @@ def model_rows() -> list[Row]:
     ]
 
 
-SECTIONS: dict[str, Callable[[], list[Row]]] = {"model": model_rows}
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What a section found."""
+
+    lines: list[str]
+    """For a reader."""
+    figures: Any
+    """For ``--json``."""
+
+
+def model_section() -> Measured:
+    """The model's rows."""
+    rows = model_rows()
+    lines = [f"  {row.name:<40} {row.value:8.1f} {row.unit:<10} bare {row.bare:6.1f}   × {row.ratio:.1f}" for row in rows]
+    return Measured(lines, [asdict(row) for row in rows])
+
+
+def env_section() -> Measured:
+    """The environments' report."""
+    from hpac_gym.env_bench import report  # here, so that the model can be measured without PyBullet
+
+    found = report()
+    return Measured(found.lines(), found.as_json())
+
+
+SECTIONS: dict[str, Callable[[], Measured]] = {"model": model_section, "env": env_section}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,12 +111,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the sections that are asked for and print them."""
     measured = {name: SECTIONS[name]() for name in arguments.section or SECTIONS}
     if arguments.json:
-        print(json.dumps({name: [asdict(row) for row in rows] for name, rows in measured.items()}, indent=2))
+        print(json.dumps({name: section.figures for name, section in measured.items()}, indent=2))
         return 0
-    for name, rows in measured.items():
-        print(name)
-        for row in rows:
-            print(f"  {row.name:<40} {row.value:8.1f} {row.unit:<10} bare {row.bare:6.1f}   × {row.ratio:.1f}")
+    for name, section in measured.items():
+        print("\n".join([name, *section.lines]))
     return 0
 
 
