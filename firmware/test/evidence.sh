@@ -51,6 +51,13 @@ trace_in_qemu() {
     echo "trace: the expected one on rv32imc in QEMU; stack used: $(sed -n 's/stack //p' "$build/trace_qemu.txt") bytes, test bench included"
 }
 
+trace_in_xtensa() {
+    make -s "$build/trace_lx106.elf"
+    timeout 60 qemu-system-xtensa -M sim -cpu lx106 -nographic -semihosting -monitor none -kernel "$build/trace_lx106.elf" \
+        </dev/null | cmp - test/trace.expected
+    echo "trace: the expected one on Xtensa lx106 in QEMU"
+}
+
 driver() {
     "$build/hpac_driver" "$1" "$2" >"$build/driver.txt" || { cat "$build/driver.txt"; exit 1; }
     echo "driver: $1 hostile frames, no promise broken"
@@ -89,6 +96,7 @@ long_part() {
         have "a 32-bit C library" gcc-multilib || true
     fi
     if have $rv32 gcc-riscv64-unknown-elf && have qemu-system-riscv32 qemu-system-misc; then trace_in_qemu; fi
+    if have xtensa-lx106-elf-gcc gcc-xtensa-lx106 && have qemu-system-xtensa qemu-system-misc; then trace_in_xtensa; fi
     if have cppcheck cppcheck; then
         cppcheck --quiet --std=c99 --enable=warning,performance,portability --error-exitcode=1 -Icore core board/host
         echo "cppcheck: clean"
