@@ -167,7 +167,7 @@ def _ring(solid: dict[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
     for start, end in itertools.pairwise(corners):
         chord = end - start
         turn = rotation_about((0, 0, 1), math.atan2(chord[1], chord[0]))
-        size = (float(np.linalg.norm(chord)), wall, solid["length"])
+        size = (float(np.linalg.norm(chord)) * outer / middle, wall, solid["length"])  # their outer edges meet
         yield Solid("box", solid["mass"] / STAVES, size, center + axis @ ((start + end) / 2), axis @ turn)
 
 

@@ -16,8 +16,9 @@ from hpac_gym.sim.world import World
 Shape = Literal["cylinder", "box", "sphere"]
 SHAPES: tuple[Shape, ...] = ("cylinder", "box", "sphere")
 
-CONTACT_PATCH = 0.004
-"""Lever of a named object's friction against twisting on a fingertip: 2/3 of the radius of a soft pad's contact [m]."""
+SPIN_DECAY = 6.0
+"""Rate at which a named object loses its spin [1/s]. The direct solver knows no friction against twisting on a fingertip:
+without this, what two fingertips hold would swing for ever."""
 
 WALL_THICKNESS = 0.003
 """Of a support's walls [m]."""
@@ -103,12 +104,20 @@ class SimObject:
         mass, _, inertia, middle, turn, *_ = pybullet.getDynamicsInfo(body, -1, self._client)
         heavier = spec.mass / mass * spec.scale**2
         pybullet.changeDynamics(
-            body, -1, mass=spec.mass, localInertiaDiagonal=[heavier * moment for moment in inertia],
-            spinningFriction=CONTACT_PATCH * spec.friction, physicsClientId=self._client,
-        )  # fmt: skip
+            body, -1, mass=spec.mass, localInertiaDiagonal=[heavier * moment for moment in inertia], physicsClientId=self._client
+        )
         # PyBullet reports the pose of the principal axes of inertia: this leads from there to the object's frame.
         self._to_frame = pybullet.invertTransform(middle, turn)
         return body
+
+    def lose_spin(self, dt: float) -> None:
+        """Slow a named object's rotation, once every physics step; PyBullet's own damping does not act on its base."""
+        if self.spec.model is not None:
+            _, spin = pybullet.getBaseVelocity(self.body, self._client)
+            kept = 1.0 - SPIN_DECAY * dt
+            pybullet.resetBaseVelocity(
+                self.body, angularVelocity=[kept * rate for rate in spin], physicsClientId=self._client
+            )
 
     def pose(self) -> tuple[Array, Array]:
         """Centre, shape (3,) [m], and orientation, quaternion xyzw, shape (4,), in the world."""

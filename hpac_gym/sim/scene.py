@@ -138,6 +138,7 @@ class Scene:
             self._offset, velocity = path(self.time)
             self.wrist.move(self._offset, velocity)
             self.hand.apply_tendons()
+            self.object.lose_spin(dt)
             self.world.step()
 
     def object_pose(self) -> tuple[Array, Array]:
