@@ -14,7 +14,7 @@ import numpy as np
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Digit, Hand
 from hpac_gym.sim import HandSettings, ServoSettings
-from hpac_gym.study.rig import Camera, Protocol, Rig
+from hpac_gym.study.rig import JointCamera, Protocol, Rig
 
 REFERENCE_FILE = Path(__file__).parent / "data" / "reference.toml"
 SCHEMA = 1
@@ -106,7 +106,7 @@ def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = H
         settings=HandSettings(
             joint_friction=table["physics"]["joint_friction"], servo=ServoSettings(dead_band=table["physics"]["dead_band"])
         ),
-        camera=Camera(camera["rate_hz"], math.radians(camera["noise_deg"]), math.radians(camera["drift_deg_per_min"]) / 60),
+        camera=JointCamera(camera["rate_hz"], math.radians(camera["noise_deg"]), math.radians(camera["drift_deg_per_min"]) / 60),
         protocol=Protocol(**protocol),
     )
     return Reference(rig, cutoff_hz, table["seed"], TrialSettings(**table["trials"]), table["tracking"]["servo_lag"])

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand, ServoCommand
 from hpac_gym.model.checks import Array
 from hpac_gym.sim import HandSettings, SimHand, World, WorldSettings
@@ -46,8 +47,12 @@ def upright(joint: str) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Camera:
-    """What measures the joint angles: one sample a frame, with white noise and a slow drift."""
+class JointCamera:
+    """What measures the joint angles: one sample a frame, with white noise and a slow drift.
+
+    Raises:
+        ParameterError: A rate that is not positive, a negative noise or drift.
+    """
 
     rate_hz: float = 20.0
     noise: float = np.deg2rad(0.1)
@@ -55,10 +60,26 @@ class Camera:
     drift: float = np.deg2rad(0.2) / 60
     """Standard deviation of the joints' drift rates [rad/s]."""
 
+    def __post_init__(self) -> None:
+        if not (self.rate_hz > 0 and self.noise >= 0 and self.drift >= 0):
+            raise ParameterError(
+                f"camera: rate_hz = {self.rate_hz} Hz must be greater than 0, noise = {self.noise} rad and "
+                f"drift = {self.drift} rad/s not below it"
+            )
+
+    def seen(self, joint_pos: Array, time: Array, rng: np.random.Generator) -> Array:
+        """What the camera makes of true angles, shape (n, joints) [rad], at times (n,) [s]."""
+        drift = rng.normal(0.0, self.drift, joint_pos.shape[1]) * time[:, None]
+        return joint_pos + drift + rng.normal(0.0, self.noise, joint_pos.shape)
+
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """How a servo is swept: rest, K points one after the other, back to rest."""
+    """How a servo is swept: rest, K points one after the other, back to rest.
+
+    Raises:
+        ParameterError: Fewer than two points, a hold that leaves no time to move, or a negative rest.
+    """
 
     points: int = 31
     """K, over the servo's admissible range, both ends included."""
@@ -70,6 +91,15 @@ class Protocol:
     both_directions: bool = False
     """Take points on the way back too, at the same angles."""
 
+    def __post_init__(self) -> None:
+        if not (isinstance(self.points, int) and self.points >= 2):
+            raise ParameterError(f"protocol: points = {self.points!r} must be a whole number of at least 2")
+        if not (0 < self.hold < self.seconds_per_point and self.rest >= 0):
+            raise ParameterError(
+                f"protocol: hold = {self.hold} s must lie between 0 s and seconds_per_point = {self.seconds_per_point} s, "
+                f"and rest = {self.rest} s not be negative"
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class Rig:
@@ -77,7 +107,7 @@ class Rig:
 
     hand: Hand = HPAC
     settings: HandSettings = field(default_factory=HandSettings)
-    camera: Camera = Camera()
+    camera: JointCamera = JointCamera()
     protocol: Protocol = Protocol()
     physics_hz: int = PHYSICS_HZ
 
@@ -139,12 +169,8 @@ class Rig:
         count = len(labels)
         time = period * np.arange(1, count + 1)
         phase, point = np.array(labels).T
-        joint_pos = self._seen(np.array(measured), time, rng)
+        joint_pos = self.camera.seen(np.array(measured), time, rng)
         return Sweep(np.full(count, trial), np.full(count, swept), phase, point, time, np.array(commanded), joint_pos)
-
-    def _seen(self, joint_pos: Array, time: Array, rng: np.random.Generator) -> Array:
-        drift = rng.normal(0.0, self.camera.drift, joint_pos.shape[1]) * time[:, None]
-        return joint_pos + drift + rng.normal(0.0, self.camera.noise, joint_pos.shape)
 
     def with_protocol(self, **changes: object) -> Rig:
         """The same rig with another protocol."""

@@ -5,19 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from hpac_gym.model import HPAC, SERVOS, Hand
-from hpac_gym.model.checks import Array
 from hpac_gym.study.record import PHASES, Sweep, concatenate
-from hpac_gym.study.rig import Camera, Protocol, rest_pose
+from hpac_gym.study.rig import JointCamera, Protocol, rest_pose
 from hpac_gym.study.statics import Friction, settled_joints
 
-_CAMERA, _PROTOCOL = Camera(), Protocol()
+_CAMERA, _PROTOCOL = JointCamera(), Protocol()
 
 
 def synthetic_sweep(
     hand: Hand,
     friction: Friction,
     rng: np.random.Generator,
-    camera: Camera = _CAMERA,
+    camera: JointCamera = _CAMERA,
     protocol: Protocol = _PROTOCOL,
     servos: tuple[str, ...] = SERVOS,
     base: Hand = HPAC,
@@ -27,7 +26,7 @@ def synthetic_sweep(
 
 
 def _segment(
-    swept: int, hand: Hand, friction: Friction, rng: np.random.Generator, camera: Camera, protocol: Protocol, base: Hand
+    swept: int, hand: Hand, friction: Friction, rng: np.random.Generator, camera: JointCamera, protocol: Protocol, base: Hand
 ) -> Sweep:
     rest = round(protocol.rest * camera.rate_hz)
     held = max(round(protocol.hold * camera.rate_hz) - 1, 1)
@@ -40,10 +39,5 @@ def _segment(
     point = np.concatenate([np.full(rest, -1), np.repeat(np.arange(protocol.points), held), np.full(rest, -1)])
     servo = np.tile(rest_pose(SERVOS[swept]), (len(time), 1))
     servo[phase == PHASES.index("flexion"), swept] = np.repeat(angles, held)
-    joint_pos = _seen(settled_joints(servo, hand, friction), time, rng, camera)
+    joint_pos = camera.seen(settled_joints(servo, hand, friction), time, rng)
     return Sweep(np.zeros(len(time), dtype=int), np.full(len(time), swept), phase, point, time, servo, joint_pos)
-
-
-def _seen(joint_pos: Array, time: Array, rng: np.random.Generator, camera: Camera) -> Array:
-    drift = rng.normal(0.0, camera.drift, joint_pos.shape[1]) * time[:, None]
-    return joint_pos + drift + rng.normal(0.0, camera.noise, joint_pos.shape)

@@ -59,7 +59,11 @@ def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, .
 
 def by_joint(record: Sweep, cutoff_hz: float) -> dict[str, JointTrials]:
     """The trials of every joint that was swept, processed as the paper does."""
-    found = points(processed(record, cutoff_hz))
+    return by_joint_of_points(points(processed(record, cutoff_hz)))
+
+
+def by_joint_of_points(found: Points) -> dict[str, JointTrials]:
+    """The trials of every joint, one row a trial, in the order of the points."""
     return {
         JOINTS[joint]: JointTrials(
             _table(found, int(servo), found.servo[:, servo], "flexion")[0],

@@ -11,9 +11,10 @@ from hpac_gym.model import HPAC, JOINTS
 from hpac_gym.study import beyond, rivals, tracking, trials
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.intervals import mean_of
+from hpac_gym.study.processing import points
 from hpac_gym.study.record import concatenate
 from hpac_gym.study.reference import load_reference
-from hpac_gym.study.rig import Camera, Protocol
+from hpac_gym.study.rig import JointCamera, Protocol
 from hpac_gym.study.statics import EXTENSION, FLEXION, Friction, settled_joints
 from hpac_gym.study.synthetic import synthetic_sweep
 from hpac_gym.study.trials import JointTrials
@@ -44,7 +45,7 @@ def test_the_turning_points_do_not_count_for_the_width():
 
 def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_for():
     """The index in PyBullet against the closed form's two branches, slowly and without noise: the same width within 40 %."""
-    quiet = replace(REFERENCE.rig, hand=HPAC, camera=Camera(noise=0.0, drift=0.0)).with_protocol(
+    quiet = replace(REFERENCE.rig, hand=HPAC, camera=JointCamera(noise=0.0, drift=0.0)).with_protocol(
         points=12, seconds_per_point=3.0, rest=1.0, both_directions=True
     )
     settings = replace(REFERENCE.trials, tendon_friction=0.05, friction_spread=0.0, seat=0.0)
@@ -161,11 +162,19 @@ def test_the_command_writes_the_tables_and_figures_of_all_four(tmp_path, capsys)
     assert written == {"hysteresis.png", "repeatability.png", "tracking.png", "rivals.png", "study.md", "study.json"}
 
 
-def test_records_of_trials_are_told_apart():
-    friction = Friction()
-    parts = [
-        replace(synthetic_sweep(HPAC, friction, np.random.default_rng(trial), servos=("ring_mcp",)))
-        for trial in (0, 1)
-    ]
-    both = concatenate([parts[0], replace(parts[1], trial=parts[1].trial + 1)])
-    assert len(both.segments()) == 2
+def test_trials_of_a_record_become_rows_joint_by_joint():
+    """Two made-up trials, both directions: every joint of the swept servo has two rows of each, in the order of the points."""
+    parts = []
+    for trial in (0, 1):
+        flexion = synthetic_sweep(HPAC, Friction(), np.random.default_rng(trial), servos=("ring_mcp",))
+        held = flexion[flexion.phase == 1]
+        extension = replace(held, phase=held.phase + 1, time=held.time + 100.0)
+        parts.append(concatenate([held, extension]))
+    record = concatenate([parts[0], replace(parts[1], trial=parts[1].trial + 1)])
+    joints = trials.by_joint_of_points(points(record))
+    assert set(joints) == {"ring_mcp", "ring_pip", "ring_dip"}
+    for joint in joints.values():
+        assert joint.flexion.shape == joint.extension.shape == (2, len(joint.servo))
+        assert (np.diff(joint.servo) > 0).all()
+        assert joint.flexion == pytest.approx(joint.extension)
+        assert (joint.flexion[0] != joint.flexion[1]).any()

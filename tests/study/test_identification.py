@@ -14,7 +14,7 @@ from hpac_gym.study.identification import IdentificationError, identify, predict
 from hpac_gym.study.processing import without_drift
 from hpac_gym.study.record import JOINT_COLUMNS, PHASES, Sweep, joints_of_servo, read_sweep, write_sweep
 from hpac_gym.study.reference import load_reference
-from hpac_gym.study.rig import Camera
+from hpac_gym.study.rig import JointCamera
 from hpac_gym.study.statics import Friction, settled_joints
 from hpac_gym.study.synthetic import synthetic_sweep
 
@@ -252,7 +252,7 @@ def test_a_record_may_lack_a_joint_column(record, tmp_path):
 
 
 def test_a_camera_without_noise_gives_the_truth_of_what_can_be_told(hidden):
-    quiet = Camera(noise=np.deg2rad(0.001), drift=0.0)
+    quiet = JointCamera(noise=np.deg2rad(0.001), drift=0.0)
     found = identify(synthetic_sweep(*hidden, np.random.default_rng(0), camera=quiet, servos=("ring_mcp",)))
     truth = values(hidden[0].digits["ring"], hidden[1].joint)
     estimates = {item.name: (item.value, true) for item, true in zip(found.fits["ring"].estimates, truth, strict=True)}

@@ -153,6 +153,10 @@ REFERENCE_FAULTS = [
     ("noise_deg = 0.1", "noise_rad = 0.1", r"\[camera\] lacks or does not know noise_deg, noise_rad"),
     ("d1 = 0.0002", "d9 = 0.0002", r"\[tolerance\] lacks or does not know d9"),
     ("joint_friction = 1.0e-3", "joint_friction = -1", "joint_friction = -1 must be a number of at least 0"),
+    ("points = 31 ", "points = 1 ", r"points = 1 must be a whole number of at least 2"),
+    ("points = 31 ", "points = 31.5 ", r"points = 31\.5 must be a whole number"),
+    ("hold = 0.5 ", "hold = 1.5 ", r"hold = 1\.5 s must lie between 0 s and seconds_per_point = 1\.5 s"),
+    ("rate_hz = 20.0", "rate_hz = 0.0", r"rate_hz = 0\.0 Hz must be greater than 0"),
     ("[physics]", "[physics", "not TOML"),
     ("[camera]", "[kamera]", r"table \[camera\] is missing"),
 ]
