@@ -106,6 +106,8 @@ def _restore_buffer(model: SAC, arrays: Any) -> None:
     for name in _TRANSITION:
         getattr(buffer, name)[:filled] = arrays[name]
     buffer.pos, buffer.full = int(arrays["pos"]), filled == buffer.buffer_size
+    # The environments start anew: no return of several steps may reach from the old episodes into the new ones.
+    buffer.timeouts[buffer.pos - 1] = True
 
 
 def _to_disk(path: Path) -> None:

@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -230,7 +231,14 @@ _bench: _Bench
 def _start_worker(names: Sequence[str], env_id: str) -> None:
     global _bench
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the command, which ends its workers itself
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _bench = _Bench(names, env_id)
+
+
+def _end_with_parent() -> None:
+    """A killed command closes no pool: without this its workers would wait for work for ever."""
+    multiprocessing.parent_process().join()
+    os._exit(1)
 
 
 def _work(seed: int) -> tuple[Episode, ...]:

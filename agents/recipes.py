@@ -25,10 +25,10 @@ class Recipe:
     learning_rate: float = 5e-4
     tau: float = 0.01
     batch_size: int = 256
-    hidden: tuple[int, ...] = (256, 256)
+    hidden: tuple[int, ...] = (128, 128)
     learning_starts: int = 2_000
-    steps_per_update: int = 4
-    n_steps: int = 1
+    steps_per_update: int = 2
+    n_steps: int = 3
     sde_sample_freq: int = 8
     buffer_size: int = 400_000
     checkpoint_every: int = 20_000

@@ -1,4 +1,8 @@
 import json
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +13,7 @@ from agents.seeds import HELD_OUT_SEED
 from agents.statistics import wilson_interval
 from agents.tasks import make_task
 
+ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.agents.tiny_task:Tiny-v0"
 
 
@@ -51,3 +56,24 @@ def test_json_is_one_object_on_standard_output(capsys, tmp_path):
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads(out.read_text())
     assert (printed["env_id"], printed["first_seed"]) == (TINY, HELD_OUT_SEED)
+
+
+def test_the_workers_of_a_killed_evaluation_end(tmp_path):
+    words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
+    command = subprocess.Popen([sys.executable, "-m", "agents.evaluate", *words], cwd=ROOT, stdout=subprocess.DEVNULL)
+    children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
+    try:
+        wait_for(lambda: len(children.read_text().split()) >= 3)  # two workers, and the tracker of their resources
+        workers = children.read_text().split()
+        time.sleep(0.5)
+    finally:
+        command.kill()
+        command.wait()
+    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+
+
+def wait_for(condition, seconds: float = 30) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)

@@ -132,6 +132,7 @@ def test_a_checkpoint_restores_the_learner_whole(model, recipe, tmp_path):
     assert (other.num_timesteps, other._n_updates) == (model.num_timesteps, model._n_updates)
     assert other.replay_buffer.pos == model.replay_buffer.pos
     assert np.array_equal(other.replay_buffer.observations, model.replay_buffer.observations)
+    assert np.all(other.replay_buffer.timeouts[other.replay_buffer.pos - 1]), "an episode ends where the run was cut"
     assert other.log_ent_coef.item() == model.log_ent_coef.item()
     seen = np.linspace(-1, 1, 6)
     assert np.array_equal(actor_of(other)(seen), actor_of(model)(seen))

@@ -1,0 +1,22 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agents.demo import RESULTS
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.slow
+def test_the_demo_goes_from_random_weights_to_the_wire(tmp_path):
+    line = [sys.executable, "-m", "agents.demo", "--out", str(tmp_path), "--minutes", "0.4", "--episodes", "3"]
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert all((tmp_path / name).stat().st_size for name in RESULTS)
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert [numbers["episodes"] for numbers in results["policies"].values()] == [3, 3, 3]
+    assert list(results["policies"]) == ["learned", "scripted", "random"]
+    assert "is missing" not in done.stdout
