@@ -1,0 +1,148 @@
+"""The tables of ``docs/environments.md``, from the code: ``python -m hpac_gym.envs.tables`` writes them into the page.
+
+A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by hand.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+from hpac_gym.envs import posture
+from hpac_gym.envs.grasp import Grasp, GraspConfig
+from hpac_gym.envs.observation import Field, deployed_fields
+from hpac_gym.envs.pick_place import PickPlace, PickPlaceConfig
+from hpac_gym.envs.randomization import BOUNDS, PRESETS, Randomization
+from hpac_gym.envs.task import Task
+from hpac_gym.envs.views import PRIVILEGED_FIELDS
+from hpac_gym.model import HPAC, SERVOS
+
+PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def action_table() -> str:
+    """What the six numbers of an action mean."""
+    rows = [
+        [str(index), f"`{name}`", f"{HPAC.synergy_min[index]:.4g}", f"{HPAC.synergy_max[index]:.4g}"]
+        for index, name in enumerate(SERVOS)
+    ]
+    return table(["index", "joint that the servo drives", "at −1 [rad]", "at 1 [rad]"], rows)
+
+
+def field_table(described: tuple[Field, ...], start: int = 0) -> str:
+    """A run of the observation vector."""
+    rows = []
+    for field in described:
+        end = start + len(field.labels) - 1
+        index = str(start) if end == start else f"{start}–{end}"
+        labels = ", ".join(field.labels)
+        rows.append([index, f"`{field.name}`", labels, field.unit, f"{field.low:g} … {field.high:g}", field.meaning])
+        start = end + 1
+    return table(["index", "field", "entries", "unit", "bounds", "meaning"], rows)
+
+
+def task_fields(task: Task) -> tuple[Field, ...]:
+    """The deployed observation of a task."""
+    return deployed_fields(task.timetable.phases, task.fields)
+
+
+def length_of(described: tuple[Field, ...]) -> int:
+    """How many entries a table describes."""
+    return sum(len(field.labels) for field in described)
+
+
+def reward_list(task: type) -> str:
+    """The terms of a task's dense reward, from where they are computed."""
+    text = inspect.getdoc(task.reward_terms) or ""
+    return text[text.index("* ") :].strip()
+
+
+def range_table(config: type) -> str:
+    """The ranges that an episode is drawn from, with the documentation of each."""
+    documents, defaults, rows = attribute_docs(config), config(), []
+    for field in fields(config):
+        value = getattr(defaults, field.name)
+        if isinstance(value, tuple):
+            value = f"{value[0]:g} … {value[1]:g}"
+        if isinstance(value, str | float):
+            rows.append([f"`{field.name}`", f"{value}", documents.get(field.name, "")])
+    return table(["name", "value", "meaning"], rows)
+
+
+def timetable_list(task: Task) -> str:
+    """When each phase of a task begins."""
+    timetable, steps = task.timetable, []
+    begins = dict.fromkeys(timetable.phases)
+    for step in range(round(timetable.duration * 20)):
+        name = timetable.phases[timetable.phase(step / 20)]
+        begins[name] = step / 20 if begins[name] is None else begins[name]
+    steps = [f"`{name}` from {begin:g} s" for name, begin in begins.items()]
+    return f"{', '.join(steps)}; the end is at {timetable.duration:g} s."
+
+
+def randomization_table() -> str:
+    """Every quantity, what it may be, and what the presets make of it."""
+    documents = attribute_docs(Randomization)
+    rows = []
+    for name in BOUNDS:
+        given = [getattr(preset, name) for key, preset in PRESETS.items() if key != "nominal"]
+        nominal = getattr(PRESETS["nominal"], name)
+        cells = ["–" if value == nominal else f"{value[0]:g} … {value[1]:g}" for value in given]
+        rows.append([f"`{name}`", *cells, documents[name]])
+    return table(["name", *(f'"{key}"' for key in PRESETS if key != "nominal"), "meaning; bounds"], rows)
+
+
+def attribute_docs(kind: type) -> dict[str, str]:
+    """The text below each attribute of a class; a text speaks for those above it that have none."""
+    pattern = re.compile(r'^    (\w+): [^\n]*\n(?:    """(.*?)""")?', re.MULTILINE | re.DOTALL)
+    return {name: " ".join(text.split()) for name, text in pattern.findall(inspect.getsource(kind))}
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "action": action_table,
+    "grasp-observation": lambda: field_table(task_fields(Grasp())),
+    "grasp-privileged": lambda: field_table(PRIVILEGED_FIELDS, length_of(task_fields(Grasp()))),
+    "grasp-reward": lambda: reward_list(Grasp),
+    "grasp-start": lambda: range_table(GraspConfig),
+    "grasp-phases": lambda: timetable_list(Grasp()),
+    "pick-place-observation": lambda: field_table(PickPlace().fields, length_of(task_fields(Grasp()))),
+    "pick-place-reward": lambda: reward_list(PickPlace),
+    "pick-place-start": lambda: range_table(PickPlaceConfig),
+    "pick-place-phases": lambda: timetable_list(PickPlace()),
+    "posture-observation": lambda: field_table(posture.FIELDS),
+    "posture-privileged": lambda: field_table(posture.PRIVILEGED_FIELDS, length_of(posture.FIELDS)),
+    "posture-goal": lambda: field_table(posture.GOAL_FIELDS),
+    "randomization": randomization_table,
+}
+
+
+def filled(page: str) -> str:
+    """The page with every table as the code has it.
+
+    Raises:
+        ValueError: The page has no place for a table.
+    """
+    for name, make in TABLES.items():
+        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        if page.count(begin) != 1 or page.count(end) != 1:
+            raise ValueError(f"the page needs '{begin}' and '{end}' once")
+        before, rest = page.split(begin)
+        page = f"{before}{begin}\n{make()}\n{end}{rest.split(end)[1]}"
+    return page
+
+
+def main() -> None:
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
