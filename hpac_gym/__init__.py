@@ -1,6 +1,7 @@
 """Reinforcement learning and control of the H-PAC tendon hand, from simulation to the servo.
 
-Importing this package registers its Gymnasium environments; it loads neither PyBullet nor, where Gymnasium is missing, anything else.
+Importing this package registers its Gymnasium environments; it loads neither PyBullet nor, where Gymnasium is missing,
+anything else.
 """
 
 try:
