@@ -1,0 +1,268 @@
+"""The sixteen named grasps: their data against real measures, their episodes, and the scripted closure against random actions."""
+
+import dataclasses
+import math
+
+import gymnasium
+import numpy as np
+import pybullet
+import pytest
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.envs import GRASPS, GraspByName, GraspError, HandEnv, ScriptedClosure, scripted_closure
+from hpac_gym.envs.grasp_data import FAMILIES, NOMINAL, grasps_from_toml
+from hpac_gym.envs.named import quaternion_from_rpy
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, POSTURES
+from hpac_gym.sim import ObjectSpec, Scene, SimObject, Support, World, load_object_models
+from hpac_gym.sim.assets import asset_path
+from hpac_gym.sim.geometry import rotation_from_rpy
+from hpac_gym.sim.object_models import ObjectModel
+from hpac_gym.sim.object_urdf import object_urdf
+from hpac_gym.sim.objects import add_fixed_box
+
+ID = "HPAC-Grasp-v0"
+NAMES = list(GRASPS)
+MODELS = load_object_models()
+POWER = [name for name in NAMES if GRASPS[name].family == "power"]
+
+
+def run(env, act, seed: int) -> dict:
+    """One episode; the last info."""
+    observation, _ = env.reset(seed=seed)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(act(observation))
+        over = terminated or truncated
+    return info
+
+
+def closure(env) -> ScriptedClosure:
+    policy = scripted_closure(env.unwrapped.task)
+    policy.reset()
+    return policy
+
+
+def test_there_is_one_for_each_grasp_posture_of_the_paper():
+    assert [name for name, posture in POSTURES.items() if posture.kind == "grasp"] == NAMES
+    assert len(NAMES) == 16
+    assert {grasp.family for grasp in GRASPS.values()} == set(FAMILIES)
+
+
+def test_every_grasp_has_an_object_of_its_own_and_all_are_used():
+    assert sorted(grasp.object.name for grasp in GRASPS.values()) == sorted(MODELS)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
+def test_an_object_measures_what_its_source_says(model: ObjectModel):
+    low, high = model.bounds
+    np.testing.assert_allclose(high - low, model.size, rtol=0.05)
+    assert sum(solid.mass for solid in model.solids) == pytest.approx(model.mass, rel=0.05)
+    assert len(model.source) > 10
+    x, y, z = model.size
+    assert model.shape == "box" or x == y
+    assert model.shape != "sphere" or x == z
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
+def test_the_committed_file_is_the_generated_one(model: ObjectModel):
+    assert asset_path(f"objects/{model.name}.urdf").read_text(encoding="utf-8") == object_urdf(model)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
+def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectModel):
+    scale, mass = 1.1, 1.3 * model.mass
+    spec = ObjectSpec(model.shape, tuple(scale * half for half in model.half_extents), mass, 0.5, model.name, scale)
+    with World() as world:
+        item = SimObject(world, spec, (0.1, 0.2, 0.3), quaternion_from_rpy((0.3, 0.2, 0.1)))
+        loaded = pybullet.getDynamicsInfo(item.body, -1, world.client)
+        assert loaded[0] == pytest.approx(mass)
+        assert loaded[1] == pytest.approx(0.5)
+        principal = np.linalg.eigvalsh(model.inertia) * 1.3 * scale**2
+        np.testing.assert_allclose(sorted(loaded[2]), principal, rtol=1e-5)
+        position, _ = item.pose()
+        np.testing.assert_allclose(position, (0.1, 0.2, 0.3), atol=1e-6)
+        upright = SimObject(world, spec, (0, 0, 0))
+        size = [reach(world, upright, direction) + reach(world, upright, -direction) for direction in np.eye(3)]
+        np.testing.assert_allclose(size, scale * np.array(model.size), rtol=0.05)
+
+
+def reach(world: World, item: SimObject, direction: np.ndarray) -> float:
+    """How far an object at the origin reaches, by its distance from a wall [m]."""
+    wall = add_fixed_box(world, (0.5, 0.5, 0.5), 0.8 * direction, (1, 1, 1, 1), 0.5)
+    found = pybullet.getClosestPoints(wall, item.body, 1.0, physicsClientId=world.client)
+    pybullet.removeBody(wall, physicsClientId=world.client)
+    return 0.3 - min(point[8] for point in found)
+
+
+def test_hollow_solids_have_the_inertia_of_shells():
+    ball, tube = MODELS["tennis_ball"], MODELS["relay_baton"]
+    radius, shell = 0.0335, 2 / 3 * ball.mass * 0.0335**2
+    assert 0.75 * shell < ball.inertia[0, 0] < shell
+    assert ball.inertia[0, 0] > 2 / 5 * ball.mass * radius**2
+    assert tube.inertia[2, 2] == pytest.approx(tube.mass * 0.0195**2, rel=0.01)
+
+
+def test_quaternions_are_those_of_the_matrices():
+    rpy = (0.4, -1.1, 2.3)
+    with World():
+        matrix = np.reshape(pybullet.getMatrixFromQuaternion(quaternion_from_rpy(rpy)), (3, 3))
+    np.testing.assert_allclose(matrix, rotation_from_rpy(rpy), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_at_the_start_nothing_is_inside_of_anything(name: str):
+    """In the middle of its range the object touches its support at most, and the hand not at all."""
+    task = GraspByName(name)
+    scene = Scene(visuals=False)
+    scene.reset(dataclasses.replace(task.setup(np.random.default_rng(0)), position=np.array(task.grasp.position), yaw=0.0))
+    near = pybullet.getClosestPoints(scene.hand.body, scene.object.body, 0.0, physicsClientId=scene.world.client)
+    assert not [point for point in near if point[8] < -1e-4]
+    for support in scene._supports:
+        near = pybullet.getClosestPoints(support, scene.object.body, 0.0, physicsClientId=scene.world.client)
+        assert not [point for point in near if point[8] < -1.5e-3]
+    scene.close()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_closed_hand_is_within_reach_and_differs_from_the_open_one(name: str):
+    grasp = GRASPS[name]
+    assert np.all(grasp.closed <= HPAC.synergy_max + 1e-9)
+    assert np.abs(grasp.closed - grasp.preshape).max() > 0.1
+    assert not grasp.closed.flags.writeable
+
+
+def test_held_out_variants_change_what_they_name():
+    def drawn(variant: str) -> ObjectSpec:
+        return GraspByName("large_cylinder", variant).setup(np.random.default_rng(0)).object
+
+    spec = {variant: drawn(variant) for variant in (NOMINAL, "heavy", "large")}
+    assert spec["heavy"].mass == pytest.approx(1.5 * spec[NOMINAL].mass)
+    assert spec["heavy"].half_extents == spec[NOMINAL].half_extents
+    assert spec["large"].half_extents == pytest.approx(tuple(1.08 * half for half in spec[NOMINAL].half_extents))
+    assert all({"large", "small", "heavy", "slippery"} <= set(grasp.held_out) for grasp in GRASPS.values())
+
+
+@pytest.mark.parametrize("name", ["large_cylinder", "scissors"])
+def test_same_seed_same_trajectory_to_the_bit(name: str):
+    def trajectory(env):
+        seen = [env.reset(seed=5)[0]]
+        policy = closure(env)
+        for _ in range(30):
+            seen.append(env.step(policy.act(seen[-1]))[0])
+        return np.array(seen)
+
+    with gymnasium.make(ID, grasp=name) as env, gymnasium.make(ID, grasp=name, render_mode="rgb_array") as other:
+        first = trajectory(env)
+        np.testing.assert_array_equal(trajectory(env), first)
+        np.testing.assert_array_equal(trajectory(other), first, "visual shapes change the physics")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_grasp_makes_an_environment_with_the_same_spaces(name: str):
+    with gymnasium.make(ID) as plain, gymnasium.make(ID, grasp=name) as env:
+        assert env.observation_space == plain.observation_space
+        assert env.action_space == plain.action_space
+        observation, _ = env.reset(seed=0)
+        assert observation in env.observation_space
+        assert isinstance(env.unwrapped, HandEnv)
+
+
+def test_a_misspelt_grasp_or_variant_is_named_with_what_there_is():
+    with pytest.raises(GraspError, match=r"'cylinder'.*large_cylinder"):
+        gymnasium.make(ID, grasp="cylinder")
+    with pytest.raises(GraspError, match=r"'huge'.*slippery"):
+        gymnasium.make(ID, grasp="rod", variant="huge")
+    with pytest.raises(GraspError, match="needs a named grasp"):
+        gymnasium.make(ID, variant="large")
+
+
+GOOD = """
+[held_out]
+large = { scale = 1.1 }
+
+[rod]
+family = "power"
+about = "a rod"
+object = "conduit"
+friction = 0.6
+hand_rpy_deg = [90, 0, 90]
+object_rpy_deg = [0, 0, 0]
+position = [0.03, 0.0, 0.1]
+preshape = [0, 0, 0, 0, 0, 1.2]
+closed = [0.9, 1.2, 1.2, 1.2, 1.2, 1.2]
+support = { half_width = [0.01, 0.01] }
+position_noise = [0.004, 0.01, 0.01]
+yaw_noise = 0.5
+"""
+
+
+def test_a_grasp_file_reads_back():
+    rod = grasps_from_toml(GOOD, MODELS)["rod"]
+    assert rod.object is MODELS["conduit"]
+    assert rod.hand_rpy == pytest.approx((math.pi / 2, 0, math.pi / 2))
+    assert rod.held_out["large"].scale == 1.1
+    assert rod.support == Support((0.01, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[rod]", "[rod", "grasps: "),
+        ("scale = 1.1", "size = 1.1", "size"),
+        ('"conduit"', '"club"', "rod: object 'club'"),
+        ('"power"', '"magic"', "rod: family 'magic'"),
+        ('about = "a rod"\n', "", "rod: about is missing"),
+        ("yaw_noise = 0.5", "yaw_noise = 0.5\ncolour = 1", "rod: unknown fields colour"),
+        ("[0.03, 0.0, 0.1]", "[0.03, 0.0]", "rod: position must be three numbers"),
+        ("closed = [0.9", "closed = [9.0", "rod: closed thumb_mp = 9 rad"),
+        ("[0.01, 0.01] }", "[0.01, -0.01] }", "rod: .*greater than 0"),
+        ("half_width", "width", "rod: .*width"),
+    ],
+)
+def test_a_bad_grasp_file_is_refused_by_name(old: str, new: str, message: str):
+    assert old in GOOD
+    with pytest.raises(ParameterError, match=message):
+        grasps_from_toml(GOOD.replace(old, new), MODELS)
+
+
+def successes(name: str, seeds: range) -> tuple[int, int]:
+    """Of the scripted closure and of random actions over the same episodes."""
+    scripted = wild = 0
+    with gymnasium.make(ID, grasp=name) as env:
+        for seed in seeds:
+            scripted += run(env, closure(env).act, seed)["is_success"]
+            rng = np.random.default_rng([seed, 1])
+            wild += run(env, lambda _, rng=rng: rng.uniform(-1, 1, 6).astype(np.float32), seed)["is_success"]
+    return scripted, wild
+
+
+@pytest.mark.parametrize("name", ["small_cylinder", "three_finger_pinch", "lateral_pinch", "screwdriver"])
+def test_scripted_closure_beats_random_actions(name: str):
+    scripted, wild = successes(name, range(6))
+    assert scripted >= 4
+    assert scripted > wild + 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_scripted_closure_beats_random_actions_at_every_grasp(name: str):
+    scripted, wild = successes(name, range(200, 220))
+    assert scripted >= 12
+    assert scripted > wild + 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_a_closed_grasp_creeps_little_in_ten_seconds(name: str):
+    """Less than 2 mm for a power grasp and 5 mm for any other, from one second after the hold begins."""
+    with gymnasium.make(ID, grasp=name) as env:
+        seed = next(seed for seed in range(10) if run(env, closure(env).act, seed)["is_success"])
+        run(env, closure(env).act, seed)
+        scene, command = env.unwrapped.scene, env.unwrapped.command
+        still = env.unwrapped.task.timetable.wrist_path
+        for step in range(round(11 / command.duration)):
+            scene.advance(command, still)
+            if step == round(1 / command.duration):
+                start = scene.object_pose()[0]
+        assert np.linalg.norm(scene.object_pose()[0] - start) < (0.002 if name in POWER else 0.005)
