@@ -18,13 +18,14 @@ from hpac_gym.study.identification import SPREAD, Identification, identify, pred
 from hpac_gym.study.processing import without_drift
 from hpac_gym.study.record import PHASES, Sweep, joints_of_servo, read_sweep
 
+OUT = Path("runs/calibrate/hand.toml")
 _IDENTIFIED = ("d2", "alpha_deg", "servo_radius", "joint_radius", "path_length", "drive_stiffness", "cmc_gain")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("record", type=Path, metavar="sweep.csv", help="the record; a joint without measurement may be left out")
-    parser.add_argument("--out", type=Path, required=True, metavar="TOML", help="the hand file to write")
+    parser.add_argument("--out", type=Path, default=OUT, metavar="TOML", help="the hand file to write (%(default)s)")
     parser.add_argument("--base", type=Path, metavar="TOML", help="the hand's design (default: the nominal hand)")
     parser.add_argument("--spread", type=float, default=SPREAD, metavar="S", help="relative spread about the design")
     parser.add_argument(
