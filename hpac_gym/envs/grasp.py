@@ -11,7 +11,7 @@ from hpac_gym.envs.phases import PHASES, Timetable
 from hpac_gym.envs.task import Outcome
 from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.sim import SHAPES, ObjectSpec, Scene, SceneSetup
+from hpac_gym.sim import SHAPES, Camera, ObjectSpec, Scene, SceneSetup
 
 PALM_SURFACE = 0.0125
 """Distance of the palm's surface from the yz-plane of the hand frame [m]."""
@@ -50,6 +50,7 @@ class Grasp:
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.envs.task.Task`."""
 
     fields: tuple[Field, ...] = ()
+    viewpoint = Camera()
 
     def __init__(self, config: GraspConfig = GraspConfig()) -> None:
         self.config = config

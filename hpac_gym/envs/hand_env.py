@@ -20,7 +20,6 @@ from hpac_gym.envs.task import Outcome, Task
 from hpac_gym.envs.views import VIEW_TARGET, Obs, Observation, view
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, elastic_joints_from_servo, load_hand
-from hpac_gym.sim import Camera as Viewpoint
 from hpac_gym.sim import Scene, SceneSetup
 
 CONTROL_HZ = 20
@@ -70,12 +69,12 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.randomization = randomization(randomize)
         self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
         fields = deployed_fields(task.timetable.phases, task.fields)
-        self._view, self._deployed = view(obs, fields), space_of(fields)
+        self._view, self._deployed = view(obs, fields, task.viewpoint), space_of(fields)
         self.action_space = Box(-1.0, 1.0, (len(SERVOS),), np.float32)
         self.observation_space = self._view.space
         self.dt = 1.0 / CONTROL_HZ
         self.transmit: Callable[[ServoCommand], ServoCommand] = lambda command: command
-        self._noise, self._viewpoint = noise, Viewpoint()
+        self._noise = noise
         self._scene: Scene | None = Scene(visuals=render_mode is not None or obs == "image")
         self._running = False
 
@@ -189,7 +188,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return None
         if not hasattr(self, "_camera"):
             raise EpisodeError("nothing to render: call reset() first")
-        return self._viewpoint.picture(scene.world, scene.palm_position + VIEW_TARGET)
+        return self.task.viewpoint.picture(scene.world, scene.palm_position + VIEW_TARGET)
 
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""

@@ -14,7 +14,7 @@ from hpac_gym.envs.scripted import CLOSE_TIME, THUMB_CLOSED, THUMB_OPPOSED
 from hpac_gym.envs.task import Outcome
 from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
-from hpac_gym.sim import ObjectSpec, Scene, SceneSetup
+from hpac_gym.sim import Camera, ObjectSpec, Scene, SceneSetup
 from hpac_gym.sim.truth import hand_from_world, tilt
 
 PHASES = ("reach", "close", "lift", "place")
@@ -136,6 +136,7 @@ class PickPlace:
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.envs.task.Task`."""
 
     fields = (Field("target_pos", AXES, "0.05 m", -10.0, 10.0, "where the object shall stand, as `object_pos`"),)
+    viewpoint = Camera(distance=0.62, yaw_deg=115.0, pitch_deg=-25.0)
 
     def __init__(self, config: PickPlaceConfig = PickPlaceConfig()) -> None:
         self.config = config

@@ -14,7 +14,7 @@ import numpy as np
 from hpac_gym.envs.observation import Field
 from hpac_gym.model import Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.sim import Scene, SceneSetup
+from hpac_gym.sim import Camera, Scene, SceneSetup
 
 
 class Outcome(Enum):
@@ -56,6 +56,11 @@ class Task(Protocol):
     @property
     def fields(self) -> tuple[Field, ...]:
         """What the task adds to the end of the observation."""
+        ...
+
+    @property
+    def viewpoint(self) -> Camera:
+        """Where pictures are taken from; they follow the wrist."""
         ...
 
     hold_time: float

@@ -6,6 +6,7 @@ sets an RGB picture beside it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal, Protocol, get_args
 
 import numpy as np
@@ -58,7 +59,7 @@ class View(Protocol):
 class Deployed:
     """The deployed vector and no more."""
 
-    def __init__(self, fields: tuple[Field, ...]) -> None:
+    def __init__(self, fields: tuple[Field, ...], viewpoint: Camera) -> None:
         self.space = space_of(fields)
 
     def see(self, deployed: NDArray[np.float32], scene: Scene, forces: dict[str, float]) -> NDArray[np.float32]:
@@ -68,7 +69,7 @@ class Deployed:
 class Privileged:
     """The deployed vector, then what only a simulation knows: for the critic of an actor that sees the first part."""
 
-    def __init__(self, fields: tuple[Field, ...]) -> None:
+    def __init__(self, fields: tuple[Field, ...], viewpoint: Camera) -> None:
         self.space = space_of((*fields, *PRIVILEGED_FIELDS))
         self._truth = space_of(PRIVILEGED_FIELDS)
 
@@ -96,10 +97,10 @@ class Privileged:
 class Image:
     """A picture beside the deployed vector. What a camera shows of the physics is not randomized."""
 
-    def __init__(self, fields: tuple[Field, ...]) -> None:
+    def __init__(self, fields: tuple[Field, ...], viewpoint: Camera) -> None:
         picture = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
         self.space = spaces.Dict({"deploy": space_of(fields), "image": picture})
-        self._camera = Camera(width=IMAGE_SIZE, height=IMAGE_SIZE)
+        self._camera = replace(viewpoint, width=IMAGE_SIZE, height=IMAGE_SIZE)
 
     def see(self, deployed: NDArray[np.float32], scene: Scene, forces: dict[str, float]) -> dict[str, NDArray]:
         return {"deploy": deployed, "image": self._camera.picture(scene.world, scene.palm_position + VIEW_TARGET)}
@@ -120,10 +121,10 @@ def known(obs: Obs) -> Obs:
     return obs
 
 
-def view(obs: Obs, fields: tuple[Field, ...]) -> View:
-    """The view of that name over a table of the deployed observation.
+def view(obs: Obs, fields: tuple[Field, ...], viewpoint: Camera) -> View:
+    """The view of that name over a table of the deployed observation; pictures are taken from `viewpoint`.
 
     Raises:
         ParameterError: There is none.
     """
-    return {"deploy": Deployed, "privileged": Privileged, "image": Image}[known(obs)](fields)
+    return {"deploy": Deployed, "privileged": Privileged, "image": Image}[known(obs)](fields, viewpoint)
