@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_finite_vector
 from hpac_gym.model.command import servo_from_joints
 from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
@@ -98,7 +98,7 @@ def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
     """
-    target = np.asarray(target_joint_pos, dtype=float)
+    target = as_finite_vector(target_joint_pos, len(JOINTS), "target_joint_pos")
     servo = servo_from_joints(clip_to_workspace(target, hand), hand)
     joint_pos = elastic_joints_from_servo(servo, hand)
     return Reach(joint_pos, servo, float(np.linalg.norm(target - joint_pos)))

@@ -22,7 +22,7 @@ def add_commands(subparsers: argparse._SubParsersAction, send_posture: gallery.S
 
 
 def _add(subparsers: argparse._SubParsersAction, name: str, module, **options: object) -> None:
-    summary = module.__doc__.splitlines()[0].partition(": ")[2]
+    summary = module.__doc__.splitlines()[0].partition(": ")[2].rstrip(".")
     parser = subparsers.add_parser(name, help=summary, description=summary)
     module.add_arguments(parser, **options)
     parser.set_defaults(func=module.run)

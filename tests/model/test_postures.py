@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpac_gym.errors import HpacError
+from hpac_gym.errors import HpacError, ShapeError
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, JOINTS, POSTURES, joints_from_synergy, posture, reach
 from hpac_gym.model.postures import PostureError
 
@@ -89,6 +89,12 @@ def test_an_unknown_posture_is_told_with_near_names():
         posture("")
     assert issubclass(PostureError, HpacError)
     assert issubclass(PostureError, LookupError)
+
+
+@pytest.mark.parametrize("target", [np.zeros(14), np.zeros((2, 15)), np.full(15, np.nan)])
+def test_a_target_is_one_posture_of_fifteen_finite_angles(target):
+    with pytest.raises(ShapeError, match="target_joint_pos"):
+        reach(target)
 
 
 def test_targets_are_read_only():
