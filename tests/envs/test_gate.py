@@ -30,6 +30,9 @@ OPTIONS = [
 RANDOM_STEPS = 1500
 """Of each id in the default run, which has to fit a busy machine; `make test-all` makes 350,000 of each."""
 
+STOP_GIVES = 0.4
+"""How far a digit that snaps free of another one may run into its stop, for a moment [rad]; 0.2 was seen."""
+
 every_id = pytest.mark.parametrize("name", IDS)
 every_option = pytest.mark.parametrize("options", OPTIONS, ids=lambda options: "-".join(map(str, options.values()))[:30])
 
@@ -202,8 +205,8 @@ def run_randomly(name: str, steps: int) -> None:
             assert env.observation_space.contains(observation)
             if step % 10 == 0:
                 joint_pos, joint_vel = sim_hand(env).joint_state()
-                assert np.all(joint_pos > HPAC.joint_min - 0.2)
-                assert np.all(joint_pos < HPAC.joint_max + 0.2)
+                assert np.all(joint_pos > HPAC.joint_min - STOP_GIVES)
+                assert np.all(joint_pos < HPAC.joint_max + STOP_GIVES)
                 assert np.all(np.abs(joint_vel) < 200)
                 if hasattr(env.unwrapped, "scene"):
                     assert np.all(np.abs(env.unwrapped.scene.object.pose()[0]) < 3.0)
