@@ -34,7 +34,7 @@ trace() {
 }
 
 size_budget() {
-    make -s "$build/hpac_qemu.elf"
+    make -s --no-print-directory "$build/hpac_qemu.elf"
     riscv64-unknown-elf-size -A "$build/hpac_qemu.elf" | awk '
         $1 == ".text" { text = $2 }
         $1 == ".data" || $1 == ".bss" { data += $2 }
@@ -45,14 +45,14 @@ size_budget() {
 }
 
 trace_in_qemu() {
-    make -s "$build/trace_qemu.elf"
+    make -s --no-print-directory "$build/trace_qemu.elf"
     timeout 60 $qemu -serial stdio -kernel "$build/trace_qemu.elf" </dev/null >"$build/trace_qemu.txt"
     head -1 "$build/trace_qemu.txt" | cmp - test/trace.expected
     echo "trace: the expected one on rv32imc in QEMU; stack used: $(sed -n 's/stack //p' "$build/trace_qemu.txt") bytes, test bench included"
 }
 
 trace_in_xtensa() {
-    make -s "$build/trace_lx106.elf"
+    make -s --no-print-directory "$build/trace_lx106.elf"
     timeout 60 qemu-system-xtensa -M sim -cpu lx106 -nographic -semihosting -monitor none -kernel "$build/trace_lx106.elf" \
         </dev/null | cmp - test/trace.expected
     echo "trace: the expected one on Xtensa lx106 in QEMU"
@@ -65,7 +65,7 @@ driver() {
 
 # fuzz KIND: from the kept corpus, for a bounded time
 fuzz() {
-    make -s "$build/fuzz_$1"
+    make -s --no-print-directory "$build/fuzz_$1"
     mkdir -p "$build/corpus_$1"
     "$build/fuzz_$1" -max_total_time="$fuzz_seconds" -max_len=512 -print_final_stats=1 -artifact_prefix="$build/" \
         "$build/corpus_$1" "test/fuzz/corpus_$1" >"$build/fuzz_$1.txt" 2>&1 || { tail -40 "$build/fuzz_$1.txt"; exit 1; }

@@ -9,9 +9,10 @@ from time import monotonic, sleep
 
 import numpy as np
 
-from hpac_gym.bridge.errors import BridgeError, FaultError, HandshakeError, LinkTimeout, PortError, RejectedError
+from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, PortError
 from hpac_gym.bridge.exchange import Exchange
-from hpac_gym.bridge.frame import Frame
+from hpac_gym.bridge.frame import FrameSplitter
+from hpac_gym.bridge.known_state import KnownState
 from hpac_gym.bridge.limits import limits_hash
 from hpac_gym.bridge.protocol import (
     ANGLE_UNIT,
@@ -22,8 +23,6 @@ from hpac_gym.bridge.protocol import (
     Action,
     Fault,
     Reason,
-    State,
-    name_of,
 )
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.statistics import LinkStatistics
@@ -58,8 +57,6 @@ class HandLink:
 
     Attributes:
         info: the hand's answer to HELLO.
-        state: the hand's last known state, of `protocol.State`.
-        last_status: the latest STATUS, asked for or periodic, or None.
         statistics: counters and round trips.
     """
 
@@ -81,11 +78,19 @@ class HandLink:
         self._exchange: Exchange | None = None
         self._busy_until = 0.0
         self._heard_at = 0.0
-        self._fault = Fault.none.name
+        self._known = KnownState()
         self.info: HandInfo | None = None
-        self.state = State.boot.name
-        self.last_status: HandStatus | None = None
         self.statistics = LinkStatistics()
+
+    @property
+    def state(self) -> str:
+        """The hand's last known state, of `protocol.State`."""
+        return self._known.state
+
+    @property
+    def last_status(self) -> HandStatus | None:
+        """The latest STATUS, asked for or periodic."""
+        return self._known.status
 
     def __enter__(self) -> HandLink:
         self.connect()
@@ -102,20 +107,17 @@ class HandLink:
             HandshakeError: Nothing answers, or a firmware of another protocol version.
         """
         self._drop()
-        self._exchange = Exchange(self._open(), self.statistics, self._take_in, self._log)
+        self._exchange = Exchange(self._open(), self.statistics, self._known.take_in, self._log)
         attempts = max(1, math.ceil(self._handshake_timeout / _HELLO_PERIOD))
         try:
             answer = self._exchange.request("hello", timeout=_HELLO_PERIOD, attempts=attempts)
-        except BridgeError as error:
-            splitter = self._exchange.splitter
+        except LinkTimeout:
+            error = _handshake_error(self._exchange.splitter, self._handshake_timeout)
             self._drop()
-            if not isinstance(error, LinkTimeout):
-                raise
-            if splitter.other_version is not None:
-                spoken = f"the hand speaks protocol {splitter.other_version}, this library {VERSION}: update one of them"
-                raise HandshakeError(spoken) from None
-            heard = f"{splitter.rejected_bytes} bytes came that were no frame" if splitter.rejected_bytes else "silence"
-            raise HandshakeError(f"no hand answered within {self._handshake_timeout:g} s ({heard})") from None
+            raise error from None
+        except PortError:
+            self._drop()
+            raise
         self.info = HandInfo.from_frame(answer)
         self._busy_until = 0.0
         self.statistics.connections += 1
@@ -139,7 +141,7 @@ class HandLink:
 
     def close(self) -> None:
         """Disarm the hand if it can be reached, and let the port go. Raises nothing, may be called twice."""
-        if self._exchange is not None and self.state == State.armed.name:
+        if self._exchange is not None and self._known.armed:
             with suppress(BridgeError):
                 self.clear()
         self._drop()
@@ -218,15 +220,16 @@ class HandLink:
             LinkTimeout, PortError: A heartbeat got no answer; the port has gone.
         """
         deadline = self._now() + seconds
-        was_armed = self.state == State.armed.name
+        was_armed = self._known.armed
         period = (self.info.watchdog if self.info else 1.0) / _HEARTBEATS_PER_WATCHDOG
         while (left := deadline - self._now()) > 0:
             due = self._heard_at + period
             self._connected().listen(min(left, max(due - self._now(), 0.0)) if was_armed else left)
             if was_armed and self._now() >= due:
                 self.heartbeat()
-            if was_armed and self.state == State.fault.name:
-                raise self._fault_error("while waiting", Reason.state.name, None)
+            if was_armed and self._known.in_fault:
+                self._learn_fault()
+                raise self._known.fault_error("it latched while waiting")
 
     def heartbeat(self) -> str:
         """Tell the hand that this program is alive; returns the hand's state, of `protocol.State`."""
@@ -244,7 +247,6 @@ class HandLink:
             RejectedError: The fault cannot be cleared: the board's own servo table is unusable.
         """
         self._request("clear")
-        self._fault = Fault.none.name
 
     def status(self, period: float = 0.0) -> HandStatus:
         """Ask what the hand does; from now on it also says so by itself every `period` [s], or not at all for 0.
@@ -271,36 +273,27 @@ class HandLink:
             self.statistics.bad_bytes += self._exchange.splitter.rejected_bytes
             self._exchange.transport.close()
         self._exchange = None
-        self.state = State.boot.name
+        self._known.forget()
 
     def _request(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
         answer = self._connected().request(name, fields, flags, **self._patience)
-        reason = answer.fields["reason"] if answer.name == "ack" else Reason.ok
-        if reason == Reason.ok:
-            self.statistics.acked += 1
-            self._heard_at = self._now()
-            return
-        self.statistics.rejected += 1
-        servo = SERVOS[answer.fields["servo"]] if answer.fields["servo"] < len(SERVOS) else None
-        if self.state == State.fault.name:
-            raise self._fault_error(name, name_of(Reason, reason), servo)
-        where = f" at servo {servo}" if servo else ""
-        text = f"the hand refused {name}: {name_of(Reason, reason)}{where} (state {self.state})"
-        raise RejectedError(text, name_of(Reason, reason), servo, self.state)
+        if answer.name == "ack" and answer.fields["reason"] != Reason.ok:
+            self.statistics.rejected += 1
+            self._learn_fault()
+            raise self._known.refusal(name, answer)
+        self.statistics.acked += 1
+        self._heard_at = self._now()
 
-    def _fault_error(self, what: str, reason: str, servo: str | None) -> FaultError:
-        if self._fault == Fault.none.name:  # the frame that told of it was lost
+    def _learn_fault(self) -> None:
+        """Ask which fault it is if the frame that told of it was lost."""
+        if self._known.in_fault and self._known.fault == Fault.none.name:
             with suppress(BridgeError):
                 self._connected().request("status", {"period_ms": 0}, **self._patience)
-        return FaultError(f"the hand is in fault ({self._fault}): {what}; clear() leaves it", reason, servo, self.state)
 
-    def _take_in(self, frame: Frame) -> None:
-        """Learn the hand's state from whatever it says."""
-        if "state" in frame.fields:
-            self.state = name_of(State, frame.fields["state"])
-        if frame.name == "device_status":
-            self.last_status = HandStatus.from_frame(frame)
-            self._fault = self.last_status.fault
-        elif frame.name == "fault":
-            self.state = State.fault.name
-            self._fault = name_of(Fault, frame.fields["fault"])
+
+def _handshake_error(heard: FrameSplitter, patience: float) -> HandshakeError:
+    """Why nobody answered HELLO, as far as what was heard tells."""
+    if heard.other_version is not None:
+        return HandshakeError(f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them")
+    what = f"{heard.rejected_bytes} bytes came that were no frame" if heard.rejected_bytes else "silence"
+    return HandshakeError(f"no hand answered within {patience:g} s ({what})")
