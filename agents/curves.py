@@ -33,9 +33,9 @@ def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None 
         label = f"{name}, {numbers['episodes']} held-out episodes: {numbers['success_rate']:.0%}"
         axes.axhspan(low, high, color=COLOURS.get(name), alpha=0.18, linewidth=0)
         axes.axhline(100 * numbers["success_rate"], color=COLOURS.get(name), linestyle="--", linewidth=1, label=label)
-    axes.set(xlabel="environment steps (thousands)", ylabel="success (%)", ylim=(-2, 102), xlim=(0, None))
+    axes.set(xlabel="environment steps (thousands)", ylabel="success (%)", ylim=(-2, 102), xlim=(0, curve["steps"].max(initial=1) / 1000))
     if len(curve["seconds"]) > 1:
-        steps, minutes = curve["steps"] / 1000, curve["seconds"] / 60
+        steps, minutes = np.append(0, curve["steps"] / 1000), np.append(0, curve["seconds"] / 60)
         # Steps and minutes both grow along a run, so that either can be read off the other.
         axis = axes.secondary_xaxis("top", (lambda x: np.interp(x, steps, minutes), lambda t: np.interp(t, minutes, steps)))
         axis.set_xlabel("training time (minutes)")

@@ -1,0 +1,44 @@
+import json
+
+import numpy as np
+import pytest
+
+from agents.curves import report
+from agents.learning_curve import COLUMNS, append_row, drop_rows_after, read_curve
+
+
+def row(steps: int) -> dict[str, float]:
+    return dict(zip(COLUMNS, (steps, steps / 200, steps // 60, 3.5, steps / 10_000, 100), strict=True))
+
+
+@pytest.fixture
+def curve(tmp_path):
+    path = tmp_path / "progress.csv"
+    for steps in range(1000, 6000, 1000):
+        append_row(path, row(steps))
+    return path
+
+
+def test_a_curve_reads_back_as_it_was_written(curve):
+    columns = read_curve(curve)
+    assert np.array_equal(columns["steps"], [1000, 2000, 3000, 4000, 5000])
+    assert columns["success_rate"][-1] == 0.5
+
+
+def test_rows_after_a_checkpoint_and_half_rows_are_taken_back(curve):
+    with curve.open("a") as file:
+        file.write("30")
+    drop_rows_after(curve, 3000)
+    append_row(curve, row(4000))
+    assert np.array_equal(read_curve(curve)["steps"], [1000, 2000, 3000, 4000])
+
+
+def test_a_report_draws_what_there_is(curve):
+    assert [path.name for path in report(curve.parent)] == ["learning_curve.png"]
+    numbers = {"episodes": 10, "success_rate": 0.5, "interval_95": [0.24, 0.76], "return_mean": 1.0, "failures_by_phase": {}}
+    results = {"env_id": "a:B-v0", "first_seed": 1, "last_seed": 10, "policies": {"random": numbers}, "differences": []}
+    (curve.parent / "results.json").write_text(json.dumps(results))
+    written = report(curve.parent)
+    assert {path.name for path in written} == {"learning_curve.png", "results.md", "results.png"}
+    assert all(path.stat().st_size for path in written)
+    assert "| random | 10 | 50.0% | 24.0% … 76.0% |" in (curve.parent / "results.md").read_text()
