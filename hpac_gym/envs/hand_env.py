@@ -17,7 +17,7 @@ from hpac_gym.envs.observation import Camera, CameraNoise, deployed_fields, one_
 from hpac_gym.envs.quality import grasp_quality
 from hpac_gym.envs.randomization import Randomization, changed_noise, changed_setup, randomization
 from hpac_gym.envs.task import Outcome, Task
-from hpac_gym.envs.views import VIEW_TARGET, Obs, Observation, view
+from hpac_gym.envs.views import Obs, Observation, view, view_target
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, elastic_joints_from_servo, load_hand
 from hpac_gym.sim import Scene, SceneSetup
@@ -188,7 +188,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             return None
         if not hasattr(self, "_camera"):
             raise EpisodeError("nothing to render: call reset() first")
-        return self.task.viewpoint.picture(scene.world, scene.palm_position + VIEW_TARGET)
+        return self.task.viewpoint.picture(scene.world, view_target(scene))
 
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""

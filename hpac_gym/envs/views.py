@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hpac_gym.envs.observation import AXES, GRASP_CENTRE, LENGTH_UNIT, Field, space_of, within
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import DIGITS, JOINTS, SERVOS
+from hpac_gym.model.checks import Array
 from hpac_gym.sim import Camera, Scene
 from hpac_gym.sim.truth import object_velocity
 
@@ -103,11 +104,16 @@ class Image:
         self._camera = replace(viewpoint, width=IMAGE_SIZE, height=IMAGE_SIZE)
 
     def see(self, deployed: NDArray[np.float32], scene: Scene, forces: dict[str, float]) -> dict[str, NDArray]:
-        return {"deploy": deployed, "image": self._camera.picture(scene.world, scene.palm_position + VIEW_TARGET)}
+        return {"deploy": deployed, "image": self._camera.picture(scene.world, view_target(scene))}
 
 
-VIEW_TARGET = np.array([0.10, 0.03, 0.0])
-"""What pictures are centred on, from the wrist, in the world [m]."""
+VIEW_TARGET = np.array([0.03, 0.0, 0.10])
+"""What pictures are centred on, in the hand frame [m]."""
+
+
+def view_target(scene: Scene) -> Array:
+    """What pictures are centred on now, in the world, shape (3,) [m]."""
+    return scene.palm_position + scene.hand_rotation @ VIEW_TARGET
 
 
 def known(obs: Obs) -> Obs:
