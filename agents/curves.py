@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from agents.command import Parser, run
 from agents.errors import RunError
@@ -33,11 +34,13 @@ def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None 
         label = f"{name}, {numbers['episodes']} held-out episodes: {numbers['success_rate']:.0%}"
         axes.axhspan(low, high, color=COLOURS.get(name), alpha=0.18, linewidth=0)
         axes.axhline(100 * numbers["success_rate"], color=COLOURS.get(name), linestyle="--", linewidth=1, label=label)
-    axes.set(xlabel="environment steps (thousands)", ylabel="success (%)", ylim=(-2, 102), xlim=(0, curve["steps"].max(initial=1) / 1000))
+    axes.set(xlabel="environment steps (thousands)", ylabel="success (%)", ylim=(-2, 102))
+    axes.set_xlim(0, curve["steps"].max(initial=1) / 1000)
     if len(curve["seconds"]) > 1:
         steps, minutes = np.append(0, curve["steps"] / 1000), np.append(0, curve["seconds"] / 60)
         # Steps and minutes both grow along a run, so that either can be read off the other.
         axis = axes.secondary_xaxis("top", (lambda x: np.interp(x, steps, minutes), lambda t: np.interp(t, minutes, steps)))
+        axis.set_xticks([tick for tick in MaxNLocator(8).tick_values(0, minutes[-1]) if tick <= minutes[-1]])
         axis.set_xlabel("training time (minutes)")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
