@@ -44,9 +44,12 @@ def test_the_turning_points_do_not_count_for_the_width():
 
 
 def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_for():
-    """The index in PyBullet against the closed form's two branches, slowly and without noise: the same width within 40 %."""
+    """The index in PyBullet against the closed form's two branches, slowly and without noise.
+
+    No wider than that, and most of it: each time that a servo stops, the digit shakes a part of the hysteresis off.
+    """
     quiet = replace(REFERENCE.rig, hand=HPAC, camera=JointCamera(noise=0.0, drift=0.0)).with_protocol(
-        points=12, seconds_per_point=3.0, rest=1.0, both_directions=True
+        points=12, seconds_per_point=3.0, rest=0.5, both_directions=True
     )
     settings = replace(REFERENCE.trials, tendon_friction=0.05, friction_spread=0.0, seat=0.0)
     record = trials.run_trials(replace(REFERENCE, rig=quiet, trials=settings), 1, 0, servos=("index_mcp",))
@@ -57,7 +60,7 @@ def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_f
         column = JOINTS.index(name)
         branches = [settled_joints(servo, HPAC, friction, way)[None, :, column] for way in (FLEXION, EXTENSION)]
         expected = float(trials.hysteresis_width(JointTrials(joint.servo, *branches))[0])
-        assert float(trials.hysteresis_width(joint)[0]) == pytest.approx(expected, rel=0.4)
+        assert 0.5 * expected < float(trials.hysteresis_width(joint)[0]) < 1.1 * expected
         assert expected > np.deg2rad(0.08)
 
 
