@@ -6,9 +6,9 @@ from hpac_gym.envs.grasp import Grasp
 from hpac_gym.envs.grasp_data import GRASPS, NOMINAL, GraspError
 from hpac_gym.envs.hand_env import HandEnv
 from hpac_gym.envs.named import GraspByName
-from hpac_gym.envs.pick_place import PickPlace, ScriptedPickPlace
+from hpac_gym.envs.pick_place import PickPlace
 from hpac_gym.envs.posture import PostureEnv
-from hpac_gym.envs.scripted import ScriptedClosure, scripted_closure
+from hpac_gym.envs.scripted import ScriptedClosure, ScriptedPickPlace, scripted_closure
 
 __all__ = [
     "GRASPS",

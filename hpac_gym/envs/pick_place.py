@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpac_gym.envs.grasp import PALM_SURFACE
-from hpac_gym.envs.hand_env import CONTROL_HZ
 from hpac_gym.envs.observation import AXES, GRASP_CENTRE, LENGTH_UNIT, Field
-from hpac_gym.envs.scripted import CLOSE_TIME, THUMB_CLOSED, THUMB_OPPOSED
 from hpac_gym.envs.task import Outcome
-from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand, action_from_synergy
+from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.sim import Camera, ObjectSpec, Scene, SceneSetup
 from hpac_gym.sim.truth import hand_from_world, tilt
@@ -38,7 +35,7 @@ class PickPlaceTimetable:
     lower_time: float = 0.5
     release_time: float = 0.6
     retreat_time: float = 0.6
-    rest_time: float = 0.2
+    rest_time: float = 0.4
     reach: tuple[float, float, float] = (0.04, 0.12, 0.0)
     """The way to the object, and back in the end, in the world [m]."""
     lift_height: float = 0.10
@@ -127,7 +124,7 @@ class PickPlaceConfig:
     """An object that moved farther than this from where it belongs is dropped [m]."""
     tolerance: float = 0.03
     """From the target, across it [m]."""
-    upright: float = 0.2
+    upright: float = 0.05
     """Largest tilt of an object that stands [rad]."""
     timetable: PickPlaceTimetable = field(default_factory=PickPlaceTimetable)
 
@@ -228,24 +225,3 @@ class PickPlace:
             "effort": -0.01 * float(np.square(action_change).sum()),
             "outcome": {Outcome.SUCCESS: 20.0, Outcome.FAILURE: -5.0, Outcome.RUNNING: 0.0}[outcome],
         }
-
-
-class ScriptedPickPlace:
-    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its target."""
-
-    def __init__(self, timetable: PickPlaceTimetable = PickPlaceTimetable()) -> None:
-        self._close, self._open = timetable.ends[0], timetable.ends[4]
-
-    def reset(self) -> None:
-        """Begin an episode."""
-        self._time = 0.0
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action, shape (6,); the observation is ignored."""
-        self._time += 1 / CONTROL_HZ
-        closed = HPAC.synergy_max.copy()
-        closed[SERVO_INDEX["thumb_mp"]] = THUMB_CLOSED
-        share = min(max((self._time - self._close) / CLOSE_TIME, 0.0), 1.0)
-        synergy = closed * (share if self._time < self._open else 0.0)
-        synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED
-        return action_from_synergy(synergy).astype(np.float32)

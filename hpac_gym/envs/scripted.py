@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from hpac_gym.envs.grasp_data import NamedGrasp
 from hpac_gym.envs.hand_env import CONTROL_HZ
 from hpac_gym.envs.named import GraspByName
+from hpac_gym.envs.pick_place import PickPlace, PickPlaceTimetable
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
 
 CLOSE_TIME = 0.8
@@ -46,6 +47,29 @@ class ScriptedClosure:
         return action_from_synergy(synergy).astype(np.float32)
 
 
-def scripted_closure(task: object) -> ScriptedClosure:
-    """The scripted closure for a task: that of its named grasp, if it has one."""
+class ScriptedPickPlace:
+    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its target."""
+
+    def __init__(self, timetable: PickPlaceTimetable = PickPlaceTimetable()) -> None:
+        self._close, self._open = timetable.ends[0], timetable.ends[4]
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._time = 0.0
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action, shape (6,); the observation is ignored."""
+        self._time += 1 / CONTROL_HZ
+        closed = HPAC.synergy_max.copy()
+        closed[SERVO_INDEX["thumb_mp"]] = THUMB_CLOSED
+        share = min(max((self._time - self._close) / CLOSE_TIME, 0.0), 1.0)
+        synergy = closed * (share if self._time < self._open else 0.0)
+        synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED
+        return action_from_synergy(synergy).astype(np.float32)
+
+
+def scripted_closure(task: object) -> ScriptedClosure | ScriptedPickPlace:
+    """The script for a task: of placing, or the closure of its named grasp, if it has one."""
+    if isinstance(task, PickPlace):
+        return ScriptedPickPlace(task.timetable)
     return ScriptedClosure(task.grasp if isinstance(task, GraspByName) else None)

@@ -77,8 +77,9 @@ def main() -> None:
         with gymnasium.make(name) as env:
             found[name] = fingerprint(env)
     if arguments.write:
-        sums = {name: print_["episodes"] for name, print_ in found.items()}
-        FILE.write_text(json.dumps(sums, indent=1) + "\n", encoding="utf-8")
+        sums = json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
+        sums |= {name: taken["episodes"] for name, taken in found.items()}
+        FILE.write_text(json.dumps(dict(sorted(sums.items())), indent=1) + "\n", encoding="utf-8")
     else:
         json.dump(found, sys.stdout)
 
