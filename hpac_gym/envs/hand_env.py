@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hpac_gym.envs.errors import EpisodeError
 from hpac_gym.envs.link import Link
 from hpac_gym.envs.observation import Camera, CameraNoise, deployed_fields, one_hot, space_of, within
-from hpac_gym.envs.quality import grasp_quality
 from hpac_gym.envs.randomization import Randomization, changed_noise, changed_setup, randomization
+from hpac_gym.envs.report import Report
 from hpac_gym.envs.task import Outcome, Task
 from hpac_gym.envs.views import Obs, Observation, view, view_target
 from hpac_gym.errors import ParameterError
@@ -116,7 +116,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._camera = Camera(setup.object, changed_noise(self._noise, drawn), camera_rng)
         self._link = Link(self.hand, setup.synergy, self.dt, drawn, setup_rng)
         self._last_action: NDArray[np.float64] | None = None
-        self._phase, self._running, self._held_at = 0, True, None
+        self._phase, self._running, self._report = 0, True, Report()
         object_pos, rotation = self.scene.object_pose()
         info = self._info(Outcome.RUNNING, {}, object_pos, {})
         return self._observe(object_pos, rotation, {}), info | {"randomized": {name: list(v) for name, v in drawn.items()}}
@@ -159,23 +159,8 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         ]
         return self._view.see(within(self._deployed, np.concatenate(parts)), self.scene, forces)
 
-    def _info(
-        self, outcome: Outcome, terms: dict[str, float], object_pos: NDArray, forces: dict[str, float]
-    ) -> dict[str, Any]:
-        if not self.task.hold_time:
-            self._held_at = None
-        elif self._held_at is None:
-            self._held_at = object_pos
-        info = {
-            "is_success": outcome is Outcome.SUCCESS,
-            "outcome": outcome.value,
-            "phase": self.phase,
-            "reward_terms": terms,
-            "contact_force": float(sum(forces.values())),
-            "hold_time": self.task.hold_time,
-            "slip": 0.0 if self._held_at is None else float(np.linalg.norm(object_pos - self._held_at)),
-        }
-        return info if outcome is Outcome.RUNNING else info | {"epsilon": grasp_quality(self.scene)}
+    def _info(self, outcome: Outcome, terms: dict[str, float], object_pos: NDArray, forces: dict[str, float]) -> dict[str, Any]:
+        return self._report.info(self.scene, outcome, self.phase, terms, object_pos, forces, self.task.hold_time)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, shape (360, 480, 3), or None without a render mode.
