@@ -143,3 +143,26 @@ def test_a_missing_build_says_how_to_make_it(monkeypatch, tmp_path):
     monkeypatch.setenv(BUILD_VARIABLE, str(tmp_path))
     with pytest.raises(FirmwareMissing, match="make firmware"):
         HostBoard().__enter__()
+
+
+def test_a_replugged_board_is_found_again_and_not_armed():
+    boards = [HostBoard().__enter__()]
+    link = HandLink(lambda: boards[-1].connect(), handshake_timeout=0.5)
+    try:
+        link.connect()
+        link.arm()
+        boards[0].__exit__()
+        with pytest.raises(PortError):
+            link.move(ServoCommand(POSE, 1.0))
+        with pytest.raises(PortError, match="no such port"):
+            link.reconnect(timeout=0.2)
+        boards.append(HostBoard().__enter__())
+        link.reconnect(timeout=5.0)
+        assert link.state == "idle"
+        assert not boards[1].pulses().any()
+        assert link.statistics.connections == 2
+        link.arm()
+        assert boards[1].pulses().all()
+    finally:
+        link.close()
+        boards[-1].__exit__()
