@@ -166,3 +166,39 @@ def test_a_replugged_board_is_found_again_and_not_armed():
     finally:
         link.close()
         boards[-1].__exit__()
+
+
+def test_trims_and_directions_move_the_pulses_of_their_servo_alone():
+    def pulses_at_pose(*arguments):
+        with HostBoard(arguments) as board, HandLink(board.connect) as link:
+            link.arm()
+            link.move(ServoCommand(POSE, 0.3))
+            link.wait()
+            return board.pulses()
+
+    plain = pulses_at_pose()
+    turned = pulses_at_pose("--trim", "2", "20000", "--reverse", "0")
+    np.testing.assert_array_equal((turned - plain)[1:], [0, 20_000, 0, 0, 0])
+    assert turned[0] - 1_500_000 == -(plain[0] - 1_500_000)
+
+
+def test_dtr_and_rts_are_low_before_the_port_opens(monkeypatch):
+    events = []
+
+    class FakeSerial:
+        timeout = 0
+
+        def __setattr__(self, name, value):
+            events.append((name, value))
+
+        def open(self):
+            events.append("open")
+
+        def reset_input_buffer(self):
+            events.append("flush")
+
+    monkeypatch.setattr("hpac_gym.bridge.transport.serial.serial_for_url", lambda *_, **__: FakeSerial())
+    open_transport("/dev/ttyUSB9")
+    before = events[: events.index("open")]
+    assert {("dtr", False), ("rts", False), ("exclusive", True), ("baudrate", 460_800)} <= set(before)
+    assert events[-1] == "flush"
