@@ -92,9 +92,9 @@ def report(
     lines += ["", "## Dynamic tracking, mean over the nine joints", "", "| command | rate [Hz] | lag [ms] | RMS error [°] |"]
     lines.append("|---|--:|--:|--:|")
     for item in tracked:
-        lag = 1e3 * np.mean([value.mean for value in item.lag_s.values()])
-        error = np.mean([value.mean for value in item.rms_deg.values()])
-        lines.append(f"| {item.profile.replace('_', ' ')} | {item.rate_hz:g} | {lag:.0f} | {error:.2f} |")
+        lag = item.lag_s["mean"]
+        text = f"{1e3 * lag.mean:.1f} [{1e3 * lag.low:.1f}, {1e3 * lag.high:.1f}]"
+        lines.append(f"| {item.profile.replace('_', ' ')} | {item.rate_hz:g} | {text} | {item.rms_deg['mean']} |")
     lines += ["", "## Rival calibrations: mean absolute error of the nine joints on another sweep [°]", ""]
     numbers = sorted({number for table in rivalry.trained.values() for number in table})
     lines += [f"| method | {' | '.join(f'{number} points' for number in numbers)} |", "|---|" + "--:|" * len(numbers)]

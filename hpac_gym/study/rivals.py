@@ -176,7 +176,7 @@ def _mae(predicted: Array, truth: Array, swept: np.ndarray) -> float:
 
 def rivals_figure(found: Rivalry) -> Figure:
     """Error on the test sweep over the number of training points, with 95 % intervals."""
-    figure = Figure(figsize=(8, 5), layout="constrained")
+    figure = Figure(figsize=(9, 5), layout="constrained")
     axis = figure.subplots()
     for name, table in found.trained.items():
         numbers = list(table)
@@ -192,5 +192,5 @@ def rivals_figure(found: Rivalry) -> Figure:
     axis.minorticks_off()
     axis.set_xlabel("training points of each servo")
     axis.set_ylabel("mean absolute error of the nine joints [°]")
-    axis.legend(frameon=False)
+    figure.legend(loc="outside right center", frameon=False)
     return figure

@@ -116,7 +116,9 @@ class Tracked:
     profile: str
     rate_hz: float
     lag_s: dict[str, Mean]
+    """By joint, and `mean` over the joints."""
     rms_deg: dict[str, Mean]
+    """By joint, and `mean` over the joints."""
 
 
 def run_tracking(
@@ -144,10 +146,12 @@ def run_tracking(
                 lags[joint].append(lag(seen.time, seen.wanted[:, column], seen.measured[:, column]))
                 error = seen.measured[:, column] - seen.wanted[:, column]
                 errors[joint].append(np.degrees(np.sqrt(np.mean(error**2))))
-        found.append(
-            Tracked(name, rate_hz, {k: mean_of(v) for k, v in lags.items()}, {k: mean_of(v) for k, v in errors.items()})
-        )
+        found.append(Tracked(name, rate_hz, _means(lags), _means(errors)))
     return found
+
+
+def _means(runs: dict[str, list[float]]) -> dict[str, Mean]:
+    return {**{name: mean_of(values) for name, values in runs.items()}, "mean": mean_of(np.mean(list(runs.values()), axis=0))}
 
 
 def tracking_figure(found: list[Tracked]) -> Figure:
@@ -163,6 +167,7 @@ def tracking_figure(found: list[Tracked]) -> Figure:
         axes[0, column].set_title(profile.replace("_", " "))
         axes[1, column].set_xlabel("rate of the command [Hz]")
         axes[1, column].set_xscale("log", base=2)
+        axes[1, column].set_xticks(rates, [f"{rate:g}" for rate in rates])
     axes[0, 0].set_ylabel("lag [ms]")
     axes[1, 0].set_ylabel("RMS error [°]")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize=8)

@@ -104,7 +104,8 @@ def spread_deg(joints: dict[str, JointTrials]) -> dict[str, Mean]:
         whole = _rms_spread(joint.flexion)
         count = len(joint.flexion)
         left = [count * whole - (count - 1) * _rms_spread(np.delete(joint.flexion, trial, axis=0)) for trial in range(count)]
-        found[name] = replace(mean_of(np.degrees(left)), mean=float(np.degrees(whole)))
+        interval = mean_of(np.degrees(left))
+        found[name] = replace(interval, mean=float(np.degrees(whole)), low=max(interval.low, 0.0))
     return found
 
 

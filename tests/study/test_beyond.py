@@ -159,7 +159,7 @@ def test_the_command_writes_the_tables_and_figures_of_all_four(tmp_path, capsys)
     assert {(item["profile"], item["rate_hz"]) for item in result["tracking"]} == {
         (profile, rate) for profile in tracking.PROFILES for rate in (0.5, 1.0)
     }
-    assert set(result["tracking"][0]["lag_s"]) == set(EVALUATED)
+    assert set(result["tracking"][0]["lag_s"]) == {*EVALUATED, "mean"}
     assert set(result["rivals_mae_deg"]["trained"]) == {*rivals.RIVALS, "identified"}
     written = {path.name for path in tmp_path.iterdir()}
     assert written == {"hysteresis.png", "repeatability.png", "tracking.png", "rivals.png", "study.md", "study.json"}
