@@ -2,6 +2,11 @@
 
 import argparse
 import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +14,13 @@ import pytest
 from hpac_gym.bridge import HandLink, PortError, Reset, VirtualHand, safety
 from hpac_gym.bridge.commands import add_commands
 from hpac_gym.bridge.doctor import diagnose
+from hpac_gym.bridge.firmware_files import BUILD_VARIABLE
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.virtual_hand import default_config
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import SERVOS
+
+FIRMWARE = Path(__file__).parents[2] / "firmware"
 
 
 def run(*words):
@@ -34,6 +42,22 @@ def test_a_broken_claim_is_told_and_ends_in_status_1(capsys, monkeypatch):
     monkeypatch.setattr(safety, "measure", lambda frames, trials: iter([safety.Claim("it is safe", 21.0, 20.0, "ms")]))
     assert run("safety") == 1
     assert "BROKEN" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_firmware_that_ignores_an_estop_breaks_the_safety_case(tmp_path):
+    copy = tmp_path / "firmware"
+    shutil.copytree(FIRMWARE, copy, ignore=shutil.ignore_patterns("build"))
+    state = copy / "core" / "hpac_state.c"
+    text = state.read_text()
+    assert "} else if (action == HPAC_ACTION_DETACH) {" in text
+    state.write_text(text.replace("} else if (action == HPAC_ACTION_DETACH) {", "} else if (false) {"))
+    subprocess.run(["make", "-s", "-C", copy], check=True)
+    program = "from hpac_gym.bridge import safety\nfor c in safety.measure(20000, 5): print(c.holds, c.claim)"
+    environment = os.environ | {BUILD_VARIABLE: str(copy / "build")}
+    answer = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    broken = [line for line in answer.stdout.splitlines() if line.startswith("False")]
+    assert sum("e-stop" in line for line in broken) == 3
 
 
 def test_wiggle_moves_each_servo_alone_next_to_its_name(capsys, monkeypatch):
