@@ -4,11 +4,24 @@
 
 #include "hpac_crc32.h"
 
+void bench_config(hpac_config_t *config)
+{
+    static const int32_t max_urad[HPAC_SERVOS] = { 1356600, 1386000, 1350200, 1360800, 1349700, 1570000 };
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        config->servo[i] = (hpac_servo_t){ .max_urad = max_urad[i],
+                                           .centre_urad = max_urad[i] / 2,
+                                           .rate_urad_s = 4000000,
+                                           .ns_per_rad = 636620,
+                                           .centre_ns = HPAC_PULSE_CENTRE_NS,
+                                           .direction = 1 };
+    }
+}
+
 void bench_start(bench_t *bench)
 {
     hpac_config_t config;
     memset(bench, 0, sizeof *bench);
-    hpac_config_default(&config);
+    bench_config(&config);
     hpac_hand_init(&bench->hand, &config, HPAC_RESET_POWER_ON, 1);
     bench->now_us = 1000000;
     hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);

@@ -14,7 +14,10 @@ typedef struct {
     uint8_t answer_types[256];       /* how often each type was answered since bench_send(), up to 255 */
 } bench_t;
 
-/* A hand just switched on, with the generated servo table. */
+/* A servo table for tests, which does not change with the hand's parameters: 4 rad/s, six different ranges. */
+void bench_config(hpac_config_t *config);
+
+/* A hand just switched on, with that table. */
 void bench_start(bench_t *bench);
 
 /* A hand that has been greeted, or armed with all its servos attached. */

@@ -15,8 +15,9 @@ from hpac_gym.bridge.host_board import HostBoard
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.virtual_hand import VirtualHand
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.model import HPAC, SERVOS, ServoCommand
+from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
 
+_WIGGLE_TIME = 0.8
 _PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this process) or `host` (the firmware as a process)"
 
 
@@ -83,8 +84,9 @@ def _wiggle(options: argparse.Namespace) -> int:
             print(f"servo {index + 1} of {len(SERVOS)}: {name} flexes and returns", flush=True)
             target = rest.copy()
             target[index] += options.angle
+            duration = max(_WIGGLE_TIME, 2 * move_duration(rest, target))  # the peak of minimum jerk is 1.875 times the mean
             for pose in (target, rest):
-                link.move(ServoCommand(pose, 0.8), minimum_jerk=True)
+                link.move(ServoCommand(pose, duration), minimum_jerk=True)
                 link.wait()
                 link.sleep(0.2)
     return 0

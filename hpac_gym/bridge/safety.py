@@ -20,7 +20,7 @@ from hpac_gym.bridge.host_board import HostBoard
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
 from hpac_gym.bridge.virtual_hand import VirtualHand
-from hpac_gym.model import HPAC, ServoCommand
+from hpac_gym.model import HPAC, ServoCommand, move_duration
 
 BOARD_TICK_US = 20_000
 """A board that ticks only once a servo period: the slowest that is allowed [µs]."""
@@ -28,6 +28,7 @@ BOARD_TICK_US = 20_000
 _WATCHDOG_MS = CONSTANTS["watchdog_ms"]
 _PATIENCE = 5.0
 _HALF = HPAC.servo_max / 2
+_TIME = 1.1 * move_duration(_HALF, HPAC.servo_max)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ def _armed(hand: VirtualHand, action: Action) -> HandLink:
     link = HandLink(hand.connect)
     link.connect()
     link.arm(action)
-    link.move(ServoCommand(_HALF, 0.5))
+    link.move(ServoCommand(_HALF, _TIME))
     return link
 
 
@@ -175,7 +176,7 @@ def _replayed_moves() -> Claim:
 def _overload() -> Claim:
     hand = VirtualHand()
     link = _armed(hand, Action.hold)
-    link.move(ServoCommand(HPAC.servo_max, 0.5))
+    link.move(ServoCommand(HPAC.servo_max, _TIME))
     start = hand.now_us
     try:
         while hand.now_us - start < 1e9:
@@ -192,7 +193,7 @@ def _wall_clock(trials: int) -> Iterator[Claim]:
     with HostBoard() as board, HandLink(board.connect) as link:
         for _ in range(trials):
             link.arm(Action.detach)
-            link.move(ServoCommand(_HALF, 0.5))
+            link.move(ServoCommand(_HALF, _TIME))
             start = time.monotonic()
             link.estop()
             estop.append(_real_ms_until_silent(board, start))

@@ -46,8 +46,8 @@ def test_unacknowledged_moves_fill_the_line_to_within_a_tenth():
     hand = VirtualHand()
     with HandLink(lambda: RateLimitedTransport(hand)) as link:
         link.arm()
-        command = ServoCommand(np.full(6, 0.2), 0.1)
-        count, length = 2000, len(encode(Frame("move", 1, 0, {"duration_ms": 100, "servo": (2000,) * 6})))
+        command = ServoCommand(np.full(6, 0.05), 0.1)
+        count, length = 2000, len(encode(Frame("move", 1, 0, {"duration_ms": 100, "servo": (500,) * 6})))
         before, start = link.status().counters["accepted"], hand.now_us
         for _ in range(count):
             link.move(command, acknowledge=False, pace=False)
@@ -156,7 +156,7 @@ def test_a_device_that_dribbles_single_bytes_still_works():
 
     with Server(serve) as server, HandLink(server.port, timeout=0.3) as link:
         link.arm()
-        link.move(ServoCommand(np.full(6, 0.2), 0.2))
+        link.move(ServoCommand(np.full(6, 0.2), 0.4))
         assert link.wait().state == "armed"
 
 
@@ -170,5 +170,5 @@ def test_half_a_frame_before_the_cable_is_pulled_does_no_harm(virtual_hand, arme
     virtual_hand.receive(encode(Frame("move", 50, 0, {"duration_ms": 500, "servo": (5000,) * 6}))[:13])
     armed.reconnect()
     armed.arm()
-    armed.move(ServoCommand(np.full(6, 0.2), 0.2))
+    armed.move(ServoCommand(np.full(6, 0.2), 0.4))
     np.testing.assert_allclose(armed.wait().servo, 0.2, atol=1e-4)

@@ -172,7 +172,7 @@ def test_trims_and_directions_move_the_pulses_of_their_servo_alone():
     def pulses_at_pose(*arguments):
         with HostBoard(arguments) as board, HandLink(board.connect) as link:
             link.arm()
-            link.move(ServoCommand(POSE, 0.3))
+            link.move(ServoCommand(POSE, 0.5))
             link.wait()
             return board.pulses()
 

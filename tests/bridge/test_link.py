@@ -88,7 +88,7 @@ def test_two_runs_give_the_same_pulses_to_the_nanosecond():
 
 
 def test_duration_is_rounded_up_to_whole_milliseconds(virtual_hand, armed):
-    armed.move(ServoCommand(np.full(6, 0.2), 0.0500001))
+    armed.move(ServoCommand(HPAC.servo_rate_limit * 0.0500001, 0.0500001))
     assert armed.wait().state == "armed"
     assert armed.statistics.rejected == 0
 

@@ -10,6 +10,7 @@ from hpac_gym.bridge.limits import limits_hash, servo_limits
 from hpac_gym.bridge.protocol import MESSAGES, Action, Reason, State
 from hpac_gym.bridge.pulses import pulses_from_servo
 from hpac_gym.bridge.virtual_hand import VirtualHand
+from hpac_gym.model import HPAC
 
 LOW = pulses_from_servo([servo.min_urad * 1e-6 for servo in servo_limits()])
 HIGH = pulses_from_servo([servo.max_urad * 1e-6 for servo in servo_limits()])
@@ -52,7 +53,7 @@ def test_the_core_reads_a_move_as_python_wrote_it(seq, duration_ms, servo):
         assert ack.fields["servo"] in outside
     else:
         assert ack.fields["reason"] == Reason.rate
-        assert max(servo) * 1e-4 / (duration_ms * 1e-3) > 4.0
+        assert max(servo) * 1e-4 / (duration_ms * 1e-3) > min(HPAC.servo_rate_limit)
 
 
 @given(st.data())

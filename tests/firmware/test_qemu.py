@@ -81,5 +81,5 @@ def test_the_golden_trajectory_repeats_to_the_bit_and_is_minimum_jerk():
     assert share[0] < 0.05
     assert share[-1] > 0.95
     shape = 10 * share**3 - 15 * share**4 + 6 * share**5
-    expected = shape[:, None] * np.arange(1, 7) * 0.1
-    np.testing.assert_allclose(servo_from_pulses(rows[:, 1:]), expected, atol=3e-6)
+    expected = shape[:, None] * np.arange(1, 7) * 0.05
+    np.testing.assert_allclose(servo_from_pulses(rows[:, 1:]), expected, atol=1e-5)

@@ -42,8 +42,9 @@ static void tick(bench_t *bench)
 int main(void)
 {
     static bench_t bench;
-    static const int16_t target[HPAC_SERVOS] = { 1000, 2000, 3000, 4000, 5000, 6000 };
+    static const int16_t target[HPAC_SERVOS] = { 500, 1000, 1500, 2000, 2500, 3000 };
     bench_armed(&bench, HPAC_ACTION_HOLD); /* its own time: 1.24 s after power-on */
+    hpac_config_default(&bench.hand.config);
     while (virt_clock_us() < bench.now_us) {
     }
     bench.now_us = virt_clock_us();

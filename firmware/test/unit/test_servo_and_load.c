@@ -7,7 +7,7 @@
 static void pulses_follow_the_table(void)
 {
     hpac_config_t config;
-    hpac_config_default(&config);
+    bench_config(&config);
     hpac_servo_t servo = config.servo[5];
     CHECK(hpac_servo_pulse(&servo, servo.centre_urad) == 1500000u);
     CHECK(hpac_servo_pulse(&servo, servo.centre_urad + 100000) == 1563662u);
@@ -20,7 +20,7 @@ static void pulses_follow_the_table(void)
 static void unusable_tables_are_found(void)
 {
     hpac_config_t config;
-    hpac_config_default(&config);
+    bench_config(&config);
     const hpac_servo_t good = config.servo[0];
     hpac_servo_t bad[7] = { good, good, good, good, good, good, good };
     bad[0].direction = 0;
@@ -41,7 +41,7 @@ static void an_unusable_table_never_gets_pulses(void)
     bench_t bench;
     hpac_config_t config;
     bench_start(&bench);
-    hpac_config_default(&config);
+    bench_config(&config);
     config.servo[3].trim_ns = 800000;
     hpac_hand_init(&bench.hand, &config, HPAC_RESET_POWER_ON, 1);
     CHECK(bench.hand.state == HPAC_STATE_FAULT && bench.hand.fault == HPAC_FAULT_CONFIG);

@@ -143,7 +143,7 @@ static void a_suspicious_reset_stays_disarmed(void)
         bench_t bench;
         hpac_config_t config;
         bench_start(&bench);
-        hpac_config_default(&config);
+        bench_config(&config);
         hpac_hand_init(&bench.hand, &config, resets[i], 2);
         bench_send(&bench, HPAC_HELLO, 0, NULL, 0);
         CHECK(bench.hand.state == HPAC_STATE_FAULT && bench.hand.fault == faults[i]);

@@ -19,7 +19,7 @@ static void check(bool holds, const char *what, int line)
     }
 }
 
-static const int16_t target[HPAC_SERVOS] = { 1000, 2500, 4000, 5500, 7000, 8500 };
+static const int16_t target[HPAC_SERVOS] = { 500, 900, 1300, 1700, 2100, 2500 };
 
 static void say(uint8_t type, uint16_t seq, const uint8_t *payload, size_t length)
 {
