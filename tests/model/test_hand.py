@@ -77,7 +77,7 @@ FAULTS = [
     ("angle too wide", r"^alpha_deg = 150.0", "alpha_deg = 181.0", r"thumb: alpha = 3\.15\d* rad must be below 3\.14159 rad"),
     ("guides too narrow", r"^alpha_deg = 150.0", "alpha_deg = 60.0", r"thumb: workspace \[0\.0, 1\.25\] rad must lie within"),
     ("unknown digit field", r"^d1 = 0.012$", "d1 = 0.012\nd3 = 0.1", r"digit thumb has unknown fields d3"),
-    ("unknown servo field", r"^rate_limit = 4.*$", "rate_limit = 4.0\nrate = 1.0", r"\[servo\] has unknown fields rate"),
+    ("unknown servo field", r"^rate_limit = \d.*$", "rate_limit = 4.0\nrate = 1.0", r"\[servo\] has unknown fields rate"),
     ("unknown cmc field", r"^cmc_gain = 1.0", "cmc_gain = 1.0\ngain = 1.0", r"\[cmc\] has unknown fields gain"),
     ("unknown table", r"^\[servo\]", "[motor]\nx = 1\n[servo]", r"the file has unknown fields motor"),
     ("unknown digit", r"^\[digits\.thumb\]", "[digits.sixth]\nd1 = 1\n[digits.thumb]", r"\[digits\] has unknown fields sixth"),
@@ -91,7 +91,7 @@ FAULTS = [
     ("bounds upside down", r"^ring_pip = .*$", "ring_pip = [1.59, 0.0]", r"workspace of ring_pip = \[1\.59, 0\.0\] rad"),
     ("three bounds", r"^ring_pip = .*$", "ring_pip = [0, 1, 2]", r"workspace of ring_pip must be \[min, max\] in rad"),
     ("degrees", r"^ring_mcp = .*$", "ring_mcp = [0.0, 71.6]", r"digit ring: workspace \[0\.0, 71\.6\] rad must lie within"),
-    ("no rate", r"^rate_limit = 4.*$", "rate_limit = 0.0", r"rate_limit = 0\.0 rad/s must be finite and greater than 0 rad/s"),
+    ("no rate", r"^rate_limit = \d.*$", "rate_limit = 0.0", r"rate_limit = 0\.0 rad/s must be finite and greater than 0 rad/s"),
 ]
 
 

@@ -217,7 +217,7 @@ def test_any_leading_shape(shape):
 @given(synergies, synergies)
 def test_move_duration_is_the_slowest_servo_at_its_rate(start, end):
     start, end = servo_from_synergy(start), servo_from_synergy(end)
-    assert move_duration(start, end) == pytest.approx(max(abs(end - start)) / 4.0)
+    assert move_duration(start, end) == pytest.approx(max(abs(end - start)) / HPAC.rate_limit)
     assert move_duration(start, end) == move_duration(end, start)
     assert move_duration(start, start) == 0
 
