@@ -8,7 +8,7 @@
 #define HPAC_FIRMWARE_MINOR 1u
 #define HPAC_FIRMWARE_PATCH 0u
 #define HPAC_SERVOS 6
-#define HPAC_LIMITS_HASH 0x215c0e5fu
+#define HPAC_LIMITS_HASH 0x8389d89du
 
 /* Frame: header, payload, CRC-32 over both. */
 #define HPAC_AT_VERSION 0u
@@ -157,12 +157,12 @@ typedef enum {
 /* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction. */
 #define HPAC_SERVO_TABLE \
     { \
-        { 0, 1356600, 0, 678300, 4000000, 636620, 1500000, 0, 1 }, /* thumb_mp */ \
-        { 0, 1386000, 0, 693000, 4000000, 636620, 1500000, 0, 1 }, /* index_mcp */ \
-        { 0, 1350200, 0, 675100, 4000000, 636620, 1500000, 0, 1 }, /* middle_mcp */ \
-        { 0, 1360800, 0, 680400, 4000000, 636620, 1500000, 0, 1 }, /* ring_mcp */ \
-        { 0, 1349700, 0, 674850, 4000000, 636620, 1500000, 0, 1 }, /* pinky_mcp */ \
-        { 0, 1570000, 0, 785000, 4000000, 636620, 1500000, 0, 1 }, /* thumb_cmc */ \
+        { 0, 1356600, 0, 678300, 2000000, 636620, 1500000, 0, 1 }, /* thumb_mp */ \
+        { 0, 1386000, 0, 693000, 2000000, 636620, 1500000, 0, 1 }, /* index_mcp */ \
+        { 0, 1350200, 0, 675100, 2000000, 636620, 1500000, 0, 1 }, /* middle_mcp */ \
+        { 0, 1360800, 0, 680400, 2000000, 636620, 1500000, 0, 1 }, /* ring_mcp */ \
+        { 0, 1349700, 0, 674850, 2000000, 636620, 1500000, 0, 1 }, /* pinky_mcp */ \
+        { 0, 1570000, 0, 785000, 2000000, 636620, 1500000, 0, 1 }, /* thumb_cmc */ \
     }
 
 #endif

@@ -1,0 +1,82 @@
+"""The `hpac` command: what the study, the bridge and the benchmark offer, under one name."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+
+import numpy as np
+
+from hpac_gym import bench
+from hpac_gym.bridge import HandLink
+from hpac_gym.bridge.commands import add_commands as add_bridge_commands
+from hpac_gym.errors import HpacError
+from hpac_gym.model import SERVOS, ServoCommand, move_duration
+
+USAGE_ERROR = 2
+INTERRUPTED = 130
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose complaint is one line."""
+
+    def error(self, message: str) -> None:
+        self.exit(USAGE_ERROR, f"error: {message} (see {self.prog} --help)\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; an error that was raised on purpose becomes one line and exit status 2."""
+    parser = Parser(prog="hpac", description="The H-PAC tendon hand, from simulation to the servo.")
+    parser.add_argument("--version", action="version", version=f"hpac_gym {version('hpac_gym')}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    add_bridge_commands(commands)
+    _add_study_commands(commands, parser)
+    bench_parser = commands.add_parser("bench", help="measure the speed of the model and of the environments")
+    bench.add_arguments(bench_parser)
+    bench_parser.set_defaults(func=bench.run)
+    arguments = parser.parse_args(argv)
+    try:
+        return arguments.func(arguments)
+    except HpacError as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        return USAGE_ERROR
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def send_posture(port: str, command: ServoCommand) -> None:
+    """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until Ctrl-C.
+
+    Raises:
+        BridgeError: The port, the hand or the firmware does not do its part; the hand is then disarmed or silent.
+    """
+    with HandLink(port) as link:
+        link.arm()
+        shortest = move_duration(np.zeros(len(SERVOS)), command.servo)
+        link.move(ServoCommand(command.servo, max(command.duration, 1.1 * shortest)))
+        link.wait()
+        print("holding; Ctrl-C lets go", file=sys.stderr)
+        try:
+            while True:
+                link.sleep(1.0)
+        except KeyboardInterrupt:
+            return
+
+
+def _add_study_commands(commands: argparse._SubParsersAction, parser: argparse.ArgumentParser) -> None:
+    """The study needs SciPy and Matplotlib; without them the other commands still work, and the help says what is missing."""
+    try:
+        from hpac_gym.study.commands import add_commands
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("hpac_gym"):
+            raise
+        parser.epilog = f"The study's commands need more: pip install 'hpac_gym[study]' (no module {error.name})."
+        return
+    add_commands(commands, send_posture)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,50 @@
+"""The `hpac` command as a person types it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+COMMANDS = ("bench", "calibrate", "doctor", "posture", "safety", "study", "sweep", "wiggle")
+
+
+def hpac(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "hpac_gym.cli", *words], capture_output=True, text=True, timeout=120)
+
+
+def test_help_lists_every_command():
+    said = hpac("--help").stdout
+    for name in COMMANDS:
+        assert f" {name} " in said
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name):
+    assert hpac(name, "--help").returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["nonsense"], "nonsense"),
+        (["wiggle", "--port", "/dev/no-such-port"], "/dev/no-such-port"),
+        (["posture", "nonsense"], "nonsense"),
+        (["posture", "list", "--hand", "/no/such/hand.toml"], "/no/such/hand.toml"),
+        (["calibrate", "/no/such/sweep.csv"], "sweep.csv"),
+        (["bench", "--section", "nonsense"], "nonsense"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(words, named):
+    done = hpac(*words)
+    assert done.returncode == 2
+    lines = done.stderr.splitlines()
+    assert len(lines) == 1
+    assert named in lines[0]
+    assert done.stdout == ""
+
+
+def test_json_is_one_object_and_nothing_else():
+    done = hpac("bench", "--section", "model", "--json")
+    assert done.returncode == 0
+    assert json.loads(done.stdout)["model"]
