@@ -14,9 +14,10 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 
+from agents.exploration import RandomClosures
 from agents.policy_file import Actor
 from agents.recipes import Recipe
-from agents.tasks import make_task
+from agents.tasks import ActionRepeat, make_task
 
 LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "pybullet", "stable_baselines3", "torch")
 
@@ -27,13 +28,16 @@ class Meanwhile(VecEnvWrapper):
     def __init__(self, venv: VecEnv) -> None:
         super().__init__(venv)
         self.work: Callable[[], None] = lambda: None
+        self.ended = np.ones(venv.num_envs, dtype=bool)
 
     def reset(self):
+        self.ended[:] = True
         return self.venv.reset()
 
     def step_wait(self):
         self.work()
-        return self.venv.step_wait()
+        *rest, self.ended, infos = self.venv.step_wait()
+        return *rest, self.ended, infos
 
 
 class OverlappedSAC(SAC):
@@ -42,11 +46,19 @@ class OverlappedSAC(SAC):
     An update misses the transition that is under way, no more. ``steps_per_update`` environment steps go with each.
     """
 
-    def __init__(self, *args, steps_per_update: int, **options) -> None:
+    def __init__(self, *args, steps_per_update: int, closure_steps: int, action_repeat: int, **options) -> None:
         # No updates of the library's own; they happen in Meanwhile.
         super().__init__(*args, gradient_steps=0, **options)
         self._steps_per_update = steps_per_update
+        self._closure_steps = closure_steps
+        self._closures = RandomClosures(self.n_envs, action_repeat, np.random.default_rng(self.seed))
         self._steps_owed = 0
+
+    def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
+        if self.num_timesteps >= self._closure_steps:
+            return super()._sample_action(0, action_noise, n_envs)
+        actions = self._closures.actions(self.env.venv.ended)
+        return actions, self.policy.scale_action(actions)
 
     def update_meanwhile(self) -> None:
         """Make the updates that one step of all environments is worth."""
@@ -65,7 +77,8 @@ class OverlappedSAC(SAC):
 def training_env(recipe: Recipe) -> VecNormalize:
     """The recipe's environments, each in a worker process, observations scaled by their running mean and deviation."""
     multiprocessing.set_forkserver_preload(["hpac_gym", "stable_baselines3.common.vec_env.subproc_vec_env"])
-    workers = SubprocVecEnv([partial(_worker_task, recipe.env_id)] * recipe.n_envs, start_method="forkserver")
+    task = partial(_worker_task, recipe.env_id, recipe.action_repeat)
+    workers = SubprocVecEnv([task] * recipe.n_envs, start_method="forkserver")
     return VecNormalize(Meanwhile(VecMonitor(workers)), norm_reward=False)
 
 
@@ -76,6 +89,8 @@ def make_learner(recipe: Recipe, env: VecNormalize) -> OverlappedSAC:
         "MlpPolicy",
         env,
         steps_per_update=recipe.steps_per_update,
+        closure_steps=recipe.closure_steps,
+        action_repeat=recipe.action_repeat,
         gamma=recipe.gamma,
         learning_rate=recipe.learning_rate,
         tau=recipe.tau,
@@ -118,9 +133,9 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _worker_task(env_id: str) -> gymnasium.Env:
+def _worker_task(env_id: str, action_repeat: int) -> gymnasium.Env:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the learner, which ends its workers itself
-    return make_task(env_id)
+    return ActionRepeat(make_task(env_id), action_repeat)
 
 
 def _array(parameter: Any) -> np.ndarray:

@@ -52,16 +52,19 @@ class ScriptedPolicy:
 
 
 class LearnedPolicy:
-    """A trained actor without its exploration."""
+    """A trained actor without its exploration, which holds each action for as many control steps as in its training."""
 
-    def __init__(self, actor: Actor) -> None:
-        self._actor = actor
+    def __init__(self, actor: Actor, action_repeat: int) -> None:
+        self._actor, self._action_repeat = actor, action_repeat
 
     def reset(self, seed: int) -> None:
-        pass
+        self._step = 0
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        return self._actor(observation)
+        if self._step % self._action_repeat == 0:
+            self._action = self._actor(observation)
+        self._step += 1
+        return self._action
 
 
 def load_policy(name: str, env: gymnasium.Env) -> Policy:
@@ -74,7 +77,8 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
         return RandomPolicy(env)
     if name == "scripted":
         return ScriptedPolicy(env)
-    return LearnedPolicy(policy_file_for(name, env).actor)
+    policy = policy_file_for(name, env)
+    return LearnedPolicy(policy.actor, policy.about.get("action_repeat", 1))
 
 
 def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:

@@ -12,26 +12,30 @@ from agents.errors import RecipeError
 class Recipe:
     """Settings of one soft actor-critic training.
 
-    Exploration is state-dependent and keeps its direction for ``sde_sample_freq`` control steps: a hand that trembles at
-    20 Hz never closes. ``gamma`` looks about 1 / (1 − gamma) control steps ahead. The learner makes one update in
-    ``steps_per_update`` environment steps while the worker processes step, which keeps two cores busy.
+    A step here is a decision: an action that is held for ``action_repeat`` control steps. The first ``closure_steps`` are
+    random closures (see `agents.exploration`); then exploration is state-dependent and keeps its direction for
+    ``sde_sample_freq`` decisions, because a hand that trembles at 20 Hz never closes. ``gamma`` looks about 1 / (1 − gamma)
+    decisions ahead. The learner makes one update in ``steps_per_update`` decisions while the worker processes step, which
+    keeps two cores busy.
     """
 
     env_id: str
     steps: int
     seed: int = 0
     n_envs: int = 4
-    gamma: float = 0.97
+    gamma: float = 0.9
     learning_rate: float = 5e-4
     tau: float = 0.01
     batch_size: int = 256
     hidden: tuple[int, ...] = (128, 128)
-    learning_starts: int = 2_000
-    steps_per_update: int = 2
-    n_steps: int = 3
-    sde_sample_freq: int = 8
+    action_repeat: int = 4
+    learning_starts: int = 500
+    closure_steps: int = 4_000
+    steps_per_update: int = 1
+    n_steps: int = 2
+    sde_sample_freq: int = 4
     buffer_size: int = 400_000
-    checkpoint_every: int = 20_000
+    checkpoint_every: int = 5_000
     threads: int = 1
 
     def __post_init__(self) -> None:
@@ -56,6 +60,8 @@ BOUNDS = {
     "batch_size": (1, 65_536),
     "hidden": (1, 4_096),
     "learning_starts": (1, inf),
+    "closure_steps": (0, inf),
+    "action_repeat": (1, 1_000),
     "steps_per_update": (1, 1_000),
     "n_steps": (1, 100),
     "sde_sample_freq": (1, 10_000),

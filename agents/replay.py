@@ -25,11 +25,13 @@ from agents.policies import BASELINES, Policy, load_policy
 from agents.policy_file import read_policy
 from agents.seeds import HELD_OUT_SEED
 from agents.video import Sheet, Video
-from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
 
 PULSE_TOLERANCE = 2e-4
 """How far the pulses at the end of a move may be from the commanded angles [rad]: two steps of the wire."""
+ATTEMPTS = 3
+"""How often an episode is begun before a hand that goes safe is an error."""
 
 
 @dataclass
@@ -47,6 +49,7 @@ class Report:
     frames_acked: int = 0
     frames_rejected: int = 0
     frames_retried: int = 0
+    watchdog_stops: int = 0
     round_trip_p50_ms: float = 0.0
     round_trip_p99_ms: float = 0.0
 
@@ -92,40 +95,85 @@ class Wire:
         return ServoCommand(servo, command.duration)
 
 
-def replay(
-    policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, video: Video, sheet: Sheet, report: Report
-) -> None:
-    """Run the episodes of these seeds with the wire between policy and simulated hand."""
-    task = env.unwrapped
-    task.transmit = wire.transmit
+@dataclass
+class Episode:
+    """What went over the wire in one episode, as the servos got it."""
+
+    seed: int
+    commands: list[ServoCommand]
+    success: bool
+
+
+def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report: Report) -> list[Episode]:
+    """Run the episodes of these seeds with the wire between policy and simulated hand.
+
+    A machine that is too busy to keep the hand's watchdog fed makes it go safe; such an episode is begun again, twice at most,
+    and counted.
+
+    Raises:
+        FaultError: The hand went safe three times in one episode.
+    """
+    task, episodes = env.unwrapped, []
     bar = tqdm(seeds, desc="replaying", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
     for seed in bar:
-        observation, info = env.reset(seed=seed)
-        policy.reset(seed)
-        wire.begin(task.command.servo)
+        for attempt in range(ATTEMPTS):
+            try:
+                episodes.append(_run_episode(policy, env, task, wire, seed))
+                break
+            except FaultError:
+                if attempt == ATTEMPTS - 1:
+                    raise
+                report.watchdog_stops += 1
+        report.episodes += 1
+        report.successes += episodes[-1].success
+        bar.set_postfix_str(f"{report.successes} of {report.episodes} held")
+    return episodes
+
+
+def _run_episode(policy: Policy, env: gymnasium.Env, task: gymnasium.Env, wire: Wire, seed: int) -> Episode:
+    commands: list[ServoCommand] = []
+
+    def transmit(command: ServoCommand) -> ServoCommand:
+        commands.append(wire.transmit(command))
+        return commands[-1]
+
+    observation, _ = env.reset(seed=seed)
+    policy.reset(seed)
+    task.transmit = transmit
+    wire.begin(task.command.servo)
+    done = False
+    while not done:
+        observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        done = terminated or truncated
+    return Episode(seed, commands, bool(info["is_success"]))
+
+
+def film(env: gymnasium.Env, episodes: list[Episode], video: Video, sheet: Sheet) -> None:
+    """Render the episodes, off the wire: the same commands from the same seed give the same motion, to the bit."""
+    task = env.unwrapped
+    still = np.zeros(env.action_space.shape)
+    for episode in tqdm(episodes, desc="filming", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True):
+        _, info = env.reset(seed=episode.seed)
         sheet.begin_row()
-        done, phase, picture = False, info["phase"], env.render()
+        phase, picture = info["phase"], env.render()
         sheet.add(picture)
-        while not done:
-            observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        for command in episode.commands:
+            task.transmit = lambda _, command=command: command
+            *_, info = env.step(still)
             if info["phase"] != phase:
                 sheet.add(picture)
                 phase = info["phase"]
             picture = env.render()
-            video.add(picture, f"seed {seed}   {phase}")
-            done = terminated or truncated
+            video.add(picture, f"seed {episode.seed}   {phase}")
         sheet.add(picture)
-        video.hold(picture, f"seed {seed}   {info['outcome']}")
-        report.episodes += 1
-        report.successes += info["is_success"]
-        bar.set_postfix_str(f"{report.successes} of {report.episodes} held")
+        video.hold(picture, f"seed {episode.seed}   {info['outcome']}")
 
 
 def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     writable_folder(args.out)
     env_id = DEFAULT_TASK if args.policy in BASELINES else read_policy(Path(args.policy)).about["env_id"]
-    env = gymnasium.make(env_id, render_mode="rgb_array")
+    env = gymnasium.make(env_id)
     policy = load_policy(args.policy, env)
     report = Report(args.policy, env_id, args.seed_start)
     with ExitStack() as stack:
@@ -133,12 +181,15 @@ def main(argv: list[str] | None = None) -> int:
         hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
         log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
         link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
-        video = stack.enter_context(Video(args.out / "grasps.mp4", env.metadata["render_fps"]))
-        wire, sheet = Wire(hand, link), Sheet()
-        replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), video, sheet, report)
+        wire = Wire(hand, link)
+        episodes = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
         link.clear()
         _take_statistics(report, wire, link)
-    sheet.write(args.out / "grasps.png")
+    with gymnasium.make(env_id, render_mode="rgb_array") as camera:
+        sheet = Sheet()
+        with Video(args.out / "grasps.mp4", camera.metadata["render_fps"]) as video:
+            film(camera, episodes, video, sheet)
+        sheet.write(args.out / "grasps.png")
     text = json.dumps(asdict(report), indent=2)
     with replacing(args.out / "replay.json") as temporary:
         temporary.write_text(text + "\n")

@@ -63,6 +63,7 @@ def train(
             about = {
                 "env_id": recipe.env_id,
                 "algorithm": "SAC",
+                "action_repeat": recipe.action_repeat,
                 "settings": asdict(recipe),
                 "steps": model.num_timesteps,
                 "seconds": round(seconds, 1),

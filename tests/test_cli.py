@@ -14,9 +14,8 @@ def hpac(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_help_lists_every_command():
-    said = hpac("--help").stdout
-    for name in COMMANDS:
-        assert f" {name} " in said
+    said = hpac("--help").stdout.split()
+    assert set(COMMANDS) <= set(said)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
