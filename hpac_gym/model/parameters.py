@@ -16,6 +16,7 @@ import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
+from hpac_gym.model.guides import unchecked_servo_from_synergy
 from hpac_gym.model.joints import DIGITS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
 
 
@@ -197,17 +198,12 @@ class Hand:
     @cached_property
     def servo_min(self) -> Array:
         """Servo angles that put the driven joints at q_min, shape (6,) [rad]."""
-        return self._servo_at(self.synergy_min)
+        return _read_only(unchecked_servo_from_synergy(self.synergy_min, self))
 
     @cached_property
     def servo_max(self) -> Array:
         """Servo angles that put the driven joints at q_max, shape (6,) [rad]."""
-        return self._servo_at(self.synergy_max)
-
-    def _servo_at(self, synergy: Array) -> Array:
-        from hpac_gym.model.transmission import servo_from_synergy
-
-        return _read_only(servo_from_synergy(synergy, self))
+        return _read_only(unchecked_servo_from_synergy(self.synergy_max, self))
 
     @cached_property
     def servo_rate_limit(self) -> Array:

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model.checks import Array, as_finite_array
 from hpac_gym.model.files import HPAC
+from hpac_gym.model.guides import unchecked_servo_from_synergy
 from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand
 
@@ -71,15 +72,6 @@ def servo_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
             f"[{hand.guide_alpha[column] - np.pi:.6g}, {hand.guide_alpha[column]:.6g}] rad"
         )
     return unchecked_servo_from_synergy(synergy, hand)
-
-
-def unchecked_servo_from_synergy(synergy: Array, hand: Hand) -> Array:
-    """`servo_from_synergy` of angles that are known to lie in Table I, shape (..., 6) [rad]."""
-    chord = np.sqrt(hand.guide_sum - hand.guide_product * np.cos(hand.guide_alpha - synergy[..., :_CMC]))
-    servo = np.empty_like(synergy)
-    servo[..., :_CMC] = (hand.rest_chord - chord) / hand.servo_radius
-    servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
-    return servo
 
 
 def rigid_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
