@@ -24,7 +24,7 @@ COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
 
 
 def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None = None) -> Figure:
-    """Success in training over environment steps, with the held-out results of every policy beside it."""
+    """Success in training over decisions, with the held-out results of every policy beside it."""
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -34,7 +34,7 @@ def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None 
         label = f"{name}, {numbers['episodes']} held-out episodes: {numbers['success_rate']:.0%}"
         axes.axhspan(low, high, color=COLOURS.get(name), alpha=0.18, linewidth=0)
         axes.axhline(100 * numbers["success_rate"], color=COLOURS.get(name), linestyle="--", linewidth=1, label=label)
-    axes.set(xlabel="environment steps (thousands)", ylabel="success (%)", ylim=(-2, 102))
+    axes.set(xlabel="decisions (thousands)", ylabel="success (%)", ylim=(-2, 102))
     axes.set_xlim(0, curve["steps"].max(initial=1) / 1000)
     if len(curve["seconds"]) > 1:
         steps, minutes = np.append(0, curve["steps"] / 1000), np.append(0, curve["seconds"] / 60)
@@ -95,7 +95,7 @@ def _page(results: dict[str, Any]) -> str:
     text = f"# {results['env_id'].rpartition(':')[2]}\n\n{table(results)}\n"
     policy = results.get("policy")
     if policy:
-        effort = f"{policy['steps']:,} environment steps in {policy['seconds'] / 60:.1f} minutes"
+        effort = f"{policy['steps']:,} decisions in {policy['seconds'] / 60:.1f} minutes"
         text += f"\nLearned: {policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
         text += f"weights SHA-256 `{policy['sha256'][:16]}…`.\n"
     return text + f"\nEvery policy met the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"

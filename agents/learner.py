@@ -43,7 +43,7 @@ class Meanwhile(VecEnvWrapper):
 class OverlappedSAC(SAC):
     """SAC that updates while its environments step, instead of after it: one core learns, the other one simulates.
 
-    An update misses the transition that is under way, no more. ``steps_per_update`` environment steps go with each.
+    An update misses the transition that is under way, no more. ``steps_per_update`` decisions go with each.
     """
 
     def __init__(self, *args, steps_per_update: int, closure_steps: int, action_repeat: int, **options) -> None:

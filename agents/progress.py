@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from agents.learning_curve import CURVE, append_row
 
-ROW_EVERY = 1_000  # environment steps
+ROW_EVERY = 1_000  # decisions
 LINE_EVERY_S = 30.0  # where there is no terminal to draw a bar on
 
 

@@ -88,7 +88,7 @@ def _parser() -> Parser:
     parser.add_argument("--recipe", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--seed", type=whole_number(0), help="seed of the run")
-    parser.add_argument("--steps", type=whole_number(1), help="environment steps in all")
+    parser.add_argument("--steps", type=whole_number(1), help="decisions in all")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting of the recipe")
     parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end cleanly after so long")
     parser.add_argument("--resume", action="store_true", help="go on with the run in the folder")
