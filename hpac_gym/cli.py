@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -38,7 +39,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     bench_parser.set_defaults(func=bench.run)
     arguments = parser.parse_args(argv)
     try:
-        return arguments.func(arguments)
+        status = arguments.func(arguments)
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # whoever read the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except HpacError as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return USAGE_ERROR

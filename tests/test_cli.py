@@ -47,3 +47,11 @@ def test_json_is_one_object_and_nothing_else():
     done = hpac("bench", "--section", "model", "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["model"]
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    done = subprocess.run(
+        f"{sys.executable} -m hpac_gym.cli posture list | head -1", shell=True, capture_output=True, text=True, timeout=120
+    )
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""

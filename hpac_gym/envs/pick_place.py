@@ -33,7 +33,7 @@ class PickPlaceTimetable:
     lift_time: float = 0.6
     carry_time: float = 0.8
     lower_time: float = 0.5
-    release_time: float = 0.6
+    release_time: float = 0.8
     retreat_time: float = 0.6
     rest_time: float = 0.4
     reach: tuple[float, float, float] = (0.04, 0.12, 0.0)

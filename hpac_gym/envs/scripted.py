@@ -15,6 +15,8 @@ CLOSE_TIME = 0.8
 """From open to closed [s]."""
 THUMB_CLOSED = 0.8
 """MP of the closed thumb [rad]; farther in it pushes small objects out."""
+PLACE_CLOSED = 0.65
+"""Share of the fingers' full closure when something is to be set down: what is wound up less is let go sooner."""
 THUMB_OPPOSED = 1.2
 """CMC, all the time [rad]."""
 
@@ -60,7 +62,7 @@ class ScriptedPickPlace:
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
         self._time += 1 / CONTROL_HZ
-        closed = HPAC.synergy_max.copy()
+        closed = PLACE_CLOSED * HPAC.synergy_max
         closed[SERVO_INDEX["thumb_mp"]] = THUMB_CLOSED
         share = min(max((self._time - self._close) / CLOSE_TIME, 0.0), 1.0)
         synergy = closed * (share if self._time < self._open else 0.0)
