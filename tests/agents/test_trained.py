@@ -1,0 +1,22 @@
+"""The policy that comes with the repository fits the environment that comes with it."""
+
+from pathlib import Path
+
+from agents.evaluate import evaluate
+from agents.policy_file import read_policy
+
+POLICY = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp-sac.zip"
+
+
+def test_it_says_how_it_was_made():
+    about = read_policy(POLICY).about
+    assert about["env_id"].endswith("HPAC-Grasp-v0")
+    assert about["settings"]["seed"] == 0
+    assert about["steps"] > 50_000
+    assert about["versions"]["torch"].startswith("2.13.0")
+
+
+def test_it_still_grasps():
+    """Two of three held out in 400; a physics or observation that it was not trained on would drop most of 24."""
+    result = evaluate([str(POLICY)], "HPAC-Grasp-v0", 24)
+    assert sum(episode.success for episode in result.episodes["learned"]) >= 12
