@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from os import PathLike
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -14,18 +14,16 @@ from numpy.typing import NDArray
 from hpac_gym.envs.errors import EpisodeError
 from hpac_gym.envs.link import Link
 from hpac_gym.envs.observation import Camera, CameraNoise, deployed_fields, one_hot, space_of, within
+from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, require_options
 from hpac_gym.envs.randomization import Randomization, changed_noise, changed_setup, randomization
 from hpac_gym.envs.report import Report
 from hpac_gym.envs.task import Outcome, Task
 from hpac_gym.envs.views import Obs, Observation, view, view_target
-from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, elastic_joints_from_servo, load_hand
+from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, elastic_joints_from_servo
 from hpac_gym.sim import Scene, SceneSetup
 
 CONTROL_HZ = 20
 """Commands a second."""
-
-Reward = Literal["dense", "sparse"]
 
 
 class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -49,7 +47,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         ParameterError: An unknown reward, render mode, obs or randomize, or a bad hand file.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
 
     def __init__(
         self,
@@ -61,13 +59,10 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         obs: Obs = "deploy",
         randomize: Randomization | str | None = None,
     ) -> None:
-        if reward not in ("dense", "sparse"):
-            raise ParameterError(f"reward {reward!r} is neither 'dense' nor 'sparse'")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ParameterError(f"render_mode {render_mode!r} is neither None nor 'rgb_array'")
+        require_options(reward, render_mode)
         self.task, self.reward, self.render_mode = task, reward, render_mode
         self.randomization = randomization(randomize)
-        self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
+        self.hand = hand_of(hand)
         fields = deployed_fields(task.timetable.phases, task.fields)
         self._view, self._deployed = view(obs, fields, task.viewpoint), space_of(fields)
         self.action_space = Box(-1.0, 1.0, (len(SERVOS),), np.float32)

@@ -36,11 +36,17 @@ class Field:
 
 
 
+COMMAND_FIELDS = (
+    Field("servo", SERVOS, "rad", 0.0, 2.0, "commanded servo angle"),
+    Field("joint_pos", JOINTS, "rad", 0.0, 2.0, "joint angle that the model predicts for the command, Eqs. (12), (13)"),
+)
+"""What every environment tells of its own commands."""
+
+
 def deployed_fields(phases: tuple[str, ...], extra: tuple[Field, ...] = ()) -> tuple[Field, ...]:
     """The table of the deployed observation, for a task's phases and with what the task adds at the end."""
     return (
-        Field("servo", SERVOS, "rad", 0.0, 2.0, "commanded servo angle"),
-        Field("joint_pos", JOINTS, "rad", 0.0, 2.0, "joint angle that the model predicts for the command, Eqs. (12), (13)"),
+        *COMMAND_FIELDS,
         Field("object_pos", AXES, "0.05 m", -4.0, 4.0, "seen centre of the object in the hand frame, from `GRASP_CENTRE`"),
         Field("object_up", AXES, "1", -1.0, 1.0, "seen z axis of the object in the hand frame; zero for a sphere"),
         Field("object_side", AXES, "1", -1.0, 1.0, "seen x axis of the object in the hand frame; zero for a sphere or cylinder"),

@@ -12,12 +12,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hpac_gym.envs.errors import EpisodeError
-from hpac_gym.envs.hand_env import CONTROL_HZ, Reward
+from hpac_gym.envs.hand_env import CONTROL_HZ
 from hpac_gym.envs.link import Link
-from hpac_gym.envs.observation import Field, space_of, within
+from hpac_gym.envs.observation import COMMAND_FIELDS, Field, space_of, within
+from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, require_options
 from hpac_gym.envs.randomization import Randomization, changed_mechanics, randomization
-from hpac_gym.envs.views import FORCE_UNIT, IMAGE_SIZE, SPEED_UNIT, Obs, known
-from hpac_gym.errors import ParameterError, ShapeError
+from hpac_gym.envs.views import FORCE_UNIT, IMAGE_SIZE, SPEED_UNIT, VIEW_TARGET, Obs, known
+from hpac_gym.errors import ShapeError
 from hpac_gym.model import (
     HPAC,
     JOINTS,
@@ -27,10 +28,9 @@ from hpac_gym.model import (
     ServoCommand,
     elastic_joints_from_servo,
     joints_from_synergy,
-    load_hand,
 )
 from hpac_gym.sim import Camera, HandSettings, SimHand, World
-from hpac_gym.sim.scene import HAND_POSITION, HAND_QUATERNION
+from hpac_gym.sim.scene import HAND_POSITION, HAND_QUATERNION, HAND_ROTATION
 
 TOLERANCE = 0.05
 """A posture is reached when no joint is farther from it than this [rad]."""
@@ -41,10 +41,7 @@ FREE_THUMB_FINGERS = 0.35
 FREE_FINGERS_THUMB = (0.5, 0.3)
 """Where the fingers may be anywhere, the thumb's MP and CMC stay below these, out of their way [rad]."""
 
-FIELDS = (
-    Field("servo", SERVOS, "rad", 0.0, 2.0, "commanded servo angle"),
-    Field("joint_pos", JOINTS, "rad", 0.0, 2.0, "joint angle that the model predicts for the command, Eqs. (12), (13)"),
-)
+FIELDS = COMMAND_FIELDS
 PRIVILEGED_FIELDS = (
     Field("true_joint_pos", JOINTS, "rad", -0.5, 2.0, "true joint angle"),
     Field("true_joint_vel", JOINTS, "10 rad/s", -5.0, 5.0, "true joint speed"),
@@ -70,7 +67,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         ParameterError: An unknown reward, render mode, obs or randomize, or a bad hand file.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
 
     def __init__(
         self,
@@ -80,13 +77,10 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         obs: Obs = "deploy",
         randomize: Randomization | str | None = None,
     ) -> None:
-        if reward not in ("dense", "sparse"):
-            raise ParameterError(f"reward {reward!r} is neither 'dense' nor 'sparse'")
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ParameterError(f"render_mode {render_mode!r} is neither None nor 'rgb_array'")
+        require_options(reward, render_mode)
         self.reward, self.render_mode, self.obs = reward, render_mode, known(obs)
         self.randomization = randomization(randomize)
-        self.hand = hand if isinstance(hand, Hand) else load_hand(hand)
+        self.hand = hand_of(hand)
         self._space = space_of((*FIELDS, *PRIVILEGED_FIELDS) if obs == "privileged" else FIELDS)
         self._goal_space = space_of(GOAL_FIELDS)
         parts = {"observation": self._space, "achieved_goal": self._goal_space, "desired_goal": self._goal_space}
@@ -188,7 +182,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         return {"is_success": error <= TOLERANCE, "largest_error": error}
 
     def _picture(self, camera: Camera) -> NDArray[np.uint8]:
-        return camera.picture(self.world, HAND_POSITION + np.array([0.10, 0.03, 0.0]))
+        return camera.picture(self.world, HAND_POSITION + HAND_ROTATION @ VIEW_TARGET)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, shape (360, 480, 3), or None without a render mode.

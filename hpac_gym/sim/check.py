@@ -26,13 +26,11 @@ from hpac_gym.model.checks import Array
 from hpac_gym.sim.geometry import load_geometry
 from hpac_gym.sim.hand import SimHand
 from hpac_gym.sim.objects import ObjectSpec, SimObject
-from hpac_gym.sim.scene import HAND_POSITION
+from hpac_gym.sim.scene import HAND_POSITION, HAND_QUATERNION, HAND_ROTATION
 from hpac_gym.sim.world import World, WorldSettings
 from hpac_gym.sim.wrist import Wrist
 
 _ROOTS = [JOINT_INDEX[name] for name in SERVOS]
-_SIDEWAYS = ((0.5, 0.5, 0.5, 0.5), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
-"""Fingers along the world's +x, palm facing +y, thumb up: a quaternion and its matrix."""
 WEIGHTLESS = WorldSettings(gravity=0.0)
 
 
@@ -88,13 +86,12 @@ def blocked_fingertip(finger: str) -> float:
 
 def held_cylinder_creep(seconds: float = 10.0) -> float:
     """How far a 0.15 kg cylinder, 50 mm wide, moves in a closed grasp from the side [m]; infinite if it is not held."""
-    quaternion, rotation = _SIDEWAYS
     with World() as world:
-        hand = SimHand(world, urdf="hpac_hand_on_wrist.urdf", position=HAND_POSITION, orientation=quaternion)
-        Wrist(hand, rotation)
+        hand = SimHand(world, urdf="hpac_hand_on_wrist.urdf", position=HAND_POSITION, orientation=HAND_QUATERNION)
+        Wrist(hand, HAND_ROTATION)
         hand.reset(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2]))
         spec = ObjectSpec("cylinder", (0.025, 0.025, 0.06), mass=0.15, friction=0.8)
-        item = SimObject(world, spec, HAND_POSITION + rotation @ np.array([0.042, 0.0, 0.105]))
+        item = SimObject(world, spec, HAND_POSITION + HAND_ROTATION @ np.array([0.042, 0.0, 0.105]))
         pybullet.changeDynamics(item.body, -1, mass=0.0, physicsClientId=world.client)
         settle(hand, np.array([0.9, *HPAC.synergy_max[1:5], 1.2]), 1.5)
         pybullet.changeDynamics(item.body, -1, mass=spec.mass, physicsClientId=world.client)

@@ -87,11 +87,6 @@ def hysteresis_width(joint: JointTrials) -> Array:
     return (joint.extension - joint.flexion)[:, inside].mean(axis=1)
 
 
-def trial_spread(joint: JointTrials) -> Array:
-    """Standard deviation from trial to trial at every point of the flexion, shape (k,) [rad]."""
-    return joint.flexion.std(axis=0, ddof=1)
-
-
 def hysteresis_deg(joints: dict[str, JointTrials]) -> dict[str, Mean]:
     """Width by joint, with its interval over trials [°]."""
     return {name: mean_of(np.degrees(hysteresis_width(joint))) for name, joint in joints.items()}
