@@ -115,6 +115,16 @@ def stiffest_mode() -> float:
         return float(np.sqrt(max(modes)) * world.settings.dt)
 
 
+def slack_droop() -> float:
+    """How far the most drooping finger's MCP hangs with the palm down and all servos at rest [rad]."""
+    palm_down = (0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5))
+    with World() as world:
+        hand = SimHand(world, orientation=palm_down)
+        hand.reset(np.zeros(len(SERVOS)))
+        hand.step(4.0)
+        return float(max(hand.joint_pos[JOINT_INDEX[f"{finger}_mcp"]] for finger in FINGERS))
+
+
 def opposition_gap(finger: str) -> float:
     """Distance between the thumb's last link and a finger's, at the posture that opposes them [m]."""
     with World(WEIGHTLESS) as world:
@@ -150,6 +160,7 @@ def figures() -> list[Figure]:
         Figure("blocked fingertip: contact torque against tendon torque", 100 * blocked, 1.0, "%"),
         Figure("held cylinder, 0.15 kg: creep in 10 s", 1e3 * held_cylinder_creep(), 2.0, "mm"),
         Figure("opposition: thumb to index, middle and ring", 1e3 * gap, 2.0, "mm"),
+        Figure("palm down, servos at rest: most drooping MCP", slack_droop(), 0.3, "rad"),
         Figure("stiffest tendon: omega dt", stiffest_mode(), 1.5, "1"),
     ]
 

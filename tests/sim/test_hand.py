@@ -39,6 +39,11 @@ def test_the_stiffest_tendon_is_resolved_by_the_physics_step():
     assert 0.5 < check.stiffest_mode() < 1.5
 
 
+def test_a_slack_finger_hangs_between_its_weight_and_its_spring():
+    """Palm down, servos at rest: without pretension it droops, and the spring keeps it from falling far."""
+    assert 0.05 < check.slack_droop() < 0.3
+
+
 @pytest.mark.parametrize("finger", ["index", "middle", "ring"])
 def test_the_thumb_opposes(finger):
     """Within 2 mm, at the opposition postures of the geometry."""
