@@ -32,15 +32,18 @@ class GraspError(HpacError, LookupError):
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An object that differs from the nominal one: factors of its size, mass and friction."""
+    """An object that differs from the nominal one: factors of its size, mass and friction, or another object."""
 
     scale: float = 1.0
     mass: float = 1.0
     friction: float = 1.0
+    object: ObjectModel | None = None
+    """What takes the place of the grasp's own object, in its pose and on its support."""
 
     def __post_init__(self) -> None:
-        if not min(self.scale, self.mass, self.friction) > 0:
-            raise ParameterError(f"factors of {self} must be greater than 0")
+        factors = (self.scale, self.mass, self.friction)
+        if not min(factors) > 0:
+            raise ParameterError(f"scale, mass and friction of a variant are {factors}, must be greater than 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +107,7 @@ def grasps_from_toml(text: str, models: Mapping[str, ObjectModel]) -> dict[str, 
     """
     try:
         table = tomllib.loads(text)
-        common = {name: Variant(**factors) for name, factors in table.pop("held_out", {}).items()}
+        common = _variants(table.pop("held_out", {}), models)
     except (tomllib.TOMLDecodeError, TypeError) as error:
         raise ParameterError(f"grasps: {error}") from None
     found = {}
@@ -119,17 +122,15 @@ def grasps_from_toml(text: str, models: Mapping[str, ObjectModel]) -> dict[str, 
 
 
 def _grasp(name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], common: dict[str, Variant]) -> NamedGrasp:
-    model, family = entry.pop("object"), entry.pop("family")
-    if model not in models:
-        raise ParameterError(f"object {model!r} is none of {', '.join(models)}")
+    model, family = _model(entry.pop("object"), models), entry.pop("family")
     if family not in FAMILIES:
         raise ParameterError(f"family {family!r} is none of {', '.join(FAMILIES)}")
-    held_out = common | {key: Variant(**factors) for key, factors in entry.pop("held_out", {}).items()}
+    held_out = common | _variants(entry.pop("held_out", {}), models)
     grasp = NamedGrasp(
         name=name,
         family=family,
         about=entry.pop("about"),
-        object=models[model],
+        object=model,
         friction=float(entry.pop("friction")),
         hand_rpy=tuple(np.deg2rad(_vector(entry, "hand_rpy_deg")).tolist()),
         object_rpy=tuple(np.deg2rad(_vector(entry, "object_rpy_deg")).tolist()),
@@ -144,6 +145,20 @@ def _grasp(name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], 
     if entry:
         raise ParameterError(f"unknown fields {', '.join(entry)}")
     return grasp
+
+
+def _variants(table: Mapping[str, dict[str, Any]], models: Mapping[str, ObjectModel]) -> dict[str, Variant]:
+    found = {}
+    for name, entry in table.items():
+        known = {"object": _model(entry["object"], models)} if "object" in entry else {}
+        found[name] = Variant(**entry | known)
+    return found
+
+
+def _model(name: str, models: Mapping[str, ObjectModel]) -> ObjectModel:
+    if name not in models:
+        raise ParameterError(f"object {name!r} is none of {', '.join(models)}")
+    return models[name]
 
 
 def _vector(entry: dict[str, Any], key: str) -> Vector:

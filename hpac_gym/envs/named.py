@@ -33,13 +33,13 @@ class GraspByName(Grasp):
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: where in the hand the object stands, and its turn about the vertical."""
         grasp, variant = self.grasp, self.variant
-        half_extents = tuple(variant.scale * half for half in grasp.object.half_extents)
+        model = variant.object or grasp.object
         spec = ObjectSpec(
-            grasp.object.shape,
-            half_extents,
-            variant.mass * grasp.object.mass,
+            model.shape,
+            tuple(variant.scale * half for half in model.half_extents),
+            variant.mass * model.mass,
             variant.friction * grasp.friction,
-            grasp.object.name,
+            model.name,
             variant.scale,
         )
         noise = rng.uniform(-1.0, 1.0, 4)

@@ -1,4 +1,4 @@
-"""The tables of ``docs/environments.md``, from the code: ``python -m hpac_gym.envs.tables`` writes them into the page.
+"""The tables of ``docs/environments.md`` and ``docs/grasps.md``, from the code: ``python -m hpac_gym.envs.tables`` writes them.
 
 A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by hand.
 """
@@ -13,14 +13,17 @@ from pathlib import Path
 
 from hpac_gym.envs import posture
 from hpac_gym.envs.grasp import Grasp, GraspConfig
+from hpac_gym.envs.grasp_data import GRASPS
 from hpac_gym.envs.observation import Field, deployed_fields
 from hpac_gym.envs.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.envs.randomization import BOUNDS, PRESETS, Randomization
 from hpac_gym.envs.task import Task
 from hpac_gym.envs.views import PRIVILEGED_FIELDS
 from hpac_gym.model import HPAC, SERVOS
+from hpac_gym.sim import ObjectModel
 
 PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
+GRASPS_PAGE = PAGE.with_name("grasps.md")
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
@@ -101,6 +104,20 @@ def randomization_table() -> str:
     return table(["name", *(f'"{key}"' for key in PRESETS if key != "nominal"), "meaning; bounds"], rows)
 
 
+def object_table() -> str:
+    """The object of every grasp, what its source prints of it, and what takes its place in the variant of shape."""
+    rows = []
+    for name, grasp in GRASPS.items():
+        shape = grasp.variant("shape").object
+        rows.append([f"`{name}`", *_measures(grasp.object), grasp.object.source, grasp.object.chosen, shape.about])
+    return table(["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'], rows)
+
+
+def _measures(model: ObjectModel) -> list[str]:
+    sides = (f"{1e3 * side:.3g}" for side in dict.fromkeys(model.size))
+    return [model.about, " × ".join(sides), f"{1e3 * model.mass:.3g}"]
+
+
 def attribute_docs(kind: type) -> dict[str, str]:
     """The text below each attribute of a class; a text speaks for those above it that have none."""
     pattern = re.compile(r'^    (\w+): [^\n]*\n(?:    """(.*?)""")?', re.MULTILINE | re.DOTALL)
@@ -123,15 +140,16 @@ TABLES: dict[str, Callable[[], str]] = {
     "posture-goal": lambda: field_table(posture.GOAL_FIELDS),
     "randomization": randomization_table,
 }
+GRASPS_TABLES: dict[str, Callable[[], str]] = {"objects": object_table}
 
 
-def filled(page: str) -> str:
+def filled(page: str, tables: dict[str, Callable[[], str]] = TABLES) -> str:
     """The page with every table as the code has it.
 
     Raises:
         ValueError: The page has no place for a table.
     """
-    for name, make in TABLES.items():
+    for name, make in tables.items():
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
         if page.count(begin) != 1 or page.count(end) != 1:
             raise ValueError(f"the page needs '{begin}' and '{end}' once")
@@ -141,7 +159,8 @@ def filled(page: str) -> str:
 
 
 def main() -> None:
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page, tables in ((PAGE, TABLES), (GRASPS_PAGE, GRASPS_TABLES)):
+        page.write_text(filled(page.read_text(encoding="utf-8"), tables), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """What the objects of the named grasps are made of: real measures and the solids that stand for them, as data.
 
-Nothing here knows a simulator. The numbers and their sources are in ``data/objects.toml``.
+Nothing here knows a simulator. Real objects, their numbers and sources are in ``data/objects.toml``; what takes their place
+in the held-out variants of shape, and is nothing real, is in ``data/held_out_objects.toml``.
 """
 
 from __future__ import annotations
@@ -8,9 +9,10 @@ from __future__ import annotations
 import itertools
 import math
 import tomllib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -19,12 +21,14 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.sim.geometry import rotation_about
 
-MODELS_FILE = Path(__file__).parent / "data" / "objects.toml"
+REAL_FILE = Path(__file__).parent / "data" / "objects.toml"
+HELD_OUT_FILE = Path(__file__).parent / "data" / "held_out_objects.toml"
 STAVES = 16
-"""Flat pieces that a ring is made of."""
+"""Flat pieces that a ring is made of, unless it says how many."""
 
 _AXES = {"x": rotation_about((0, 1, 0), math.pi / 2), "y": rotation_about((1, 0, 0), -math.pi / 2), "z": np.eye(3)}
-_FIELDS = {"about", "source", "size", "mass", "shape", "color", "solids"}
+_FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
+_SOURCE_FIELDS = {"source", "published", "chosen"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +81,6 @@ class ObjectModel:
 
     name: str
     about: str
-    source: str
     size: tuple[float, float, float]
     """Of the real thing [m]."""
     mass: float
@@ -86,6 +89,12 @@ class ObjectModel:
     """The nearest primitive: cylinder, box or sphere."""
     color: tuple[float, ...]
     solids: tuple[Solid, ...]
+    source: str = ""
+    """The publication that `published` is from; empty for what is nothing real."""
+    published: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    """Least and greatest size along x, y and z [m] and mass [kg], as far as the source prints them."""
+    chosen: str = ""
+    """Where the other numbers are from; empty if all are published."""
 
     def __post_init__(self) -> None:
         total = sum(solid.mass for solid in self.solids)
@@ -122,25 +131,45 @@ class ObjectModel:
         return total
 
 
-def load_object_models(path: Path = MODELS_FILE) -> dict[str, ObjectModel]:
-    """Every object by its name.
+def load_object_models() -> dict[str, ObjectModel]:
+    """Every object by its name: the real ones, then those that are held out.
 
     Raises:
         ParameterError: A field is missing or unknown, or an object does not add up.
     """
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
-    return {name: _model(name, entry) for name, entry in table.items()}
+    real = object_models_from_toml(REAL_FILE.read_text(encoding="utf-8"), _FIELDS | _SOURCE_FIELDS)
+    return real | object_models_from_toml(HELD_OUT_FILE.read_text(encoding="utf-8"), _FIELDS)
 
 
-def _model(name: str, entry: dict[str, Any]) -> ObjectModel:
-    if set(entry) != _FIELDS:
-        raise ParameterError(f"object {name}: fields {', '.join(sorted(set(entry) ^ _FIELDS))} are missing or unknown")
+def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectModel]:
+    """The objects that a TOML text describes, each with exactly these fields.
+
+    Raises:
+        ParameterError: A field is missing or unknown, or an object does not add up.
+    """
+    return {name: _model(name, entry, fields) for name, entry in tomllib.loads(text).items()}
+
+
+def _model(name: str, entry: dict[str, Any], fields: set[str]) -> ObjectModel:
+    if set(entry) != fields:
+        raise ParameterError(f"object {name}: fields {', '.join(sorted(set(entry) ^ fields))} are missing or unknown")
     try:
         solids = tuple(part for solid in entry["solids"] for part in _parts(dict(solid)))
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(f"object {name}: bad solid: {error}") from None
-    plain = {key: entry[key] for key in ("about", "source", "mass", "shape")}
-    return ObjectModel(name, size=tuple(entry["size"]), color=tuple(entry["color"]), solids=solids, **plain)
+    published = {key: _interval(value) for key, value in entry.get("published", {}).items()}
+    if not published.keys() <= {"x", "y", "z", "mass"}:
+        raise ParameterError(f"object {name}: published has {', '.join(published)}, not x, y, z and mass alone")
+    plain = {key: entry[key] for key in fields - {"size", "color", "solids", "published"}}
+    return ObjectModel(
+        name, size=tuple(entry["size"]), color=tuple(entry["color"]), solids=solids,
+        published=MappingProxyType(published), **plain,
+    )  # fmt: skip
+
+
+def _interval(value: float | list[float]) -> tuple[float, float]:
+    low, high = value if isinstance(value, list) else (value, value)
+    return float(low), float(high)
 
 
 def _parts(solid: dict[str, Any]) -> Iterator[Solid]:
@@ -159,22 +188,22 @@ def _parts(solid: dict[str, Any]) -> Iterator[Solid]:
 
 
 def _ring(solid: dict[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
-    """Staves around an axis; their middles lie on the circle between both radii, stretched along the ring's own y."""
+    """Staves around an axis; their middles lie on the circle between both radii, stretched along the ring's own y.
+
+    Few staves make a bar: six with radii at 1 : 0.268 have the inertia of a solid hexagonal one.
+    """
     outer, inner, stretch = solid["radius"], solid["inner_radius"], solid.get("stretch", 1.0)
+    staves, turned = solid.get("staves", STAVES), rotation_about((0, 0, 1), solid.get("turn", 0.0))
     wall, middle = outer - inner, (outer + inner) / 2
-    across, along = middle, outer * stretch - wall / 2
-    corners = [_on_ellipse(across, along, (index - 0.5) * 2 * math.pi / STAVES) for index in range(STAVES + 1)]
+    # A chord's middle lies inside of its arc: this puts it on the ellipse.
+    radii = np.array([middle, outer * stretch - wall / 2, 0.0]) / math.cos(math.pi / staves)
+    angles = [(index - 0.5) * 2 * math.pi / staves for index in range(staves + 1)]
+    corners = [turned @ (radii * (math.cos(angle), math.sin(angle), 0.0)) for angle in angles]
     for start, end in itertools.pairwise(corners):
         chord = end - start
         turn = rotation_about((0, 0, 1), math.atan2(chord[1], chord[0]))
         size = (float(np.linalg.norm(chord)) * outer / middle, wall, solid["length"])  # their outer edges meet
-        yield Solid("box", solid["mass"] / STAVES, size, center + axis @ ((start + end) / 2), axis @ turn)
-
-
-def _on_ellipse(across: float, along: float, angle: float) -> Array:
-    # A chord's middle lies inside of its arc: this puts it on the ellipse.
-    widen = 1 / math.cos(math.pi / STAVES)
-    return widen * np.array([across * math.cos(angle), along * math.sin(angle), 0.0])
+        yield Solid("box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn)
 
 
 def _principal_inertia(solid: Solid) -> list[float]:

@@ -1,7 +1,7 @@
 """The objects' URDFs, generated: ``python -m hpac_gym.sim.object_urdf`` writes the committed files.
 
-Measures, masses and their sources come from ``data/objects.toml``. An object's frame has its origin in the middle of its
-bounding box; its centre of mass lies where its solids put it.
+Measures, masses and their sources come from ``data/objects.toml`` and ``data/held_out_objects.toml``. An object's
+frame has its origin in the middle of its bounding box; its centre of mass lies where its solids put it.
 """
 
 from __future__ import annotations

@@ -14,12 +14,8 @@ from hpac_gym.envs.grasp_data import FAMILIES, NOMINAL, grasps_from_toml
 from hpac_gym.envs.named import quaternion_from_rpy
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, POSTURES
-from hpac_gym.sim import ObjectSpec, Scene, SimObject, Support, World, load_object_models
-from hpac_gym.sim.assets import asset_path
+from hpac_gym.sim import ObjectSpec, Scene, Support, World, load_object_models
 from hpac_gym.sim.geometry import rotation_from_rpy
-from hpac_gym.sim.object_models import ObjectModel
-from hpac_gym.sim.object_urdf import object_urdf
-from hpac_gym.sim.objects import add_fixed_box
 
 ID = "HPAC-Grasp-v0"
 NAMES = list(GRASPS)
@@ -50,57 +46,8 @@ def test_there_is_one_for_each_grasp_posture_of_the_paper():
 
 
 def test_every_grasp_has_an_object_of_its_own_and_all_are_used():
-    assert sorted(grasp.object.name for grasp in GRASPS.values()) == sorted(MODELS)
-
-
-@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
-def test_an_object_measures_what_its_source_says(model: ObjectModel):
-    low, high = model.bounds
-    np.testing.assert_allclose(high - low, model.size, rtol=0.05)
-    assert sum(solid.mass for solid in model.solids) == pytest.approx(model.mass, rel=0.05)
-    assert len(model.source) > 10
-    x, y, z = model.size
-    assert model.shape == "box" or x == y
-    assert model.shape != "sphere" or x == z
-
-
-@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
-def test_the_committed_file_is_the_generated_one(model: ObjectModel):
-    assert asset_path(f"objects/{model.name}.urdf").read_text(encoding="utf-8") == object_urdf(model)
-
-
-@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
-def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectModel):
-    scale, mass = 1.1, 1.3 * model.mass
-    spec = ObjectSpec(model.shape, tuple(scale * half for half in model.half_extents), mass, 0.5, model.name, scale)
-    with World() as world:
-        item = SimObject(world, spec, (0.1, 0.2, 0.3), quaternion_from_rpy((0.3, 0.2, 0.1)))
-        loaded = pybullet.getDynamicsInfo(item.body, -1, world.client)
-        assert loaded[0] == pytest.approx(mass)
-        assert loaded[1] == pytest.approx(0.5)
-        principal = np.linalg.eigvalsh(model.inertia) * 1.3 * scale**2
-        np.testing.assert_allclose(sorted(loaded[2]), principal, rtol=1e-5)
-        position, _ = item.pose()
-        np.testing.assert_allclose(position, (0.1, 0.2, 0.3), atol=1e-6)
-        upright = SimObject(world, spec, (0, 0, 0))
-        size = [reach(world, upright, direction) + reach(world, upright, -direction) for direction in np.eye(3)]
-        np.testing.assert_allclose(size, scale * np.array(model.size), rtol=0.05)
-
-
-def reach(world: World, item: SimObject, direction: np.ndarray) -> float:
-    """How far an object at the origin reaches, by its distance from a wall [m]."""
-    wall = add_fixed_box(world, (0.5, 0.5, 0.5), 0.8 * direction, (1, 1, 1, 1), 0.5)
-    found = pybullet.getClosestPoints(wall, item.body, 1.0, physicsClientId=world.client)
-    pybullet.removeBody(wall, physicsClientId=world.client)
-    return 0.3 - min(point[8] for point in found)
-
-
-def test_hollow_solids_have_the_inertia_of_shells():
-    ball, tube = MODELS["tennis_ball"], MODELS["relay_baton"]
-    radius, shell = 0.0335, 2 / 3 * ball.mass * 0.0335**2
-    assert 0.75 * shell < ball.inertia[0, 0] < shell
-    assert ball.inertia[0, 0] > 2 / 5 * ball.mass * radius**2
-    assert tube.inertia[2, 2] == pytest.approx(tube.mass * 0.0195**2, rel=0.01)
+    used = [grasp.object for grasp in GRASPS.values()] + [grasp.variant("shape").object for grasp in GRASPS.values()]
+    assert sorted(model.name for model in used) == sorted(MODELS)
 
 
 def test_quaternions_are_those_of_the_matrices():
@@ -110,10 +57,11 @@ def test_quaternions_are_those_of_the_matrices():
     np.testing.assert_allclose(matrix, rotation_from_rpy(rpy), atol=1e-12)
 
 
+@pytest.mark.parametrize("variant", [NOMINAL, "shape"])
 @pytest.mark.parametrize("name", NAMES)
-def test_at_the_start_nothing_is_inside_of_anything(name: str):
+def test_at_the_start_nothing_is_inside_of_anything(name: str, variant: str):
     """In the middle of its range the object touches its support at most, and the hand not at all."""
-    task = GraspByName(name)
+    task = GraspByName(name, variant)
     scene = Scene(visuals=False)
     scene.reset(dataclasses.replace(task.setup(np.random.default_rng(0)), position=np.array(task.grasp.position), yaw=0.0))
     near = pybullet.getClosestPoints(scene.hand.body, scene.object.body, 0.0, physicsClientId=scene.world.client)
@@ -141,6 +89,45 @@ def test_held_out_variants_change_what_they_name():
     assert spec["heavy"].half_extents == spec[NOMINAL].half_extents
     assert spec["large"].half_extents == pytest.approx(tuple(1.08 * half for half in spec[NOMINAL].half_extents))
     assert all({"large", "small", "heavy", "slippery"} <= set(grasp.held_out) for grasp in GRASPS.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_held_out_shape_is_another_object_of_the_same_mass_and_friction(name: str):
+    nominal, shape = (GraspByName(name, variant).setup(np.random.default_rng(0)).object for variant in (NOMINAL, "shape"))
+    assert shape.model == GRASPS[name].variant("shape").object.name != nominal.model
+    assert shape.mass == pytest.approx(nominal.mass, rel=0.01)
+    assert shape.friction == nominal.friction
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_held_out_shape_is_drawn_only_when_asked_for(name: str):
+    own, held_out = GRASPS[name].object.name, GRASPS[name].variant("shape").object.name
+    others = [variant for variant in (NOMINAL, *GRASPS[name].held_out) if variant != "shape"]
+
+    def drawn(variant: str) -> set[str]:
+        task = GraspByName(name, variant)
+        return {task.setup(np.random.default_rng(seed)).object.model for seed in range(20)}
+
+    assert set.union(*map(drawn, others)) == {own}
+    assert drawn("shape") == {held_out}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_episode_with_a_held_out_shape_repeats_to_the_bit(name: str):
+    def trajectory(env):
+        seen, over = [env.reset(seed=7)[0]], False
+        policy = closure(env)
+        while not over and len(seen) < 30:
+            observation, _, terminated, truncated, _ = env.step(policy.act(seen[-1]))
+            seen.append(observation)
+            over = terminated or truncated
+        return np.array(seen)
+
+    with gymnasium.make(ID, grasp=name, variant="shape") as env, gymnasium.make(ID, grasp=name, variant="shape") as other:
+        first = trajectory(env)
+        np.testing.assert_array_equal(trajectory(env), first)
+        np.testing.assert_array_equal(trajectory(other), first)
+        assert np.all([step in env.observation_space for step in first])
 
 
 @pytest.mark.parametrize("name", ["large_cylinder", "scissors"])
@@ -202,6 +189,7 @@ def test_a_grasp_file_reads_back():
     assert rod.object is MODELS["conduit"]
     assert rod.hand_rpy == pytest.approx((math.pi / 2, 0, math.pi / 2))
     assert rod.held_out["large"].scale == 1.1
+    assert rod.held_out["large"].object is None
     assert rod.support == Support((0.01, 0.01))
 
 
@@ -210,6 +198,8 @@ def test_a_grasp_file_reads_back():
     [
         ("[rod]", "[rod", "grasps: "),
         ("scale = 1.1", "size = 1.1", "size"),
+        ("scale = 1.1", "scale = -1.1", "scale, mass and friction of a variant are"),
+        ("scale = 1.1", 'object = "club"', "object 'club' is none of"),
         ('"conduit"', '"club"', "rod: object 'club'"),
         ('"power"', '"magic"', "rod: family 'magic'"),
         ('about = "a rod"\n', "", "rod: about is missing"),

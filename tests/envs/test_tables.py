@@ -1,4 +1,4 @@
-"""docs/environments.md says what the code does."""
+"""docs/environments.md and docs/grasps.md say what the code does."""
 
 import re
 
@@ -8,7 +8,7 @@ import pytest
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, PickPlace
 from hpac_gym.envs.randomization import BOUNDS, Randomization
-from hpac_gym.envs.tables import PAGE, TABLES, attribute_docs, filled, length_of, task_fields
+from hpac_gym.envs.tables import GRASPS_PAGE, GRASPS_TABLES, PAGE, TABLES, attribute_docs, filled, length_of, task_fields
 from hpac_gym.envs.views import PRIVILEGED_FIELDS
 from tests.envs.fingerprints import IDS
 
@@ -17,6 +17,11 @@ TEXT = PAGE.read_text(encoding="utf-8")
 
 def test_the_page_is_what_the_command_writes():
     assert filled(TEXT) == TEXT, "run: python -m hpac_gym.envs.tables"
+
+
+def test_the_page_of_the_grasps_is_what_the_command_writes():
+    text = GRASPS_PAGE.read_text(encoding="utf-8")
+    assert filled(text, GRASPS_TABLES) == text, "run: python -m hpac_gym.envs.tables"
 
 
 def test_every_id_has_a_chapter_with_the_parts_that_people_expect():
