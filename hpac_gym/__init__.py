@@ -9,6 +9,21 @@ try:
 except ImportError:  # the model and the bridge work without Gymnasium
     pass
 else:
-    register(id="HPAC-Grasp-v0", entry_point="hpac_gym.envs:grasp", max_episode_steps=60)
-    register(id="HPAC-PickPlace-v0", entry_point="hpac_gym.envs:pick_place", max_episode_steps=110)
-    register(id="HPAC-Posture-v0", entry_point="hpac_gym.envs:PostureEnv", max_episode_steps=40)
+    register(
+        id="HPAC-Grasp-v0",
+        entry_point="hpac_gym.envs:grasp",
+        vector_entry_point="hpac_gym.envs.vector:grasp",
+        max_episode_steps=60,
+    )
+    register(
+        id="HPAC-PickPlace-v0",
+        entry_point="hpac_gym.envs:pick_place",
+        vector_entry_point="hpac_gym.envs.vector:pick_place",
+        max_episode_steps=110,
+    )
+    register(
+        id="HPAC-Posture-v0",
+        entry_point="hpac_gym.envs:PostureEnv",
+        vector_entry_point="hpac_gym.envs.vector:posture",
+        max_episode_steps=40,
+    )
