@@ -33,7 +33,7 @@ $(STAMP):
 	@$(PIP) torch==2.13.0
 	@echo "Set-up: the other dependencies and the project"
 	@$(PIP) hatchling
-	@$(PIP) --no-build-isolation --editable '.[train,study,video,test]'
+	@$(PIP) --no-build-isolation --editable '.[train,study,grasps,video,test]'
 	@rm -f $(VENV)/.setup-* && touch $@
 
 compiler:

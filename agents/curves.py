@@ -5,6 +5,7 @@ Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_cur
 """
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from agents.command import Parser, run
+from agents.command import command_parser
 from agents.errors import RunError
 from agents.evaluate import table
-from agents.files import replacing
 from agents.learning_curve import CURVE, read_curve
+from hpac_gym.command_line import run
+from hpac_gym.output import replacing, write_text
 
 RESULTS = "results.json"
 COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
@@ -66,13 +68,13 @@ def report(folder: Path) -> list[Path]:
     """Write the pictures and tables of a run; returns the files.
 
     Raises:
-        RunError: There is nothing to show, or it cannot be read or written.
+        RunError: There is nothing to show, or it cannot be read.
+        OutputError: The folder cannot be written.
     """
     results = _read_results(folder / RESULTS)
     written = []
     if results is not None:
-        with replacing(folder / "results.md") as temporary:
-            temporary.write_text(_page(results))
+        write_text(folder / "results.md", _page(results))
         _save(result_chart(results), folder / "results.png")
         written += [folder / "results.md", folder / "results.png"]
     if (folder / CURVE).exists():
@@ -84,7 +86,7 @@ def report(folder: Path) -> list[Path]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = Parser(__doc__.splitlines()[0])
+    parser = command_parser("agents.curves", __doc__)
     parser.add_argument("folder", type=Path, help="folder of a run")
     for path in report(parser.parse_args(argv).folder):
         print(path)
@@ -118,4 +120,4 @@ def _save(figure: Figure, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    sys.exit(run(main))

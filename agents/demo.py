@@ -8,9 +8,10 @@ import sys
 import time
 from pathlib import Path
 
-from agents.command import Parser, minutes, run, whole_number
-from agents.files import writable_folder
+from agents.command import command_parser, minutes
 from agents.recipes import RECIPES
+from hpac_gym.command_line import run, whole_number
+from hpac_gym.output import writable_folder
 
 EVALUATION_MINUTES = 8.0  # 400 episodes of each of three policies fit; fewer are taken on a slower machine
 RESULTS = ("learning_curve.png", "results.md", "results.json", "grasps.mp4", "wire.jsonl")
@@ -30,7 +31,7 @@ def steps(recipe: str, out: Path, training_minutes: float, episodes: int, seed: 
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = Parser(__doc__.splitlines()[0])
+    parser = command_parser("agents.demo", __doc__)
     parser.add_argument("--recipe", choices=sorted(RECIPES), default="grasp-sac", help="how to train")
     parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder of the results")
     parser.add_argument("--minutes", type=minutes, default=10.0, help="training time")
@@ -53,4 +54,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    run(main)
+    sys.exit(run(main))

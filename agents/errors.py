@@ -11,9 +11,5 @@ class TaskError(HpacError, ValueError):
     """An environment id is unknown, or its spaces are not those that the agents work with."""
 
 
-class PolicyError(HpacError, ValueError):
-    """A policy is unknown, or its file is missing, damaged or made for another environment."""
-
-
 class RunError(HpacError, OSError):
     """A folder of results cannot be read, or not be written."""

@@ -4,16 +4,13 @@ Every policy meets the same episodes, one per seed from ``--seed-start`` on; a l
 the baselines. An episode depends on its seed alone, so that the numbers are the same whatever the number of workers.
 """
 
+import argparse
 import json
-import multiprocessing
 import os
-import signal
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,13 +20,17 @@ import gymnasium
 import numpy as np
 from tqdm import tqdm
 
-from agents.command import Parser, minutes, run, whole_number
-from agents.files import replacing, writable_folder
-from agents.policies import BASELINES, Policy, load_policy
-from agents.policy_file import read_policy
-from agents.seeds import HELD_OUT_SEED
-from agents.statistics import paired_difference, wilson_interval
+from agents.command import command_parser, minutes
 from agents.tasks import make_task
+from hpac_gym.command_line import run, whole_number
+from hpac_gym.evaluation.episode import control_steps
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
+from hpac_gym.evaluation.workers import worker_pool
+from hpac_gym.output import writable_folder, write_text
+from hpac_gym.policies import Policy, read_policy
+from hpac_gym.policies.baselines import BASELINES
+from hpac_gym.policies.loading import load_policy
 
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
 LEARNED = "learned"  # what a policy file is called in tables
@@ -75,14 +76,10 @@ class Evaluation:
 
 def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
     """One episode from its seed to its end."""
-    observation, info = env.reset(seed=seed)
-    policy.reset(seed)
-    total_reward, steps, done = 0.0, 0, False
-    while not done:
-        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        total_reward, steps, done = total_reward + float(reward), steps + 1, terminated or truncated
-    phase = info.get("phase", getattr(env.unwrapped, "phase", None))
-    return Episode(seed, bool(info["is_success"]), total_reward, steps, None if phase is None else _phase_name(phase))
+    rewards, infos = zip(*control_steps(env, policy, seed), strict=True)
+    phase = infos[-1].get("phase", getattr(env.unwrapped, "phase", None))
+    success = bool(infos[-1]["is_success"])
+    return Episode(seed, success, sum(rewards), len(rewards), None if phase is None else _phase_name(phase))
 
 
 def evaluate(
@@ -151,14 +148,13 @@ def main(argv: list[str] | None = None) -> int:
         summary["policy"] = {"file": args.policy, **read_policy(Path(args.policy)).about}
     text = json.dumps(summary, indent=2)
     if args.out:
-        with replacing(args.out) as temporary:
-            temporary.write_text(text + "\n")
+        write_text(args.out, text + "\n")
     print(text if args.json else table(summary))
     return 0
 
 
-def _parser() -> Parser:
-    parser = Parser(__doc__.splitlines()[0])
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser("agents.evaluate", __doc__)
     parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
     parser.add_argument("--env", help="environment id; of a policy file, its own")
     parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes of each policy")
@@ -203,11 +199,8 @@ def _results(names: Sequence[str], env_id: str, seeds: Sequence[int], workers: i
         yield map(bench.episodes, seeds)
         bench.close()
         return
-    pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _start_worker, (names, env_id))
-    try:
+    with worker_pool(workers, _prepare_worker, (names, env_id)) as pool:
         yield pool.map(_work, seeds)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 class _Bench:
@@ -228,17 +221,9 @@ class _Bench:
 _bench: _Bench
 
 
-def _start_worker(names: Sequence[str], env_id: str) -> None:
+def _prepare_worker(names: Sequence[str], env_id: str) -> None:
     global _bench
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the command, which ends its workers itself
-    threading.Thread(target=_end_with_parent, daemon=True).start()
     _bench = _Bench(names, env_id)
-
-
-def _end_with_parent() -> None:
-    """A killed command closes no pool: without this its workers would wait for work for ever."""
-    multiprocessing.parent_process().join()
-    os._exit(1)
 
 
 def _work(seed: int) -> tuple[Episode, ...]:
@@ -246,4 +231,4 @@ def _work(seed: int) -> tuple[Episode, ...]:
 
 
 if __name__ == "__main__":
-    run(main)
+    sys.exit(run(main))

@@ -15,9 +15,9 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 
 from agents.exploration import RandomClosures
-from agents.policy_file import Actor
 from agents.recipes import Recipe
 from agents.tasks import ActionRepeat, make_task
+from hpac_gym.policies import Actor
 
 LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "pybullet", "stable_baselines3", "torch")
 

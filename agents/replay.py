@@ -7,6 +7,7 @@ servos: the simulated hand gets what the pulses say, not what the policy asked f
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from contextlib import ExitStack
@@ -17,16 +18,18 @@ import gymnasium
 import numpy as np
 from tqdm import tqdm
 
-from agents.command import Parser, run, whole_number
+from agents.command import command_parser
 from agents.errors import RunError
 from agents.evaluate import DEFAULT_TASK
-from agents.files import replacing, writable_folder
-from agents.policies import BASELINES, Policy, load_policy
-from agents.policy_file import read_policy
-from agents.seeds import HELD_OUT_SEED
 from agents.video import Sheet, Video
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.command_line import run, whole_number
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
+from hpac_gym.output import writable_folder, write_text
+from hpac_gym.policies import Policy, read_policy
+from hpac_gym.policies.baselines import BASELINES
+from hpac_gym.policies.loading import load_policy
 
 PULSE_TOLERANCE = 2e-4
 """How far the pulses at the end of a move may be from the commanded angles [rad]: two steps of the wire."""
@@ -191,8 +194,7 @@ def main(argv: list[str] | None = None) -> int:
             film(camera, episodes, video, sheet)
         sheet.write(args.out / "grasps.png")
     text = json.dumps(asdict(report), indent=2)
-    with replacing(args.out / "replay.json") as temporary:
-        temporary.write_text(text + "\n")
+    write_text(args.out / "replay.json", text + "\n")
     print(text if args.json else _summary(report))
     if report.faults:
         raise RunError(f"the wire did not keep its promise: {'; '.join(report.faults)}")
@@ -217,8 +219,8 @@ def _summary(report: Report) -> str:
     )
 
 
-def _parser() -> Parser:
-    parser = Parser(__doc__.splitlines()[0])
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser("agents.replay", __doc__)
     parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
@@ -231,4 +233,4 @@ def _parser() -> Parser:
 
 
 if __name__ == "__main__":
-    run(main)
+    sys.exit(run(main))

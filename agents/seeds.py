@@ -1,12 +1,11 @@
-"""Which seeds train and which judge: two ranges that never meet.
+"""Which seeds train: all below those that judge.
 
-A training run draws the seeds of its environments below ``HELD_OUT_SEED``; an evaluation counts up from there, so that
-no episode that a policy is judged by was ever started in training.
+No episode that a policy is judged by was ever started in training.
 """
 
 import numpy as np
 
-HELD_OUT_SEED = 1_000_000
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 
 
 def training_seed(run_seed: int, steps_done: int, n_envs: int) -> int:

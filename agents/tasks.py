@@ -45,8 +45,3 @@ class ActionRepeat(gymnasium.Wrapper):
             if terminated or truncated:
                 break
         return observation, total, terminated, truncated, info | {"reward_terms": dict(terms)}
-
-
-def same_task(first: str, second: str) -> bool:
-    """Whether two ids name the same environment and version, wherever it is imported from."""
-    return first.rpartition(":")[2] == second.rpartition(":")[2]

@@ -4,6 +4,7 @@ The folder gets ``policy.zip`` (the policy, anew at every checkpoint), ``progres
 ``tensorboard/``, ``run.json`` (the settings) and the last checkpoint, from which ``--resume`` goes on.
 """
 
+import argparse
 import json
 import shutil
 import signal
@@ -13,14 +14,15 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
-from agents.command import INTERRUPTED, Parser, minutes, run, whole_number
+from agents.command import command_parser, minutes
 from agents.errors import RecipeError, RunError
-from agents.files import replacing, writable_folder
 from agents.learning_curve import CURVE, drop_rows_after
-from agents.policy_file import PolicyFile, write_policy
 from agents.recipes import RECIPES, Recipe, recipe_named, with_settings
 from agents.seeds import training_seed
 from agents.tasks import make_task
+from hpac_gym.command_line import INTERRUPTED, run, whole_number
+from hpac_gym.output import writable_folder, write_text
+from hpac_gym.policies import PolicyFile, write_policy
 
 POLICY = "policy.zip"
 RUN = "run.json"
@@ -83,8 +85,8 @@ def train(
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
 
 
-def _parser() -> Parser:
-    parser = Parser(__doc__.splitlines()[0])
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser("agents.train", __doc__)
     parser.add_argument("--recipe", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--seed", type=whole_number(0), help="seed of the run")
@@ -133,8 +135,7 @@ def _resumed_recipe(args: Any) -> Recipe:
 
 
 def _write_run(out: Path, recipe: Recipe) -> None:
-    with replacing(out / RUN) as temporary:
-        temporary.write_text(json.dumps(asdict(recipe), indent=2) + "\n")
+    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
 
 
 def _stop_on_signal(progress: Any) -> None:
@@ -149,4 +150,4 @@ def _stop_on_signal(progress: Any) -> None:
 
 
 if __name__ == "__main__":
-    run(main)
+    sys.exit(run(main))

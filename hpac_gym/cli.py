@@ -1,9 +1,8 @@
-"""The `hpac` command: what the study, the bridge and the benchmark offer, under one name."""
+"""The `hpac` command: what bridge, study, evaluation and the benchmark of speed offer, under one name."""
 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -13,44 +12,24 @@ import numpy as np
 from hpac_gym import bench
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import add_commands as add_bridge_commands
-from hpac_gym.errors import HpacError
+from hpac_gym.command_line import Parser, run
+from hpac_gym.evaluation.commands import add_commands as add_evaluation_commands
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
-
-USAGE_ERROR = 2
-INTERRUPTED = 130
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line."""
-
-    def error(self, message: str) -> None:
-        self.exit(USAGE_ERROR, f"error: {message} (see {self.prog} --help)\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; an error that was raised on purpose becomes one line and exit status 2."""
+    """Run one command; returns its exit status."""
     parser = Parser(prog="hpac", description="The H-PAC tendon hand, from simulation to the servo.")
     parser.add_argument("--version", action="version", version=f"hpac_gym {version('hpac_gym')}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     add_bridge_commands(commands)
     _add_study_commands(commands, parser)
+    add_evaluation_commands(commands)
     bench_parser = commands.add_parser("bench", help="measure the speed of the model and of the environments")
     bench.add_arguments(bench_parser)
     bench_parser.set_defaults(func=bench.run)
     arguments = parser.parse_args(argv)
-    try:
-        status = arguments.func(arguments)
-        sys.stdout.flush()
-        return status
-    except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except HpacError as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return USAGE_ERROR
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return INTERRUPTED
+    return run(lambda: arguments.func(arguments))
 
 
 def send_posture(port: str, command: ServoCommand) -> None:

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-COMMANDS = ("bench", "calibrate", "doctor", "posture", "safety", "study", "sweep", "wiggle")
+COMMANDS = ("bench", "calibrate", "doctor", "grasps", "posture", "safety", "study", "sweep", "wiggle")
 
 
 def hpac(*words: str) -> subprocess.CompletedProcess[str]:

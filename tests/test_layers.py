@@ -13,21 +13,31 @@ PACKAGE = ROOT / "hpac_gym"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # What a layer may import of this package, and from outside of it beside the standard library. The package's own
-# __init__.py and cli.py stand above all of them.
+# __init__.py, cli.py and its benchmark of speed stand above all of them.
 LAYERS = {
     "errors": set(),
+    "progress": set(),
+    "output": {"errors"},
+    "command_line": {"errors"},
     "model": {"errors"},
     "sim": {"errors", "model"},
     "envs": {"errors", "model", "sim"},
-    "bridge": {"errors", "model"},
-    "study": {"errors", "model", "sim", "envs"},
+    "bridge": {"errors", "command_line", "model"},
+    "policies": {"errors", "output", "envs"},
+    "evaluation": {"errors", "output", "progress", "command_line", "model", "sim", "envs", "policies"},
+    "study": {"errors", "output", "progress", "model", "sim", "envs"},
 }
 NEEDS = {
     "errors": set(),
+    "progress": set(),
+    "output": set(),
+    "command_line": set(),
     "model": {"numpy"},
     "sim": {"numpy", "pybullet", "pybullet_data", "pybullet_utils"},
     "envs": {"numpy", "gymnasium"},
     "bridge": {"numpy", "serial"},
+    "policies": {"numpy", "gymnasium"},
+    "evaluation": {"numpy", "gymnasium", "PIL"},
     "study": {"numpy", "scipy", "matplotlib", "gymnasium"},
 }
 

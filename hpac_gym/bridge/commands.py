@@ -14,6 +14,7 @@ from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
 from hpac_gym.bridge.host_board import HostBoard
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.virtual_hand import VirtualHand
+from hpac_gym.command_line import whole_number
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
 
@@ -25,8 +26,8 @@ def add_commands(subparsers: argparse._SubParsersAction) -> None:
     """Add the bridge's commands; each sets `func`, which takes the namespace and returns an exit status."""
     parser = subparsers.add_parser("safety", help="measure the firmware's safety claims now")
     parser.add_argument("--json", action="store_true", help="a list of claim, figure, limit, unit, holds")
-    parser.add_argument("--frames", type=_positive, default=10_000_000, help="hostile frames (default: %(default)s)")
-    parser.add_argument("--trials", type=_positive, default=20, help="wall-clock repetitions (default: %(default)s)")
+    parser.add_argument("--frames", type=whole_number(1), default=10_000_000, help="hostile frames (default: %(default)s)")
+    parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions (default: %(default)s)")
     parser.set_defaults(func=_safety)
 
     parser = subparsers.add_parser("wiggle", help="move one servo at a time next to its name, to check wiring and order")
@@ -39,13 +40,6 @@ def add_commands(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--port", help=f"look only here: {_PORT_HELP}")
     parser.add_argument("--json", action="store_true", help="a list of port, healthy, what, advice")
     parser.set_defaults(func=_doctor)
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value} is below 1")
-    return value
 
 
 def _connector(port: str, stack: ExitStack):

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hpac_gym.output import write_text
 from hpac_gym.study import figures, rivals, tracking, trials
-from hpac_gym.study.files import write_text
 from hpac_gym.study.intervals import Mean
 from hpac_gym.study.reference import REFERENCE_FILE, Reference, load_reference
 from hpac_gym.study.trials import JointTrials

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, Hand, elastic_joints_from_servo, hand_to_toml, load_hand
+from hpac_gym.output import write_text
 from hpac_gym.study import figures
 from hpac_gym.study.combinations import TYPICAL_FRICTION, values
-from hpac_gym.study.files import write_text
 from hpac_gym.study.identification import SPREAD, Identification, identify, predicted_joints
 from hpac_gym.study.processing import without_drift
 from hpac_gym.study.record import PHASES, Sweep, joints_of_servo, read_sweep

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from hpac_gym.output import replacing
 from hpac_gym.study.accuracy import EVALUATED, Accuracy, Residuals
-from hpac_gym.study.files import replacing
 
 RED, GREEN, BLUE, GREY = "#c0392b", "#1e8449", "#2471a3", "#7f8c8d"
 _KINDS = (("uncompensated", RED, "o"), ("compensated", GREEN, "s"))

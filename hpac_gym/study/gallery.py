@@ -23,9 +23,9 @@ from hpac_gym.model import (
     posture,
     reach,
 )
+from hpac_gym.progress import progress
 from hpac_gym.sim import Camera, SimHand, World
 from hpac_gym.study import figures
-from hpac_gym.study.progress import progress
 
 SHEET_COLUMNS = 6
 SETTLE = 0.5  # s after the move

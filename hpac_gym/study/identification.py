@@ -16,9 +16,9 @@ from scipy import optimize
 from hpac_gym.errors import HpacError, ParameterError
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
+from hpac_gym.progress import progress
 from hpac_gym.study.combinations import TYPICAL_FRICTION, combinations, digit_with, values
 from hpac_gym.study.processing import without_drift
-from hpac_gym.study.progress import progress
 from hpac_gym.study.record import PHASES, Sweep
 from hpac_gym.study.statics import Friction, settled_digit
 

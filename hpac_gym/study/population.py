@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.model import HPAC, JOINTS, Hand, elastic_joints_from_servo, rigid_joints_from_servo
+from hpac_gym.progress import progress
 from hpac_gym.study.accuracy import EVALUATED
-from hpac_gym.study.progress import progress
 from hpac_gym.study.reference import varied_hand
 from hpac_gym.study.statics import Friction, settled_joints
 

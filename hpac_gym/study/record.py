@@ -16,7 +16,7 @@ import numpy as np
 from hpac_gym.errors import HpacError
 from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.study.files import write_text
+from hpac_gym.output import write_text
 
 HEADER = "# hpac sweep, format 1"
 PHASES = ("rest", "flexion", "extension")

@@ -12,9 +12,9 @@ import numpy as np
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand, ServoCommand
 from hpac_gym.model.checks import Array
+from hpac_gym.progress import progress
 from hpac_gym.sim import HandSettings, SimHand, World, WorldSettings
 from hpac_gym.sim.geometry import link_poses, load_geometry
-from hpac_gym.study.progress import progress
 from hpac_gym.study.record import PHASES, Sweep, concatenate
 
 _REST, _FLEXION, _EXTENSION = range(len(PHASES))

@@ -16,11 +16,11 @@ from scipy import linalg, optimize
 
 from hpac_gym.model import HPAC, JOINT_INDEX, elastic_joints_from_servo, rigid_joints_from_servo
 from hpac_gym.model.checks import Array
+from hpac_gym.progress import progress
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.identification import LEAST_POINTS, IdentificationError, identify, predicted_joints
 from hpac_gym.study.intervals import Mean, mean_of
 from hpac_gym.study.processing import points, without_drift
-from hpac_gym.study.progress import progress
 from hpac_gym.study.record import PHASES, Sweep, joints_of_servo
 
 SAMPLES = (3, 4, 6, 8, 12, 16, 24, 31)

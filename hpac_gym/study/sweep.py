@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
+from hpac_gym.output import write_text
 from hpac_gym.study import figures
 from hpac_gym.study.accuracy import Accuracy, accuracy, residuals, workspace
-from hpac_gym.study.files import write_text
 from hpac_gym.study.population import Interval, mae_of_population
 from hpac_gym.study.processing import CUTOFF_HZ, points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep

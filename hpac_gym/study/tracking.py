@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 
 from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, joints_from_synergy, servo_from_synergy, stream_command
 from hpac_gym.model.checks import Array
+from hpac_gym.progress import progress
 from hpac_gym.sim import SimHand, World, WorldSettings
 from hpac_gym.study import figures
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.intervals import Mean, mean_of
-from hpac_gym.study.progress import progress
 from hpac_gym.study.reference import Reference
 from hpac_gym.study.rig import THUMB_CLEAR
 

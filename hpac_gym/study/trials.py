@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 
 from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
+from hpac_gym.progress import progress
 from hpac_gym.study import figures
 from hpac_gym.study.intervals import Mean, mean_of
 from hpac_gym.study.processing import Points, points, processed
-from hpac_gym.study.progress import progress
 from hpac_gym.study.record import PHASES, Sweep, concatenate, joints_of_servo
 from hpac_gym.study.reference import Reference
 

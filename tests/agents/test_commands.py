@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from agents.command import run
+from hpac_gym.command_line import run
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = "tests.agents.tiny_task:Tiny-v0"
+TINY = "tests.tiny_task:Tiny-v0"
 GRASP = "--recipe grasp-sac --out {folder}/run"
 
 MISTAKES = [
@@ -22,7 +22,7 @@ MISTAKES = [
     ("train", GRASP + " --set gamma=2", "gamma is 2.0: it must lie in 0…1"),
     ("train", GRASP + " --set env_id=Nothing-v3", "no environment 'Nothing-v3'"),
     ("train", GRASP + " --set env_id=nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
-    ("train", GRASP + " --set env_id=tests.agents.tiny_task:Tiny-v9", "no environment 'tests.agents.tiny_task:Tiny-v9'"),
+    ("train", GRASP + " --set env_id=tests.tiny_task:Tiny-v9", "no environment 'tests.tiny_task:Tiny-v9'"),
     ("train", "--recipe grasp-sac --out {folder}/file/run", "cannot write to folder"),
     ("train", "--recipe grasp-sac --out /proc/run", "cannot write to folder '/proc/run'"),
     ("train", "--recipe grasp-sac --out {folder}/taken", "already holds a run"),
@@ -57,7 +57,7 @@ def folder(tmp_path_factory) -> Path:
 def test_a_mistake_ends_in_one_line_and_status_2(folder, command, words, complaint, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [command, *words.format(folder=folder).split()])
     with pytest.raises(SystemExit) as left:
-        run(import_module(f"agents.{command}").main)
+        sys.exit(run(import_module(f"agents.{command}").main))
     said = capsys.readouterr().err.strip()
     assert left.value.code == 2
     assert said.startswith("error: ")

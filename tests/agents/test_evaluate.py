@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from agents.evaluate import evaluate, main, run_episode, table
-from agents.policies import RandomPolicy
-from agents.seeds import HELD_OUT_SEED
-from agents.statistics import wilson_interval
 from agents.tasks import make_task
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.policies.baselines import RandomPolicy
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = "tests.agents.tiny_task:Tiny-v0"
+TINY = "tests.tiny_task:Tiny-v0"
 
 
 def test_episodes_do_not_depend_on_the_number_of_workers():

@@ -1,11 +1,10 @@
-"""Random closures, decisions that last, and policies that keep to both."""
+"""Random closures, and decisions that last."""
 
 import gymnasium
 import numpy as np
 import pytest
 
 from agents.exploration import DIGIT, OPEN, OPPOSITION, RandomClosures
-from agents.policies import LearnedPolicy
 from agents.tasks import ActionRepeat, make_task
 from hpac_gym.model import SERVO_INDEX
 
@@ -70,15 +69,6 @@ def test_a_repeated_action_adds_up_rewards_and_terms_and_ends_with_the_episode()
     assert (observation[0], reward, terminated, info["reward_terms"]) == (2, 2.0, False, {"one": 2.0})
     observation, reward, terminated, _, info = env.step(np.zeros(6))
     assert (observation[0], reward, terminated, info["reward_terms"]) == (3, 1.0, True, {"one": 1.0})
-
-
-def test_a_learned_policy_decides_as_often_as_in_its_training():
-    policy = LearnedPolicy(lambda observation: observation * 2, action_repeat=3)
-    policy.reset(0)
-    acted = [policy.act(np.array([float(step)]))[0] for step in range(7)]
-    assert acted == [0, 0, 0, 6, 6, 6, 12]
-    policy.reset(0)
-    assert policy.act(np.array([5.0]))[0] == 10
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ import pytest
 
 from agents.errors import RecipeError
 from agents.recipes import BOUNDS, RECIPES, recipe_named, with_settings
-from agents.seeds import HELD_OUT_SEED, training_seed
+from agents.seeds import training_seed
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 
 GRASP = RECIPES["grasp-sac"]
 

@@ -17,11 +17,11 @@ from agents import checkpoints
 from agents.errors import RunError
 from agents.evaluate import evaluate
 from agents.learner import actor_of, make_learner, training_env
-from agents.policy_file import read_policy
 from agents.recipes import RECIPES, with_settings
+from hpac_gym.policies import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = "tests.agents.tiny_task:Tiny-v0"
+TINY = "tests.tiny_task:Tiny-v0"
 SETTINGS = ["n_envs=2", "hidden=16", "batch_size=32", "learning_starts=100", "checkpoint_every=400", "buffer_size=5000"]
 SMALL = [word for text in [f"env_id={TINY}", *SETTINGS] for word in ("--set", text)]
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from agents.evaluate import evaluate
-from agents.policy_file import read_policy
+from hpac_gym.policies import read_policy
 
 POLICY = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp-sac.zip"
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import HPAC, JOINTS, SERVOS
-from hpac_gym.study.files import OutputError, replacing, write_text
 from hpac_gym.study.record import COLUMNS, HEADER, RecordError, Sweep, concatenate, joints_of_servo, read_sweep, write_sweep
 from hpac_gym.study.statics import settled_joints
 
@@ -152,30 +151,6 @@ def test_missing_measurements_are_taken_where_they_are_allowed(tmp_path, lines):
         read(tmp_path, with_cell(lines, 12, "joint_index_dip_rad", "nan"), allow_missing=True)
     with pytest.raises(RecordError, match=r"servo_thumb_mp_rad is missing"):
         read(tmp_path, without_column(lines, "servo_thumb_mp_rad"), allow_missing=True)
-
-
-def test_a_file_appears_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "result.txt"
-    write_text(path, "before")
-
-    class Interrupted(Exception):
-        pass
-
-    def interrupted() -> None:
-        with replacing(path) as temporary:
-            temporary.write_text("half of")
-            raise Interrupted
-
-    with pytest.raises(Interrupted):
-        interrupted()
-    assert path.read_text() == "before"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_place_that_cannot_be_written_is_told(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match=r"cannot write .*file/result\.txt"):
-        write_text(tmp_path / "file" / "result.txt", "text")
 
 
 def test_the_columns_name_every_servo_and_joint_with_its_unit():

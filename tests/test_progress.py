@@ -2,8 +2,8 @@
 
 import pytest
 
-from hpac_gym.study import progress as module
-from hpac_gym.study.progress import progress
+from hpac_gym import progress as module
+from hpac_gym.progress import progress
 
 
 def test_what_is_soon_done_shows_nothing(capsys):

@@ -2,15 +2,14 @@ import json
 import zipfile
 from itertools import pairwise
 
+import gymnasium
 import numpy as np
 import pytest
 
-from agents.errors import PolicyError
-from agents.policies import load_policy
-from agents.policy_file import Actor, PolicyFile, read_policy, write_policy
-from agents.tasks import make_task
+from hpac_gym.policies import Actor, PolicyError, PolicyFile, read_policy, write_policy
+from hpac_gym.policies.loading import load_policy
 
-TINY = "tests.agents.tiny_task:Tiny-v0"
+TINY = "tests.tiny_task:Tiny-v0"
 
 
 @pytest.fixture
@@ -72,6 +71,7 @@ DAMAGE = {
     "weights of another": lambda path: rewrite(path, actor=lambda data: data + b"\0"),
     "a later format": lambda path: rewrite(path, policy=edit(format=99)),
     "no environment": lambda path: rewrite(path, policy=edit(env_id=None)),
+    "no time for an action": lambda path: rewrite(path, policy=edit(action_repeat=0)),
     "a list for a description": lambda path: rewrite(path, policy=lambda data: "[]"),
     "broken json": lambda path: rewrite(path, policy=lambda data: data[:-5]),
     "another environment": lambda path: rewrite(path, policy=edit(env_id="HPAC-Grasp-v7")),
@@ -92,15 +92,15 @@ def rezip(path, members):
 def test_a_bad_file_ends_in_one_policy_error_that_names_it(path, damage):
     DAMAGE[damage](path)
     with pytest.raises(PolicyError) as caught:
-        load_policy(str(path), make_task(TINY))
+        load_policy(str(path), gymnasium.make(TINY))
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_a_policy_of_other_sizes_is_refused(path):
-    rewrite(path, policy=edit(env_id="tests.agents.tiny_task:Other-v0"))
+    rewrite(path, policy=edit(env_id="tests.tiny_task:Other-v0"))
     with pytest.raises(PolicyError, match=r"maps \(6, 6\) values"):
-        load_policy(str(path), make_task("tests.agents.tiny_task:Other-v0"))
+        load_policy(str(path), gymnasium.make("tests.tiny_task:Other-v0"))
 
 
 def test_an_actor_with_a_hole_in_it_is_refused(policy, tmp_path):

@@ -4,18 +4,21 @@ The file is a zip of ``policy.json`` (what it is and how it was made, with the S
 (plain arrays: reading one runs no code of its maker, and needs neither PyTorch nor Stable-Baselines3).
 """
 
+from __future__ import annotations
+
 import hashlib
 import io
 import json
+import os
 import zipfile
+import zlib
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agents.errors import PolicyError
-from agents.files import replacing
+from hpac_gym.output import replacing
+from hpac_gym.policies.errors import PolicyError
 
 FORMAT = 1
 
@@ -60,12 +63,17 @@ class PolicyFile:
     actor: Actor
     about: dict[str, Any]
 
+    @property
+    def action_repeat(self) -> int:
+        """Control steps that each action is held for, as in training."""
+        return self.about.get("action_repeat", 1)
 
-def write_policy(path: Path, policy: PolicyFile) -> None:
+
+def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
     """Write a policy file; the same policy gives the same bytes.
 
     Raises:
-        RunError: The folder cannot be written, or the disk is full.
+        OutputError: The folder cannot be written, or the disk is full.
     """
     actor = policy.actor
     arrays = {
@@ -84,7 +92,7 @@ def write_policy(path: Path, policy: PolicyFile) -> None:
         archive.writestr(zipfile.ZipInfo("actor.npz"), packed.getvalue())
 
 
-def read_policy(path: Path) -> PolicyFile:
+def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
     """Read a policy file.
 
     Raises:
@@ -99,12 +107,15 @@ def read_policy(path: Path) -> PolicyFile:
             raise PolicyError(f"policy file '{path}' is damaged: its weights do not match their SHA-256")
         if not isinstance(about["env_id"], str):
             raise PolicyError(f"policy file '{path}' is damaged: its env_id is no text")
-        return PolicyFile(_actor_from_arrays(dict(np.load(io.BytesIO(packed), allow_pickle=False))), about)
+        policy = PolicyFile(_actor_from_arrays(dict(np.load(io.BytesIO(packed), allow_pickle=False))), about)
+        if not (isinstance(policy.action_repeat, int) and policy.action_repeat >= 1):
+            raise PolicyError(f"policy file '{path}' is damaged: its action_repeat is {policy.action_repeat!r}")
+        return policy
     except FileNotFoundError:
         raise PolicyError(f"no policy file '{path}'") from None
     except OSError as error:
         raise PolicyError(f"cannot read policy file '{path}': {error.strerror or error}") from None
-    except (zipfile.BadZipFile, zipfile.zlib.error, EOFError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise PolicyError(f"policy file '{path}' is damaged: {error}") from None
     except (KeyError, TypeError, ValueError, NotImplementedError, RuntimeError) as error:
         if isinstance(error, PolicyError):

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.statistics import paired_difference, wilson_interval
+from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,79 @@
+"""Pictures of the named grasps as a policy left them, and all of them on one sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from hpac_gym.envs.grasp_data import NOMINAL
+from hpac_gym.evaluation.grasps import TASK, run_trial
+from hpac_gym.model import POSTURES
+from hpac_gym.output import replacing
+from hpac_gym.policies.loading import load_policy
+from hpac_gym.sim import Camera
+
+VIEW = Camera(width=360, height=330, distance=0.42, yaw_deg=150.0, pitch_deg=-14.0)
+VIEW_CENTRE = np.array([0.045, 0.0, 0.09])
+"""In the hand frame [m]."""
+SHEET_COLUMNS = 4
+INK, WARNING = (40, 40, 40), (176, 48, 32)
+
+
+@dataclass(frozen=True, slots=True)
+class Portrait:
+    """The last moment of an episode.
+
+    Attributes:
+        pixels: RGB, shape (height, width, 3).
+        held: whether the episode was a success.
+    """
+
+    pixels: np.ndarray
+    held: bool
+
+
+def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Portrait:
+    """The last moment of the episode of that seed.
+
+    Raises:
+        GraspError: No grasp or variant has that name.
+        PolicyError: The policy cannot be loaded, or is of another environment.
+    """
+    with gymnasium.make(TASK, grasp=grasp, variant=variant, render_mode="rgb_array") as env:  # else it has no colours
+        trial = run_trial(env, load_policy(policy, env), seed)
+        scene = env.unwrapped.scene
+        middle = scene.palm_position + scene.hand_rotation @ VIEW_CENTRE
+        return Portrait(VIEW.picture(scene.world, middle), trial.success)
+
+
+def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:
+    """The portraits by the names of their grasps, in rows; each under its number in the paper's figure and its name."""
+    height, width = next(iter(portraits.values())).pixels.shape[:2]
+    rows = -(-len(portraits) // SHEET_COLUMNS)
+    sheet = Image.new("RGB", (min(len(portraits), SHEET_COLUMNS) * width, rows * height), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(22)
+    for number, (name, seen) in enumerate(portraits.items()):
+        left, top = number % SHEET_COLUMNS * width, number // SHEET_COLUMNS * height
+        sheet.paste(Image.fromarray(seen.pixels), (left, top))
+        title = f"{POSTURES[name].panel} {name.replace('_', ' ')}"
+        draw.text((left + 12, top + 8), title, fill=INK, font=font)
+        if not seen.held:
+            draw.text((left + 12, top + 34), "not held", fill=WARNING, font=font)
+    return sheet
+
+
+def write_pictures(folder: Path, portraits: Mapping[str, Portrait]) -> None:
+    """Write ``NAME.png`` for every grasp and ``contact_sheet.png``.
+
+    Raises:
+        OutputError: The folder cannot be written, or the disk is full.
+    """
+    images = {name: Image.fromarray(seen.pixels) for name, seen in portraits.items()}
+    for name, image in {**images, "contact_sheet": contact_sheet(portraits)}.items():
+        with replacing(folder / f"{name}.png") as temporary:
+            image.save(temporary, format="PNG")

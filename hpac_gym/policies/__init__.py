@@ -1,0 +1,21 @@
+"""What acts: policy files, the policies in them, and the baselines that they are measured by.
+
+What stands here needs numpy alone, so that a host with a real hand runs a trained policy without a simulator:
+
+```python
+from hpac_gym.policies import LearnedPolicy, read_policy
+
+policy = LearnedPolicy.of(read_policy("policy.zip"))
+policy.reset(seed=0)
+action = policy.act(observation)      # shape (6,), −1…1
+```
+
+`hpac_gym.policies.loading` finds a policy by its name or file for an environment; it and `hpac_gym.policies.baselines` need
+`hpac_gym.envs`.
+"""
+
+from hpac_gym.policies.errors import PolicyError
+from hpac_gym.policies.policy import LearnedPolicy, Policy
+from hpac_gym.policies.policy_file import Actor, PolicyFile, read_policy, write_policy
+
+__all__ = ["Actor", "LearnedPolicy", "Policy", "PolicyError", "PolicyFile", "read_policy", "write_policy"]

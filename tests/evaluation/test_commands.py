@@ -1,0 +1,128 @@
+"""`hpac grasps`: numbers, table, pictures, mistakes."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from hpac_gym.cli import main
+from hpac_gym.envs import GRASPS
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+
+TRAINED = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp-sac.zip"
+
+
+def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
+    words = ["--grasps", "small_cylinder", "press", "-n", "2", "--workers", "1", "--json", "--out", str(tmp_path)]
+    assert main(["grasps", *words]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["first_seed"] == HELD_OUT_SEED
+    assert [(row["grasp"], row["policy"]) for row in printed["grasps"]] == [
+        ("small_cylinder", "scripted"),
+        ("small_cylinder", "random"),
+        ("press", "scripted"),
+        ("press", "random"),
+    ]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "contact_sheet.png", "grasps.json", "grasps.md", "press.png", "small_cylinder.png",
+    ]  # fmt: skip
+    written = json.loads((tmp_path / "grasps.json").read_text())
+    assert [trial["seed"] for trial in written["trials"]["press/scripted"]] == [HELD_OUT_SEED, HELD_OUT_SEED + 1]
+    assert len((tmp_path / "grasps.md").read_text().splitlines()) == 6
+    sheet, single = Image.open(tmp_path / "contact_sheet.png"), Image.open(tmp_path / "press.png")
+    assert sheet.size == (2 * single.width, single.height)
+
+
+def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys):
+    words = ["--policy", str(TRAINED), "--grasps", "rod", "-n", "1", "--no-baseline"]
+    for workers in ("1", "2"):
+        assert main(["grasps", *words, "--workers", workers, "--out", str(tmp_path / workers)]) == 0
+    first, second = (json.loads((tmp_path / workers / "grasps.json").read_text()) for workers in ("1", "2"))
+    assert first == second
+    assert first["policy"]["algorithm"] == "SAC"
+    assert (tmp_path / "1" / "rod.png").read_bytes() == (tmp_path / "2" / "rod.png").read_bytes()
+
+
+@pytest.mark.slow
+def test_it_runs_all_sixteen(tmp_path, capsys):
+    assert main(["grasps", "-n", "1", "--workers", "2", "--no-baseline", "--out", str(tmp_path)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2 + 16
+    assert {path.stem for path in tmp_path.glob("*.png")} == {*GRASPS, "contact_sheet"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("mistakes")
+    (folder / "file").write_text("no policy")
+    (folder / "cut.zip").write_bytes(TRAINED.read_bytes()[:1000])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("--policy best", "no policy file 'best', and it is none of the baselines random, scripted"),
+        ("--policy {folder}/file", "is damaged"),
+        ("--policy {folder}/cut.zip", "is damaged"),
+        ("--policy {folder}", "cannot read policy file"),
+        ("--grasps rods", "no grasp 'rods'; there are 16, among them rod"),
+        ("--grasps rod --variant huge", "has no variant 'huge'"),
+        ("--episodes 0", "'0' is not a whole number of at least 1 (see hpac grasps --help)"),
+        ("--workers some", "'some' is not a whole number of at least 1"),
+        ("--out {folder}/file/results", "cannot write to folder"),
+        ("--out /proc/results", "cannot write to folder '/proc/results'"),
+        ("--nonsense", "unrecognized arguments: --nonsense"),
+    ],
+)
+def test_a_mistake_ends_in_one_line_and_status_2_before_anything_runs(folder, tmp_path, words, complaint, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = main(["grasps", *words.format(folder=folder).split()])
+    except SystemExit as left:
+        status = left.code
+    said = capsys.readouterr()
+    assert status == 2
+    assert said.out == ""
+    assert complaint in said.err
+    assert said.err.startswith("error: ")
+    assert said.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("module", ["PIL", "pybullet"])
+def test_a_missing_package_is_one_line_and_the_help_needs_none(module, tmp_path):
+    start = f"import sys; sys.modules[{module!r}] = None; from hpac_gym.cli import main; sys.exit(main(sys.argv[1:]))"
+
+    def hpac(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", start, *words], capture_output=True, text=True, cwd=tmp_path, check=False)
+
+    assert "--policy" in hpac("grasps", "--help").stdout
+    done = hpac("grasps")
+    assert done.returncode == 2
+    assert done.stderr == f"error: this command needs more: pip install 'hpac_gym[grasps]' (no module {module})\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_ends_it_and_its_workers(tmp_path):
+    words = ["grasps", "-n", "1000", "--grasps", "rod", "--workers", "2", "--out", str(tmp_path)]
+    command = subprocess.Popen([sys.executable, "-m", "hpac_gym.cli", *words], stderr=subprocess.PIPE, text=True)
+    children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
+    wait_for(lambda: len(children.read_text().split()) >= 3)  # two workers, and the tracker of their resources
+    workers = children.read_text().split()
+    time.sleep(1)
+    command.send_signal(signal.SIGINT)
+    _, said = command.communicate(timeout=30)
+    assert command.returncode == 130
+    assert said == "interrupted\n"
+    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+
+
+def wait_for(condition, seconds: float = 30) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
