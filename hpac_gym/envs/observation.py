@@ -7,10 +7,11 @@ the observation's bounds, its names and its documentation all come from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hpac_gym.envs.phases import PHASES
 from hpac_gym.model import JOINTS, SERVOS
@@ -99,25 +100,31 @@ class Camera:
         self._shows_up = float(spec.shape != "sphere")
         self._shows_side = float(spec.shape == "box")
 
-    def look(self, position: Array, rotation: Array) -> list[Array]:
+    def look(self, position: Array, rotation: Array) -> list[ArrayLike]:
         """The object's fields, in the order of `FIELDS`.
 
         Args:
             position: true centre in the hand frame, shape (3,) [m].
             rotation: true rotation in the hand frame, shape (3, 3).
         """
-        position = position + self._noise.position * self._rng.standard_normal(3)
-        tilt = self._noise.angle * self._rng.standard_normal(3)
-        turned = [tilt[i - 2] * rotation[i - 1] - tilt[i - 1] * rotation[i - 2] for i in range(3)]  # tilt × each axis
-        seen = rotation + np.array(turned)
-        axes = seen / np.linalg.norm(seen, axis=0)
+        noise = self._rng.standard_normal(6)
+        side, _, up = rotation.T.tolist()
+        tilt = (self._noise.angle * noise[3:]).tolist()
         return [
-            (position - GRASP_CENTRE) / LENGTH_UNIT,
-            self._shows_up * axes[:, 2],
-            self._shows_side * axes[:, 0],
+            (position + self._noise.position * noise[:3] - GRASP_CENTRE) / LENGTH_UNIT,
+            _tilted(up, tilt, self._shows_up),
+            _tilted(side, tilt, self._shows_side),
             self._size,
             self._shape,
         ]
+
+
+def _tilted(axis: list[float], tilt: list[float], length: float) -> list[float]:
+    """An axis turned by a small rotation [rad] and made as long as asked."""
+    (x, y, z), (a, b, c) = axis, tilt
+    seen = x + b * z - c * y, y + c * x - a * z, z + a * y - b * x
+    scale = length / hypot(*seen)
+    return [scale * value for value in seen]
 
 
 def one_hot(index: int, length: int) -> Array:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, pi, sin
 
-import numpy as np
-
-from hpac_gym.model.checks import Array
+from hpac_gym.sim import Vector
 
 PHASES = ("close", "lift", "shake", "hold")
 
@@ -54,18 +53,18 @@ class Timetable:
         """Index into `PHASES` of the phase that runs, or begins, at a time [s]; the last one stays."""
         return min(sum(time > end - 1e-9 for end in self.ends), len(PHASES) - 1)
 
-    def wrist_path(self, time: float) -> tuple[Array, Array]:
+    def wrist_path(self, time: float) -> tuple[Vector, Vector]:
         """Where the wrist is: at rest, in a minimum-jerk lift, in a sine along each axis, at rest.
 
         Returns:
-            Offset, shape (3,) [m], and velocity, shape (3,) [m/s], in the world.
+            Offset [m] and velocity [m/s] in the world.
         """
-        offset, velocity = np.zeros(3), np.zeros(3)
+        offset, velocity = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         share = min(max((time - self.close_time) / self.lift_time, 0.0), 1.0)
         offset[2] = self.lift_height * share**3 * (10 - 15 * share + 6 * share**2)
         velocity[2] = self.lift_height * 30 * share**2 * (1 - share) ** 2 / self.lift_time
         turn = 3 * (time - self.ends[1]) / self.shake_time
         if 0 < turn < 3:
-            offset[int(turn)] += self.shake_distance * np.sin(2 * np.pi * turn)
-            velocity[int(turn)] += self.shake_distance * np.cos(2 * np.pi * turn) * 6 * np.pi / self.shake_time
-        return offset, velocity
+            offset[int(turn)] += self.shake_distance * sin(2 * pi * turn)
+            velocity[int(turn)] += self.shake_distance * cos(2 * pi * turn) * 6 * pi / self.shake_time
+        return tuple(offset), tuple(velocity)

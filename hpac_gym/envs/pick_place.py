@@ -11,7 +11,7 @@ from hpac_gym.envs.observation import AXES, GRASP_CENTRE, LENGTH_UNIT, Field
 from hpac_gym.envs.task import Outcome
 from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.sim import Camera, ObjectSpec, Scene, SceneSetup
+from hpac_gym.sim import Camera, ObjectSpec, Scene, SceneSetup, Vector
 from hpac_gym.sim.truth import hand_from_world, tilt
 
 PHASES = ("reach", "close", "lift", "place")
@@ -74,14 +74,14 @@ class PickPlaceTimetable:
         """Index into `PHASES` of the phase that runs, or begins, at a time [s]; the last one stays."""
         return min(sum(time > end - 1e-9 for end in self.ends[: LIFT + 1]), PLACE)
 
-    def wrist_path(self, time: float) -> tuple[Array, Array]:
-        """Offset, shape (3,) [m], and velocity, shape (3,) [m/s], of the wrist in the world: one minimum jerk a move."""
+    def wrist_path(self, time: float) -> tuple[Vector, Vector]:
+        """Offset [m] and velocity [m/s] of the wrist in the world: one minimum jerk a move."""
         offset, velocity = np.zeros(3), np.zeros(3)
         for begin, duration, way in self._moves():
             share = min(max((time - begin) / duration, 0.0), 1.0)
             offset += share**3 * (10 - 15 * share + 6 * share**2) * way
             velocity += 30 * share**2 * (1 - share) ** 2 / duration * way
-        return offset, velocity
+        return tuple(offset.tolist()), tuple(velocity.tolist())
 
     def _moves(self) -> list[tuple[float, float, Array]]:
         """When each move begins [s], how long it takes [s], and its way, shape (3,) [m]."""
@@ -179,8 +179,8 @@ class PickPlace:
         It fails as soon as the object is knocked over on the way to it, or is lost between lift and release. It succeeds
         at the end of the timetable, when the object stands at its target and the hand does not touch it.
         """
-        wrist = self.timetable.wrist_path(scene.time)[0]
-        away = object_pos + wrist[[1, 2, 0]]  # along the axes of the hand, from where the hand was at first
+        forward, aside, up = self.timetable.wrist_path(scene.time)[0]
+        away = object_pos + np.array([aside, up, forward])  # along the axes of the hand, from where the hand was at first
         carried = bool(forces) and not scene.on_support
         self.hold_time = self.hold_time + dt if carried else 0.0
         close, lowered = self.timetable.ends[1], self.timetable.ends[4]

@@ -29,7 +29,7 @@ from hpac_gym.model import (
     elastic_joints_from_servo,
     joints_from_synergy,
 )
-from hpac_gym.sim import Camera, HandSettings, SimHand, World
+from hpac_gym.sim import Camera, HandSettings, SimHand, Stage
 from hpac_gym.sim.scene import HAND_POSITION, HAND_QUATERNION, HAND_ROTATION
 
 TOLERANCE = 0.05
@@ -90,7 +90,8 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         self.action_space = spaces.Box(-1.0, 1.0, (len(SERVOS),), np.float32)
         self.dt = 1.0 / CONTROL_HZ
         self.transmit: Callable[[ServoCommand], ServoCommand] = lambda command: command
-        self._world: World | None = World()
+        visuals = render_mode is not None or obs == "image"
+        self._stage: Stage | None = Stage("hpac_hand.urdf", tuple(HAND_POSITION), visuals=visuals)
         self._body: SimHand | None = None
 
     @property
@@ -116,11 +117,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         if goal.shape != (len(JOINTS),) or not np.isfinite(goal).all():
             raise ShapeError(f"goal must be finite numbers of shape ({len(JOINTS)},), not {goal!r}")
         self._goal = within(self._goal_space, goal)
-        self.world.clear()
-        visuals = self.render_mode is not None or self.obs == "image"
-        self._body = SimHand(
-            self.world, simulated, settings, position=HAND_POSITION, orientation=HAND_QUATERNION, visuals=visuals
-        )
+        self._body = self.stage.start(simulated, settings, HAND_QUATERNION)
         self._body.reset(np.zeros(len(SERVOS)))
         self._noise = CAMERA_NOISE * float(drawn.get("sensor_noise", [1.0])[0])
         self._link = Link(self.hand, np.zeros(len(SERVOS)), self.dt, drawn, goal_rng)
@@ -135,7 +132,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
             WorkspaceError: `action` has NaN, or leaves −1…1.
             EpisodeError: Before `reset`, or after `close`.
         """
-        self.world  # noqa: B018  a closed environment says so first
+        self.stage  # noqa: B018  a closed environment says so first
         if self._body is None:
             raise EpisodeError("no episode is running: call reset() first")
         self._body.command(self._link.send(np.asarray(action, dtype=float), self.transmit))
@@ -166,7 +163,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         joint_pos, joint_vel = body.joint_state()
         parts = [servo, elastic_joints_from_servo(servo, self.hand)]
         if self.obs == "privileged":
-            parts += [joint_pos, joint_vel / SPEED_UNIT, body.servos.horn, body.tension / FORCE_UNIT]
+            parts += [joint_pos, joint_vel / SPEED_UNIT, body.servos.horn, np.array(body.tension) / FORCE_UNIT]
         seen = joint_pos + self._noise * self._camera_rng.standard_normal(len(JOINTS))
         observation = {
             "observation": within(self._space, np.concatenate(parts)),
@@ -182,7 +179,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         return {"is_success": error <= TOLERANCE, "largest_error": error}
 
     def _picture(self, camera: Camera) -> NDArray[np.uint8]:
-        return camera.picture(self.world, HAND_POSITION + HAND_ROTATION @ VIEW_TARGET)
+        return camera.picture(self.stage.world, HAND_POSITION + HAND_ROTATION @ VIEW_TARGET)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, shape (360, 480, 3), or None without a render mode.
@@ -190,7 +187,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         Raises:
             EpisodeError: Before `reset`, or after `close`.
         """
-        self.world  # noqa: B018
+        self.stage  # noqa: B018
         if self.render_mode is None:
             return None
         if self._body is None:
@@ -198,18 +195,18 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         return self._picture(Camera())
 
     @property
-    def world(self) -> World:
+    def stage(self) -> Stage:
         """The physics below.
 
         Raises:
             EpisodeError: The environment is closed.
         """
-        if self._world is None:
+        if self._stage is None:
             raise EpisodeError("this environment is closed: make a new one")
-        return self._world
+        return self._stage
 
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""
-        if self._world is not None:
-            self._world.close()
-        self._world = None
+        if self._stage is not None:
+            self._stage.close()
+        self._stage = None

@@ -66,7 +66,10 @@ def largest_ball(points: Array) -> float:
     if simplex is None:
         return 0.0
     inside = points[simplex].mean(axis=0)
-    facets = np.array(list(combinations(simplex, points.shape[1])))
+    size = points.shape[1]
+    facets = np.sort(list(combinations(simplex, size)), axis=1)
+    without = np.array([[corner for corner in range(size) if corner != left_out] for left_out in range(size)])
+    digits = len(points) ** np.arange(size - 1)
     normals, offsets = _planes(points, facets, inside)
     while len(facets) < _MOST_FACETS:
         nearest = int(np.argmin(offsets))
@@ -75,10 +78,10 @@ def largest_ball(points: Array) -> float:
         if reach[farthest] <= offsets[nearest] + _TOLERANCE:
             return max(0.0, float(offsets[nearest]))
         visible = normals @ points[farthest] > offsets + _TOLERANCE
-        ridges = np.concatenate([np.delete(facets[visible], corner, axis=1) for corner in range(facets.shape[1])])
-        ridges, count = np.unique(np.sort(ridges, axis=1), axis=0, return_counts=True)
-        horizon = ridges[count == 1]
-        new = np.column_stack([horizon, np.full(len(horizon), farthest)])
+        ridges = facets[visible][:, without].reshape(-1, size - 1)  # corners of a facet stay in order
+        _, first, count = np.unique(ridges @ digits, return_index=True, return_counts=True)
+        horizon = ridges[first[count == 1]]
+        new = np.sort(np.column_stack([horizon, np.full(len(horizon), farthest)]), axis=1)
         new_normals, new_offsets = _planes(points, new, inside)
         facets = np.concatenate([facets[~visible], new])
         normals = np.concatenate([normals[~visible], new_normals])
@@ -105,10 +108,12 @@ def _simplex(points: Array) -> list[int] | None:
 
 
 def _planes(points: Array, facets: Array, inside: Array) -> tuple[Array, Array]:
-    """Outward unit normals, shape (m, d), and offsets, shape (m,), of facets; flat ones get an infinite offset."""
-    corners = points[facets]
-    edges = corners[:, 1:] - corners[:, :1]
-    normals = np.linalg.svd(edges)[2][:, -1]
+    """Outward unit normals, shape (m, d), and offsets, shape (m,), of facets."""
+    corners = points[facets] - inside
+    try:
+        normals = np.linalg.solve(corners, np.ones((len(facets), points.shape[1], 1)))[..., 0]
+    except np.linalg.LinAlgError:  # a flat facet; its plane is whichever one holds it
+        normals = np.linalg.pinv(corners).sum(axis=-1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     offsets = np.einsum("ij,ij->i", normals, corners[:, 0])
-    outward = np.where(offsets - normals @ inside < 0, -1.0, 1.0)
-    return normals * outward[:, None], offsets * outward
+    return normals, offsets + normals @ inside

@@ -15,8 +15,9 @@ CLOSE_TIME = 0.8
 """From open to closed [s]."""
 THUMB_CLOSED = 0.8
 """MP of the closed thumb [rad]; farther in it pushes small objects out."""
-PLACE_CLOSED = 0.65
-"""Share of the fingers' full closure when something is to be set down: what is wound up less is let go sooner."""
+PLACE_CLOSED, PLACE_THUMB = 0.5, 1.0
+"""Share of the fingers' full closure when something is to be set down, and MP of the thumb [rad]: what is wound up less is let
+go sooner."""
 THUMB_OPPOSED = 1.2
 """CMC, all the time [rad]."""
 
@@ -63,7 +64,7 @@ class ScriptedPickPlace:
         """The next action, shape (6,); the observation is ignored."""
         self._time += 1 / CONTROL_HZ
         closed = PLACE_CLOSED * HPAC.synergy_max
-        closed[SERVO_INDEX["thumb_mp"]] = THUMB_CLOSED
+        closed[SERVO_INDEX["thumb_mp"]] = PLACE_THUMB
         share = min(max((self._time - self._close) / CLOSE_TIME, 0.0), 1.0)
         synergy = closed * (share if self._time < self._open else 0.0)
         synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED

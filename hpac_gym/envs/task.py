@@ -14,7 +14,7 @@ import numpy as np
 from hpac_gym.envs.observation import Field
 from hpac_gym.model import Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.sim import Camera, Scene, SceneSetup
+from hpac_gym.sim import Camera, Scene, SceneSetup, Vector
 
 
 class Outcome(Enum):
@@ -42,8 +42,8 @@ class Schedule(Protocol):
         """Index into `phases` of the one that runs, or begins, at a time [s]; the last one stays."""
         ...
 
-    def wrist_path(self, time: float) -> tuple[Array, Array]:
-        """Offset, shape (3,) [m], and velocity, shape (3,) [m/s], of the wrist in the world at a time [s]."""
+    def wrist_path(self, time: float) -> tuple[Vector, Vector]:
+        """Offset [m] and velocity [m/s] of the wrist in the world at a time [s]."""
         ...
 
 

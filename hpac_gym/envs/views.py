@@ -84,7 +84,7 @@ class Privileged:
             joint_pos,
             joint_vel / SPEED_UNIT,
             hand.servos.horn,
-            hand.tension / FORCE_UNIT,
+            np.array(hand.tension) / FORCE_UNIT,
             (position - GRASP_CENTRE) / LENGTH_UNIT,
             rotation[:, 2],
             rotation[:, 0],

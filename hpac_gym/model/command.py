@@ -163,8 +163,11 @@ def move_duration(servo_from: ArrayLike, servo_to: ArrayLike, hand: Hand = HPAC)
         ShapeError: Wrong shape, NaN or infinity.
     """
     start = as_finite_vector(servo_from, len(SERVOS), "servo_from")
-    travel = np.abs(as_finite_vector(servo_to, len(SERVOS), "servo_to") - start)
-    return float((travel / hand.servo_rate_limit).max())
+    return _duration_of(as_finite_vector(servo_to, len(SERVOS), "servo_to") - start, hand)
+
+
+def _duration_of(travel: Array, hand: Hand) -> float:
+    return float((np.abs(travel) / hand.servo_rate_limit).max())
 
 
 def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Hand = HPAC) -> ServoCommand:
@@ -184,7 +187,7 @@ def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Han
     """
     _require_duration(period)
     servo = as_finite_vector(servo, len(SERVOS), "servo")
-    target = as_finite_vector(target, len(SERVOS), "target")
-    duration = move_duration(servo, target, hand)
+    travel = as_finite_vector(target, len(SERVOS), "target") - servo
+    duration = _duration_of(travel, hand)
     share = 1.0 if duration <= period else period / duration
-    return ServoCommand(servo + share * (target - servo), period)
+    return ServoCommand(servo + share * travel, period)

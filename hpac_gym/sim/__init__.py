@@ -14,9 +14,10 @@ from hpac_gym.sim.object_models import ObjectModel, load_object_models
 from hpac_gym.sim.objects import SHAPES, ObjectSpec, SimObject, Support
 from hpac_gym.sim.scene import Scene, SceneSetup
 from hpac_gym.sim.servos import Servos, ServoSettings
+from hpac_gym.sim.stage import Stage
 from hpac_gym.sim.tendons import Damping, Tendons
 from hpac_gym.sim.world import World, WorldSettings
-from hpac_gym.sim.wrist import Wrist
+from hpac_gym.sim.wrist import Vector, Wrist
 
 __all__ = [
     "SHAPES",
@@ -31,8 +32,10 @@ __all__ = [
     "Servos",
     "SimHand",
     "SimObject",
+    "Stage",
     "Support",
     "Tendons",
+    "Vector",
     "World",
     "WorldSettings",
     "Wrist",

@@ -80,7 +80,7 @@ def blocked_fingertip(finger: str) -> float:
         synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.9
         settle(hand, synergy)
         torque, _ = hand.tendons.torque(*hand.joint_state(), hand.servos.horn, hand.servos.velocity)
-        tendon = torque[[JOINT_INDEX[name] for name in joints]]
+        tendon = np.array([torque[JOINT_INDEX[name]] for name in joints])
         return float(np.abs(_contact_torque(hand, joints) / tendon + 1).max())
 
 
@@ -137,12 +137,11 @@ def opposition_gap(finger: str) -> float:
 
 def pass_through(hand: SimHand) -> SimHand:
     """Let the hand's links pass through everything; returns the hand."""
-    for link in range(-1, len(hand.joint_index)):
-        pybullet.setCollisionFilterGroupMask(hand.body, link, 0, 0, hand.world.client)
+    hand.collide(False)
     return hand
 
 
-def settle(hand: SimHand, synergy: Array, seconds: float = 4.0) -> Array:
+def settle(hand: SimHand, synergy: Array, seconds: float = 8.0) -> Array:
     """Command a synergy, wait, and read the joints: shape (15,) [rad]."""
     hand.command(ServoCommand(servo_from_synergy(synergy), 0.4))
     hand.step(seconds)

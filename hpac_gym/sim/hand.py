@@ -8,7 +8,7 @@ import numpy as np
 import pybullet
 from numpy.typing import ArrayLike
 
-from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand, ServoCommand, joints_from_synergy, servo_from_synergy
+from hpac_gym.model import DIGITS, FINGERS, HPAC, JOINTS, SERVOS, Hand, ServoCommand, joints_from_synergy, servo_from_synergy
 from hpac_gym.model.checks import Array, as_finite_array
 from hpac_gym.sim.assets import asset_path
 from hpac_gym.sim.quiet import quiet_output
@@ -16,7 +16,10 @@ from hpac_gym.sim.servos import Servos, ServoSettings
 from hpac_gym.sim.tendons import Damping, Tendons
 from hpac_gym.sim.world import World
 
-_ROOT_JOINTS = frozenset(SERVOS)
+_PLACE = {"mcp": 0, "mp": 0, "cmc": 0, "pip": 1, "ip": 1, "dip": 2}
+"""Of a joint in its digit, by what kind of joint it is."""
+_OTHER, _FINGER = 1, 64
+"""Collision groups; 1 is Bullet's default, and 64 the first that it has no meaning for."""
 _LOAD_FLAGS = (
     pybullet.URDF_USE_INERTIA_FROM_FILE
     | pybullet.URDF_USE_SELF_COLLISION
@@ -40,10 +43,8 @@ class HandSettings:
     """Coulomb friction of every joint [N·m]."""
     tendon_friction: float = 0.0
     """Share of the tendons' load that every joint's guides hold back, on top of `joint_friction`."""
-    root_armature: float = 1e-3
-    """Inertia added about each MCP, MP and CMC [kg·m²]."""
-    armature: float = 3e-4
-    """Inertia added about each IP, PIP and DIP [kg·m²]."""
+    armature: tuple[float, float, float] = (3.2e-3, 1.2e-3, 3.6e-4)
+    """Inertia added about each MCP, MP and CMC, about each PIP and IP, and about each DIP [kg·m²]."""
     contact_friction: float = 0.9
     """Coulomb coefficient of the hand's skin; PyBullet multiplies it with the object's."""
 
@@ -59,7 +60,6 @@ class SimHand:
         position: of the wrist in the world, shape (3,) [m].
         orientation: of the hand's frame in the world, quaternion xyzw, shape (4,).
         visuals: load what only a camera sees.
-        tendons: of an equal hand in an equal world, to use again; made anew if None.
     """
 
     def __init__(
@@ -71,7 +71,6 @@ class SimHand:
         position: ArrayLike = (0.0, 0.0, 0.0),
         orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         visuals: bool = True,
-        tendons: Tendons | None = None,
     ) -> None:
         self.world, self.hand, self.settings = world, hand, settings
         self._client = world.client
@@ -83,11 +82,15 @@ class SimHand:
         info = [pybullet.getJointInfo(self.body, i, self._client) for i in range(pybullet.getNumJoints(self.body, self._client))]
         self.link_index = {entry[12].decode(): entry[0] for entry in info}
         self.joint_index = {entry[1].decode(): entry[0] for entry in info}
+        self.part_of_link = {
+            index: next((digit for digit in DIGITS if name.startswith(digit)), "palm") for name, index in self.link_index.items()
+        }
         self._joints = [self.joint_index[name] for name in JOINTS]
         self._prepare_joints()
+        self.collide(True)
         self.servos = Servos(settings.servo)
-        self.tendons = tendons or Tendons(hand, self.inertia(), world.settings.dt, settings.damping, settings.slack)
-        self.tension = np.zeros(len(SERVOS) - 1)
+        self.tendons = Tendons(hand, self.inertia(), world.settings.dt, settings.damping, settings.slack)
+        self.tension = [0.0] * (len(SERVOS) - 1)
 
     def _prepare_joints(self) -> None:
         for name, index in self.joint_index.items():
@@ -100,13 +103,19 @@ class SimHand:
                 self.body, index, linearDamping=0, angularDamping=0, jointDamping=0,
                 lateralFriction=self.settings.contact_friction, physicsClientId=self._client,
             )  # fmt: skip
-        for name in JOINTS:
-            index = self.joint_index[name]
-            armature = self.settings.root_armature if name in _ROOT_JOINTS else self.settings.armature
+        for name, index in zip(JOINTS, self._joints, strict=True):
+            armature = self.settings.armature[_PLACE[name.split("_")[1]]]
             inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2])
             pybullet.changeDynamics(
                 self.body, index, localInertiaDiagonal=(inertia + armature).tolist(), physicsClientId=self._client
             )
+
+    def collide(self, solid: bool) -> None:
+        """Let the hand touch things, or pass through everything. Fingers never reach each other and are not checked for it."""
+        for name, index in self.link_index.items():
+            group = _FINGER if name.split("_")[0] in FINGERS else _OTHER
+            mask = ~_FINGER if group == _FINGER else -1
+            pybullet.setCollisionFilterGroupMask(self.body, index, group * solid, mask * solid, self._client)
 
     def inertia(self) -> Array:
         """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15, 15) [kg·m²]."""
@@ -128,13 +137,16 @@ class SimHand:
         for index, angle in zip(self._joints, joints_from_synergy(synergy, self.hand), strict=True):
             pybullet.resetJointState(self.body, index, angle, 0.0, physicsClientId=self._client)
         self.servos.reset(servo_from_synergy(synergy, self.hand))
-        self.tension[:] = 0.0
+        self.tension = [0.0] * (len(SERVOS) - 1)
 
     def joint_state(self) -> tuple[Array, Array]:
         """True joint angles and speeds, shapes (15,) [rad] and (15,) [rad/s]. The real hand cannot measure them."""
-        states = pybullet.getJointStates(self.body, self._joints, physicsClientId=self._client)
-        position, velocity, *_ = zip(*states, strict=True)
+        position, velocity = self._joint_state()
         return np.array(position), np.array(velocity)
+
+    def _joint_state(self) -> tuple[list[float], list[float]]:
+        states = pybullet.getJointStates(self.body, self._joints, self._client)
+        return [state[0] for state in states], [state[1] for state in states]
 
     @property
     def joint_pos(self) -> Array:
@@ -150,7 +162,7 @@ class SimHand:
     def apply_tendons(self) -> None:
         """Advance the servos by one physics step and put the tendons' torques on the joints, for the step to come."""
         self.servos.advance(self.world.settings.dt)
-        joint_pos, joint_vel = self.joint_state()
+        joint_pos, joint_vel = self._joint_state()
         torque, self.tension = self.tendons.torque(joint_pos, joint_vel, self.servos.horn, self.servos.velocity)
         if self.settings.tendon_friction:
             friction = self.settings.joint_friction + self.settings.tendon_friction * self.tendons.load(joint_pos, self.tension)
@@ -159,7 +171,7 @@ class SimHand:
                 forces=friction.tolist(), physicsClientId=self._client,
             )  # fmt: skip
         pybullet.setJointMotorControlArray(
-            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=torque.tolist(), physicsClientId=self._client
+            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=torque, physicsClientId=self._client
         )
 
     def step(self, seconds: float) -> None:

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import pybullet
 
-from hpac_gym.model import DIGITS, HPAC, Hand, ServoCommand
+from hpac_gym.model import HPAC, Hand, ServoCommand
 from hpac_gym.model.checks import Array
-from hpac_gym.sim.hand import HandSettings, SimHand
+from hpac_gym.sim.hand import HandSettings
 from hpac_gym.sim.objects import ObjectSpec, SimObject, Support, add_fixed_box
-from hpac_gym.sim.world import World, WorldSettings
-from hpac_gym.sim.wrist import Wrist
+from hpac_gym.sim.stage import Stage
+from hpac_gym.sim.world import WorldSettings
+from hpac_gym.sim.wrist import Vector, Wrist
 
 HAND_POSITION = np.array([0.0, 0.0, 0.25])
 """Where the wrist starts in the world [m]."""
@@ -28,8 +29,8 @@ _GREY = (0.55, 0.55, 0.58, 1.0)
 _GREEN = (0.45, 0.62, 0.48, 1.0)
 _WOOD = (0.78, 0.70, 0.58, 1.0)
 
-Path = Callable[[float], tuple[Array, Array]]
-"""Wrist offset, shape (3,) [m], and velocity, shape (3,) [m/s], at a time [s], in the world."""
+Path = Callable[[float], tuple[Vector, Vector]]
+"""Wrist offset [m] and velocity [m/s] at a time [s], in the world."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,7 @@ class SceneSetup:
 
 
 class Scene:
-    """One world with a hand, an object and its support, built anew for every episode.
+    """One world with a hand, an object and its support, set anew for every episode.
 
     Args:
         settings: of the world.
@@ -68,27 +69,15 @@ class Scene:
     """
 
     def __init__(self, settings: WorldSettings = WorldSettings(), visuals: bool = True) -> None:
-        self.world = World(settings)
+        self._stage = Stage("hpac_hand_on_wrist.urdf", tuple(HAND_POSITION), settings, visuals)
+        self.world = self._stage.world
         self._visuals = visuals
         self.time = 0.0
-        self.hand: SimHand | None = None
 
     def reset(self, setup: SceneSetup) -> None:
-        """Build the scene anew. The same setup gives the same trajectory, to the bit."""
+        """Set the scene. The same setup gives the same trajectory, to the bit, whatever was before."""
         self.time = 0.0
-        self.world.clear()
-        last = self.hand
-        same = last is not None and last.hand is setup.hand and last.settings == setup.hand_settings
-        self.hand = SimHand(
-            self.world,
-            setup.hand,
-            setup.hand_settings,
-            "hpac_hand_on_wrist.urdf",
-            HAND_POSITION,
-            setup.hand_quaternion,
-            self._visuals,
-            last.tendons if same else None,
-        )
+        self.hand = self._stage.start(setup.hand, setup.hand_settings, setup.hand_quaternion)
         self.hand.reset(setup.synergy)
         self.hand_rotation = _matrix(setup.hand_quaternion)
         self.wrist = Wrist(self.hand, self.hand_rotation)
@@ -97,10 +86,8 @@ class Scene:
         orientation = _turned(setup.object_quaternion, turn)
         self.object = SimObject(self.world, setup.object, centre, orientation, self._visuals)
         self._add_support(setup, centre, turn)
-        self._digit_of_link = {
-            index: next((digit for digit in DIGITS if name.startswith(digit)), "palm")
-            for name, index in self.hand.link_index.items()
-        }
+        for body in (self.object.body, *self._supports):
+            self._stage.add(body)
         self._offset = np.zeros(3)
 
     def _add_support(self, setup: SceneSetup, centre: Array, turn: tuple[float, float, float, float]) -> None:
@@ -135,11 +122,12 @@ class Scene:
         self.hand.command(command)
         for _ in range(round(command.duration / dt)):
             self.time += dt
-            self._offset, velocity = path(self.time)
-            self.wrist.move(self._offset, velocity)
+            offset, velocity = path(self.time)
+            self.wrist.move(offset, velocity)
             self.hand.apply_tendons()
             self.object.lose_spin(dt)
             self.world.step()
+        self._offset = np.array(offset)
 
     def object_pose(self) -> tuple[Array, Array]:
         """Centre, shape (3,) [m], and rotation, shape (3, 3), of the object in the frame of the hand."""
@@ -152,7 +140,7 @@ class Scene:
         forces: dict[str, float] = {}
         for contact in pybullet.getContactPoints(self.hand.body, self.object.body, physicsClientId=self.world.client):
             if contact[8] <= 0:
-                part = self._digit_of_link[contact[3]]
+                part = self.hand.part_of_link[contact[3]]
                 forces[part] = forces.get(part, 0.0) + contact[9]
         return forces
 
@@ -177,7 +165,7 @@ class Scene:
 
     def close(self) -> None:
         """Leave the physics client. Closing twice is no error."""
-        self.world.close()
+        self._stage.close()
 
 
 def _matrix(quaternion: Sequence[float]) -> Array:

@@ -7,12 +7,12 @@ How hard a servo pulls is limited where it pulls: see `hpac_gym.sim.tendons`.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from hpac_gym.model import SERVOS, ServoCommand
-from hpac_gym.model.checks import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,42 +38,51 @@ class ServoSettings:
 
 
 class Servos:
-    """State of the six servos: the ramp that they are told, and where their horns are."""
+    """State of the six servos: the ramp that they are told, and where their horns are.
+
+    Attributes:
+        horn: where the horns are, by servo [rad].
+        velocity: their speed over the last physics step, by servo [rad/s].
+
+    Plain floats: at six servos an array costs more to make than to calculate.
+    """
 
     def __init__(self, settings: ServoSettings = ServoSettings()) -> None:
         self.settings = settings
         self.reset(np.zeros(len(SERVOS)))
 
-    def reset(self, servo: Array) -> None:
+    def reset(self, servo: Iterable[float]) -> None:
         """Stand still at given angles, shape (6,) [rad]."""
-        self.horn = np.array(servo, dtype=float)
-        self.velocity = np.zeros(len(SERVOS))
-        self._start, self._way = self.horn.copy(), np.zeros(len(SERVOS))
+        self.horn = [float(angle) for angle in servo]
+        self.velocity = [0.0] * len(SERVOS)
+        self._start, self._way = list(self.horn), [0.0] * len(SERVOS)
         self._elapsed = self._duration = 1.0
-        self._first, self._past = self.horn.copy(), deque[Array]()
+        self._first, self._past = list(self.horn), deque[list[float]]()
 
     @property
-    def commanded(self) -> Array:
-        """Where the ramp stands now, shape (6,) [rad]."""
-        return self._start + min(self._elapsed / self._duration, 1.0) * self._way
+    def commanded(self) -> list[float]:
+        """Where the ramp stands now, by servo [rad]."""
+        share = min(self._elapsed / self._duration, 1.0)
+        return [start + share * way for start, way in zip(self._start, self._way, strict=True)]
 
     def command(self, command: ServoCommand) -> None:
         """Start a move from where the ramp stands."""
         self._start = self.commanded
-        self._way = command.servo - self._start
+        self._way = [goal - start for goal, start in zip(command.servo.tolist(), self._start, strict=True)]
         self._elapsed, self._duration = 0.0, command.duration
 
     def advance(self, dt: float) -> None:
         """Move ramp and horns on by one physics step of `dt` seconds."""
         self._elapsed += dt
-        error = self._told(dt) - self.horn
-        reach = self.settings.speed * dt
-        step = np.minimum(np.maximum(error, -reach), reach) * (np.abs(error) > self.settings.dead_band)
-        self.horn += step
-        self.velocity = step / dt
+        reach, dead_band = self.settings.speed * dt, self.settings.dead_band
+        for servo, told in enumerate(self._told(dt)):
+            error = told - self.horn[servo]
+            step = 0.0 if -dead_band <= error <= dead_band else min(max(error, -reach), reach)
+            self.horn[servo] += step
+            self.velocity[servo] = step / dt
 
-    def _told(self, dt: float) -> Array:
-        """Where the ramp stood one lag ago, shape (6,) [rad]."""
+    def _told(self, dt: float) -> list[float]:
+        """Where the ramp stood one lag ago, by servo [rad]."""
         if not self.settings.lag:
             return self.commanded
         self._past.append(self.commanded)

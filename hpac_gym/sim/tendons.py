@@ -2,8 +2,7 @@
 
 Per digit, root joint first:
 
-* **drive**: a tendon from the servo's hub to the root joint. Stretch ``r u − (L₀ − chord(q))``; it pulls, never pushes, and
-  never harder than the servo can. Its moment arm is ``d₁ d₂ sin(α − q) / chord``.
+* **drive**: a tendon from the servo's hub to the root joint: `hpac_gym.sim.drive`.
 * **coupling**: a figure-eight loop between neighbouring joints, stretch ``R_i q_i − R_(i+1) q_(i+1)``, taut both ways. A
   finger's first segment has stiffness 2EA/L and all the others EA/L: with these the static equilibrium in free space *is*
   Eq. (12), because the restoring cable passes every joint and so the first segment carries twice the spring's tension. The
@@ -17,19 +16,18 @@ slack one has none. CMC is a stiff spring between servo 6 and the joint.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, Hand
+from hpac_gym.model import JOINT_INDEX, JOINTS, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
+from hpac_gym.sim.drive import Drive
 
 _CMC = SERVO_INDEX["thumb_cmc"]
 _CMC_JOINT = JOINT_INDEX["thumb_cmc"]
-_ROOTS = np.array([JOINT_INDEX[digit.joints[0]] for digit in HPAC.digits.values()])
-_ROOT_SLICE = slice(int(_ROOTS[0]), int(_ROOTS[-1]) + 1, int(_ROOTS[1] - _ROOTS[0]))
-"""The same as `_ROOTS`, and faster: every third joint is a root."""
 
 
 def coupling_rows(hand: Hand) -> tuple[Array, Array]:
@@ -66,21 +64,27 @@ class Damping:
         ValueError: A negative value.
     """
 
-    ratio: float = 0.4
+    ratio: float = 0.3
     """Damping ratio of each tendon with the inertia that it moves."""
     joint: float = 5e-3
     """Viscous friction of every joint [N·m·s/rad]."""
+    overrun: float = 1.0
+    """Share of its damping that a slack drive keeps against flexion faster than its servo's. The hand's armature stands for
+    servos, which stop where they are told: without this a finger would fly on with an inertia that is not its own."""
 
     def __post_init__(self) -> None:
-        if not (self.ratio >= 0 and self.joint >= 0):
-            raise ValueError(f"damping ratio {self.ratio} and joint damping {self.joint} N m s/rad must not be negative")
+        if not (self.ratio >= 0 and self.joint >= 0 and self.overrun >= 0):
+            raise ValueError(
+                f"damping ratio {self.ratio}, joint damping {self.joint} N m s/rad, overrun {self.overrun}: none may be negative"
+            )
 
 
 class Tendons:
     """Torques of all tendons and springs of one hand.
 
     Damping coefficients are those of an implicit step: a coefficient c on an element that moves the mass m becomes
-    c / (1 + c dt/m), which stays stable at any c.
+    c / (1 + c dt/m), which stays stable at any c. What happens six times a physics step is plain floats, since an array of six
+    costs more to make than to calculate; what is linear in all joints is one product of a matrix.
 
     Args:
         hand: the parameters.
@@ -88,11 +92,13 @@ class Tendons:
         dt: physics step [s].
         damping: how the tendons lose energy.
         slack: what each drive has to wind up before it pulls, shape (5,) or () [m].
+
+    Attributes:
+        drives: the five driving tendons, by digit.
     """
 
     def __init__(self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping, slack: ArrayLike = 0.0) -> None:
         self.hand = hand
-        self._too_long = np.asarray(slack, dtype=float)
         compliance = np.linalg.inv(mass_matrix)
 
         def viscosity(stiffness: Array, mobility: Array) -> Array:
@@ -107,15 +113,17 @@ class Tendons:
         self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
         self._coupling, self._levers = stiffness[:, None] * rows, np.abs(rows).T
         self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
-
-        self._half_product = hand.guide_product / 2
         self._state = np.empty(2 * len(JOINTS))
 
-        digits = hand.digits.values()
-        self._limit = np.array([digit.tension_limit for digit in digits])
-        self._stiffness = np.array([digit.drive_stiffness for digit in digits])
-        arm = self._arm_and_chord(hand.synergy_max[:_CMC])[0]
-        self._viscosity = viscosity(self._stiffness, arm**2 * np.diag(compliance)[_ROOTS])
+        def damped(drive: Drive, flexed: float) -> Drive:
+            _, arm = drive.chord_and_arm(flexed)
+            mobility = arm**2 * compliance[drive.joint, drive.joint]
+            coefficient = float(viscosity(np.float64(drive.stiffness), mobility))
+            return replace(drive, viscosity=coefficient, brake=damping.overrun * coefficient)
+
+        slacks = np.broadcast_to(slack, len(hand.digits)).tolist()
+        undamped = map(Drive.of, hand.digits.values(), slacks)
+        self.drives = tuple(map(damped, undamped, hand.synergy_max[:_CMC].tolist()))
         cmc = viscosity(np.array(hand.cmc_stiffness), compliance[_CMC_JOINT, _CMC_JOINT])
         self._cmc_viscosity = float(cmc)
 
@@ -126,37 +134,12 @@ class Tendons:
             synergy: angles of the driven joints, shape (6,) [rad]; the drives' moment arms depend on them.
         """
         matrix = -self._linear[:, : len(JOINTS)]
-        arm, _ = self._arm_and_chord(synergy[:_CMC])
-        matrix[_ROOTS, _ROOTS] += self._stiffness * arm**2
+        for drive, angle in zip(self.drives, synergy[:_CMC].tolist(), strict=True):
+            matrix[drive.joint, drive.joint] += drive.stiffness * drive.chord_and_arm(angle)[1] ** 2
         matrix[_CMC_JOINT, _CMC_JOINT] += self.hand.cmc_stiffness
         return matrix
 
-    def _arm_and_chord(self, root: Array) -> tuple[Array, Array]:
-        hand = self.hand
-        included = hand.guide_alpha - root
-        chord = np.sqrt(hand.guide_sum - hand.guide_product * np.cos(included))
-        return self._half_product * np.sin(included) / chord, chord
-
-    def drive_tension(self, joint_pos: Array, joint_vel: Array, servo: Array, servo_vel: Array) -> tuple[Array, Array]:
-        """Tension of the five driving tendons and their moment arms at the root joints.
-
-        Args:
-            joint_pos: q, shape (15,) [rad].
-            joint_vel: shape (15,) [rad/s].
-            servo: where the servos' horns are, shape (6,) [rad].
-            servo_vel: shape (6,) [rad/s].
-
-        Returns:
-            Tension, shape (5,) [N], and arm, shape (5,) [m].
-        """
-        hand = self.hand
-        arm, chord = self._arm_and_chord(joint_pos[_ROOT_SLICE])
-        stretch = hand.servo_radius * servo[:_CMC] - hand.rest_chord + chord - self._too_long
-        rate = hand.servo_radius * servo_vel[:_CMC] - arm * joint_vel[_ROOT_SLICE]
-        tension = (self._stiffness * stretch + self._viscosity * rate) * (stretch > 0)
-        return np.minimum(np.maximum(tension, 0.0), self._limit), arm
-
-    def load(self, joint_pos: Array, tension: Array) -> Array:
+    def load(self, joint_pos: ArrayLike, tension: Sequence[float]) -> Array:
         """What the tendons and the spring press every joint's guides with: their torques, added without their signs.
 
         Args:
@@ -166,11 +149,15 @@ class Tendons:
         Returns:
             Shape (15,) [N·m].
         """
+        joint_pos = np.asarray(joint_pos)
         load = self._levers @ np.abs(self._coupling @ joint_pos) + self._spring_torque @ joint_pos
-        load[_ROOTS] += tension * self._arm_and_chord(joint_pos[_ROOTS])[0]
+        for drive, pull in zip(self.drives, tension, strict=True):
+            load[drive.joint] += pull * drive.chord_and_arm(joint_pos[drive.joint])[1]
         return np.maximum(load, 0.0)
 
-    def torque(self, joint_pos: Array, joint_vel: Array, servo: Array, servo_vel: Array) -> tuple[Array, Array]:
+    def torque(
+        self, joint_pos: Sequence[float], joint_vel: Sequence[float], servo: Sequence[float], servo_vel: Sequence[float]
+    ) -> tuple[list[float], list[float]]:
         """Torque of all elements on every joint, and the tension of the drives.
 
         Args:
@@ -180,15 +167,20 @@ class Tendons:
             servo_vel: shape (6,) [rad/s].
 
         Returns:
-            Torque, shape (15,) [N·m], positive in flexion, and tension, shape (5,) [N].
+            Torque, by joint [N·m], positive in flexion, and tension, by digit [N].
         """
-        hand = self.hand
-        self._state[: len(JOINTS)], self._state[len(JOINTS) :] = joint_pos, joint_vel
-        torque = self._linear @ self._state
-        tension, arm = self.drive_tension(joint_pos, joint_vel, servo, servo_vel)
-        torque[_ROOT_SLICE] += tension * arm
+        hand, state, joints = self.hand, self._state, len(JOINTS)
+        state[:joints], state[joints:] = joint_pos, joint_vel
+        torque: list[float] = (self._linear @ state).tolist()
+        tensions = []
+        for i, drive in enumerate(self.drives):
+            joint = drive.joint
+            tension, arm = drive.tension(joint_pos[joint], joint_vel[joint], servo[i], servo_vel[i])
+            torque[joint] += tension * arm
+            tensions.append(tension)
         twist = hand.cmc_gain * servo[_CMC] - joint_pos[_CMC_JOINT]
         rate = hand.cmc_gain * servo_vel[_CMC] - joint_vel[_CMC_JOINT]
         pull = hand.cmc_stiffness * twist + self._cmc_viscosity * rate
         torque[_CMC_JOINT] += min(max(pull, -hand.cmc_torque_limit), hand.cmc_torque_limit)
-        return torque, tension
+        return torque, tensions
+

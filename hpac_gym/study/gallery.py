@@ -26,6 +26,7 @@ from hpac_gym.model import (
 from hpac_gym.progress import progress
 from hpac_gym.sim import Camera, SimHand, World
 from hpac_gym.study import figures
+from hpac_gym.study.rig import HAND, WORLD
 
 SHEET_COLUMNS = 6
 SETTLE = 0.5  # s after the move
@@ -123,9 +124,15 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC, label: str = "
 
 def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
     """RGB of the simulated hand in a posture, shape (height, width, 3)."""
-    with World() as world:
-        sim = SimHand(world, hand, position=STAND)
-        command = command_to(item, hand)
-        sim.command(command)
-        sim.step(command.duration + SETTLE)
+    with World(WORLD) as world:
+        take(item, world, hand)
         return SHEET_CAMERA.picture(world, LOOK_AT)
+
+
+def take(item: Posture, world: World, hand: Hand = HPAC) -> SimHand:
+    """A simulated hand that its servos took from open into a posture."""
+    sim = SimHand(world, hand, HAND, position=STAND)
+    command = command_to(item, hand)
+    sim.command(command)
+    sim.step(command.duration + SETTLE)
+    return sim

@@ -13,8 +13,8 @@ import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Digit, Hand
-from hpac_gym.sim import HandSettings, ServoSettings
-from hpac_gym.study.rig import JointCamera, Protocol, Rig
+from hpac_gym.sim import ServoSettings
+from hpac_gym.study.rig import HAND, JointCamera, Protocol, Rig
 
 REFERENCE_FILE = Path(__file__).parent / "data" / "reference.toml"
 SCHEMA = 1
@@ -103,8 +103,10 @@ def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = H
     cutoff_hz = protocol.pop("cutoff_hz")
     rig = Rig(
         hand=varied_hand(base, table["tolerance"], np.random.default_rng(table["seed"])),
-        settings=HandSettings(
-            joint_friction=table["physics"]["joint_friction"], servo=ServoSettings(dead_band=table["physics"]["dead_band"])
+        settings=replace(
+            HAND,
+            joint_friction=table["physics"]["joint_friction"],
+            servo=ServoSettings(dead_band=table["physics"]["dead_band"]),
         ),
         camera=JointCamera(camera["rate_hz"], math.radians(camera["noise_deg"]), math.radians(camera["drift_deg_per_min"]) / 60),
         protocol=Protocol(**protocol),

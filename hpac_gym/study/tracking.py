@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, joints_from_synergy, servo_from_synergy, stream_command
 from hpac_gym.model.checks import Array
 from hpac_gym.progress import progress
-from hpac_gym.sim import SimHand, World, WorldSettings
+from hpac_gym.sim import SimHand, World
 from hpac_gym.study import figures
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.intervals import Mean, mean_of
@@ -76,7 +76,7 @@ def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random
     control, sample = 1 / CONTROL_HZ, 1 / SAMPLE_HZ
     steps = int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
     measured = []
-    with World(WorldSettings(physics_hz=reference.rig.physics_hz)) as world:
+    with World(reference.rig.world) as world:
         hand = SimHand(world, reference.rig.hand, settings, visuals=False)
         servo = servo_from_synergy(synergy_of(profile, rate_hz, np.array(0.0)))
         hand.reset(synergy_of(profile, rate_hz, np.array(0.0)))

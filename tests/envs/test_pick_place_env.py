@@ -52,12 +52,12 @@ def test_scripted_placing_succeeds_where_holding_on_or_doing_nothing_fails(env):
         for seed in range(6):
             infos, _ = episode(env, policy(), seed)
             won[policy] += infos[-1]["is_success"]
-    assert won[ScriptedPickPlace] >= 2
+    assert won[ScriptedPickPlace] >= 3
     assert won[NeverOpens] == won[Still] == won[ScriptedClosure] == 0
 
 
 def test_the_four_phases_come_in_order(env):
-    infos, _ = episode(env, ScriptedPickPlace(), 3)
+    infos, _ = episode(env, ScriptedPickPlace(), 2)
     names = [info["phase"] for info in infos]
     assert sorted(names, key=PHASES.index) == names
     assert set(names) == set(PHASES)

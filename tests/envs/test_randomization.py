@@ -152,6 +152,8 @@ def test_the_physics_stays_stable_at_the_ends_of_every_range(corner):
     env.reset(seed=0, options={"setup": dataclasses.replace(setup_of(), position=np.array([0.2, 0.0, 0.3]))})
     for _ in range(22):
         env.step(np.array([0.2, 1, 1, 1, 1, 0.5], np.float32))
+    for _ in range(20):
+        env.scene.advance(env.command, env.task.timetable.wrist_path)
     position, speed = env.scene.hand.joint_state()
     assert np.all(position < HPAC.joint_max + 0.1)
     assert np.all(position > HPAC.joint_min - 0.1)

@@ -24,7 +24,7 @@ def test_static_equilibrium_of_the_coupling_is_equations_12_and_13(tendons):
     for share in np.linspace(0.05, 1.0, 20):
         joints = joints_from_synergy(share * HPAC.synergy_max)
         torque, _ = tendons.torque(joints, REST, np.zeros(6), np.zeros(6))
-        assert np.abs(torque[non_root_joints()]).max() < 1e-12
+        assert np.abs(np.array(torque)[non_root_joints()]).max() < 1e-12
 
 
 def test_a_tendon_of_equal_stiffness_in_both_finger_segments_would_miss_equation_12():
@@ -45,35 +45,35 @@ def test_springs_pull_with_the_tension_of_equation_10():
 
 def test_a_drive_pulls_and_never_pushes(tendons):
     joints = joints_from_synergy(HPAC.synergy_max * 0.5)
-    tension, _ = tendons.drive_tension(joints, REST, np.zeros(6), np.zeros(6))
+    _, tension = tendons.torque(joints, REST, np.zeros(6), np.zeros(6))
     np.testing.assert_array_equal(tension, 0.0)
 
 
 def test_a_drive_pulls_no_harder_than_its_servo(tendons):
-    tension, _ = tendons.drive_tension(REST, REST, HPAC.servo_max, np.zeros(6))
+    _, tension = tendons.torque(REST, REST, HPAC.servo_max, np.zeros(6))
     np.testing.assert_array_equal(tension, [digit.tension_limit for digit in HPAC.digits.values()])
 
 
 def test_a_slack_drive_has_no_damping(tendons):
     joints = joints_from_synergy(HPAC.synergy_max * 0.5)
-    still = tendons.drive_tension(joints, REST, np.zeros(6), np.zeros(6))[0]
-    moving = tendons.drive_tension(joints, REST, np.zeros(6), np.full(6, 5.0))[0]
+    _, still = tendons.torque(joints, REST, np.zeros(6), np.zeros(6))
+    _, moving = tendons.torque(joints, REST, np.zeros(6), np.full(6, 5.0))
     np.testing.assert_array_equal(still, moving)
 
 
 def test_moment_arm_is_the_slope_of_the_chord(tendons):
     """Virtual work: dchord/dq = −arm, with arm = d1 d2 sin(alpha − q)/chord."""
-    root, step = HPAC.synergy_max[:5] * 0.6, 1e-6
-    arm, _ = tendons._arm_and_chord(root)
-    _, ahead = tendons._arm_and_chord(root + step)
-    _, behind = tendons._arm_and_chord(root - step)
-    np.testing.assert_allclose(arm, (behind - ahead) / (2 * step), rtol=1e-8)
+    step = 1e-6
+    for drive, root in zip(tendons.drives, HPAC.synergy_max[:5] * 0.6, strict=True):
+        _, arm = drive.chord_and_arm(root)
+        (ahead, _), (behind, _) = drive.chord_and_arm(root + step), drive.chord_and_arm(root - step)
+        assert arm == pytest.approx((behind - ahead) / (2 * step), rel=1e-8)
 
 
 def test_a_drive_at_the_rigid_angle_is_neither_taut_nor_slack(tendons):
     servo = HPAC.servo_max * 0.6
     joints = elastic_joints_from_servo(servo)
-    tension, _ = tendons.drive_tension(joints, REST, servo + 1e-6, np.zeros(6))
+    _, tension = tendons.torque(joints, REST, servo + 1e-6, np.zeros(6))
     expected = [1e-6 * digit.servo_radius * digit.drive_stiffness for digit in HPAC.digits.values()]
     np.testing.assert_allclose(tension, expected, rtol=1e-6)
 
@@ -87,3 +87,14 @@ def test_cmc_torque_saturates_at_the_stall_torque(tendons):
 def test_negative_damping_is_refused():
     with pytest.raises(ValueError, match="-1"):
         Damping(joint=-1.0)
+
+
+def test_a_slack_drive_brakes_only_a_finger_that_overruns_its_servo(tendons):
+    """Flexion faster than the servo's is damped; following the servo, opening and standing still are free."""
+    drive, angle = tendons.drives[1], 0.5
+    _, arm = drive.chord_and_arm(angle)
+    horn_speed = 2.0
+    following = horn_speed * drive.servo_radius / arm
+    assert drive.tension(angle, following + 1.0, 0.0, horn_speed)[0] == pytest.approx(-drive.brake * arm)
+    for speed in (following, 0.5 * following, 0.0, -3.0):
+        assert drive.tension(angle, speed, 0.0, horn_speed)[0] == pytest.approx(0.0, abs=1e-9)

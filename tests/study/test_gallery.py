@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture
-from hpac_gym.sim import SimHand, World
+from hpac_gym.sim import World
 from hpac_gym.sim.geometry import link_poses, load_geometry
 from hpac_gym.study import gallery
 from hpac_gym.study.commands import add_commands
+from hpac_gym.study.rig import WORLD
 
 GEOMETRY = load_geometry()
 
@@ -33,12 +34,8 @@ def pad(digit: str, joint_pos: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("finger", ["index", "middle", "ring"])
 def test_in_opposition_the_pads_are_within_2_mm_of_touching(finger):
     """The servos take the open hand there; weight, stretch and contact included."""
-    with World() as world:
-        sim = SimHand(world, position=gallery.STAND, visuals=False)
-        command = gallery.command_to(posture(f"oppose_{finger}"))
-        sim.command(command)
-        sim.step(command.duration + gallery.SETTLE)
-        joint_pos = sim.joint_pos
+    with World(WORLD) as world:
+        joint_pos = gallery.take(posture(f"oppose_{finger}"), world).joint_pos
     assert np.linalg.norm(pad("thumb", joint_pos) - pad(finger, joint_pos)) < 2e-3
 
 

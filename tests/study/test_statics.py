@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, elastic_joints_from_servo, rigid_joints_from_servo
-from hpac_gym.sim import HandSettings
 from hpac_gym.study.population import mae_of_population
 from hpac_gym.study.reference import scaled_hand, varied_hand
-from hpac_gym.study.rig import JointCamera, Rig
+from hpac_gym.study.rig import HAND, JointCamera, Rig
 from hpac_gym.study.statics import EXTENSION, FLEXION, Friction, digit_statics, settled_joints
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 15)
@@ -74,7 +73,7 @@ def test_a_joint_never_passes_its_stop_at_rest():
 @pytest.mark.parametrize("servo", ["index_mcp", "thumb_mp", "thumb_cmc"])
 def test_the_physics_settles_where_the_statics_say(servo):
     """PyBullet against the closed form, over a flexion with friction: within the servo's dead band and 0.05°."""
-    rig = Rig(settings=HandSettings(joint_friction=1e-3), camera=JointCamera(noise=0.0, drift=0.0)).with_protocol(
+    rig = Rig(settings=replace(HAND, joint_friction=1e-3), camera=JointCamera(noise=0.0, drift=0.0)).with_protocol(
         points=6, seconds_per_point=3.0, rest=0.5
     )
     sweep = rig.sweep(np.random.default_rng(0), servos=(servo,))
