@@ -18,6 +18,8 @@ from hpac_gym.sim.world import World
 
 _PLACE = {"mcp": 0, "mp": 0, "cmc": 0, "pip": 1, "ip": 1, "dip": 2}
 """Of a joint in its digit, by what kind of joint it is."""
+MAX_JOINT_SPEED = 20.0
+"""Of a digit that snaps free of another one; a faster one would be far beyond its stop before the next step [rad/s]."""
 _OTHER, _FINGER = 1, 64
 """Collision groups; 1 is Bullet's default, and 64 the first that it has no meaning for."""
 _LOAD_FLAGS = (
@@ -100,7 +102,7 @@ class SimHand:
             )
         for index in range(-1, len(self.joint_index)):
             pybullet.changeDynamics(
-                self.body, index, linearDamping=0, angularDamping=0, jointDamping=0,
+                self.body, index, linearDamping=0, angularDamping=0, jointDamping=0, maxJointVelocity=MAX_JOINT_SPEED,
                 lateralFriction=self.settings.contact_friction, physicsClientId=self._client,
             )  # fmt: skip
         for name, index in zip(JOINTS, self._joints, strict=True):
