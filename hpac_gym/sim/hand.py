@@ -102,9 +102,11 @@ class SimHand:
             )
         for index in range(-1, len(self.joint_index)):
             pybullet.changeDynamics(
-                self.body, index, linearDamping=0, angularDamping=0, jointDamping=0, maxJointVelocity=MAX_JOINT_SPEED,
+                self.body, index, linearDamping=0, angularDamping=0, jointDamping=0,
                 lateralFriction=self.settings.contact_friction, physicsClientId=self._client,
             )  # fmt: skip
+        # A call of its own: with the limit in it, PyBullet leaves out a link's friction in silence.
+        pybullet.changeDynamics(self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client)
         for name, index in zip(JOINTS, self._joints, strict=True):
             armature = self.settings.armature[_PLACE[name.split("_")[1]]]
             inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2])

@@ -22,7 +22,7 @@ import hpac_gym  # noqa: F401  registers the environments
 
 FILE = Path(__file__).with_name("fingerprints.json")
 IDS = sorted(name for name in gymnasium.registry if name.startswith("HPAC-"))
-SEEDS = (0, 3, 4, 5)
+SEEDS = (9, 12, 14, 15)
 """Of episodes in which rounding does not grow: no slipping on the edge, no contact that is barely made."""
 TOLERANCE = 1e-3
 """Of the sums: what other processors' sine and cosine may change."""

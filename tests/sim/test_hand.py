@@ -108,3 +108,9 @@ def test_a_servo_leaves_its_dead_band_alone(weightless):
 def test_settings_name_the_bad_value(settings, change):
     with pytest.raises(ValueError, match=str(next(iter(change.values())))):
         dataclasses.replace(settings(), **change)
+
+
+def test_every_link_has_the_skin_s_friction(weightless):
+    hand = SimHand(weightless, settings=HandSettings(contact_friction=0.37))
+    for link in hand.link_index.values():
+        assert pybullet.getDynamicsInfo(hand.body, link, weightless.client)[1] == 0.37
