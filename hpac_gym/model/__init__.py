@@ -29,6 +29,7 @@ from hpac_gym.model.transmission import (
     synergy_from_servo,
     transmission_matrix,
 )
+from hpac_gym.model.variation import scaled_hand
 from hpac_gym.model.workspace import clip_synergy, clip_to_workspace
 
 __all__ = [
@@ -58,6 +59,7 @@ __all__ = [
     "posture",
     "reach",
     "rigid_joints_from_servo",
+    "scaled_hand",
     "servo_from_action",
     "servo_from_joints",
     "servo_from_synergy",

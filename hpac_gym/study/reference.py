@@ -72,18 +72,6 @@ def varied_hand(hand: Hand, tolerance: Mapping[str, float], rng: np.random.Gener
     return replace(hand, digits=digits)
 
 
-def scaled_hand(hand: Hand, scale: Mapping[str, float]) -> Hand:
-    """The same hand with some numbers of every digit multiplied, by field name of `Digit`."""
-    digits = {}
-    for name, digit in hand.digits.items():
-        changed = {}
-        for field, factor in scale.items():
-            value = getattr(digit, field)
-            changed[field] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
-        digits[name] = replace(digit, **changed)
-    return replace(hand, digits=digits)
-
-
 def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = HPAC) -> Reference:
     """The reference hand that a TOML file describes, about the hand `base`.
 

@@ -12,6 +12,7 @@ from agents.tasks import make_task
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies.baselines import RandomPolicy
+from tests.processes import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
@@ -70,10 +71,3 @@ def test_the_workers_of_a_killed_evaluation_end(tmp_path):
         command.kill()
         command.wait()
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
-
-
-def wait_for(condition, seconds: float = 30) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)

@@ -14,6 +14,7 @@ from hpac_gym.envs.phases import PHASES, Timetable
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, elastic_joints_from_servo
 from hpac_gym.sim import ObjectSpec, SceneSetup
+from tests.envs.episodes import run
 
 ID = "HPAC-Grasp-v0"
 STEADY = CameraNoise(position=0.0, angle=0.0, size=0.0)
@@ -29,19 +30,6 @@ def a_setup(**change) -> SceneSetup:
     """A cylinder in a good place, with some of its properties changed."""
     spec = dataclasses.replace(ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.8), **change)
     return SceneSetup(spec, np.array([0.048, 0.004, 0.112]), 0.0, np.array([0, 0, 0, 0, 0, 1.2]))
-
-
-def run(env, policy, setup=None, seed=0) -> tuple[list[dict], float]:
-    """One episode: the infos of its steps, and its return."""
-    observation, _ = env.reset(seed=seed, options={"setup": setup} if setup else None)
-    policy.reset()
-    infos, total, over = [], 0.0, False
-    while not over:
-        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        infos.append(info)
-        total += reward
-        over = terminated or truncated
-    return infos, total
 
 
 class Still:

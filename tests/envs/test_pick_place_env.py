@@ -8,6 +8,7 @@ import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import PickPlace, ScriptedClosure, ScriptedPickPlace
 from hpac_gym.envs.observation import GRASP_CENTRE, LENGTH_UNIT
 from hpac_gym.envs.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
+from tests.envs.episodes import run
 
 ID = "HPAC-PickPlace-v0"
 OPEN = np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
@@ -34,30 +35,18 @@ class NeverOpens(ScriptedPickPlace):
         self._open = np.inf
 
 
-def episode(env, policy, seed: int):
-    observation, info = env.reset(seed=seed)
-    policy.reset()
-    infos, total, over = [], 0.0, False
-    while not over:
-        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        infos.append(info)
-        total += reward
-        over = terminated or truncated
-    return infos, total
-
-
 def test_scripted_placing_succeeds_where_holding_on_or_doing_nothing_fails(env):
     won = dict.fromkeys((ScriptedPickPlace, NeverOpens, Still, ScriptedClosure), 0)
     for policy in won:
         for seed in range(6):
-            infos, _ = episode(env, policy(), seed)
+            infos, _ = run(env, policy(), seed=seed)
             won[policy] += infos[-1]["is_success"]
     assert won[ScriptedPickPlace] >= 3
     assert won[NeverOpens] == won[Still] == won[ScriptedClosure] == 0
 
 
 def test_the_four_phases_come_in_order(env):
-    infos, _ = episode(env, ScriptedPickPlace(), 2)
+    infos, _ = run(env, ScriptedPickPlace(), seed=2)
     names = [info["phase"] for info in infos]
     assert sorted(names, key=PHASES.index) == names
     assert set(names) == set(PHASES)
@@ -75,7 +64,7 @@ def test_an_open_hand_does_not_touch_the_object_on_its_way(env):
 
 def test_success_is_an_object_that_stands_alone_at_its_target(env):
     for seed in range(12):
-        infos, _ = episode(env, ScriptedPickPlace(), seed)
+        infos, _ = run(env, ScriptedPickPlace(), seed=seed)
         if infos[-1]["is_success"]:
             break
     scene = env.unwrapped.scene

@@ -13,6 +13,7 @@ from PIL import Image
 from hpac_gym.cli import main
 from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from tests.processes import wait_for
 
 TRAINED = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp-sac.zip"
 
@@ -119,10 +120,3 @@ def test_ctrl_c_ends_it_and_its_workers(tmp_path):
     assert command.returncode == 130
     assert said == "interrupted\n"
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
-
-
-def wait_for(condition, seconds: float = 30) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.05)

@@ -1,6 +1,5 @@
 """What holds for every posture and every hand: inverses, monotony, limits, slopes, scaling."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from hpac_gym.model import (
     JOINT_INDEX,
     JOINTS,
     SERVOS,
-    Hand,
     action_from_synergy,
     clip_synergy,
     clip_to_workspace,
@@ -22,6 +20,7 @@ from hpac_gym.model import (
     joints_from_synergy,
     move_duration,
     rigid_joints_from_servo,
+    scaled_hand,
     servo_from_action,
     servo_from_joints,
     servo_from_synergy,
@@ -37,18 +36,6 @@ synergies = arrays(float, 6, elements=st.floats(0, 1)).map(lambda share: share *
 postures = arrays(float, 15, elements=st.floats(0, 1)).map(lambda share: share * HPAC.joint_max)
 wild_postures = arrays(float, 15, elements=st.floats(-10, 10))
 factors = st.floats(0.8, 1.25)
-
-
-def hand_with(**factor: float) -> Hand:
-    """The nominal hand with some numbers of every digit multiplied."""
-    changed = {}
-    for name, digit in HPAC.digits.items():
-        values = {}
-        for key, by in factor.items():
-            value = getattr(digit, key)
-            values[key] = tuple(by * x for x in value) if isinstance(value, tuple) else by * value
-        changed[name] = replace(digit, **values)
-    return replace(HPAC, digits=changed)
 
 
 @given(synergies)
@@ -172,7 +159,8 @@ def test_h_is_continuous_at_rest():
 def test_elastic_becomes_rigid_as_the_tendon_stiffens():
     servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 50)
     rigid = rigid_joints_from_servo(servo)
-    gaps = [np.abs(elastic_joints_from_servo(servo, hand_with(tendon_stiffness=by)) - rigid).max() for by in (1, 1e2, 1e4, 1e6)]
+    hands = [scaled_hand(HPAC, {"tendon_stiffness": by}) for by in (1, 1e2, 1e4, 1e6)]
+    gaps = [np.abs(elastic_joints_from_servo(servo, hand) - rigid).max() for hand in hands]
     assert (np.diff(gaps) < 0).all()
     assert gaps[-1] < 1e-7
     assert gaps[1] / gaps[2] == pytest.approx(100, rel=0.01)
@@ -180,21 +168,22 @@ def test_elastic_becomes_rigid_as_the_tendon_stiffens():
 
 def test_twice_the_stiffness_halves_the_deviation_at_equal_angles():
     posture = 0.7 * HPAC.joint_max
-    assert 2 * elastic_deviation(posture, hand_with(tendon_stiffness=2)) == pytest.approx(elastic_deviation(posture), abs=1e-15)
+    stiffer = scaled_hand(HPAC, {"tendon_stiffness": 2})
+    assert 2 * elastic_deviation(posture, stiffer) == pytest.approx(elastic_deviation(posture), abs=1e-15)
 
 
 @given(factors)
 def test_one_scale_of_all_lengths_and_an_inverse_one_of_the_spring_change_nothing(by):
     """Angles have no length scale: b depends on k_s L R / (EA R), which such a hand keeps."""
     lengths = dict.fromkeys(("d1", "d2", "servo_radius", "joint_radius", "path_length"), by)
-    scaled = hand_with(**lengths, spring_stiffness=1 / by)
+    scaled = scaled_hand(HPAC, lengths | {"spring_stiffness": 1 / by})
     servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 7)
     assert elastic_joints_from_servo(servo, scaled) == pytest.approx(elastic_joints_from_servo(servo), abs=1e-12)
 
 
 @given(factors, factors, factors)
 def test_inverse_holds_for_any_hand(guide, spring, radius):
-    hand = hand_with(d2=guide, spring_stiffness=spring, joint_radius=radius)
+    hand = scaled_hand(HPAC, {"d2": guide, "spring_stiffness": spring, "joint_radius": radius})
     servo = hand.servo_min + 0.6 * (hand.servo_max - hand.servo_min)
     posture = clip_to_workspace(elastic_joints_from_servo(servo, hand), hand)
     if (posture == elastic_joints_from_servo(servo, hand)).all():

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, elastic_joints_from_servo, rigid_joints_from_servo
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, elastic_joints_from_servo, rigid_joints_from_servo, scaled_hand
 from hpac_gym.study.population import mae_of_population
-from hpac_gym.study.reference import scaled_hand, varied_hand
+from hpac_gym.study.reference import varied_hand
 from hpac_gym.study.rig import HAND, JointCamera, Rig
 from hpac_gym.study.statics import EXTENSION, FLEXION, Friction, digit_statics, settled_joints
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, JOINTS
+from hpac_gym.model import HPAC, JOINTS, scaled_hand
 from hpac_gym.study import sweep as command
 from hpac_gym.study.accuracy import EVALUATED, accuracy, residuals, workspace
 from hpac_gym.study.processing import points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
-from hpac_gym.study.reference import REFERENCE_FILE, load_reference, scaled_hand
+from hpac_gym.study.reference import REFERENCE_FILE, load_reference
 
 REFERENCE = load_reference()
 
