@@ -35,7 +35,7 @@ def add_commands(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("-n", "--episodes", type=whole_number(1), default=50, metavar="N",
                         help="of each policy at each grasp (default: %(default)s; 5 for a first look)")  # fmt: skip
     parser.add_argument("--grasps", nargs="+", metavar="NAME", help="only these (default: all sixteen)")
-    parser.add_argument("--variant", help="of the objects, such as large or slippery (default: nominal)")
+    parser.add_argument("--variant", help="of the objects: large, small, heavy, slippery or shape (default: nominal)")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
                         help=f"of the first episode (default: %(default)s; training stays below {HELD_OUT_SEED})")  # fmt: skip
     parser.add_argument("--no-baseline", action="store_true", help="no random actions beside the policy")

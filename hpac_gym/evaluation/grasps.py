@@ -43,20 +43,22 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """The trials of one policy at one grasp, at least one."""
+    """The trials of one policy at one grasp, at least one, with the object of that variant."""
 
     grasp: str
     policy: str
     trials: tuple[Trial, ...]
+    variant: str = NOMINAL
 
     def summary(self) -> dict[str, Any]:
         """Success with its interval, hold force of what was held [N], and drops by phase."""
+        grasp = GRASPS[self.grasp]
         wins = [trial for trial in self.trials if trial.success]
         forces = [trial.hold_force for trial in wins if trial.hold_force is not None]
         return {
             "grasp": self.grasp,
-            "family": GRASPS[self.grasp].family,
-            "object": GRASPS[self.grasp].object.about,
+            "family": grasp.family,
+            "object": (grasp.variant(self.variant).object or grasp.object).about,
             "policy": self.policy,
             "episodes": len(self.trials),
             "successes": len(wins),
@@ -106,7 +108,7 @@ def benchmark(
     shown = progress(jobs, "grasps", sys.stderr.isatty())
     for (policy, grasp, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
         found[policy, grasp] += trials
-    return [Row(grasp, policy, tuple(found[policy, grasp])) for policy, grasp in cells]
+    return [Row(grasp, policy, tuple(found[policy, grasp]), variant) for policy, grasp in cells]
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -1,5 +1,6 @@
 """The grasp benchmark: what it counts, and how it is told."""
 
+from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.grasps import Row, Trial, benchmark, table
 from hpac_gym.evaluation.statistics import wilson_interval
 
@@ -19,6 +20,12 @@ def test_the_table_has_a_line_for_each_row_and_no_force_without_success():
     assert len(lines) == 4
     assert "| 50% |" in lines[2]
     assert "| – |" in lines[3]
+
+
+def test_a_row_names_the_object_of_its_variant():
+    objects = {variant: Row("rod", "scripted", TRIALS, variant).summary()["object"] for variant in ("nominal", "heavy", "shape")}
+    assert objects["nominal"] == objects["heavy"] == GRASPS["rod"].object.about
+    assert objects["shape"] == GRASPS["rod"].variant("shape").object.about != objects["nominal"]
 
 
 def test_an_episode_depends_on_its_seed_alone():
