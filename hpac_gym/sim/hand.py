@@ -74,8 +74,7 @@ class SimHand:
         orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0),
         visuals: bool = True,
     ) -> None:
-        self.world, self.hand, self.settings = world, hand, settings
-        self._client = world.client
+        self.world, self._client = world, world.client
         self.body = pybullet.loadURDF(
             str(asset_path(urdf)), list(position), list(orientation), useFixedBase=True,
             flags=_LOAD_FLAGS if visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES,
@@ -88,27 +87,39 @@ class SimHand:
             index: next((digit for digit in DIGITS if name.startswith(digit)), "palm") for name, index in self.link_index.items()
         }
         self._joints = [self.joint_index[name] for name in JOINTS]
-        self._prepare_joints()
+        self._add_armature(settings.armature)
         self.collide(True)
-        self.servos = Servos(settings.servo)
-        self.tendons = Tendons(hand, self.inertia(), world.settings.dt, settings.damping, settings.slack)
-        self.tension = [0.0] * (len(SERVOS) - 1)
+        self.configure(hand, settings)
 
-    def _prepare_joints(self) -> None:
+    def configure(self, hand: Hand, settings: HandSettings) -> None:
+        """Become another hand: everything but the armature, which a hand is loaded with, can change.
+
+        Raises:
+            ValueError: The settings have another armature.
+        """
+        if settings.armature != self.armature:
+            raise ValueError(f"armature {settings.armature} kg m² is not {self.armature} kg m², which this hand was loaded with")
+        self.hand, self.settings = hand, settings
         for name, index in self.joint_index.items():
-            friction = self.settings.joint_friction if name in JOINTS else 0.0
+            friction = settings.joint_friction if name in JOINTS else 0.0
             pybullet.setJointMotorControl2(
                 self.body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0, force=friction, physicsClientId=self._client
             )
         for index in range(-1, len(self.joint_index)):
             pybullet.changeDynamics(
                 self.body, index, linearDamping=0, angularDamping=0, jointDamping=0,
-                lateralFriction=self.settings.contact_friction, physicsClientId=self._client,
+                lateralFriction=settings.contact_friction, physicsClientId=self._client,
             )  # fmt: skip
         # A call of its own: with the limit in it, PyBullet leaves out a link's friction in silence.
         pybullet.changeDynamics(self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client)
+        self.servos = Servos(settings.servo)
+        self.tendons = Tendons(hand, self.inertia(), self.world.settings.dt, settings.damping, settings.slack)
+        self.tension = [0.0] * (len(SERVOS) - 1)
+
+    def _add_armature(self, armatures: tuple[float, float, float]) -> None:
+        self.armature = armatures
         for name, index in zip(JOINTS, self._joints, strict=True):
-            armature = self.settings.armature[_PLACE[name.split("_")[1]]]
+            armature = armatures[_PLACE[name.split("_")[1]]]
             inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2])
             pybullet.changeDynamics(
                 self.body, index, localInertiaDiagonal=(inertia + armature).tolist(), physicsClientId=self._client

@@ -10,11 +10,16 @@ from hpac_gym.sim.world import World, WorldSettings
 
 Quaternion = tuple[float, float, float, float]
 
+EPISODES = 200
+"""Between two loadings of the hand."""
+
 
 class Stage:
-    """Loading a hand takes a hundred times as long as a snapshot, so the hand stays as long as the next one is the same.
+    """Loading a hand takes a hundred times as long as a snapshot, so the hand stays, and becomes the next one.
 
-    The snapshot is taken after a physics step, without which PyBullet does not replay to the bit.
+    The snapshot is taken after a physics step, without which PyBullet does not replay to the bit. Every `EPISODES`, and for
+    another armature or orientation, the hand is loaded all the same: PyBullet keeps some memory of every body and shape that
+    ever was, until the world is cleared.
 
     Args:
         urdf: of the hand, as for `SimHand`.
@@ -33,6 +38,7 @@ class Stage:
         self.world = World(settings)
         self._urdf, self._position, self._visuals = urdf, position, visuals
         self._hand: SimHand | None = None
+        self._episodes = 0
         self._added: list[int] = []
 
     def add(self, body: int) -> None:
@@ -47,9 +53,12 @@ class Stage:
             settings: what the simulation adds.
             orientation: of the hand's frame in the world, quaternion xyzw.
         """
-        known = self._hand
-        if known is None or known.hand is not hand or (known.settings, self._orientation) != (settings, orientation):
+        start = settings.armature, orientation
+        if self._hand is None or self._start != start or self._episodes == EPISODES:
             self._load(hand, settings, orientation)
+        elif self._hand.hand is not hand or self._hand.settings != settings:
+            self._hand.configure(hand, settings)
+        self._start, self._episodes = start, self._episodes + 1
         for body in reversed(self._added):
             pybullet.removeBody(body, physicsClientId=self.world.client)
         self._added.clear()
@@ -67,7 +76,7 @@ class Stage:
         self.world.clear()
         self._added.clear()
         self._hand = SimHand(self.world, hand, settings, self._urdf, self._position, orientation, self._visuals)
-        self._orientation = orientation
+        self._episodes = 0
         self.world.step()
         self._snapshot = pybullet.saveState(physicsClientId=self.world.client)
 

@@ -49,16 +49,26 @@ def test_an_episode_does_not_depend_on_those_before_it(name):
     used.close()
 
 
-def test_another_hand_is_loaded_when_it_is_asked_for():
+def test_a_hand_becomes_another_one_and_is_loaded_anew_for_another_armature_or_after_many_episodes(monkeypatch):
     scene, start = Scene(visuals=False), setup(None, 0)
     scene.reset(start)
     first = scene.hand
-    scene.reset(start)
-    assert scene.hand is first
     slippery = dataclasses.replace(start, hand_settings=HandSettings(contact_friction=0.3))
     scene.reset(slippery)
+    assert scene.hand is first
     assert scene.hand.settings.contact_friction == 0.3
     assert pybullet.getNumBodies(scene.world.client) == 4  # hand, object, post, table
+    heavy = HandSettings(armature=(4e-3, 2e-3, 1e-3))
+    with pytest.raises(ValueError, match="armature"):
+        first.configure(HPAC, heavy)
+    scene.reset(dataclasses.replace(start, hand_settings=heavy))
+    assert scene.hand is not first
+    monkeypatch.setattr("hpac_gym.sim.stage.EPISODES", 3)
+    hands = []
+    for _ in range(7):
+        scene.reset(start)
+        hands.append(scene.hand)
+    assert len({id(hand) for hand in hands}) == 3
     scene.close()
 
 
