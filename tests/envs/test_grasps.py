@@ -1,6 +1,7 @@
 """The sixteen named grasps: their data against real measures, their episodes, and the scripted closure against random actions."""
 
 import dataclasses
+import itertools
 import math
 
 import gymnasium
@@ -57,18 +58,21 @@ def test_quaternions_are_those_of_the_matrices():
     np.testing.assert_allclose(matrix, rotation_from_rpy(rpy), atol=1e-12)
 
 
-@pytest.mark.parametrize("variant", [NOMINAL, "shape"])
+@pytest.mark.parametrize("variant", [NOMINAL, "large", "small", "shape"])
 @pytest.mark.parametrize("name", NAMES)
-def test_at_the_start_nothing_is_inside_of_anything(name: str, variant: str):
-    """In the middle of its range the object touches its support at most, and the hand not at all."""
+def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(name: str, variant: str):
+    """The object may touch its support, and walls the object; nothing is deeper than 0.1 mm."""
     task = GraspByName(name, variant)
+    grasp, middle = task.grasp, task.setup(np.random.default_rng(0))
     scene = Scene(visuals=False)
-    scene.reset(dataclasses.replace(task.setup(np.random.default_rng(0)), position=np.array(task.grasp.position), yaw=0.0))
-    near = pybullet.getClosestPoints(scene.hand.body, scene.object.body, 0.0, physicsClientId=scene.world.client)
-    assert not [point for point in near if point[8] < -1e-4]
-    for support in scene._supports:
-        near = pybullet.getClosestPoints(support, scene.object.body, 0.0, physicsClientId=scene.world.client)
-        assert not [point for point in near if point[8] < -1.5e-3]
+    client = scene.world.client
+    for corner in itertools.product((-1, 1), repeat=4):
+        position = grasp.position + np.array(corner[:3]) * grasp.position_noise
+        scene.reset(dataclasses.replace(middle, position=position, yaw=corner[3] * grasp.yaw_noise))
+        bodies = (scene.hand.body, scene.object.body, *scene._supports)
+        pairs = [(a, b) for a in bodies[:2] for b in bodies[1:] if a != b]
+        near = [point for a, b in pairs for point in pybullet.getClosestPoints(a, b, 0.0, physicsClientId=client)]
+        assert min((point[8] for point in near), default=0.0) > -1e-4, f"at the corner {corner}"
     scene.close()
 
 
