@@ -17,7 +17,7 @@ from hpac_gym.envs.observation import CameraNoise
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.errors import ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
-from tests.envs.fingerprints import FILE, IDS, TOLERANCE, fingerprint, flat
+from tests.envs.fingerprints import FILE, IDS, NAMES, TOLERANCE, fingerprint, flat, make
 
 OPTIONS = [
     {},
@@ -34,12 +34,13 @@ STOP_GIVES = 0.4
 """How far a digit that snaps free of another one may run into its stop, for a moment [rad]; 20 rad/s are 0.17 a step."""
 
 every_id = pytest.mark.parametrize("name", IDS)
+every_fingerprint = pytest.mark.parametrize("name", NAMES)
 every_option = pytest.mark.parametrize("options", OPTIONS, ids=lambda options: "-".join(map(str, options.values()))[:30])
 
 
 @pytest.fixture
 def env(name):
-    with gymnasium.make(name) as made:
+    with make(name) as made:
         yield made
 
 
@@ -80,7 +81,7 @@ def test_gymnasium_s_checker_passes_with_rendering(name):
 # Fingerprints ------------------------------------------------------------------------------
 
 
-@every_id
+@every_fingerprint
 def test_physics_reward_and_observation_are_those_of_the_version_number(name, env):
     """If this fails on purpose: raise -v, or before a release run `python tests/envs/fingerprints.py --write`."""
     expected, found = json.loads(FILE.read_text(encoding="utf-8"))[name], fingerprint(env)["episodes"]
@@ -117,14 +118,14 @@ def printed():
     return json.loads(done.stdout)
 
 
-@every_id
+@every_fingerprint
 def test_same_seed_same_trajectory_to_the_bit(name, env, printed):
     """On re-reset, in a fresh environment that can render too, and in a subprocess."""
     first = fingerprint(env)
     env.reset(seed=99)
     env.step(env.action_space.sample())
     assert fingerprint(env) == first
-    with gymnasium.make(name, render_mode="rgb_array") as fresh:
+    with make(name, render_mode="rgb_array") as fresh:
         assert fingerprint(fresh) == first
     assert printed[name] == first
 
