@@ -205,12 +205,14 @@ class PickPlace:
     ) -> dict[str, float]:
         """The dense reward of one control step, term by term; the reward is their sum.
 
-        * `contact`, while closing: for the thumb and for the fingers that touch the object, most when they oppose each other.
-        * `push`, while reaching and closing: against moving the object away from where it stood.
-        * `carry`, while lifting and placing: for carrying the object free of its support.
-        * `place`, while placing: for an object that stands at its target, most when the hand has let it go.
-        * `effort`: against changing the action.
-        * `outcome`: success or failure, once.
+        * `contact`, while closing: 0.1 for the thumb and 0.05 for each finger that touches the object, 0.2 when they oppose
+          each other.
+        * `push`, while reaching and closing: −0.3 for an object moved away from where it stood by `drop_distance`, its share
+          before.
+        * `carry`, while lifting and placing: 0.5 for carrying the object free of its support.
+        * `place`, while placing: 0.5 for an object that stands at its target, 0.5 more when the hand has let it go.
+        * `effort`: −0.01 of the sum of the squared changes of the action.
+        * `outcome`: 20 for success or −5 for failure, once.
         """
         fingers = sum(name in forces for name in FINGERS)
         thumb = "thumb" in forces

@@ -60,8 +60,10 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         hand: the hand's parameters, or a hand file.
         reward: "dense" for minus the mean joint error [rad], "sparse" for −1 until the posture is reached and 0 then.
         render_mode: None or "rgb_array".
-        obs: "deploy", "privileged" for the true state after it, "image" for a picture beside it.
-        randomize: as for `HandEnv`; what concerns an object changes nothing here.
+        obs: "deploy" for the command and the model's prediction, "privileged" for the true state after them, "image" for a
+            picture beside them.
+        randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, or a
+            `Randomization`; None is "nominal", which changes nothing. What concerns an object changes nothing here.
 
     Raises:
         ParameterError: An unknown reward, render mode, obs or randomize, or a bad hand file.

@@ -28,7 +28,7 @@ class Report:
         forces: dict[str, float],
         hold_time: float,
     ) -> dict[str, Any]:
-        """The `info` of one step; `docs/environments.md` says what its entries mean."""
+        """The `info` of one step; `docs/environments/README.md` says what its entries mean."""
         if not hold_time:
             self._held_at = None
         elif self._held_at is None:

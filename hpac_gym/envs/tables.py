@@ -1,4 +1,4 @@
-"""The tables of ``docs/environments.md`` and ``docs/grasps.md``, from the code: ``python -m hpac_gym.envs.tables`` writes them.
+"""The tables of ``docs/environments`` and ``docs/grasps.md``, from the code: ``python -m hpac_gym.envs.tables`` writes them.
 
 A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by hand.
 """
@@ -10,26 +10,56 @@ import re
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
+from typing import get_args
+
+import gymnasium
 
 from hpac_gym.envs import posture
+from hpac_gym.envs.arguments import arguments_of
 from hpac_gym.envs.grasp import Grasp, GraspConfig
 from hpac_gym.envs.grasp_data import GRASPS
+from hpac_gym.envs.hand_env import CONTROL_HZ
 from hpac_gym.envs.observation import Field, deployed_fields
 from hpac_gym.envs.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.envs.randomization import BOUNDS, PRESETS, Randomization
 from hpac_gym.envs.task import Task
-from hpac_gym.envs.views import PRIVILEGED_FIELDS
+from hpac_gym.envs.views import PRIVILEGED_FIELDS, Obs
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.sim import ObjectModel
 
-PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
-GRASPS_PAGE = PAGE.with_name("grasps.md")
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
     """A table in Markdown."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def summary_table(env_id: str) -> str:
+    """What people look for first."""
+    steps = gymnasium.spec(env_id).max_episode_steps
+    rows = [["make", f'`gymnasium.make("hpac_gym:{env_id}")`']]
+    for obs in get_args(Obs):
+        with gymnasium.make(env_id, obs=obs) as env:
+            if len(rows) == 1:
+                rows.append(["action space", f"`{env.action_space}`"])
+            rows.append([f'observation space, `obs="{obs}"`', f"`{space_in_words(env.observation_space)}`"])
+    rows.append(["time limit", f"{steps} steps, {steps / CONTROL_HZ:g} s"])
+    return table(["", ""], rows)
+
+
+def space_in_words(space: gymnasium.Space) -> str:
+    """A space without the bounds of every entry."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return f"Dict({', '.join(f'{name}: {space_in_words(part)}' for name, part in space.items())})"
+    return f"Box({space.shape}, {space.dtype})"
+
+
+def argument_table(env_id: str) -> str:
+    """What an id takes."""
+    rows = [[f"`{given.name}`", given.values, given.shown_default, given.meaning] for given in arguments_of(env_id)]
+    return table(["argument", "values", "default", "meaning"], rows)
 
 
 def action_table() -> str:
@@ -85,9 +115,9 @@ def timetable_list(task: Task) -> str:
     """When each phase of a task begins."""
     timetable, steps = task.timetable, []
     begins = dict.fromkeys(timetable.phases)
-    for step in range(round(timetable.duration * 20)):
-        name = timetable.phases[timetable.phase(step / 20)]
-        begins[name] = step / 20 if begins[name] is None else begins[name]
+    for step in range(round(timetable.duration * CONTROL_HZ)):
+        name = timetable.phases[timetable.phase(step / CONTROL_HZ)]
+        begins[name] = step / CONTROL_HZ if begins[name] is None else begins[name]
     steps = [f"`{name}` from {begin:g} s" for name, begin in begins.items()]
     return f"{', '.join(steps)}; the end is at {timetable.duration:g} s."
 
@@ -124,26 +154,41 @@ def attribute_docs(kind: type) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in pattern.findall(inspect.getsource(kind))}
 
 
-TABLES: dict[str, Callable[[], str]] = {
-    "action": action_table,
-    "grasp-observation": lambda: field_table(task_fields(Grasp())),
-    "grasp-privileged": lambda: field_table(PRIVILEGED_FIELDS, length_of(task_fields(Grasp()))),
-    "grasp-reward": lambda: reward_list(Grasp),
-    "grasp-start": lambda: range_table(GraspConfig),
-    "grasp-phases": lambda: timetable_list(Grasp()),
-    "pick-place-observation": lambda: field_table(PickPlace().fields, length_of(task_fields(Grasp()))),
-    "pick-place-reward": lambda: reward_list(PickPlace),
-    "pick-place-start": lambda: range_table(PickPlaceConfig),
-    "pick-place-phases": lambda: timetable_list(PickPlace()),
-    "posture-observation": lambda: field_table(posture.FIELDS),
-    "posture-privileged": lambda: field_table(posture.PRIVILEGED_FIELDS, length_of(posture.FIELDS)),
-    "posture-goal": lambda: field_table(posture.GOAL_FIELDS),
-    "randomization": randomization_table,
+Makers = dict[str, Callable[[], str]]
+
+
+def task_tables(env_id: str, task: type, config: type) -> Makers:
+    """The tables of a task in front of `HandEnv`."""
+    return {
+        "summary": lambda: summary_table(env_id),
+        "action": action_table,
+        "observation": lambda: field_table(task_fields(task())),
+        "privileged": lambda: field_table(PRIVILEGED_FIELDS, length_of(task_fields(task()))),
+        "reward": lambda: reward_list(task),
+        "start": lambda: range_table(config),
+        "phases": lambda: timetable_list(task()),
+        "arguments": lambda: argument_table(env_id),
+    }
+
+
+PAGES: dict[str, Makers] = {
+    "environments/README.md": {"randomization": randomization_table},
+    "environments/grasp.md": task_tables("HPAC-Grasp-v0", Grasp, GraspConfig),
+    "environments/pick_place.md": task_tables("HPAC-PickPlace-v0", PickPlace, PickPlaceConfig),
+    "environments/posture.md": {
+        "summary": lambda: summary_table("HPAC-Posture-v0"),
+        "action": action_table,
+        "observation": lambda: field_table(posture.FIELDS),
+        "privileged": lambda: field_table(posture.PRIVILEGED_FIELDS, length_of(posture.FIELDS)),
+        "goal": lambda: field_table(posture.GOAL_FIELDS),
+        "arguments": lambda: argument_table("HPAC-Posture-v0"),
+    },
+    "grasps.md": {"objects": object_table},
 }
-GRASPS_TABLES: dict[str, Callable[[], str]] = {"objects": object_table}
+"""Which tables every page in `DOCS` has, by their names."""
 
 
-def filled(page: str, tables: dict[str, Callable[[], str]] = TABLES) -> str:
+def filled(page: str, tables: Makers) -> str:
     """The page with every table as the code has it.
 
     Raises:
@@ -159,7 +204,8 @@ def filled(page: str, tables: dict[str, Callable[[], str]] = TABLES) -> str:
 
 
 def main() -> None:
-    for page, tables in ((PAGE, TABLES), (GRASPS_PAGE, GRASPS_TABLES)):
+    for name, tables in PAGES.items():
+        page = DOCS / name
         page.write_text(filled(page.read_text(encoding="utf-8"), tables), encoding="utf-8")
 
 

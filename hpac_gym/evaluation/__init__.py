@@ -1,1 +1,1 @@
-"""Judging policies on held-out episodes: seeds, workers, statistics, and the benchmark of the sixteen named grasps."""
+"""Judging policies on held-out episodes: seeds, workers, statistics, the benchmark of the sixteen named grasps, film strips."""
