@@ -2,7 +2,7 @@
 
 Uniform noise at 20 Hz averages out in the tendons and hardly ever closes a hand. A random closure takes every digit, within a
 random time, to a random place between half open and closed, and keeps it there: no object is looked at, and no closure is
-better than another.
+better than another. Where a task has a way to the object and wants it set down again, closures begin and let go at random times.
 """
 
 from __future__ import annotations
@@ -31,13 +31,24 @@ class RandomClosures:
         n_envs: how many environments.
         action_repeat: control steps that each action is held for.
         rng: what the closures are drawn from.
+        begin: range of the control steps before a hand closes.
+        release: range of the control steps after which it opens; empty for never.
     """
 
-    def __init__(self, n_envs: int, action_repeat: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        n_envs: int,
+        action_repeat: int,
+        rng: np.random.Generator,
+        begin: tuple[int, ...] = (0, 0),
+        release: tuple[int, ...] = (),
+    ) -> None:
         self._rng, self._action_repeat = rng, action_repeat
+        self._begin_range, self._release_range = begin, release or (np.inf, np.inf)
         self._goal = np.zeros((n_envs, len(SERVOS)))
         self._steps = np.ones((n_envs, len(SERVOS)))
         self._begin = np.zeros((n_envs, len(SERVOS)))
+        self._release = np.zeros((n_envs, 1))
         self._time = np.zeros((n_envs, 1))
         self._draw(np.ones(n_envs, dtype=bool))
 
@@ -49,7 +60,7 @@ class RandomClosures:
         """
         self._draw(ended)
         self._time += self._action_repeat
-        share = np.clip((self._time - self._begin) / self._steps, 0.0, 1.0)
+        share = np.clip((self._time - self._begin) / self._steps, 0.0, 1.0) * (self._time <= self._release)
         actions = OPEN + share * (self._goal - OPEN)
         actions[:, _CMC] = self._goal[:, _CMC]
         return actions.astype(np.float32)
@@ -59,5 +70,11 @@ class RandomClosures:
         self._goal[which] = self._rng.uniform(*DIGIT, (count, len(SERVOS)))
         self._goal[which, _CMC] = self._rng.uniform(*OPPOSITION, count)
         self._steps[which] = self._rng.uniform(*STEPS, (count, 1))
-        self._begin[which, _THUMB] = self._rng.uniform(-LEAD, LEAD, count)
+        self._begin[which] = self._drawn(self._begin_range, count)
+        self._begin[which, _THUMB] += self._rng.uniform(-LEAD, LEAD, count)
+        self._release[which] = self._drawn(self._release_range, count)
         self._time[which] = 0
+
+    def _drawn(self, bounds: tuple[float, ...], count: int) -> np.ndarray:
+        low, high = bounds
+        return self._rng.uniform(low, high, (count, 1)) if low < high else np.full((count, 1), float(low))

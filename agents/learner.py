@@ -46,12 +46,18 @@ class OverlappedSAC(SAC):
     An update misses the transition that is under way, no more. ``steps_per_update`` decisions go with each.
     """
 
-    def __init__(self, *args, steps_per_update: int, closure_steps: int, action_repeat: int, **options) -> None:
+    def __init__(self, *args, recipe: Recipe, **options) -> None:
         # No updates of the library's own; they happen in Meanwhile.
         super().__init__(*args, gradient_steps=0, **options)
-        self._steps_per_update = steps_per_update
-        self._closure_steps = closure_steps
-        self._closures = RandomClosures(self.n_envs, action_repeat, np.random.default_rng(self.seed))
+        self._steps_per_update = recipe.steps_per_update
+        self._closure_steps = recipe.closure_steps
+        self._closures = RandomClosures(
+            self.n_envs,
+            recipe.action_repeat,
+            np.random.default_rng(self.seed),
+            recipe.closure_begin,
+            recipe.closure_release,
+        )
         self._steps_owed = 0
 
     def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
@@ -88,9 +94,7 @@ def make_learner(recipe: Recipe, env: VecNormalize) -> OverlappedSAC:
     model = OverlappedSAC(
         "MlpPolicy",
         env,
-        steps_per_update=recipe.steps_per_update,
-        closure_steps=recipe.closure_steps,
-        action_repeat=recipe.action_repeat,
+        recipe=recipe,
         gamma=recipe.gamma,
         learning_rate=recipe.learning_rate,
         tau=recipe.tau,

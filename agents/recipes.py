@@ -13,7 +13,8 @@ class Recipe:
     """Settings of one soft actor-critic training.
 
     A step here is a decision: an action that is held for ``action_repeat`` control steps. The first ``closure_steps`` are
-    random closures (see `agents.exploration`); then exploration is state-dependent and keeps its direction for
+    random closures, which begin and let go within the ranges of control steps that ``closure_begin`` and ``closure_release``
+    give, or never let go (see `agents.exploration`); then exploration is state-dependent and keeps its direction for
     ``sde_sample_freq`` decisions, because a hand that trembles at 20 Hz never closes. ``gamma`` looks about 1 / (1 − gamma)
     decisions ahead. The learner makes one update in ``steps_per_update`` decisions while the worker processes step, which
     keeps two cores busy.
@@ -31,6 +32,8 @@ class Recipe:
     action_repeat: int = 4
     learning_starts: int = 500
     closure_steps: int = 4_000
+    closure_begin: tuple[int, ...] = (0, 0)
+    closure_release: tuple[int, ...] = ()
     steps_per_update: int = 1
     n_steps: int = 2
     sde_sample_freq: int = 4
@@ -46,6 +49,9 @@ class Recipe:
                     raise RecipeError(f"{name} is {value}: it must lie in {low:g}…{high:g}")
         if not self.hidden:
             raise RecipeError("hidden is empty: it needs at least one layer")
+        for name, lengths in (("closure_begin", (2,)), ("closure_release", (0, 2))):
+            if len(bounds := getattr(self, name)) not in lengths or tuple(sorted(bounds)) != tuple(bounds):
+                raise RecipeError(f"{name} is {bounds}: it must be a lower and an upper bound")
         if self.buffer_size < self.learning_starts:
             raise RecipeError(f"buffer_size is {self.buffer_size}: it must hold learning_starts, {self.learning_starts} steps")
 
@@ -61,6 +67,8 @@ BOUNDS = {
     "hidden": (1, 4_096),
     "learning_starts": (1, inf),
     "closure_steps": (0, inf),
+    "closure_begin": (0, 10_000),
+    "closure_release": (0, 10_000),
     "action_repeat": (1, 1_000),
     "steps_per_update": (1, 1_000),
     "n_steps": (1, 100),
@@ -72,6 +80,13 @@ BOUNDS = {
 
 RECIPES = {
     "grasp-sac": Recipe(env_id="hpac_gym:HPAC-Grasp-v0", steps=300_000),
+    "pick-place-sac": Recipe(
+        env_id="hpac_gym:HPAC-PickPlace-v0",
+        steps=300_000,
+        closure_steps=8_000,
+        closure_begin=(6, 18),
+        closure_release=(70, 95),
+    ),
 }
 
 _PARSERS: dict[Any, Callable[[str], Any]] = {

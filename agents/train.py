@@ -121,7 +121,7 @@ def _resumed_recipe(args: Any) -> Recipe:
     path = args.out / RUN
     try:
         settings = json.loads(path.read_text())
-        settings["hidden"] = tuple(settings["hidden"])
+        settings = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
         recipe = Recipe(**{field.name: settings[field.name] for field in fields(Recipe)})
     except FileNotFoundError:
         raise RunError(f"no run to go on with in '{args.out}': it has no {RUN}") from None

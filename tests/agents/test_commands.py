@@ -24,6 +24,7 @@ MISTAKES = [
     ("train", GRASP + " --set env_id=nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
     ("train", GRASP + " --set env_id=tests.tiny_task:Tiny-v9", "no environment 'tests.tiny_task:Tiny-v9'"),
     ("train", "--recipe grasp-sac --out {folder}/file/run", "cannot write to folder"),
+    ("train", f"{GRASP} --set closure_release=9,3", "closure_release is (9, 3): it must be a lower and an upper bound"),
     ("train", "--recipe grasp-sac --out /proc/run", "cannot write to folder '/proc/run'"),
     ("train", "--recipe grasp-sac --out {folder}/taken", "already holds a run"),
     ("train", "--out {folder}/run --resume", "no run to go on with"),
@@ -69,5 +70,5 @@ def test_the_whole_command_says_no_more_than_that_line(folder):
     line = [sys.executable, "-m", "agents.train", "--recipe", "grasp-ppo", "--out", str(folder / "run")]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "error: unknown recipe 'grasp-ppo': known are grasp-sac\n"
+    assert done.stderr == "error: unknown recipe 'grasp-ppo': known are grasp-sac, pick-place-sac\n"
     assert not (folder / "run").exists()

@@ -47,6 +47,14 @@ def test_an_ended_episode_gets_a_new_closure_and_the_others_keep_theirs():
     assert after[2, 1:CMC].min() >= OPEN
 
 
+def test_a_closure_begins_and_lets_go_when_it_is_told():
+    source = RandomClosures(5, 1, np.random.default_rng(0), begin=(20, 30), release=(60, 70))
+    way = np.delete(np.array([source.actions(NONE) for _ in range(80)]), [CMC, SERVO_INDEX["thumb_mp"]], axis=2)
+    assert np.all(way[:20] == OPEN)
+    assert np.all(way[55] > OPEN)
+    assert np.all(way[70:] == OPEN)
+
+
 class Counting(gymnasium.Env):
     """Three control steps, reward 1 each."""
 
