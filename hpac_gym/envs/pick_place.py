@@ -184,6 +184,7 @@ class PickPlace:
         carried = bool(forces) and not scene.on_support
         self.hold_time = self.hold_time + dt if carried else 0.0
         close, lowered = self.timetable.ends[1], self.timetable.ends[4]
+        self._lowered = scene.time > lowered - dt / 2
         self._standing = scene.on_target and tilt(scene) < self.config.upright
         self._distance = float(np.linalg.norm((away - self._target)[[0, 2]]))
         if scene.time < close - dt / 2:
@@ -209,7 +210,8 @@ class PickPlace:
           each other.
         * `push`, while reaching and closing: −0.3 for an object moved away from where it stood by `drop_distance`, its share
           before.
-        * `carry`, while lifting and placing: 0.5 for carrying the object free of its support.
+        * `carry`, from the lift until the hand is lowered: 0.5 for carrying the object free of its support. Longer, and never to
+          let go would pay.
         * `place`, while placing: 0.5 for an object that stands at its target, 0.5 more when the hand has let it go.
         * `effort`: −0.01 of the sum of the squared changes of the action.
         * `outcome`: 20 for success or −5 for failure, once.
@@ -222,7 +224,7 @@ class PickPlace:
         return {
             "contact": (0.1 * thumb + 0.05 * fingers + 0.2 * opposed) if phase == CLOSE else 0.0,
             "push": -0.3 * min(self._lost / self.config.drop_distance, 1.0) if before else 0.0,
-            "carry": 0.5 * float(self.hold_time > 0) if not before else 0.0,
+            "carry": 0.5 * float(self.hold_time > 0) if not (before or self._lowered) else 0.0,
             "place": (0.5 + 0.5 * float(not forces)) if stands else 0.0,
             "effort": -0.01 * float(np.square(action_change).sum()),
             "outcome": {Outcome.SUCCESS: 20.0, Outcome.FAILURE: -5.0, Outcome.RUNNING: 0.0}[outcome],

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
-from hpac_gym.envs import PickPlace, ScriptedClosure, ScriptedPickPlace
+from hpac_gym.envs import HandEnv, PickPlace, ScriptedClosure, ScriptedPickPlace
 from hpac_gym.envs.observation import GRASP_CENTRE, LENGTH_UNIT
 from hpac_gym.envs.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
 from tests.envs.episodes import run
@@ -43,6 +43,17 @@ def test_scripted_placing_succeeds_where_holding_on_or_doing_nothing_fails(env):
             won[policy] += infos[-1]["is_success"]
     assert won[ScriptedPickPlace] >= 3
     assert won[NeverOpens] == won[Still] == won[ScriptedClosure] == 0
+
+
+def test_holding_on_pays_only_until_the_hand_is_lowered():
+    timetable = PickPlaceTimetable(clearance=0.02)  # so that the object never touches its target
+    with HandEnv(PickPlace(PickPlaceConfig(timetable=timetable))) as env:
+        infos, _ = run(env, NeverOpens(timetable), seed=2)
+    lift, lowered, released = (round(20 * timetable.ends[index]) for index in (2, 4, 5))
+    assert all(info["hold_time"] > 0 for info in infos[lift:released])
+    paid = [info["reward_terms"]["carry"] for info in infos]
+    assert all(value > 0 for value in paid[lift : lowered - 1])
+    assert not any(paid[lowered - 1 :])
 
 
 def test_the_four_phases_come_in_order(env):

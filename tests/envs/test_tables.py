@@ -126,7 +126,8 @@ def test_the_rewards_have_the_numbers_that_are_stated(kind):
     task, rng, still = kind(), np.random.default_rng(0), np.zeros(6)
     setup = task.setup(rng)
     task.start(setup)
-    task._lost, task._standing = 1.0, True  # what `PickPlace.judge` finds of a lost object, and of one that stands
+    # What `PickPlace.judge` finds of a lost object, of one that stands, and before the hand is lowered.
+    task._lost, task._standing, task._lowered = 1.0, True, False
     phases = task.timetable.phases
 
     def terms(phase="close", forces=(), change=still, outcome=Outcome.RUNNING):
