@@ -13,13 +13,11 @@ else:
         id="HPAC-Grasp-v0",
         entry_point="hpac_gym.envs:grasp",
         vector_entry_point="hpac_gym.envs.vector:grasp",
-        max_episode_steps=60,
     )
     register(
         id="HPAC-PickPlace-v0",
         entry_point="hpac_gym.envs:pick_place",
         vector_entry_point="hpac_gym.envs.vector:pick_place",
-        max_episode_steps=110,
     )
     register(
         id="HPAC-Posture-v0",

@@ -1,4 +1,4 @@
-"""The grasp task: close on an object, lift it, and keep it through a shake."""
+"""The grasp task: close on an object, lift it, keep it through a shake, and bring it down again."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hpac_gym.envs.grip import Grip
 from hpac_gym.envs.observation import Field
 from hpac_gym.envs.phases import PHASES, Timetable
 from hpac_gym.envs.task import Outcome
@@ -77,7 +78,7 @@ class Grasp:
     def start(self, setup: SceneSetup) -> None:
         """Begin to judge an episode."""
         self._place = setup.position
-        self.hold_time = 0.0
+        self.grip = Grip()
 
     def values(self, scene: Scene) -> Array:
         """The task adds nothing to the observation."""
@@ -86,17 +87,17 @@ class Grasp:
     def judge(self, scene: Scene, object_pos: Array, forces: dict[str, float], dt: float) -> Outcome:
         """Advance the hold timer by one control step and judge the episode.
 
-        It fails as soon as the object is dropped or knocked away. It succeeds at the end of the timetable, when the
-        hand has carried the object all the time since the lift was over, through the shake.
+        It fails as soon as the object is knocked away, or once it is lifted and the hand does not hold it (`Grip`). It
+        succeeds at the end of the timetable: lifted, held through the shake in six directions, and not dropped on the way
+        down.
         """
-        if np.linalg.norm(object_pos - self._place) > self.config.drop_distance:
+        lifted, shaken = self.timetable.ends[1:3]
+        placing = scene.time > shaken + dt / 2  # an object that hangs lower than it stood may touch its support there
+        self.grip.follow(object_pos, bool(forces), scene.on_support and not placing, dt)
+        knocked_away = np.linalg.norm(object_pos - self._place) > self.config.drop_distance
+        if knocked_away or (scene.time > lifted - dt / 2 and not self.grip.holds):
             return Outcome.FAILURE
-        carried = bool(forces) and not scene.on_support
-        self.hold_time = self.hold_time + dt if carried else 0.0
-        if scene.time < self.timetable.duration - dt / 2:
-            return Outcome.RUNNING
-        needed = self.timetable.duration - self.timetable.ends[1]
-        return Outcome.SUCCESS if self.hold_time > needed - dt / 2 else Outcome.FAILURE
+        return Outcome.RUNNING if scene.time < self.timetable.duration - dt / 2 else Outcome.SUCCESS
 
     def reward_terms(
         self, outcome: Outcome, phase: int, object_pos: Array, forces: dict[str, float], action_change: Array
@@ -118,7 +119,7 @@ class Grasp:
         return {
             "contact": (0.1 * thumb + 0.05 * fingers + 0.2 * opposed) if closing else 0.0,
             "push": -0.3 * min(moved, 1.0) if closing else 0.0,
-            "carry": 0.5 * float(self.hold_time > 0) if not closing else 0.0,
+            "carry": 0.5 * float(self.grip.time > 0) if not closing else 0.0,
             "effort": -0.01 * float(np.square(action_change).sum()),
             "outcome": {Outcome.SUCCESS: 10.0, Outcome.FAILURE: -5.0, Outcome.RUNNING: 0.0}[outcome],
         }

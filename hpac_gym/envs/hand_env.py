@@ -16,10 +16,10 @@ from hpac_gym.envs.link import Link
 from hpac_gym.envs.observation import Camera, CameraNoise, deployed_fields, one_hot, space_of, within
 from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, require_options
 from hpac_gym.envs.randomization import Randomization, changed_noise, changed_setup, randomization
-from hpac_gym.envs.report import Report
+from hpac_gym.envs.report import report
 from hpac_gym.envs.task import Outcome, Task
-from hpac_gym.envs.views import Obs, Observation, view, view_target
-from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, elastic_joints_from_servo
+from hpac_gym.envs.views import Moment, Obs, Observation, view, view_target
+from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, action_from_synergy, elastic_joints_from_servo
 from hpac_gym.sim import Scene, SceneSetup
 
 CONTROL_HZ = 20
@@ -110,10 +110,10 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.task.start(setup)
         self._camera = Camera(setup.object, changed_noise(self._noise, drawn), camera_rng)
         self._link = Link(self.hand, setup.synergy, self.dt, drawn, setup_rng)
-        self._last_action: NDArray[np.float64] | None = None
-        self._phase, self._running, self._report = 0, True, Report()
+        self._last_action = action_from_synergy(setup.synergy, self.hand)
+        self._phase, self._running = 0, True
         object_pos, rotation = self.scene.object_pose()
-        info = self._info(Outcome.RUNNING, {}, object_pos, {})
+        info = self._info(Outcome.RUNNING, {}, {})
         return self._observe(object_pos, rotation, {}), info | {"randomized": {name: list(v) for name, v in drawn.items()}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -133,13 +133,12 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         object_pos, rotation = scene.object_pose()
         forces = scene.contact_forces()
         outcome = self.task.judge(scene, object_pos, forces, self.dt)
-        change = np.zeros(len(SERVOS)) if self._last_action is None else action - self._last_action
-        terms = self.task.reward_terms(outcome, self._phase, object_pos, forces, change)
+        terms = self.task.reward_terms(outcome, self._phase, object_pos, forces, action - self._last_action)
         self._last_action = action
         self._phase = self.task.timetable.phase(scene.time)
         self._running = outcome is Outcome.RUNNING
         reward = sum(terms.values()) if self.reward == "dense" else float(outcome is Outcome.SUCCESS)
-        info = self._info(outcome, terms, object_pos, forces)
+        info = self._info(outcome, terms, forces)
         return self._observe(object_pos, rotation, forces), reward, not self._running, False, info
 
     def _observe(self, object_pos: NDArray, rotation: NDArray, forces: dict[str, float]) -> Observation:
@@ -148,14 +147,16 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             servo,
             elastic_joints_from_servo(servo, self.hand),
             *self._camera.look(object_pos, rotation),
+            -self.scene.hand_rotation[2],
             one_hot(self._phase, len(timetable.phases)),
             [self.scene.time / timetable.duration],
             self.task.values(self.scene),
         ]
-        return self._view.see(within(self._deployed, np.concatenate(parts)), self.scene, forces)
+        moment = Moment(self.scene, forces, self.task.grip, self._last_action)
+        return self._view.see(within(self._deployed, np.concatenate(parts)), moment)
 
-    def _info(self, outcome: Outcome, terms: dict[str, float], object_pos: NDArray, forces: dict[str, float]) -> dict[str, Any]:
-        return self._report.info(self.scene, outcome, self.phase, terms, object_pos, forces, self.task.hold_time)
+    def _info(self, outcome: Outcome, terms: dict[str, float], forces: dict[str, float]) -> dict[str, Any]:
+        return report(self.scene, outcome, self.phase, terms, forces, self.task.grip)
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, shape (360, 480, 3), or None without a render mode.

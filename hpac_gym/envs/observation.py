@@ -53,6 +53,7 @@ def deployed_fields(phases: tuple[str, ...], extra: tuple[Field, ...] = ()) -> t
         Field("object_side", AXES, "1", -1.0, 1.0, "seen x axis of the object in the hand frame; zero for a sphere or cylinder"),
         Field("object_size", AXES, "0.05 m", 0.0, 2.0, "seen half extents of the object along its own axes"),
         Field("object_shape", SHAPES, "0/1", 0.0, 1.0, "which shape it is"),
+        Field("down", AXES, "1", -1.0, 1.0, "direction of gravity in the hand frame, which the arm knows"),
         Field("phase", phases, "0/1", 0.0, 1.0, "what the wrist is doing"),
         Field("progress", ("time",), "1", 0.0, 1.0, "share of the episode that has passed"),
         *extra,

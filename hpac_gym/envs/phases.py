@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import pi, sin
 
 from hpac_gym.sim import Vector
 
-PHASES = ("close", "lift", "shake", "hold")
+PHASES = ("close", "lift", "shake", "place")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,14 +23,16 @@ class Timetable:
     lift_height: float = 0.12
     shake_time: float = 0.9
     shake_distance: float = 0.02
-    """Amplitude of the shake: one period of a sine along x, then y, then z, so six directions [m]."""
-    hold_time: float = 0.3
+    """How far the shake goes to either side, along x, then y, then z, so in six directions [m]."""
+    place_time: float = 0.5
+    clearance: float = 0.01
+    """How far above where it stood the object is at the end [m]."""
 
     def __post_init__(self) -> None:
-        if not min(self.close_time, self.lift_time, self.shake_time, self.hold_time) > 0:
+        if not min(self.close_time, self.lift_time, self.shake_time, self.place_time) > 0:
             raise ValueError(f"durations of {self} must be greater than 0 s")
-        if not min(self.lift_height, self.shake_distance) >= 0:
-            raise ValueError(f"distances of {self} must not be negative")
+        if not (self.shake_distance >= 0 and 0 <= self.clearance <= self.lift_height):
+            raise ValueError(f"distances of {self} must not be negative, nor the clearance beyond the lift")
 
     @property
     def phases(self) -> tuple[str, ...]:
@@ -42,7 +44,7 @@ class Timetable:
         """When each phase ends [s]."""
         lift = self.close_time + self.lift_time
         shake = lift + self.shake_time
-        return self.close_time, lift, shake, shake + self.hold_time
+        return self.close_time, lift, shake, shake + self.place_time
 
     @property
     def duration(self) -> float:
@@ -53,18 +55,28 @@ class Timetable:
         """Index into `PHASES` of the phase that runs, or begins, at a time [s]; the last one stays."""
         return min(sum(time > end - 1e-9 for end in self.ends), len(PHASES) - 1)
 
-    def wrist_path(self, time: float) -> tuple[Vector, Vector]:
-        """Where the wrist is: at rest, in a minimum-jerk lift, in a sine along each axis, at rest.
-
-        Returns:
-            Offset [m] and velocity [m/s] in the world.
-        """
-        offset, velocity = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-        share = min(max((time - self.close_time) / self.lift_time, 0.0), 1.0)
-        offset[2] = self.lift_height * share**3 * (10 - 15 * share + 6 * share**2)
-        velocity[2] = self.lift_height * 30 * share**2 * (1 - share) ** 2 / self.lift_time
-        turn = 3 * (time - self.ends[1]) / self.shake_time
+    def wrist_path(self, time: float) -> Vector:
+        """Offset of the wrist in the world [m]: at rest, up, to and fro along each axis, down. Its velocity never jumps."""
+        close, lift, shake, _ = self.ends
+        offset = [0.0, 0.0, 0.0]
+        offset[2] = self.lift_height * minimum_jerk((time - close) / self.lift_time)
+        offset[2] -= (self.lift_height - self.clearance) * minimum_jerk((time - shake) / self.place_time)
+        turn = 3 * (time - lift) / self.shake_time
         if 0 < turn < 3:
-            offset[int(turn)] += self.shake_distance * sin(2 * pi * turn)
-            velocity[int(turn)] += self.shake_distance * cos(2 * pi * turn) * 6 * pi / self.shake_time
-        return tuple(offset), tuple(velocity)
+            offset[int(turn)] += self.shake_distance * _swing(turn % 1)
+        return tuple(offset)
+
+
+def minimum_jerk(share: float) -> float:
+    """Way from 0 to 1 over a share of the time, the smoothest with rest at both ends; beyond them it stands still."""
+    share = min(max(share, 0.0), 1.0)
+    return share**3 * (10 - 15 * share + 6 * share**2)
+
+
+def _swing(share: float) -> float:
+    """To 1, to −1 and back over a share of the time: a sine in a window, so that it begins and ends at rest."""
+    return sin(2 * pi * share) * sin(pi * share) ** 2 / _SWING_PEAK
+
+
+_SWING_PEAK = 3**1.5 / 8
+"""Of sin 2πs · sin² πs, at s = 1/3."""

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hpac_gym.envs.grasp import PALM_SURFACE
+from hpac_gym.envs.grip import Grip
 from hpac_gym.envs.observation import AXES, GRASP_CENTRE, LENGTH_UNIT, Field
+from hpac_gym.envs.phases import minimum_jerk
 from hpac_gym.envs.task import Outcome
 from hpac_gym.model import FINGERS, HPAC, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
@@ -74,14 +76,12 @@ class PickPlaceTimetable:
         """Index into `PHASES` of the phase that runs, or begins, at a time [s]; the last one stays."""
         return min(sum(time > end - 1e-9 for end in self.ends[: LIFT + 1]), PLACE)
 
-    def wrist_path(self, time: float) -> tuple[Vector, Vector]:
-        """Offset [m] and velocity [m/s] of the wrist in the world: one minimum jerk a move."""
-        offset, velocity = np.zeros(3), np.zeros(3)
+    def wrist_path(self, time: float) -> Vector:
+        """Offset of the wrist in the world [m]: one minimum jerk a move."""
+        offset = np.zeros(3)
         for begin, duration, way in self._moves():
-            share = min(max((time - begin) / duration, 0.0), 1.0)
-            offset += share**3 * (10 - 15 * share + 6 * share**2) * way
-            velocity += 30 * share**2 * (1 - share) ** 2 / duration * way
-        return tuple(offset.tolist()), tuple(velocity.tolist())
+            offset += minimum_jerk((time - begin) / duration) * way
+        return tuple(offset.tolist())
 
     def _moves(self) -> list[tuple[float, float, Array]]:
         """When each move begins [s], how long it takes [s], and its way, shape (3,) [m]."""
@@ -167,7 +167,7 @@ class PickPlace:
         self.timetable = replace(self.config.timetable, carry=(float(forward), float(aside), float(up)))
         self._place, self._target = setup.position, setup.target
         self._grasped_at: Array | None = None
-        self.hold_time = 0.0
+        self.grip = Grip()
 
     def values(self, scene: Scene) -> Array:
         """Where the target is in the hand frame, in the units of `object_pos`."""
@@ -179,10 +179,9 @@ class PickPlace:
         It fails as soon as the object is knocked over on the way to it, or is lost between lift and release. It succeeds
         at the end of the timetable, when the object stands at its target and the hand does not touch it.
         """
-        forward, aside, up = self.timetable.wrist_path(scene.time)[0]
+        forward, aside, up = scene.palm_offset
         away = object_pos + np.array([aside, up, forward])  # along the axes of the hand, from where the hand was at first
-        carried = bool(forces) and not scene.on_support
-        self.hold_time = self.hold_time + dt if carried else 0.0
+        self.grip.follow(object_pos, bool(forces), scene.on_support, dt)
         close, lowered = self.timetable.ends[1], self.timetable.ends[4]
         self._lowered = scene.time > lowered - dt / 2
         self._standing = scene.on_target and tilt(scene) < self.config.upright
@@ -224,7 +223,7 @@ class PickPlace:
         return {
             "contact": (0.1 * thumb + 0.05 * fingers + 0.2 * opposed) if phase == CLOSE else 0.0,
             "push": -0.3 * min(self._lost / self.config.drop_distance, 1.0) if before else 0.0,
-            "carry": 0.5 * float(self.hold_time > 0) if not (before or self._lowered) else 0.0,
+            "carry": 0.5 * float(self.grip.time > 0) if not (before or self._lowered) else 0.0,
             "place": (0.5 + 0.5 * float(not forces)) if stands else 0.0,
             "effort": -0.01 * float(np.square(action_change).sum()),
             "outcome": {Outcome.SUCCESS: 20.0, Outcome.FAILURE: -5.0, Outcome.RUNNING: 0.0}[outcome],

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from hpac_gym.envs.grip import Grip
 from hpac_gym.envs.observation import Field
 from hpac_gym.model import Hand
 from hpac_gym.model.checks import Array
@@ -42,8 +43,8 @@ class Schedule(Protocol):
         """Index into `phases` of the one that runs, or begins, at a time [s]; the last one stays."""
         ...
 
-    def wrist_path(self, time: float) -> tuple[Vector, Vector]:
-        """Offset [m] and velocity [m/s] of the wrist in the world at a time [s]."""
+    def wrist_path(self, time: float) -> Vector:
+        """Offset of the wrist in the world at a time [s], [m]."""
         ...
 
 
@@ -63,8 +64,8 @@ class Task(Protocol):
         """Where pictures are taken from; they follow the wrist."""
         ...
 
-    hold_time: float
-    """For how long the hand has carried the object without a break [s]."""
+    grip: Grip
+    """How the hand holds the object."""
 
     def setup(self, rng: np.random.Generator, hand: Hand) -> SceneSetup:
         """Draw one episode; everything random comes from `rng`."""

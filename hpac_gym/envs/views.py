@@ -6,13 +6,14 @@ sets an RGB picture beside it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, get_args
 
 import numpy as np
 from gymnasium import Space, spaces
 from numpy.typing import NDArray
 
+from hpac_gym.envs.grip import Grip
 from hpac_gym.envs.observation import AXES, GRASP_CENTRE, LENGTH_UNIT, Field, space_of, within
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import DIGITS, JOINTS, SERVOS
@@ -32,6 +33,7 @@ SPEED_UNIT = 10.0
 PARTS = ("palm", *DIGITS)
 
 PRIVILEGED_FIELDS = (
+    Field("last_action", SERVOS, "1", -1.0, 1.0, "the last action; before the first one, where the hand stands"),
     Field("contact_force", PARTS, "10 N", 0.0, 10.0, "normal force between the object and a part of the hand"),
     Field("true_joint_pos", JOINTS, "rad", -0.5, 2.0, "true joint angle"),
     Field("true_joint_vel", JOINTS, "10 rad/s", -5.0, 5.0, "true joint speed"),
@@ -42,9 +44,31 @@ PRIVILEGED_FIELDS = (
     Field("true_object_side", AXES, "1", -1.0, 1.0, "true x axis of the object in the hand frame"),
     Field("object_vel", AXES, "m/s", -5.0, 5.0, "velocity of the object against the world, along the axes of the hand frame"),
     Field("object_spin", AXES, "10 rad/s", -5.0, 5.0, "angular velocity of the object, along the axes of the hand frame"),
+    Field("supported", ("touches",), "0/1", 0.0, 1.0, "whether the object touches what it stands on, or the table"),
+    Field("hold_time", ("time",), "s", 0.0, 10.0, "for how long the hand has carried the object without a break"),
+    Field("slip", ("distance",), "0.05 m", 0.0, 4.0, "how far the object's centre has moved in the hand since then"),
+    Field("object_start", AXES, "0.05 m", -10.0, 10.0, "as `true_object_pos`, when the episode began"),
+    Field("true_object_size", AXES, "0.05 m", 0.0, 4.0, "true half extents of the object along its own axes"),
     Field("object_mass", ("mass",), "kg", 0.0, 5.0, "true mass of the object"),
     Field("object_friction", ("friction",), "1", 0.0, 5.0, "true Coulomb coefficient between skin and object"),
+    Field("joint_friction", ("friction",), "0.01 N·m", 0.0, 2.0, "Coulomb friction of every joint"),
+    Field("tendon_stiffness", DIGITS, "1000 N", 0.0, 10.0, "EA of a digit's tendon"),
+    Field("slack", DIGITS, "mm", 0.0, 3.0, "what a driving tendon has to wind up before it pulls"),
+    Field("servo_lag", ("lag",), "0.1 s", 0.0, 2.0, "from a command to the servos' answer"),
+    Field("dead_band", ("error",), "0.01 rad", 0.0, 10.0, "error that a servo leaves alone"),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What views are made of, beside the deployed vector."""
+
+    scene: Scene
+    forces: dict[str, float]
+    """As `Scene.contact_forces` gives them."""
+    grip: Grip
+    last_action: Array
+    """Shape (6,)."""
 
 
 class View(Protocol):
@@ -52,8 +76,8 @@ class View(Protocol):
 
     space: Space
 
-    def see(self, deployed: NDArray[np.float32], scene: Scene, forces: dict[str, float]) -> Observation:
-        """The observation now; `forces` as `Scene.contact_forces` gives them."""
+    def see(self, deployed: NDArray[np.float32], moment: Moment) -> Observation:
+        """The observation now."""
         ...
 
 
@@ -63,7 +87,7 @@ class Deployed:
     def __init__(self, fields: tuple[Field, ...], viewpoint: Camera) -> None:
         self.space = space_of(fields)
 
-    def see(self, deployed: NDArray[np.float32], scene: Scene, forces: dict[str, float]) -> NDArray[np.float32]:
+    def see(self, deployed: NDArray[np.float32], moment: Moment) -> NDArray[np.float32]:
         return deployed
 
 
@@ -74,13 +98,15 @@ class Privileged:
         self.space = space_of((*fields, *PRIVILEGED_FIELDS))
         self._truth = space_of(PRIVILEGED_FIELDS)
 
-    def see(self, deployed: NDArray[np.float32], scene: Scene, forces: dict[str, float]) -> NDArray[np.float32]:
-        hand, spec = scene.hand, scene.object.spec
+    def see(self, deployed: NDArray[np.float32], moment: Moment) -> NDArray[np.float32]:
+        scene, grip = moment.scene, moment.grip
+        hand, spec, settings = scene.hand, scene.object.spec, scene.hand.settings
         joint_pos, joint_vel = hand.joint_state()
         position, rotation = scene.object_pose()
         linear, angular = object_velocity(scene)
         truth = [
-            np.array([forces.get(part, 0.0) for part in PARTS]) / FORCE_UNIT,
+            moment.last_action,
+            np.array([moment.forces.get(part, 0.0) for part in PARTS]) / FORCE_UNIT,
             joint_pos,
             joint_vel / SPEED_UNIT,
             hand.servos.horn,
@@ -90,7 +116,13 @@ class Privileged:
             rotation[:, 0],
             linear,
             angular / SPEED_UNIT,
-            [spec.mass, spec.friction * hand.settings.contact_friction],
+            [float(scene.on_support), grip.time, grip.slip / LENGTH_UNIT],
+            (scene.setup.position - GRASP_CENTRE) / LENGTH_UNIT,
+            np.array(spec.half_extents) / LENGTH_UNIT,
+            [spec.mass, spec.friction * settings.contact_friction, settings.joint_friction / 0.01],
+            [digit.tendon_stiffness / 1e3 for digit in hand.hand.digits.values()],
+            [1e3 * slack for slack in settings.slack],
+            [settings.servo.lag / 0.1, settings.servo.dead_band / 0.01],
         ]
         return np.concatenate([deployed, within(self._truth, np.concatenate(truth))])
 
@@ -103,8 +135,8 @@ class Image:
         self.space = spaces.Dict({"deploy": space_of(fields), "image": picture})
         self._camera = replace(viewpoint, width=IMAGE_SIZE, height=IMAGE_SIZE)
 
-    def see(self, deployed: NDArray[np.float32], scene: Scene, forces: dict[str, float]) -> dict[str, NDArray]:
-        return {"deploy": deployed, "image": self._camera.picture(scene.world, view_target(scene))}
+    def see(self, deployed: NDArray[np.float32], moment: Moment) -> dict[str, NDArray]:
+        return {"deploy": deployed, "image": self._camera.picture(moment.scene.world, view_target(moment.scene))}
 
 
 VIEW_TARGET = np.array([0.03, 0.0, 0.10])

@@ -73,7 +73,7 @@ def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
     """One episode of a grasp."""
     forces = []
     for _, info in control_steps(env, policy, seed):
-        if info["phase"] == "hold":
+        if info["phase"] == "place":
             forces.append(info["contact_force"])
     return Trial(seed, bool(info["is_success"]), info["phase"], float(np.mean(forces)) if forces else None)
 

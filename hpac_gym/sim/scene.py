@@ -29,8 +29,8 @@ _GREY = (0.55, 0.55, 0.58, 1.0)
 _GREEN = (0.45, 0.62, 0.48, 1.0)
 _WOOD = (0.78, 0.70, 0.58, 1.0)
 
-Path = Callable[[float], tuple[Vector, Vector]]
-"""Wrist offset [m] and velocity [m/s] at a time [s], in the world."""
+Path = Callable[[float], Vector]
+"""Wrist offset [m] in the world at a time [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +64,7 @@ class Scene:
         visuals: load what only a camera sees; without it a reset is faster and the physics the same.
 
     Attributes:
+        setup: what the episode started with.
         hand_rotation: of the hand's frame in the world, shape (3, 3); the wrist slides, but does not turn.
         target: where the object shall stand, its centre in the world, shape (3,) [m]; only with a setup that has one.
     """
@@ -76,7 +77,7 @@ class Scene:
 
     def reset(self, setup: SceneSetup) -> None:
         """Set the scene. The same setup gives the same trajectory, to the bit, whatever was before."""
-        self.time = 0.0
+        self.time, self.setup = 0.0, setup
         self.hand = self._stage.start(setup.hand, setup.hand_settings, setup.hand_quaternion)
         self.hand.reset(setup.synergy)
         self.hand_rotation = _matrix(setup.hand_quaternion)
@@ -88,7 +89,7 @@ class Scene:
         self._add_support(setup, centre, turn)
         for body in (self.object.body, *self._supports):
             self._stage.add(body)
-        self._offset = np.zeros(3)
+        self._offset = self.wrist.offset
 
     def _add_support(self, setup: SceneSetup, centre: Array, turn: tuple[float, float, float, float]) -> None:
         reach = np.abs(_matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
@@ -122,12 +123,11 @@ class Scene:
         self.hand.command(command)
         for _ in range(round(command.duration / dt)):
             self.time += dt
-            offset, velocity = path(self.time)
-            self.wrist.move(offset, velocity)
+            self.wrist.move(path(self.time))
             self.hand.apply_tendons()
             self.object.lose_spin(dt)
             self.world.step()
-        self._offset = np.array(offset)
+        self._offset = self.wrist.offset
 
     def object_pose(self) -> tuple[Array, Array]:
         """Centre, shape (3,) [m], and rotation, shape (3, 3), of the object in the frame of the hand."""
@@ -148,6 +148,11 @@ class Scene:
     def palm_position(self) -> Array:
         """Where the wrist is now in the world, shape (3,) [m]."""
         return HAND_POSITION + self._offset
+
+    @property
+    def palm_offset(self) -> Array:
+        """How far the wrist is now from where it started, in the world, shape (3,) [m]."""
+        return self._offset
 
     @property
     def on_support(self) -> bool:
