@@ -15,6 +15,8 @@ import numpy as np
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.env_bench.motion import Runner, actions
+from hpac_gym.envs.hand_env import CONTROL_HZ
+from hpac_gym.envs.phases import Timetable
 
 ROUNDS = 3
 SECONDS = 1.0
@@ -128,7 +130,7 @@ class VectorStepper:
     def __init__(self, num_envs: int, mode: str) -> None:
         self.envs = gymnasium.make_vec(ENV_ID, num_envs=num_envs, vectorization_mode=mode)
         self.envs.reset(seed=0)
-        episode = gymnasium.spec(ENV_ID).max_episode_steps + 1  # the step after the last begins anew
+        episode = round(Timetable().duration * CONTROL_HZ) + 1  # the step after the last begins anew
         self._closing = cycle(islice(actions("contact"), episode))
 
     def measure(self, seconds: float) -> float:

@@ -38,15 +38,24 @@ def table(head: list[str], rows: list[list[str]]) -> str:
 
 def summary_table(env_id: str) -> str:
     """What people look for first."""
-    steps = gymnasium.spec(env_id).max_episode_steps
+    steps = episode_steps(env_id)
     rows = [["make", f'`gymnasium.make("hpac_gym:{env_id}")`']]
     for obs in get_args(Obs):
         with gymnasium.make(env_id, obs=obs) as env:
             if len(rows) == 1:
                 rows.append(["action space", f"`{env.action_space}`"])
             rows.append([f'observation space, `obs="{obs}"`', f"`{space_in_words(env.observation_space)}`"])
-    rows.append(["time limit", f"{steps} steps, {steps / CONTROL_HZ:g} s"])
+    rows.append(["length", f"{steps} steps, {steps / CONTROL_HZ:g} s"])
     return table(["", ""], rows)
+
+
+def episode_steps(env_id: str) -> int:
+    """How long an episode lasts at most: by the time limit of the id, or by its task's own timetable."""
+    limit = gymnasium.spec(env_id).max_episode_steps
+    if limit is not None:
+        return limit
+    with gymnasium.make(env_id) as env:
+        return round(env.unwrapped.task.timetable.duration * CONTROL_HZ)
 
 
 def space_in_words(space: gymnasium.Space) -> str:

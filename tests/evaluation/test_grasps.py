@@ -4,7 +4,9 @@ from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.grasps import Row, Trial, benchmark, table
 from hpac_gym.evaluation.statistics import wilson_interval
 
-TRIALS = (Trial(1, True, "hold", 20.0), Trial(2, True, "hold", 30.0), Trial(3, False, "lift", None), Trial(4, False, "hold", 5.0))
+TRIALS = (
+    Trial(1, True, "place", 20.0), Trial(2, True, "place", 30.0), Trial(3, False, "lift", None), Trial(4, False, "place", 5.0),
+)  # fmt: skip
 
 
 def test_a_row_sums_up_its_trials():
@@ -12,7 +14,7 @@ def test_a_row_sums_up_its_trials():
     assert (numbers["episodes"], numbers["successes"]) == (4, 2)
     assert numbers["interval_95"] == list(wilson_interval(2, 4))
     assert numbers["hold_force_newton"] == 25.0, "a grasp that failed in the end has no part in the hold force"
-    assert numbers["drops_by_phase"] == {"lift": 1, "hold": 1}
+    assert numbers["drops_by_phase"] == {"lift": 1, "place": 1}
 
 
 def test_the_table_has_a_line_for_each_row_and_no_force_without_success():
