@@ -18,7 +18,7 @@ FORCE_LIMIT = 200.0
 
 
 class Wrist:
-    """Moves a hand of `hpac_hand_on_wrist.urdf` relative to where it was loaded.
+    """Moves a hand of `hpac_hand_on_wrist.urdf` relative to where it was loaded, and where it begins.
 
     Args:
         hand: the hand.
@@ -31,6 +31,8 @@ class Wrist:
         self._rotation = np.asarray(rotation)
         self._axes = self._rotation.T.tolist()
         self._last: Vector | None = None
+        for slide in self._slides:
+            pybullet.resetJointState(hand.body, slide, 0.0, 0.0, physicsClientId=hand.world.client)
         self.move((0.0, 0.0, 0.0))
 
     def move(self, offset: Vector) -> None:
