@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
 """Slack of every bound, for the rounding of a value that was computed to lie on it."""
+_REAL = "fiubO"
+"""Kinds of arrays that can hold real numbers."""
 
 
 def as_array(value: ArrayLike, size: int, name: str) -> Array:
@@ -22,7 +24,10 @@ def as_array(value: ArrayLike, size: int, name: str) -> Array:
         ShapeError: It is not numeric, or its last axis has another length.
     """
     try:
-        array = np.asarray(value, dtype=float)
+        array = np.asarray(value)
+        if array.dtype.kind not in _REAL:  # which NumPy would make numbers of, with a warning at best
+            raise TypeError(f"{array.dtype} is no type of real numbers")
+        array = array.astype(float, copy=False)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name} must be an array of numbers: {error}") from None
     if array.ndim == 0 or array.shape[-1] != size:
@@ -57,16 +62,16 @@ def as_finite_vector(value: ArrayLike, size: int, name: str) -> Array:
 
 
 def as_bounded_array(
-    value: ArrayLike, lower: Array, upper: Array, labels: Sequence[str], name: str, unit: str
+    value: ArrayLike, lower: Array, upper: Array, labels: Sequence[str], name: str, unit: str, tolerance: float = TOLERANCE
 ) -> Array:
     """The value as an array of shape (..., n) that lies within its bounds.
 
     Raises:
         ShapeError: Wrong shape or not numeric.
-        WorkspaceError: NaN, infinite, or out of bounds by more than `TOLERANCE`.
+        WorkspaceError: NaN, infinite, or out of bounds by more than `tolerance`.
     """
     array = as_array(value, len(labels), name)
-    inside = (array >= lower - TOLERANCE) & (array <= upper + TOLERANCE)
+    inside = (array >= lower - tolerance) & (array <= upper + tolerance)
     if not inside.all():
         *_, column = where = tuple(np.argwhere(~inside)[0])
         raise WorkspaceError(

@@ -15,6 +15,8 @@ from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand
 
 _ACTION_BOUND = np.ones(len(SERVOS))
+_ACTION_TOLERANCE = 1e-6
+"""What lies beyond ±1 by no more is ±1: float32 arithmetic, as in a wrapper that rescales actions, ends a few 1e-7 beyond it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +56,9 @@ def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
 
     Raises:
         ShapeError: Wrong shape.
-        WorkspaceError: NaN, or outside −1…1.
+        WorkspaceError: NaN, or outside −1…1 by more than float32 rounds.
     """
-    action = as_bounded_array(action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)")
+    action = as_bounded_array(action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE)
     share = np.minimum(np.maximum(action + 1, 0.0), 2.0) / 2
     return hand.synergy_min + share * (hand.synergy_max - hand.synergy_min)
 
@@ -138,7 +140,7 @@ def servo_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
 
     Raises:
         ShapeError: Wrong shape.
-        WorkspaceError: NaN, or outside −1…1.
+        WorkspaceError: NaN, or outside −1…1 by more than float32 rounds.
     """
     target = synergy_from_action(action, hand).take(hand.servo_of_joint, axis=-1)
     target *= hand.elastic_ratio

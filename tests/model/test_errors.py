@@ -78,6 +78,13 @@ def test_what_is_no_array_of_numbers_is_refused(function, width, value):
         function(value if not isinstance(value, complex) else [value] * width)
 
 
+@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize("dtype", [complex, str, bytes, "m8[s]"])
+def test_no_other_type_is_made_real_in_silence(function, width, dtype):
+    with pytest.raises(ShapeError, match="no type of real numbers"):
+        function(np.zeros(width).astype(int).astype(dtype))
+
+
 OUT_OF_RANGE = [
     (synergy_from_action, six(0, 1.5), r"action thumb_mp = 1\.5 .*\[-1, 1\]"),
     (synergy_from_action, six(5, -1.001), r"action thumb_cmc = -1\.001 .*\[-1, 1\]"),
@@ -110,6 +117,16 @@ def test_a_rounding_error_past_a_bound_is_no_error():
     assert servo_from_action(np.ones(6) + 5e-10) == pytest.approx(HPAC.servo_max, abs=0)
     with pytest.raises(WorkspaceError):
         servo_from_joints(HPAC.joint_max + 2e-9)
+
+
+def test_an_action_may_pass_its_bound_by_what_float32_rounds_and_no_more():
+    for sign, servo in ((1, HPAC.servo_max), (-1, HPAC.servo_min)):
+        beyond = servo_from_action(np.full(6, sign * (1 + 9e-7)))
+        np.testing.assert_array_equal(beyond, servo_from_action(np.full(6, float(sign))))
+        assert beyond == pytest.approx(servo, abs=1e-12)
+        for function in (servo_from_action, synergy_from_action):
+            with pytest.raises(WorkspaceError, match=r"action thumb_mp = .* \[-1, 1\]"):
+                function(np.full(6, sign * (1 + 1.1e-6)))
 
 
 @pytest.mark.parametrize("duration", [0.0, -0.1, np.nan, np.inf])
