@@ -82,7 +82,7 @@ class NamedGrasp:
         """
         if name == NOMINAL:
             return Variant()
-        if name not in self.held_out:
+        if not isinstance(name, str) or name not in self.held_out:
             raise GraspError(f"grasp {self.name} has no variant {name!r}; it has {NOMINAL}, {', '.join(self.held_out)}")
         return self.held_out[name]
 
@@ -93,7 +93,7 @@ def named_grasp(name: str) -> NamedGrasp:
     Raises:
         GraspError: There is none; the message names the nearest ones.
     """
-    if name in GRASPS:
+    if isinstance(name, str) and name in GRASPS:
         return GRASPS[name]
     near = difflib.get_close_matches(str(name), GRASPS, n=3, cutoff=0.3) or list(GRASPS)[:3]
     raise GraspError(f"no grasp {name!r}; there are {len(GRASPS)}, among them {', '.join(near)}")

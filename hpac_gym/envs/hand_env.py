@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 from hpac_gym.envs.errors import EpisodeError
 from hpac_gym.envs.link import Link
 from hpac_gym.envs.observation import Camera, CameraNoise, deployed_fields, one_hot, space_of, within
-from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, require_options
+from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, noise_of, require_options, setup_of
 from hpac_gym.envs.randomization import Randomization, changed_noise, changed_setup, randomization
 from hpac_gym.envs.report import report
 from hpac_gym.envs.task import Outcome, Task
 from hpac_gym.envs.views import Moment, Obs, Observation, view, view_target
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, action_from_synergy, elastic_joints_from_servo
-from hpac_gym.sim import Scene, SceneSetup
+from hpac_gym.model.checks import as_array
+from hpac_gym.sim import Scene
+from hpac_gym.sim.world import refuse_copying
 
 CONTROL_HZ = 20
 """Commands a second."""
@@ -48,6 +50,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
+    __reduce_ex__ = refuse_copying
 
     def __init__(
         self,
@@ -69,7 +72,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.observation_space = self._view.space
         self.dt = 1.0 / CONTROL_HZ
         self.transmit: Callable[[ServoCommand], ServoCommand] = lambda command: command
-        self._noise = noise
+        self._noise = noise_of(noise)
         self._scene: Scene | None = Scene(visuals=render_mode is not None or obs == "image")
         self._running = False
 
@@ -100,10 +103,16 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Args:
             seed: of the environment's generator. Same seed, same episode, to the bit.
             options: `{"setup": SceneSetup}` gives the episode instead of drawing it.
+
+        Raises:
+            ParameterError: Another option, or a setup that is none.
+            ShapeError: A setup with an array of the wrong shape, NaN or infinity.
         """
+        self._running = False
+        given = setup_of(options)
         super().reset(seed=seed)
         setup_rng, camera_rng = self.np_random.spawn(2)
-        setup: SceneSetup = (options or {}).get("setup") or self.task.setup(setup_rng, self.hand)
+        setup = given or self.task.setup(setup_rng, self.hand)
         drawn = self.randomization.draw(setup_rng)
         setup = changed_setup(setup, drawn)
         self.scene.reset(setup)
@@ -127,7 +136,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         scene = self.scene
         if not self._running:
             raise EpisodeError("no episode is running: call reset() first")
-        action = np.asarray(action, dtype=float)
+        action = as_array(action, len(SERVOS), "action")
         scene.advance(self._link.send(action, self.transmit), self.task.timetable.wrist_path)
 
         object_pos, rotation = scene.object_pose()

@@ -9,16 +9,15 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hpac_gym.envs.errors import EpisodeError
 from hpac_gym.envs.hand_env import CONTROL_HZ
 from hpac_gym.envs.link import Link
 from hpac_gym.envs.observation import COMMAND_FIELDS, Field, space_of, within
-from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, require_options
+from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, require_options, reset_option
 from hpac_gym.envs.randomization import Randomization, changed_mechanics, randomization
 from hpac_gym.envs.views import FORCE_UNIT, IMAGE_SIZE, SPEED_UNIT, VIEW_TARGET, Obs, known
-from hpac_gym.errors import ShapeError
 from hpac_gym.model import (
     HPAC,
     JOINTS,
@@ -29,8 +28,10 @@ from hpac_gym.model import (
     elastic_joints_from_servo,
     joints_from_synergy,
 )
+from hpac_gym.model.checks import as_bounded_array, as_finite_vector
 from hpac_gym.sim import Camera, HandSettings, SimHand, Stage
 from hpac_gym.sim.scene import HAND_POSITION, HAND_QUATERNION, HAND_ROTATION
+from hpac_gym.sim.world import refuse_copying
 
 TOLERANCE = 0.05
 """A posture is reached when no joint is farther from it than this [rad]."""
@@ -70,6 +71,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
+    __reduce_ex__ = refuse_copying
 
     def __init__(
         self,
@@ -109,16 +111,22 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         Args:
             seed: of the environment's generator. Same seed, same episode, to the bit.
             options: `{"goal": posture}`, shape (15,) [rad], gives the goal instead of drawing it.
+
+        Raises:
+            ParameterError: Another option.
+            ShapeError: A goal of the wrong shape, with NaN or infinity.
+            WorkspaceError: A goal that leaves the bounds of the observation.
         """
+        self._body = None
+        given = reset_option(options, "goal")
+        if given is not None:
+            given = self._admissible(given)
         super().reset(seed=seed)
         goal_rng, self._camera_rng = self.np_random.spawn(2)
         drawn = self.randomization.draw(goal_rng)
         simulated, settings = changed_mechanics(self.hand, HandSettings(), drawn)
         goal = joints_from_synergy(self._goal_synergy(goal_rng), self.hand)
-        goal = np.asarray((options or {}).get("goal", goal), dtype=float)
-        if goal.shape != (len(JOINTS),) or not np.isfinite(goal).all():
-            raise ShapeError(f"goal must be finite numbers of shape ({len(JOINTS)},), not {goal!r}")
-        self._goal = within(self._goal_space, goal)
+        self._goal = within(self._goal_space, goal if given is None else given)
         self._body = self.stage.start(simulated, settings, HAND_QUATERNION)
         self._body.reset(np.zeros(len(SERVOS)))
         self._noise = CAMERA_NOISE * float(drawn.get("sensor_noise", [1.0])[0])
@@ -137,7 +145,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         self.stage  # noqa: B018  a closed environment says so first
         if self._body is None:
             raise EpisodeError("no episode is running: call reset() first")
-        self._body.command(self._link.send(np.asarray(action, dtype=float), self.transmit))
+        self._body.command(self._link.send(action, self.transmit))
         self._body.step(self.dt)
         observation = self._observe()
         info = self._info(observation)
@@ -148,6 +156,18 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         """The reward of postures against goals, shapes (..., 15) [rad]; `info` is not looked at."""
         error = np.abs(np.asarray(achieved_goal, dtype=float) - desired_goal)
         return -error.mean(axis=-1) if self.reward == "dense" else -(error.max(axis=-1) > TOLERANCE).astype(float)
+
+    def compute_terminated(self, achieved_goal: Goal, desired_goal: Goal, info: Any) -> NDArray[np.bool_]:
+        """Whether postures end an episode, shapes (..., 15) [rad]: never, a posture that is reached is to be kept."""
+        return np.zeros(np.broadcast_shapes(np.shape(achieved_goal), np.shape(desired_goal))[:-1], dtype=bool)[()]
+
+    def compute_truncated(self, achieved_goal: Goal, desired_goal: Goal, info: Any) -> NDArray[np.bool_]:
+        """Whether postures cut an episode short, shapes (..., 15) [rad]: never, that is the time limit's business."""
+        return self.compute_terminated(achieved_goal, desired_goal, info)
+
+    def _admissible(self, goal: ArrayLike) -> NDArray[np.float64]:
+        low, high = (bound.astype(float) for bound in (self._goal_space.low, self._goal_space.high))
+        return as_bounded_array(as_finite_vector(goal, len(JOINTS), "goal"), low, high, JOINTS, "goal", "rad")
 
     def _goal_synergy(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """Half of the goals move the thumb freely and half the fingers, since one can stand in the other's way."""

@@ -6,8 +6,9 @@ of its own, derived from the environment's generator by the quantity's name, so 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from types import MappingProxyType
 from zlib import crc32
 
@@ -24,12 +25,16 @@ _SAME: Range = (1.0, 1.0)
 _NONE: Range = (0.0, 0.0)
 
 
+def _is_pair(given: object) -> bool:
+    return isinstance(given, list | tuple) and len(given) == 2 and all(isinstance(value, Real) for value in given)
+
+
 @dataclass(frozen=True, slots=True)
 class Randomization:
     """Ranges, each drawn from uniformly once an episode. The defaults are the nominal hand: no range, no draw.
 
     Raises:
-        ParameterError: A range that is not ordered, or leaves its bounds.
+        ParameterError: A range that is no pair of numbers, not ordered, or leaves its bounds.
     """
 
     tendon_stiffness: Range = _SAME
@@ -60,8 +65,12 @@ class Randomization:
     def __post_init__(self) -> None:
         for name, (lowest, highest) in BOUNDS.items():
             given = getattr(self, name)
-            if given is not None and not lowest <= given[0] <= given[1] <= highest:
-                raise ParameterError(f"randomization {name} = {given} must be a range within [{lowest:g}, {highest:g}]")
+            if given is None and name == "dead_band":
+                continue
+            if not _is_pair(given) or not lowest <= given[0] <= given[1] <= highest:
+                bounds = f"[{lowest:g}, {highest:g}]"
+                raise ParameterError(f"randomization {name} = {given!r} must be a range (lowest, highest) within {bounds}")
+            object.__setattr__(self, name, tuple(given))
 
     def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
         """The values of one episode, by name; what has its nominal value is left out."""
@@ -116,17 +125,28 @@ PRESETS: Mapping[str, Randomization] = MappingProxyType(
 """The named randomizations: nothing; the hand's mechanics; the way from host to servo; all of it, and object and camera."""
 
 
-def randomization(named: Randomization | str | None) -> Randomization:
-    """The randomization of that name; None is "nominal".
+def randomization(given: Randomization | Mapping[str, Sequence[float]] | str | None) -> Randomization:
+    """The randomization that `randomize=` asks for.
+
+    Args:
+        given: a `Randomization`; the name of a preset; ranges by name, as JSON has them, `{"servo_lag": [0, 0.1]}`, the
+            others nominal; None is "nominal".
 
     Raises:
-        ParameterError: There is none.
+        ParameterError: There is none of that name, or a range that is none.
     """
-    if isinstance(named, Randomization):
-        return named
-    if (named or "nominal") not in PRESETS:
-        raise ParameterError(f"randomize {named!r} is none of {', '.join(PRESETS)}")
-    return PRESETS[named or "nominal"]
+    if given is None:
+        return PRESETS["nominal"]
+    if isinstance(given, Randomization):
+        return given
+    if isinstance(given, str) and given in PRESETS:
+        return PRESETS[given]
+    if not isinstance(given, Mapping):
+        raise ParameterError(f"randomize {given!r} is none of {', '.join(PRESETS)}, no Randomization and no ranges by name")
+    unknown = [name for name in given if name not in BOUNDS]
+    if unknown:
+        raise ParameterError(f"randomize has no quantities {unknown}; it has {', '.join(BOUNDS)}")
+    return Randomization(**given)
 
 
 def stream(rng: np.random.Generator, name: str) -> np.random.Generator:

@@ -25,6 +25,7 @@ from hpac_gym.envs.errors import EpisodeError
 from hpac_gym.envs.vector_group import Buffers, EnvFn
 from hpac_gym.envs.vector_workers import CONTEXT, Workers, shares
 from hpac_gym.errors import ParameterError, ShapeError
+from hpac_gym.model.checks import as_array
 
 
 class GroupedVectorEnv(VectorEnv[Any, NDArray, NDArray]):
@@ -129,7 +130,7 @@ class GroupedVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             WorkspaceError: An action has NaN, or leaves −1…1.
             EpisodeError: After `close`, or after an episode's end where no new one begins by itself.
         """
-        actions, workers = np.asarray(actions, dtype=float), self._open()
+        actions, workers = as_array(actions, self._actions.shape[-1], "actions"), self._open()
         if actions.shape != self._actions.shape:
             raise ShapeError(f"actions must have the shape {self._actions.shape}, not {actions.shape}")
         self._actions[:] = actions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -31,7 +32,8 @@ class ObjectSpec:
     """A primitive object, or a named one that is nearest to that primitive.
 
     Raises:
-        ValueError: An unknown shape, a size, mass or friction that is not positive, or a round shape with unequal radii.
+        ValueError: An unknown shape, a size, mass or friction that is not positive and finite, or a round shape with
+            unequal radii.
     """
 
     shape: Shape
@@ -49,8 +51,8 @@ class ObjectSpec:
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
             raise ValueError(f"shape {self.shape!r} is none of {', '.join(SHAPES)}")
-        if not (min(self.half_extents) > 0 and self.mass > 0 and self.friction > 0 and self.scale > 0):
-            raise ValueError(f"half extents, mass, friction and scale of {self} must be positive")
+        if not all(0 < value < math.inf for value in (*self.half_extents, self.mass, self.friction, self.scale)):
+            raise ValueError(f"half extents, mass, friction and scale of {self} must be positive and finite")
         x, y, z = self.half_extents
         if (self.shape != "box" and x != y) or (self.shape == "sphere" and x != z):
             raise ValueError(f"half extents {self.half_extents} m do not fit a {self.shape}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NoReturn, SupportsIndex
 
 import pybullet
 
@@ -41,8 +42,19 @@ class WorldSettings:
         return 1.0 / self.physics_hz
 
 
+def refuse_copying(self: object, protocol: SupportsIndex) -> NoReturn:
+    """The `__reduce_ex__` of whatever owns a physics client: a copy would step, and close, the original's.
+
+    Raises:
+        TypeError: Always.
+    """
+    raise TypeError(f"a physics world cannot be copied or pickled: make a new {type(self).__name__}")
+
+
 class World:
     """A physics client without a window. Close it when done, or use it as a context manager."""
+
+    __reduce_ex__ = refuse_copying
 
     def __init__(self, settings: WorldSettings = WorldSettings()) -> None:
         self.settings = settings

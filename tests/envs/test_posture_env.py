@@ -87,6 +87,15 @@ def test_a_goal_can_be_given(env):
             env.reset(options={"goal": wrong})
 
 
+def test_only_the_time_limit_ends_an_episode_and_the_goals_say_so_too(env):
+    posture, batch = env.unwrapped, np.zeros((3, 10, len(JOINTS)))
+    for end in (posture.compute_terminated, posture.compute_truncated):
+        assert end(batch[0, 0], batch[0, 0], {}) == False  # noqa: E712  a NumPy boolean, reached or not
+        assert end(batch, batch[0, 0] + 1, {}).shape == posture.compute_reward(batch, batch[0, 0] + 1, {}).shape
+        assert end(batch, batch, {}).dtype == bool
+        assert not end(batch, batch, {}).any()
+
+
 def test_hindsight_replay_runs_on_it():
     with gymnasium.make(ID, reward="sparse") as env:
         buffer = {"n_sampled_goal": 4, "goal_selection_strategy": "future"}
