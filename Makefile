@@ -54,7 +54,7 @@ test-all: compiler setup firmware ## pass all the tests, slow ones and firmware 
 demo: compiler setup firmware ## train, evaluate and replay over the wire into runs/demo (under 30 minutes)
 	@$(BIN)/python -m agents.demo --out runs/demo $(DEMO_ARGS)
 
-bench: setup ## measure the model's speed
+bench: setup ## measure the speed of the model and of the environments
 	@$(BIN)/python -m hpac_gym.bench
 
 wheel: setup ## build dist/*.whl
