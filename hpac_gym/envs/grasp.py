@@ -91,11 +91,10 @@ class Grasp:
         succeeds at the end of the timetable: lifted, held through the shake in six directions, and not dropped on the way
         down.
         """
-        lifted, shaken = self.timetable.ends[1:3]
-        placing = scene.time > shaken + dt / 2  # an object that hangs lower than it stood may touch its support there
-        self.grip.follow(object_pos, bool(forces), scene.on_support and not placing, dt)
+        self.grip.follow(object_pos, bool(forces), scene.on_support, dt)
+        lifted = scene.time > self.timetable.ends[1] - dt / 2
         knocked_away = np.linalg.norm(object_pos - self._place) > self.config.drop_distance
-        if knocked_away or (scene.time > lifted - dt / 2 and not self.grip.holds):
+        if knocked_away or (lifted and not self.grip.holds):
             return Outcome.FAILURE
         return Outcome.RUNNING if scene.time < self.timetable.duration - dt / 2 else Outcome.SUCCESS
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import pi, sin
 
+from hpac_gym.envs.grip import MAX_SLIP
 from hpac_gym.sim import Vector
 
 PHASES = ("close", "lift", "shake", "place")
@@ -25,8 +26,8 @@ class Timetable:
     shake_distance: float = 0.02
     """How far the shake goes to either side, along x, then y, then z, so in six directions [m]."""
     place_time: float = 0.5
-    clearance: float = 0.01
-    """How far above where it stood the object is at the end [m]."""
+    clearance: float = MAX_SLIP
+    """How far above where it stood the object is at the end, so that one that is still held does not touch its support [m]."""
 
     def __post_init__(self) -> None:
         if not min(self.close_time, self.lift_time, self.shake_time, self.place_time) > 0:

@@ -10,6 +10,7 @@ import pytest
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, HandEnv, ScriptedClosure
 from hpac_gym.envs.errors import EpisodeError
+from hpac_gym.envs.grip import MAX_SLIP
 from hpac_gym.envs.observation import FIELDS, GRASP_CENTRE, LENGTH_UNIT, CameraNoise
 from hpac_gym.envs.phases import PHASES, Timetable
 from hpac_gym.errors import ParameterError
@@ -42,6 +43,18 @@ class Still:
         return np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
 
 
+class Opens(ScriptedClosure):
+    """Closes, and opens at a time [s]."""
+
+    def __init__(self, at: float) -> None:
+        super().__init__()
+        self._at = at
+
+    def act(self, observation):
+        action = super().act(observation)
+        return action if self._time <= self._at else Still().act(observation)
+
+
 def test_spaces(env):
     assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (6,), np.float32)
     assert env.observation_space.shape == (sum(len(field.labels) for field in FIELDS),)
@@ -65,6 +78,23 @@ def test_a_slippery_heavy_object_is_dropped(env):
     infos, _ = run(env, ScriptedClosure(), a_setup(friction=0.02, mass=1.0))
     assert infos[-1]["outcome"] == "failure"
     assert infos[-1]["phase"] in ("lift", "shake")
+
+
+@pytest.mark.parametrize(("at", "phases"), [(1.2, {"lift", "shake"}), (1.8, {"shake"}), (2.5, {"shake", "place"})])
+def test_a_hand_that_opens_on_the_way_fails_before_the_end(env, at, phases):
+    infos, _ = run(env, Opens(at), a_setup())
+    assert infos[-1]["outcome"] == "failure"
+    assert infos[-1]["phase"] in phases
+    assert len(infos) < 20 * (at + 0.7)
+
+
+def test_an_object_that_slides_through_the_hand_is_not_held():
+    """A smooth, heavy can creeps through the closed hand: touched all the time, and lost by `MAX_SLIP`."""
+    with gymnasium.make(ID) as env:
+        infos, _ = run(env, ScriptedClosure(), a_setup(friction=0.12, half_extents=(0.027, 0.027, 0.06), mass=0.4))
+    assert infos[-1]["outcome"] == "failure"
+    assert infos[-1]["contact_force"] > 0
+    assert infos[-1]["slip"] > MAX_SLIP
 
 
 def test_phases_come_in_order_and_last_as_long_as_the_timetable_says(env):
