@@ -6,8 +6,8 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import NoReturn
+from contextlib import contextmanager, redirect_stdout
+from typing import Any, NoReturn, TextIO
 
 from hpac_gym.errors import HpacError
 
@@ -19,8 +19,18 @@ class MissingModule(HpacError, ModuleNotFoundError):
     """A command needs a package that is not installed."""
 
 
+class UnwritableOutput(HpacError, OSError):
+    """Standard output takes no more, and its reader has not just left."""
+
+
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one line, without the usage."""
+    """An argument parser whose complaint is one line, without the usage, and whose help tells when it cannot be written."""
+
+    def _print_message(self, message: str, file: TextIO | None = None) -> None:
+        if file is not sys.stdout:
+            super()._print_message(message, file)
+        elif status := run(lambda: print(message, end="") or 0):
+            self.exit(status)
 
     def error(self, message: str) -> NoReturn:
         self.exit(USAGE_ERROR, f"error: {message} (see {self.prog} --help)\n")
@@ -56,16 +66,52 @@ def needing(extra: str) -> Iterator[None]:
         raise MissingModule(f"this command needs more: pip install 'hpac_gym[{extra}]' (no module {error.name})") from None
 
 
+class _Output:
+    """Standard output, whose faults are told from those of any other file."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with _faults_told():
+            return self._stream.write(text)
+
+    def flush(self) -> None:
+        with _faults_told():
+            self._stream.flush()
+
+
+@contextmanager
+def _faults_told() -> Iterator[None]:
+    try:
+        yield
+    except (BrokenPipeError, UnwritableOutput):
+        raise
+    except OSError as error:
+        raise UnwritableOutput(f"cannot write to standard output: {error.strerror}") from None
+
+
+def _drop_output() -> None:
+    """Leave what is still buffered nowhere, or Python would try once more at its exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def run(command: Callable[[], int]) -> int:
     """Run a command and return its exit status; an error that was raised on purpose becomes one line and `USAGE_ERROR`."""
     try:
-        status = command()
-        sys.stdout.flush()
+        with redirect_stdout(_Output(sys.stdout)):
+            status = command()
+            sys.stdout.flush()
         return status
     except BrokenPipeError:  # whoever read the output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return 0
     except HpacError as error:
+        if isinstance(error, UnwritableOutput):
+            _drop_output()
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return USAGE_ERROR
     except KeyboardInterrupt:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -47,6 +48,16 @@ def test_json_is_one_object_and_nothing_else():
     done = hpac("bench", "--section", "model", "--json")
     assert done.returncode == 0
     assert json.loads(done.stdout)["model"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("words", [["posture", "list"], ["bench", "--section", "model", "--json"], ["--help"], ["--version"]])
+def test_an_output_that_takes_no_more_is_one_line_and_status_2(words):
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "hpac_gym.cli", *words]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr == "error: cannot write to standard output: No space left on device\n"
 
 
 def test_a_reader_that_leaves_early_is_no_error():

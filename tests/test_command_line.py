@@ -1,7 +1,10 @@
 """One line for a mistake, and the exit status that says what happened."""
 
 import argparse
+import os
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -26,6 +29,37 @@ def test_an_error_on_purpose_is_one_line_and_any_other_is_not_hidden(capsys):
     assert capsys.readouterr().err == "error: 2 rad above 1 rad\n"
     with pytest.raises(ValueError, match="a bug"):
         run(raising(ValueError("a bug")))
+
+
+SCRIPT = """
+import sys
+from hpac_gym.command_line import run
+def command():
+    print({words!r} * {times}, flush={flush})
+    open({path!r}).close()
+    return 0
+sys.exit(run(command))
+"""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+@pytest.mark.parametrize("times", [1, 100_000], ids=["short", "longer than any buffer"])
+@pytest.mark.parametrize("flush", [True, False])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_full_standard_output_is_one_line(times, flush, unbuffered):
+    script = SCRIPT.format(words="word ", times=times, flush=flush, path=os.devnull)
+    told = {"env": os.environ | {"PYTHONUNBUFFERED": unbuffered}, "stderr": subprocess.PIPE, "text": True}
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run([sys.executable, "-c", script], stdout=full, timeout=60, **told)
+    assert (done.returncode, done.stderr) == (USAGE_ERROR, "error: cannot write to standard output: No space left on device\n")
+
+
+def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
+    script = SCRIPT.format(words="word", times=1, flush=False, path="/no/such/file")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "FileNotFoundError" in done.stderr
+    assert done.stdout == "word\n"
 
 
 def test_ctrl_c_has_its_own_status(capsys):
