@@ -15,9 +15,9 @@ CLOSE_TIME = 0.8
 """From open to closed [s]."""
 THUMB_CLOSED = 0.8
 """MP of the closed thumb [rad]; farther in it pushes small objects out."""
-PLACE_CLOSED, PLACE_THUMB = 0.5, 1.0
-"""Share of the fingers' full closure when something is to be set down, and MP of the thumb [rad]: what is wound up less is let
-go sooner."""
+PLACE_TIME, PLACE_CLOSED, PLACE_THUMB, PLACE_OPPOSED = 0.9, 0.56, 0.9, 1.04
+"""When something is to be set down: from open to closed [s], share of the fingers' full closure, MP of the thumb [rad] and CMC,
+all the time [rad]; what is wound up less is let go sooner."""
 THUMB_OPPOSED = 1.2
 """CMC, all the time [rad]."""
 
@@ -65,9 +65,9 @@ class ScriptedPickPlace:
         self._time += 1 / CONTROL_HZ
         closed = PLACE_CLOSED * HPAC.synergy_max
         closed[SERVO_INDEX["thumb_mp"]] = PLACE_THUMB
-        share = min(max((self._time - self._close) / CLOSE_TIME, 0.0), 1.0)
+        share = min(max((self._time - self._close) / PLACE_TIME, 0.0), 1.0)
         synergy = closed * (share if self._time < self._open else 0.0)
-        synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED
+        synergy[SERVO_INDEX["thumb_cmc"]] = PLACE_OPPOSED
         return action_from_synergy(synergy).astype(np.float32)
 
 
