@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from os import PathLike
 from typing import Any, ClassVar
 
@@ -38,8 +38,8 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: None or "rgb_array".
         noise: of the camera that sees the object.
         obs: "deploy" for what the real hand has, "privileged" for a critic, "image" for a picture and the deployed vector.
-        randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, or a
-            `Randomization`; None is "nominal", which changes nothing.
+        randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, a
+            `Randomization`, or ranges by name; None is "nominal", which changes nothing.
 
     Attributes:
         transmit: what a command passes through on its way to the simulated servos: identity, unless a bridge puts the
@@ -60,7 +60,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: str | None = None,
         noise: CameraNoise = CameraNoise(),
         obs: Obs = "deploy",
-        randomize: Randomization | str | None = None,
+        randomize: Randomization | Mapping | str | None = None,
     ) -> None:
         require_options(reward, render_mode)
         self.task, self.reward, self.render_mode = task, reward, render_mode
@@ -143,7 +143,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         forces = scene.contact_forces()
         outcome = self.task.judge(scene, object_pos, forces, self.dt)
         terms = self.task.reward_terms(outcome, self._phase, object_pos, forces, action - self._last_action)
-        self._last_action = action
+        self._last_action = action.copy()  # the caller may write the next one over it
         self._phase = self.task.timetable.phase(scene.time)
         self._running = outcome is Outcome.RUNNING
         reward = sum(terms.values()) if self.reward == "dense" else float(outcome is Outcome.SUCCESS)

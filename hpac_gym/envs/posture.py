@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from os import PathLike
 from typing import Any, ClassVar
 
@@ -63,8 +63,8 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         render_mode: None or "rgb_array".
         obs: "deploy" for the command and the model's prediction, "privileged" for the true state after them, "image" for a
             picture beside them.
-        randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, or a
-            `Randomization`; None is "nominal", which changes nothing. What concerns an object changes nothing here.
+        randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, a
+            `Randomization`, or ranges by name; None is "nominal", which changes nothing. What concerns an object changes nothing here.
 
     Raises:
         ParameterError: An unknown reward, render mode, obs or randomize, or a bad hand file.
@@ -79,7 +79,7 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         reward: Reward = "dense",
         render_mode: str | None = None,
         obs: Obs = "deploy",
-        randomize: Randomization | str | None = None,
+        randomize: Randomization | Mapping | str | None = None,
     ) -> None:
         require_options(reward, render_mode)
         self.reward, self.render_mode, self.obs = reward, render_mode, known(obs)

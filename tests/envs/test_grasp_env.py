@@ -149,6 +149,15 @@ def test_reward_is_the_sum_of_its_named_terms(env):
             break
 
 
+def test_the_effort_counts_the_change_though_the_caller_writes_over_his_action(env):
+    env.reset(seed=4)
+    action = np.zeros(6)
+    env.step(action)
+    action[:] = 0.5
+    *_, info = env.step(action)
+    assert info["reward_terms"]["effort"] == pytest.approx(-0.01 * 6 * 0.25)
+
+
 def test_sparse_reward_is_success_alone():
     with gymnasium.make(ID, reward="sparse") as sparse:
         infos, total = run(sparse, ScriptedClosure(), a_setup())
