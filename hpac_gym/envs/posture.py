@@ -64,7 +64,8 @@ class PostureEnv(gymnasium.Env[dict[str, NDArray], NDArray[np.float32]]):
         obs: "deploy" for the command and the model's prediction, "privileged" for the true state after them, "image" for a
             picture beside them.
         randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, a
-            `Randomization`, or ranges by name; None is "nominal", which changes nothing. What concerns an object changes nothing here.
+            `Randomization`, or ranges by name; None is "nominal", which changes nothing. What
+            concerns an object changes nothing here.
 
     Raises:
         ParameterError: An unknown reward, render mode, obs or randomize, or a bad hand file.
