@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -17,7 +18,19 @@ from hpac_gym.envs.observation import CameraNoise
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.errors import ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
-from tests.envs.fingerprints import FILE, IDS, NAMES, TOLERANCE, fingerprint, flat, make
+from tests.envs.fingerprints import (
+    ABSOLUTE,
+    BY_NAME,
+    CASES,
+    FILE,
+    IDS,
+    RELATIVE,
+    Case,
+    fingerprint,
+    flat,
+    kept,
+    same,
+)
 
 OPTIONS = [
     {},
@@ -30,17 +43,19 @@ OPTIONS = [
 RANDOM_STEPS = 10_000
 """Of each id in the default run; `make test-all` makes 350,000 of each."""
 
+PLAIN = [case for case in CASES if set(case.options) <= {"grasp"} and not case.about]
+"""What an id gives by default, and every named grasp."""
+
 STOP_GIVES = 0.4
 """How far a digit that snaps free of another one may run into its stop, for a moment [rad]; 20 rad/s are 0.17 a step."""
 
 every_id = pytest.mark.parametrize("name", IDS)
-every_fingerprint = pytest.mark.parametrize("name", NAMES)
 every_option = pytest.mark.parametrize("options", OPTIONS, ids=lambda options: "-".join(map(str, options.values()))[:30])
 
 
 @pytest.fixture
 def env(name):
-    with make(name) as made:
+    with gymnasium.make(name) as made:
         yield made
 
 
@@ -81,12 +96,46 @@ def test_gymnasium_s_checker_passes_with_rendering(name):
 # Fingerprints ------------------------------------------------------------------------------
 
 
-@every_fingerprint
-def test_physics_reward_and_observation_are_those_of_the_version_number(name, env):
-    """If this fails on purpose: raise -v, or before a release run `python tests/envs/fingerprints.py --write`."""
-    expected, found = json.loads(FILE.read_text(encoding="utf-8"))[name], fingerprint(env)["episodes"]
-    for then, now in zip(expected, found, strict=True):
-        assert now == pytest.approx(then, rel=TOLERANCE, abs=TOLERANCE), f"{name} is not what it was"
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_physics_reward_and_observation_are_those_of_the_version_number(case):
+    """If this fails on purpose: raise -v, then run `python tests/envs/fingerprints.py --write`."""
+    with case.make() as env:
+        found = fingerprint(env, case)["episodes"]
+    for then, now in zip(kept()[case.name]["episodes"], found, strict=True):
+        for name, values in now.items():
+            message = f"{case.name}, seed {then['seed']}: {name} is not what it was"
+            np.testing.assert_allclose(values, then[name], RELATIVE, ABSOLUTE, err_msg=message)
+
+
+def test_every_fingerprint_in_the_file_is_compared():
+    assert set(kept()) == set(BY_NAME)
+    assert len(BY_NAME) == len(CASES)
+
+
+def changed(case: Case, **fault: Any) -> bool:
+    """Whether a case's fingerprint is another one now, or with a fault."""
+    with case.make(**fault) as env:
+        found = fingerprint(env, case)["episodes"]
+    return not all(map(same, kept()[case.name]["episodes"], found))
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "value"),
+    [
+        ("HPAC-Grasp-v0", "hpac_gym.envs.quality.CONE_EDGES", 4),
+        ("HPAC-Grasp-v0", "hpac_gym.envs.observation.LENGTH_UNIT", 0.051),
+        ("HPAC-Grasp-v0/nominal/privileged", "hpac_gym.envs.views.FORCE_UNIT", 10.1),
+        ("HPAC-Grasp-v0/nominal/privileged", "hpac_gym.envs.views.SPEED_UNIT", 10.1),
+        ("HPAC-Grasp-v0/image", "hpac_gym.envs.views.IMAGE_SIZE", 83),
+        ("HPAC-Posture-v0/nominal/privileged", "hpac_gym.envs.posture.FORCE_UNIT", 10.1),
+        ("HPAC-Posture-v0/image", "hpac_gym.envs.posture.IMAGE_SIZE", 83),
+        ("HPAC-Posture-v0/sparse", "hpac_gym.envs.posture.TOLERANCE", 0.06),
+        *((case.name, *case.reacts) for case in CASES if case.reacts),
+    ],
+)
+def test_a_small_change_of_a_number_changes_the_fingerprint(monkeypatch, name, number, value):
+    monkeypatch.setattr(number, value)
+    assert changed(BY_NAME[name])
 
 
 @pytest.mark.parametrize(
@@ -101,10 +150,7 @@ def test_physics_reward_and_observation_are_those_of_the_version_number(name, en
     ids=["friction", "tendons", "lag", "camera", "reward"],
 )
 def test_a_small_change_of_physics_reward_or_observation_changes_the_fingerprint(fault):
-    expected = json.loads(FILE.read_text(encoding="utf-8"))["HPAC-Grasp-v0"]
-    with gymnasium.make("HPAC-Grasp-v0", **fault) as env:
-        found = fingerprint(env)["episodes"]
-    assert any(now != pytest.approx(then, rel=TOLERANCE, abs=TOLERANCE) for then, now in zip(expected, found, strict=True))
+    assert changed(BY_NAME["HPAC-Grasp-v0"], **fault)
 
 
 @pytest.fixture(scope="module")
@@ -113,21 +159,23 @@ def printed():
     script = str(FILE.with_suffix(".py"))
     paths = os.pathsep.join(path for path in (str(FILE.parents[2]), os.environ.get("PYTHONPATH")) if path)
     done = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, check=True, timeout=300, env=os.environ | {"PYTHONPATH": paths}
-    )
+        [sys.executable, script, *(case.name for case in PLAIN)],
+        capture_output=True, text=True, check=True, timeout=300, env=os.environ | {"PYTHONPATH": paths},
+    )  # fmt: skip
     return json.loads(done.stdout)
 
 
-@every_fingerprint
-def test_same_seed_same_trajectory_to_the_bit(name, env, printed):
+@pytest.mark.parametrize("case", PLAIN, ids=lambda case: case.name)
+def test_same_seed_same_trajectory_to_the_bit(case, printed):
     """On re-reset, in a fresh environment that can render too, and in a subprocess."""
-    first = fingerprint(env)
-    env.reset(seed=99)
-    env.step(env.action_space.sample())
-    assert fingerprint(env) == first
-    with make(name, render_mode="rgb_array") as fresh:
-        assert fingerprint(fresh) == first
-    assert printed[name] == first
+    with case.make() as env:
+        first = fingerprint(env, case)
+        env.reset(seed=99)
+        env.step(env.action_space.sample())
+        assert fingerprint(env, case) == first
+    with case.make(render_mode="rgb_array") as fresh:
+        assert fingerprint(fresh, case) == first
+    assert printed[case.name] == first
 
 
 @every_id
