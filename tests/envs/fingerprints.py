@@ -75,6 +75,13 @@ def clenched(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterat
         yield CLOSED
 
 
+def snapping(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """The thumb closes, the fingers close over it, and it snaps out from under them."""
+    yield from [np.array([1.0, -1, -1, -1, -1, 1])] * 8 + [np.ones(6)] * 12
+    while True:
+        yield np.array([-1.0, 1, 1, 1, 1, -1])
+
+
 def restless(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """From one extreme to another."""
     while True:
@@ -200,11 +207,11 @@ CASES = (
     *(Case(GRASP, {"grasp": name, "variant": variant} | PRIVILEGED, closing(), 1, 20)
       for name, grasp in GRASPS.items() for variant in grasp.held_out),
     Case(GRASP, PRIVILEGED, closing(let_go=40), 2, about="let go", reacts=LOST),
-    Case(GRASP, {"grasp": "large_sphere"}, closing(let_go=44), 2, about="let go", reacts=LOST),
+    Case(GRASP, {"grasp": "large_sphere"}, closing(let_go=26), 2, about="let go", reacts=LOST),
     Case(GRASP, {"grasp": "scissors"}, closing(), 2, about="slips", reacts=SLIPPED),
     Case(PICK_PLACE, PRIVILEGED, closing(12, 50), 2, about="let go", reacts=LOST),
     Case(GRASP, PRIVILEGED, clenched, about="jams", reacts=("hpac_gym.sim.wrist.FORCE_LIMIT", 150.0)),
-    Case(GRASP, PRIVILEGED, clenched, about="snaps", reacts=("hpac_gym.sim.hand.MAX_JOINT_SPEED", 16.0)),
+    Case(GRASP, PRIVILEGED, snapping, about="snaps", reacts=("hpac_gym.sim.hand.MAX_JOINT_SPEED", 25.0)),
 )  # fmt: skip
 BY_NAME = {case.name: case for case in CASES}
 
