@@ -22,6 +22,26 @@ ID = "HPAC-Grasp-v0"
 NAMES = list(GRASPS)
 MODELS = load_object_models()
 POWER = [name for name in NAMES if GRASPS[name].family == "power"]
+FINGERS_AND_THUMB = {"thumb", "index", "middle", "ring", "pinky"}
+HOLDING = {
+    "large_cylinder": FINGERS_AND_THUMB,
+    "small_cylinder": FINGERS_AND_THUMB,
+    "rod": {"pinky", "palm"},
+    "large_sphere": FINGERS_AND_THUMB,
+    "small_sphere": {"thumb", "middle", "palm"},
+    "disk": {"thumb", "index", "middle", "ring"},
+    "hook": FINGERS_AND_THUMB - {"thumb"},
+    "three_finger_pinch": {"thumb", "index", "middle"},
+    "tip_pinch": {"thumb", "index"},
+    "lateral_pinch": {"thumb", "index"},
+    "precision_box": FINGERS_AND_THUMB,
+    "scissors": {"thumb", "index", "middle"},
+    "screwdriver": {"middle", "ring", "pinky", "palm"},
+    "tape_roll": {"thumb", "index", "middle"},
+    "tweezers": {"thumb", "index", "middle"},
+    "press": {"thumb", "middle", "ring", "pinky", "palm"},
+}
+"""What the texts of the grasps say that holds the object."""
 
 
 def run(env, act, seed: int) -> dict:
@@ -74,6 +94,16 @@ def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(name: str,
         near = [point for a, b in pairs for point in pybullet.getClosestPoints(a, b, 0.0, physicsClientId=client)]
         assert min((point[8] for point in near), default=0.0) > -1e-4, f"at the corner {corner}"
     scene.close()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_randomized_episode_starts_inside_of_the_hand(name: str):
+    with gymnasium.make(ID, grasp=name, randomize="full") as env:
+        scene = env.unwrapped.scene
+        for seed in range(30):
+            env.reset(seed=seed)
+            near = pybullet.getClosestPoints(scene.hand.body, scene.object.body, 0.0, physicsClientId=scene.world.client)
+            assert min((point[8] for point in near), default=0.0) > -2e-4, f"with the seed {seed}"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -229,6 +259,31 @@ def successes(name: str, seeds: range) -> tuple[int, int]:
             rng = np.random.default_rng([seed, 1])
             wild += run(env, lambda _, rng=rng: rng.uniform(-1, 1, 6).astype(np.float32), seed)["is_success"]
     return scripted, wild
+
+
+def held_by(env, seed: int) -> tuple[set[str], float]:
+    """What touches the object in at least half of the last phase, and the largest force since the lift [N]."""
+    policy, phases, forces, over = closure(env), [], [], False
+    observation, _ = env.reset(seed=seed)
+    while not over:
+        phases.append(env.unwrapped.phase)
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation))
+        forces.append(env.unwrapped.scene.contact_forces())
+        over = terminated or truncated
+    last = [parts for phase, parts in zip(phases, forces, strict=True) if phase == "place"]
+    carried = [sum(parts.values()) for phase, parts in zip(phases, forces, strict=True) if phase in ("shake", "place")]
+    names = set().union(*last)
+    return {name for name in names if sum(name in parts for parts in last) >= len(last) / 2}, max(carried, default=0.0)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
+    """In most of eight episodes each of `HOLDING` touches it, and the forces add up to less than 80 N."""
+    with gymnasium.make(ID, grasp=name) as env:
+        seen = [held_by(env, seed) for seed in range(300, 308)]
+    for part in HOLDING[name]:
+        assert sum(part in parts for parts, _ in seen) >= 5, part
+    assert sum(force < 80 for _, force in seen) >= 5
 
 
 @pytest.mark.parametrize("name", ["rod", "tip_pinch", "lateral_pinch", "screwdriver"])
