@@ -106,7 +106,8 @@ class Grasp:
         * `contact`, while closing: 0.1 for the thumb and 0.05 for each finger that touches the object, 0.2 when they oppose
           each other.
         * `push`, while closing: −0.3 for an object moved away from where it stood by `drop_distance`, its share before.
-        * `carry`, afterwards: 0.5 for carrying the object free of its support.
+        * `carry`, afterwards: 0.5 for carrying the object free of its support, less by the share of `MAX_SLIP` that it has
+          slipped.
         * `effort`: −0.01 of the sum of the squared changes of the action.
         * `outcome`: 10 for success or −5 for failure, once.
         """
@@ -118,7 +119,7 @@ class Grasp:
         return {
             "contact": (0.1 * thumb + 0.05 * fingers + 0.2 * opposed) if closing else 0.0,
             "push": -0.3 * min(moved, 1.0) if closing else 0.0,
-            "carry": 0.5 * float(self.grip.time > 0) if not closing else 0.0,
+            "carry": 0.5 * self.grip.firmness if not closing else 0.0,
             "effort": -0.01 * float(np.square(action_change).sum()),
             "outcome": {Outcome.SUCCESS: 10.0, Outcome.FAILURE: -5.0, Outcome.RUNNING: 0.0}[outcome],
         }

@@ -51,6 +51,11 @@ class Grip:
         self.slip = float(np.linalg.norm(object_pos - self._began_at))
 
     @property
+    def firmness(self) -> float:
+        """1 for an object that is carried and has not slipped, 0 for one that is lost or has slipped by `MAX_SLIP`."""
+        return max(1.0 - self.slip / MAX_SLIP, 0.0) if self._began_at is not None else 0.0
+
+    @property
     def holds(self) -> bool:
         """Whether the hand holds the object now."""
         return self._began_at is not None and self.slip <= MAX_SLIP

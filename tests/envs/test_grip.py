@@ -38,7 +38,7 @@ def test_one_step_without_a_contact_is_forgiven_and_two_are_not():
     assert grip_after(TOUCHED, FREE, TOUCHED).time == pytest.approx(3 * DT)
     lost = grip_after(TOUCHED, FREE, FREE)
     assert not lost.holds
-    assert lost.time == lost.slip == 0.0
+    assert lost.time == lost.slip == lost.firmness == 0.0
 
 
 def test_slip_counts_from_where_the_carrying_began():
@@ -46,5 +46,6 @@ def test_slip_counts_from_where_the_carrying_began():
     grip.follow(PLACE + 0.9 * MAX_SLIP * ASIDE, *TOUCHED, DT)
     assert grip.slip == pytest.approx(0.9 * MAX_SLIP)
     assert grip.holds
+    assert grip.firmness == pytest.approx(0.1)
     grip.follow(PLACE + 1.1 * MAX_SLIP * ASIDE, *TOUCHED, DT)
     assert not grip.holds

@@ -140,7 +140,7 @@ def test_the_rewards_have_the_numbers_that_are_stated(kind):
     assert numbers(kind, "push") == [terms()["push"]]
     assert numbers(kind, "effort") == [terms(change=np.eye(6)[0])["effort"]]
     assert numbers(kind, "outcome") == [terms(outcome=end)["outcome"] for end in (Outcome.SUCCESS, Outcome.FAILURE)]
-    task.grip.time = 1.0
+    task.grip.follow(setup.position, True, False, 0.05)
     assert numbers(kind, "carry") == [terms("lift")["carry"]]
     if kind is PickPlace:
         touched, free = terms("place", ["thumb"])["place"], terms("place")["place"]
