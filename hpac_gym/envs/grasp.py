@@ -25,7 +25,9 @@ class GraspConfig:
     """The ranges that an episode is drawn from, uniformly, and what counts as dropped."""
 
     radius: tuple[float, float] = (0.010, 0.030)
-    """Half width of a box, radius of a cylinder or sphere [m]."""
+    """Half width of a box, radius of a cylinder [m]."""
+    sphere_radius: tuple[float, float] = (0.020, 0.033)
+    """From a golf ball's to a tennis ball's; smaller ones roll off their post before a finger and the thumb meet [m]."""
     half_height: tuple[float, float] = (0.030, 0.060)
     """Of a box or cylinder [m]."""
     mass: tuple[float, float] = (0.05, 0.25)
@@ -62,10 +64,10 @@ class Grasp:
         config = self.config
         shape = SHAPES[rng.integers(len(SHAPES))]
         width, depth, height = rng.uniform(*config.radius), rng.uniform(*config.radius), rng.uniform(*config.half_height)
-        yaw = rng.uniform(*config.box_yaw)
-        extents = {"cylinder": (width, width, height), "box": (width, depth, height), "sphere": (width, width, width)}[shape]
+        yaw, ball = rng.uniform(*config.box_yaw), rng.uniform(*config.sphere_radius)
+        extents = {"cylinder": (width, width, height), "box": (width, depth, height), "sphere": (ball, ball, ball)}[shape]
         spec = ObjectSpec(shape, extents, rng.uniform(*config.mass), rng.uniform(*config.friction))
-        reach = width * abs(np.sin(yaw)) + depth * np.cos(yaw) if shape == "box" else width
+        reach = width * abs(np.sin(yaw)) + depth * np.cos(yaw) if shape == "box" else extents[0]
         place = [
             PALM_SURFACE + reach + rng.uniform(*config.gap),
             rng.uniform(*config.towards_thumb),
@@ -78,7 +80,7 @@ class Grasp:
     def start(self, setup: SceneSetup) -> None:
         """Begin to judge an episode."""
         self._place = setup.position
-        self.grip = Grip()
+        self.grip, self._lifted = Grip(), False
 
     def values(self, scene: Scene) -> Array:
         """The task adds nothing to the observation."""
@@ -93,6 +95,9 @@ class Grasp:
         """
         self.grip.follow(object_pos, bool(forces), scene.on_support, dt)
         lifted = scene.time > self.timetable.ends[1] - dt / 2
+        if lifted and not self._lifted:
+            self.grip.settle()
+        self._lifted = lifted
         knocked_away = np.linalg.norm(object_pos - self._place) > self.config.drop_distance
         if knocked_away or (lifted and not self.grip.holds):
             return Outcome.FAILURE

@@ -16,11 +16,11 @@ class Grip:
     """Follows one episode.
 
     The hand carries the object while it touches it and no support does. It holds the object while it carries it without a
-    break and the object has slipped no farther than `MAX_SLIP` since the carrying began.
+    break and the object has slipped no farther than `MAX_SLIP` since the carrying began, or since the grasp has settled.
 
     Attributes:
         time: for how long the hand has carried the object without a break [s].
-        slip: how far the object's centre has moved in the hand since then [m].
+        slip: how far the object's centre has moved in the hand since then, or since `settle` [m].
     """
 
     def __init__(self) -> None:
@@ -40,6 +40,7 @@ class Grip:
             supported: by anything else.
             dt: control period [s].
         """
+        self._now = object_pos
         self._missed = 0 if touched else self._missed + 1
         carrying = touched or (self._began_at is not None and self._missed <= _MISSED_STEPS)
         if supported or not carrying:
@@ -49,6 +50,11 @@ class Grip:
             self._began_at = object_pos
         self.time += dt
         self.slip = float(np.linalg.norm(object_pos - self._began_at))
+
+    def settle(self) -> None:
+        """Count the slip of an object that is carried from here on: what it moved while the hand took hold is no slip."""
+        if self._began_at is not None:
+            self._began_at, self.slip = self._now, 0.0
 
     @property
     def firmness(self) -> float:

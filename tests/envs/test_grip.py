@@ -49,3 +49,19 @@ def test_slip_counts_from_where_the_carrying_began():
     assert grip.firmness == pytest.approx(0.1)
     grip.follow(PLACE + 1.1 * MAX_SLIP * ASIDE, *TOUCHED, DT)
     assert not grip.holds
+
+
+def test_what_moved_before_the_grasp_settled_is_no_slip():
+    grip = grip_after(STANDS, TOUCHED)
+    grip.follow(PLACE + 1.1 * MAX_SLIP * ASIDE, *TOUCHED, DT)
+    grip.settle()
+    assert grip.holds
+    assert grip.time == pytest.approx(2 * DT)
+    grip.follow(PLACE + 2.0 * MAX_SLIP * ASIDE, *TOUCHED, DT)
+    assert grip.slip == pytest.approx(0.9 * MAX_SLIP)
+
+
+def test_nothing_settles_that_is_not_carried():
+    grip = grip_after(STANDS)
+    grip.settle()
+    assert not grip.holds
