@@ -17,7 +17,7 @@ from hpac_gym.output import replacing
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.sim import Camera
 
-VIEW = Camera(width=360, height=330, distance=0.42, yaw_deg=150.0, pitch_deg=-14.0)
+VIEW = Camera(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=-14.0)
 VIEW_CENTRE = np.array([0.045, 0.0, 0.09])
 """In the hand frame [m]."""
 SHEET_COLUMNS = 4

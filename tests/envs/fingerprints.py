@@ -75,18 +75,15 @@ def clenched(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterat
         yield CLOSED
 
 
-def snapping(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """The thumb closes, the fingers close over it, and it snaps out from under them."""
-    yield from [np.array([1.0, -1, -1, -1, -1, 1])] * 8 + [np.ones(6)] * 12
-    while True:
-        yield np.array([-1.0, 1, 1, 1, 1, -1])
+def restless(hold: int = 5) -> Policy:
+    """From one extreme to another, each held for some steps; after nine a thumb under the fingers may snap out at full speed."""
 
+    def policy(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
+        while True:
+            action = rng.choice([-1.0, 1.0], 6)
+            yield from [action] * hold
 
-def restless(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """From one extreme to another."""
-    while True:
-        action = rng.choice([-1.0, 1.0], 6)
-        yield from [action] * 5
+    return policy
 
 
 # Episodes ------------------------------------------------------------------------------------------------------------------
@@ -202,7 +199,7 @@ CASES = (
     *(Case(name, {"obs": "image"}, policy) for name, policy in USUAL.items()),
     *(Case(name, {"reward": "sparse"}, policy, 2) for name, policy in (USUAL | {POSTURE: reaching}).items()),
     *(Case(name, {"randomize": preset} | PRIVILEGED, policy, 2) for name, policy in USUAL.items() for preset in PRESETS),
-    *(Case(name, PRIVILEGED, restless, 2, about="restless") for name in IDS),
+    *(Case(name, PRIVILEGED, restless(), 2, about="restless") for name in IDS),
     *(Case(GRASP, {"grasp": name}, closing(), 2) for name in GRASPS),
     *(Case(GRASP, {"grasp": name, "variant": variant} | PRIVILEGED, closing(), 1, 20)
       for name, grasp in GRASPS.items() for variant in grasp.held_out),
@@ -211,7 +208,7 @@ CASES = (
     Case(GRASP, {"grasp": "scissors"}, closing(), 2, about="slips", reacts=SLIPPED),
     Case(PICK_PLACE, PRIVILEGED, closing(12, 50), 2, about="let go", reacts=LOST),
     Case(GRASP, PRIVILEGED, clenched, about="jams", reacts=("hpac_gym.sim.wrist.FORCE_LIMIT", 150.0)),
-    Case(GRASP, PRIVILEGED, snapping, about="snaps", reacts=("hpac_gym.sim.hand.MAX_JOINT_SPEED", 25.0)),
+    Case(POSTURE, PRIVILEGED, restless(9), 2, about="snaps", reacts=("hpac_gym.sim.hand.MAX_JOINT_SPEED", 25.0)),
 )  # fmt: skip
 BY_NAME = {case.name: case for case in CASES}
 
