@@ -24,7 +24,7 @@ class Recipe:
     steps: int
     seed: int = 0
     n_envs: int = 4
-    gamma: float = 0.9
+    gamma: float = 0.95
     learning_rate: float = 5e-4
     tau: float = 0.01
     batch_size: int = 256
@@ -35,7 +35,7 @@ class Recipe:
     closure_begin: tuple[int, ...] = (0, 0)
     closure_release: tuple[int, ...] = ()
     steps_per_update: int = 1
-    n_steps: int = 2
+    n_steps: int = 4
     sde_sample_freq: int = 4
     buffer_size: int = 400_000
     checkpoint_every: int = 5_000
@@ -83,6 +83,8 @@ RECIPES = {
     "pick-place-sac": Recipe(
         env_id="hpac_gym:HPAC-PickPlace-v0",
         steps=300_000,
+        gamma=0.9,
+        n_steps=2,
         closure_steps=8_000,
         closure_begin=(6, 18),
         closure_release=(70, 95),
