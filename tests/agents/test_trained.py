@@ -17,6 +17,6 @@ def test_it_says_how_it_was_made():
 
 
 def test_it_still_grasps():
-    """58 % of 400 held out; a physics or observation that it was not trained on would drop most of 24."""
+    """64 % of 400 held out, and 22 of these 24; a physics or observation that it was not trained on would drop most of 24."""
     result = evaluate([str(POLICY)], "HPAC-Grasp-v0", 24)
-    assert sum(episode.success for episode in result.episodes["learned"]) >= 9
+    assert sum(episode.success for episode in result.episodes["learned"]) >= 16
