@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from importlib.metadata import version
 
 import numpy as np
@@ -12,9 +13,11 @@ import numpy as np
 from hpac_gym import bench
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import add_commands as add_bridge_commands
-from hpac_gym.command_line import Parser, run
+from hpac_gym.command_line import MissingModule, Parser, run
 from hpac_gym.evaluation.commands import add_commands as add_evaluation_commands
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
+
+STUDY_COMMANDS = ("sweep", "calibrate", "study", "posture")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=f"hpac_gym {version('hpac_gym')}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     add_bridge_commands(commands)
-    _add_study_commands(commands, parser)
+    _add_study_commands(commands)
     add_evaluation_commands(commands)
     bench_parser = commands.add_parser("bench", help="measure the speed of the model and of the environments")
     bench.add_arguments(bench_parser)
@@ -51,16 +54,23 @@ def send_posture(port: str, command: ServoCommand) -> None:
             return
 
 
-def _add_study_commands(commands: argparse._SubParsersAction, parser: argparse.ArgumentParser) -> None:
-    """The study needs SciPy and Matplotlib; without them the other commands still work, and the help says what is missing."""
+def _add_study_commands(commands: argparse._SubParsersAction) -> None:
+    """The study needs SciPy and Matplotlib; without them its commands say so, whatever they are given, and the others work."""
     try:
         from hpac_gym.study.commands import add_commands
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("hpac_gym"):
             raise
-        parser.epilog = f"The study's commands need more: pip install 'hpac_gym[study]' (no module {error.name})."
+        for name in STUDY_COMMANDS:
+            stub = commands.add_parser(name, help="needs pip install 'hpac_gym[study]'", prefix_chars="\0", add_help=False)
+            stub.add_argument("words", nargs="*")
+            stub.set_defaults(func=partial(_study_is_missing, error.name))
         return
     add_commands(commands, send_posture)
+
+
+def _study_is_missing(module: str, arguments: argparse.Namespace) -> int:
+    raise MissingModule(f"this command needs more: pip install 'hpac_gym[study]' (no module {module})")
 
 
 if __name__ == "__main__":

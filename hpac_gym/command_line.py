@@ -69,19 +69,22 @@ def needing(extra: str) -> Iterator[None]:
 class _Output:
     """Standard output, whose faults are told from those of any other file."""
 
-    def __init__(self, stream: TextIO) -> None:
+    def __init__(self, stream: TextIO | None) -> None:
         self._stream = stream
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
+        if self._stream is None:
+            raise UnwritableOutput("cannot write to standard output: it is closed")
         with _faults_told():
             return self._stream.write(text)
 
     def flush(self) -> None:
         with _faults_told():
-            self._stream.flush()
+            if self._stream is not None:
+                self._stream.flush()
 
 
 @contextmanager
@@ -96,7 +99,8 @@ def _faults_told() -> Iterator[None]:
 
 def _drop_output() -> None:
     """Leave what is still buffered nowhere, or Python would try once more at its exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def run(command: Callable[[], int]) -> int:

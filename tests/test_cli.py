@@ -1,11 +1,15 @@
 """The `hpac` command as a person types it."""
 
+import argparse
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from hpac_gym.cli import STUDY_COMMANDS
+from hpac_gym.study.commands import add_commands
 
 COMMANDS = ("bench", "calibrate", "doctor", "grasps", "posture", "safety", "study", "sweep", "wiggle")
 
@@ -58,6 +62,28 @@ def test_an_output_that_takes_no_more_is_one_line_and_status_2(words):
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=120)
     assert done.returncode == 2
     assert done.stderr == "error: cannot write to standard output: No space left on device\n"
+
+
+@pytest.mark.parametrize("words", ["posture list", "--help", "grasps --help"])
+def test_a_closed_output_is_one_line_and_status_2(words):
+    command = f"exec {sys.executable} -m hpac_gym.cli {words} >&-"
+    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr == "error: cannot write to standard output: it is closed\n"
+
+
+@pytest.mark.parametrize("words", ["sweep", "calibrate --record x.csv y", "study --help", "posture"])
+def test_without_its_packages_a_command_of_the_study_says_what_it_needs(words):
+    start = "import sys; sys.modules['scipy'] = None; from hpac_gym.cli import main; sys.exit(main(sys.argv[1:]))"
+    done = subprocess.run([sys.executable, "-c", start, *words.split()], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert done.stderr == "error: this command needs more: pip install 'hpac_gym[study]' (no module scipy)\n"
+
+
+def test_the_commands_that_need_packages_are_those_of_the_study():
+    commands = argparse.ArgumentParser().add_subparsers()
+    add_commands(commands)
+    assert tuple(commands.choices) == STUDY_COMMANDS
 
 
 def test_a_reader_that_leaves_early_is_no_error():

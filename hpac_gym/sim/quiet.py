@@ -10,11 +10,12 @@ from contextlib import contextmanager
 
 @contextmanager
 def quiet_output() -> Iterator[None]:
-    """Send what C code writes to standard output and error nowhere, for as long as the block runs."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    """Send what C code writes to standard output and error nowhere, for as long as the block runs; either may be closed."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        stream.flush()
+    while (sink := os.open(os.devnull, os.O_WRONLY)) <= 2:
+        pass  # it was closed; kept open like this, no file takes its number
     saved = [(descriptor, os.dup(descriptor)) for descriptor in (1, 2)]
-    sink = os.open(os.devnull, os.O_WRONLY)
     try:
         for descriptor, _ in saved:
             os.dup2(sink, descriptor)
