@@ -128,11 +128,14 @@ class Episode:
     def means(self) -> dict[str, Any]:
         """Length, return, size of an observation, means of its runs of entries, and of the infos by name in order.
 
-        Of an entry x, x + x²/3 is taken, so that neither its sign is lost nor what swings about zero.
+        Of an entry x, x + x²/3 is taken, so that neither its sign is lost nor what swings about zero, and how much it changes
+        from step to step, which tells how large its noise is.
         """
         runs = []
         for steps in zip(*self.observations, strict=True):
-            seen = np.mean([x + x**2 / 3 for x in steps], axis=0) * (1 + np.cos(np.arange(steps[0].size)) / 2)
+            x = np.array(steps)
+            seen = (x + x**2 / 3).mean(axis=0) + np.abs(np.diff(x, axis=0)).mean(axis=0)
+            seen *= 1 + np.cos(np.arange(seen.size)) / 2
             runs += [float(run.mean()) for run in np.array_split(seen, min(16, -(-seen.size // 4)))]
         names = sorted(set(chain.from_iterable(self.infos)))
         return {

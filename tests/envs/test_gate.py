@@ -144,7 +144,7 @@ def test_a_small_change_of_a_number_changes_the_fingerprint(monkeypatch, name, n
         {"randomize": Randomization(skin_friction=(0.97, 0.97))},
         {"randomize": Randomization(tendon_stiffness=(0.98, 0.98))},
         {"randomize": Randomization(servo_lag=(0.005, 0.005))},
-        {"noise": CameraNoise(position=0.002)},
+        {"noise": CameraNoise(position=0.0016)},
         {"reward": "sparse"},
     ],
     ids=["friction", "tendons", "lag", "camera", "reward"],
