@@ -83,8 +83,6 @@ RECIPES = {
     "pick-place-sac": Recipe(
         env_id="hpac_gym:HPAC-PickPlace-v0",
         steps=300_000,
-        gamma=0.9,
-        n_steps=2,
         closure_steps=8_000,
         closure_begin=(6, 18),
         closure_release=(70, 95),
