@@ -13,7 +13,7 @@ import numpy as np
 from hpac_gym import bench
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import add_commands as add_bridge_commands
-from hpac_gym.command_line import MissingModule, Parser, run
+from hpac_gym.command_line import MissingModule, Parser, needing, run
 from hpac_gym.evaluation.commands import add_commands as add_evaluation_commands
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
 
@@ -57,20 +57,19 @@ def send_posture(port: str, command: ServoCommand) -> None:
 def _add_study_commands(commands: argparse._SubParsersAction) -> None:
     """The study needs SciPy and Matplotlib; without them its commands say so, whatever they are given, and the others work."""
     try:
-        from hpac_gym.study.commands import add_commands
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("hpac_gym"):
-            raise
+        with needing("study"):
+            from hpac_gym.study.commands import add_commands
+    except MissingModule as error:
         for name in STUDY_COMMANDS:
             stub = commands.add_parser(name, help="needs pip install 'hpac_gym[study]'", prefix_chars="\0", add_help=False)
             stub.add_argument("words", nargs="*")
-            stub.set_defaults(func=partial(_study_is_missing, error.name))
+            stub.set_defaults(func=partial(_refuse, error))
         return
     add_commands(commands, send_posture)
 
 
-def _study_is_missing(module: str, arguments: argparse.Namespace) -> int:
-    raise MissingModule(f"this command needs more: pip install 'hpac_gym[study]' (no module {module})")
+def _refuse(error: MissingModule, arguments: argparse.Namespace) -> int:
+    raise error
 
 
 if __name__ == "__main__":

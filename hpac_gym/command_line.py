@@ -82,8 +82,8 @@ class _Output:
             return self._stream.write(text)
 
     def flush(self) -> None:
-        with _faults_told():
-            if self._stream is not None:
+        if self._stream is not None:
+            with _faults_told():
                 self._stream.flush()
 
 

@@ -37,9 +37,11 @@ def hand_of(hand: Hand | str | PathLike[str]) -> Hand:
     Raises:
         ParameterError: A bad hand file, or neither a hand nor a path.
     """
-    if not isinstance(hand, Hand | str | PathLike):
+    if isinstance(hand, Hand):
+        return hand
+    if not isinstance(hand, str | PathLike):
         raise ParameterError(f"hand {hand!r} is neither a Hand nor the path of a hand file")
-    return hand if isinstance(hand, Hand) else load_hand(hand)
+    return load_hand(hand)
 
 
 def noise_of(noise: CameraNoise) -> CameraNoise:

@@ -1,5 +1,15 @@
 """Episodes from beginning to end."""
 
+import numpy as np
+
+from hpac_gym.sim import ObjectSpec, SceneSetup
+
+EASY = SceneSetup(
+    ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.8),
+    np.array([0.048, 0.004, 0.112]), 0.0, np.array([0, 0, 0, 0, 0, 1.2]),
+)  # fmt: skip
+"""A cylinder in a good place."""
+
 
 def run(env, policy, setup=None, seed=0) -> tuple[list[dict], float]:
     """One episode: the infos of its steps, and its return."""

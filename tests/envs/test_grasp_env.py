@@ -15,8 +15,8 @@ from hpac_gym.envs.observation import FIELDS, GRASP_CENTRE, LENGTH_UNIT, CameraN
 from hpac_gym.envs.phases import PHASES, Timetable
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, elastic_joints_from_servo
-from hpac_gym.sim import ObjectSpec, SceneSetup
-from tests.envs.episodes import run
+from hpac_gym.sim import SceneSetup
+from tests.envs.episodes import EASY, run
 
 ID = "HPAC-Grasp-v0"
 STEADY = CameraNoise(position=0.0, angle=0.0, size=0.0)
@@ -29,9 +29,8 @@ def env():
 
 
 def a_setup(**change) -> SceneSetup:
-    """A cylinder in a good place, with some of its properties changed."""
-    spec = dataclasses.replace(ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.8), **change)
-    return SceneSetup(spec, np.array([0.048, 0.004, 0.112]), 0.0, np.array([0, 0, 0, 0, 0, 1.2]))
+    """An easy cylinder, with some of its properties changed."""
+    return dataclasses.replace(EASY, object=dataclasses.replace(EASY.object, **change))
 
 
 class Still:

@@ -17,8 +17,9 @@ from hpac_gym.envs.observation import CameraNoise
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.errors import HpacError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.sim import ObjectSpec, SceneSetup, World
+from tests.envs.episodes import EASY
+from tests.envs.fingerprints import IDS
 
-IDS = ("HPAC-Grasp-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0")
 MAKERS: dict[str, Callable[[], gymnasium.Env]] = {
     "HandEnv": lambda: HandEnv(Grasp()),
     "PostureEnv": PostureEnv,
@@ -45,9 +46,7 @@ def test_what_has_a_physics_world_cannot_be_copied(made, take):
 
 
 def a_setup(**change) -> SceneSetup:
-    spec = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.8)
-    setup = SceneSetup(spec, np.array([0.048, 0.004, 0.112]), 0.0, np.array([0, 0, 0, 0, 0, 1.2]))
-    return dataclasses.replace(setup, **change)
+    return dataclasses.replace(EASY, **change)
 
 
 SETUPS = [
