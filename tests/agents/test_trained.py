@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import pytest
+
 from agents.evaluate import evaluate
 from hpac_gym.policies import read_policy
 
@@ -16,6 +18,7 @@ def test_it_says_how_it_was_made():
     assert about["versions"]["torch"].startswith("2.13.0")
 
 
+@pytest.mark.processor
 def test_it_still_grasps():
     """64 % of 400 held out, and 22 of these 24; a physics or observation that it was not trained on would drop most of 24."""
     result = evaluate([str(POLICY)], "HPAC-Grasp-v0", 24)

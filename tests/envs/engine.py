@@ -1,0 +1,179 @@
+"""Where the gate reaches below an environment: everything that knows PyBullet, or how an environment keeps its hand.
+
+The rest of the gate knows actions, observations, rewards and infos alone. Another physics engine, or a renamed attribute,
+changes this file only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+import gymnasium
+import numpy as np
+import pybullet
+
+from hpac_gym.model import DIGITS, JOINTS
+from hpac_gym.sim import SimHand
+
+Vector = np.ndarray
+
+
+def sim_hand(env: gymnasium.Env) -> SimHand:
+    """The simulated hand of an environment that has been reset."""
+    bare = env.unwrapped
+    return bare.scene.hand if hasattr(bare, "scene") else bare._body
+
+
+class Bodies:
+    """The bodies of an environment's world: the hand has joints, the object has a mass, everything else is fixed."""
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        self.client = sim_hand(env).world.client
+        bodies = sorted(pybullet.getBodyUniqueId(index, self.client) for index in range(pybullet.getNumBodies(self.client)))
+        self.hand, *others = sorted(bodies, key=lambda body: -pybullet.getNumJoints(body, self.client))
+        free = [body for body in others if pybullet.getDynamicsInfo(body, -1, self.client)[0] > 0]
+        self.object = free[0] if free else None
+        self.fixed = [body for body in others if body not in free]
+
+    def touching(self) -> bool:
+        """Whether the hand touches the object or itself."""
+        others = [self.hand] if self.object is None else [self.hand, self.object]
+        found = (pybullet.getContactPoints(self.hand, other, physicsClientId=self.client) for other in others)
+        return any(contact[8] <= 0 for contacts in found for contact in contacts)
+
+    def simple(self) -> bool:
+        """Whether the object is one sphere or one box, or there is none."""
+        if self.object is None:
+            return True
+        shapes = pybullet.getCollisionShapeData(self.object, -1, physicsClientId=self.client)
+        return len(shapes) == 1 and shapes[0][2] in (pybullet.GEOM_SPHERE, pybullet.GEOM_BOX)
+
+    def pin(self) -> None:
+        """Fix the object where it is; it has no mass from then on."""
+        if self.object is not None:
+            pybullet.changeDynamics(self.object, -1, mass=0, physicsClientId=self.client)
+
+
+@contextmanager
+def watching_for_touch(bodies: Bodies) -> Iterator[Callable[[], bool]]:
+    """Whether the hand has touched the object or itself in any physics step since the block began."""
+    step, seen = pybullet.stepSimulation, []
+
+    def watched(*arguments: Any, **named: Any) -> None:
+        step(*arguments, **named)
+        seen.append(bodies.touching())
+
+    with patch.object(pybullet, "stepSimulation", watched):
+        yield lambda: any(seen)
+
+
+def flick(env: gymnasium.Env, joint: str, speed: float) -> None:
+    """Give one joint a speed [rad/s]."""
+    hand, client = sim_hand(env), sim_hand(env).world.client
+    index = hand.joint_index[joint]
+    angle = pybullet.getJointState(hand.body, index, physicsClientId=client)[0]
+    pybullet.resetJointState(hand.body, index, angle, speed, physicsClientId=client)
+
+
+@dataclass(frozen=True)
+class State:
+    """What a physics engine reports at one time."""
+
+    joint_pos: Vector
+    """Shape (15,) [rad]."""
+    joint_vel: Vector
+    """Shape (15,) [rad/s]."""
+    forces: dict[str, float]
+    """Normal force between the object and each part of the hand that touches it [N]."""
+    slipped: Vector
+    """How far the object has moved beside what it was carried, in the world, shape (3,) [m]."""
+    tilt: float
+    """Turn of the object about the world's x axis [rad]."""
+    velocity: Vector
+    """Of the object, shape (3,) [m/s]."""
+    spin: Vector
+    """Of the object, shape (3,) [rad/s]."""
+    carried: bool
+    """Whether the object goes where the wrist goes."""
+    supported: bool
+    """Whether the object touches the post that it started on."""
+    placed: bool
+    """Whether the object touches the body that was added last, which is the post of its target."""
+
+
+@contextmanager
+def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
+    """Have the engine report a story instead of computing what happens.
+
+    The wrist is where its motors were last told to be, without delay.
+
+    Args:
+        env: has been reset.
+        story: the state at a time since then [s].
+    """
+    bodies = Bodies(env)
+    client = bodies.client
+    dt = pybullet.getPhysicsEngineParameters(client)["fixedTimeStep"]
+    info = [pybullet.getJointInfo(bodies.hand, index, client) for index in range(pybullet.getNumJoints(bodies.hand, client))]
+    joint_of = {row[0]: JOINTS.index(row[1].decode()) for row in info if row[1].decode() in JOINTS}
+    slides = {row[0]: 0.0 for row in info if row[2] == pybullet.JOINT_PRISMATIC}
+    link_of = {part: next(row[0] for row in info if row[12].decode().startswith(part)) for part in ("palm", *DIGITS)}
+    hand_turn = pybullet.getBasePositionAndOrientation(bodies.hand, client)[1]
+    rotation = np.reshape(pybullet.getMatrixFromQuaternion(hand_turn), (3, 3))
+    start, turn = pybullet.getBasePositionAndOrientation(bodies.object, client)
+    motors = pybullet.setJointMotorControlArray
+    steps, way, wrist = 0, np.zeros(3), np.zeros(3)
+
+    def state() -> State:
+        return story(steps * dt)
+
+    def step(*_: Any, **__: Any) -> None:
+        nonlocal steps, way, wrist
+        steps, before = steps + 1, wrist
+        wrist = rotation @ list(slides.values())
+        way = way + (wrist - before) * state().carried
+
+    def control(body: int, joints: list[int], mode: int, **named: Any) -> None:
+        if mode == pybullet.POSITION_CONTROL:
+            slides.update(zip(joints, named["targetPositions"], strict=True))
+        motors(body, joints, mode, **named)
+
+    def joint_states(body: int, joints: list[int], *_: Any, **__: Any) -> list[tuple[float, float]]:
+        if all(joint in slides for joint in joints):
+            return [(slides[joint], 0.0) for joint in joints]
+        told = state()
+        return [(float(told.joint_pos[joint_of[joint]]), float(told.joint_vel[joint_of[joint]])) for joint in joints]
+
+    def pose(body: int, *_: Any, **__: Any) -> tuple[list[float], tuple[float, ...]]:
+        told = state()
+        half = told.tilt / 2
+        _, orientation = pybullet.multiplyTransforms((0, 0, 0), (np.sin(half), 0, 0, np.cos(half)), (0, 0, 0), turn)
+        return (start + told.slipped + way).tolist(), orientation
+
+    def velocity(body: int, *_: Any, **__: Any) -> tuple[list[float], list[float]]:
+        return state().velocity.tolist(), state().spin.tolist()
+
+    def contacts(first: int, second: int, *_: Any, **__: Any) -> list[tuple]:
+        told = state()
+        if bodies.hand in (first, second):
+            centre = start + told.slipped + way
+            rows = []
+            for place, (part, force) in enumerate(told.forces.items()):
+                outward = np.array([np.cos(2.4 * place), np.sin(2.4 * place), 0.2 * place - 0.3])
+                outward /= np.linalg.norm(outward)
+                point = centre + 0.02 * outward
+                rows.append((0, bodies.hand, bodies.object, link_of[part], -1, point, point, outward, 0.0, force))
+            return rows
+        touched = second if first == bodies.object else first
+        met = (told.supported and touched == bodies.fixed[0]) or (told.placed and touched == bodies.fixed[-1])
+        return [(0, bodies.object, touched, -1, -1, start, start, (0, 0, 1), 0.0, 1.0)] if met else []
+
+    with patch.multiple(
+        pybullet, stepSimulation=step, setJointMotorControlArray=control, getJointStates=joint_states,
+        getBasePositionAndOrientation=pose, getBaseVelocity=velocity, getContactPoints=contacts,
+    ):  # fmt: skip
+        yield

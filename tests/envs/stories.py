@@ -1,0 +1,65 @@
+"""Sequences of states that an environment is told instead of simulating them, so that what it makes of them is exact.
+
+The hand swings smoothly and the wrist goes where it is told. What touches what, and where the object is, follows each story:
+it is held and slips slowly, is let go, is knocked away, is put down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hpac_gym.model import JOINTS
+from tests.envs.engine import State, Vector
+
+SWING = 0.3 + 0.4 * np.arange(len(JOINTS)) / len(JOINTS)
+"""Frequency of each joint [Hz]."""
+GRIP = {"thumb": 6.0, "index": 3.0, "middle": 2.5, "palm": 1.5}
+"""Normal forces of a grip [N]."""
+Span = tuple[float, float]
+NEVER: Span = (np.inf, np.inf)
+
+
+def within(time: float, *spans: Span) -> bool:
+    """Whether a time falls in one of the spans [s]; half a physics step belongs to either side."""
+    return any(begin - 1e-3 < time < end - 1e-3 for begin, end in spans)
+
+
+@dataclass(frozen=True)
+class Story:
+    """What happens to the object, by the time since the episode began [s]."""
+
+    gripped: tuple[Span, ...] = (NEVER,)
+    """When the hand touches the object."""
+    carried: Span = NEVER
+    """When the object goes where the wrist goes."""
+    supported: tuple[Span, ...] = ((0.0, np.inf),)
+    """When it touches the post that it started on."""
+    placed: tuple[Span, ...] = (NEVER,)
+    """When it touches the post of its target."""
+    slip: Mapping[float, Vector] = field(default_factory=dict)
+    """Where the object is at these times beside what it was carried, straight in between, shape (3,) [m]."""
+
+    def __call__(self, time: float) -> State:
+        """The state at a time [s]."""
+        phase, share = 2 * np.pi * SWING * time, time % 1
+        return State(
+            joint_pos=0.5 * (1 - np.cos(phase)),
+            joint_vel=np.pi * SWING * np.sin(phase),
+            forces={part: force * (1 + share) for part, force in GRIP.items()} if within(time, *self.gripped) else {},
+            slipped=self._slipped(time),
+            tilt=0.04 * np.sin(3 * time),
+            velocity=np.array([0.3 * share, -0.2, 0.1 + 0.2 * share]),
+            spin=np.array([2.0, -3.0 * share, 1.0]),
+            carried=within(time, self.carried),
+            supported=within(time, *self.supported),
+            placed=within(time, *self.placed),
+        )
+
+    def _slipped(self, time: float) -> Vector:
+        if not self.slip:
+            return np.zeros(3)
+        times, places = list(self.slip), np.array(list(self.slip.values()))
+        return np.array([np.interp(time, times, places[:, axis]) for axis in range(3)])

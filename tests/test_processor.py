@@ -1,0 +1,43 @@
+"""The tests that another processor's rounding could break pass under that rounding too.
+
+On x86-64, glibc has several variants of sine, cosine and their kin, and OpenBLAS and PyTorch several kernels; which one runs
+depends on the processor. Environment variables choose the ones of an old processor, so that no machine hides what fails on
+another one.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[1]
+OLD_PROCESSOR = {
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX512F",
+    "OPENBLAS_CORETYPE": "Nehalem",
+    "ATEN_CPU_CAPABILITY": "default",
+}
+SINES = "import math; print(hash(tuple(math.sin(0.1 * k) + math.cos(0.1 * k) for k in range(10_000))))"
+
+
+def run(*words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)} | variables
+    return subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, cwd=REPOSITORY, env=environment, timeout=600, check=False
+    )
+
+
+@pytest.fixture(scope="module")
+def old_processor() -> dict[str, str]:
+    """Variables that choose another rounding."""
+    if run("-c", SINES).stdout == run("-c", SINES, **OLD_PROCESSOR).stdout:
+        pytest.skip("no second pass: this machine has one sine only, or its C library is not glibc 2.33 or later for x86-64")
+    return OLD_PROCESSOR
+
+
+@pytest.mark.parametrize("folder", ["envs", "agents"])
+def test_the_same_tests_pass_with_the_rounding_of_an_old_processor(folder, old_processor):
+    done = run("-m", "pytest", f"tests/{folder}", "-q", "-m", "processor and not slow", "-p", "no:cacheprovider", **old_processor)
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert " passed" in done.stdout
