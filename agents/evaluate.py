@@ -199,8 +199,8 @@ def _results(names: Sequence[str], env_id: str, seeds: Sequence[int], workers: i
         yield map(bench.episodes, seeds)
         bench.close()
         return
-    with worker_pool(workers, _prepare_worker, (names, env_id)) as pool:
-        yield pool.map(_work, seeds)
+    with worker_pool(workers, _prepare_worker, (names, env_id)) as work:
+        yield work(_work, zip(seeds, strict=True))
 
 
 class _Bench:

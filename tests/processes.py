@@ -3,7 +3,7 @@
 import time
 
 
-def wait_for(condition, seconds: float = 30) -> None:
+def wait_for(condition, seconds: float = 120) -> None:
     """Wait until something holds; fail when it has not after some time [s]."""
     deadline = time.monotonic() + seconds
     while not condition():

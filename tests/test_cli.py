@@ -15,7 +15,7 @@ COMMANDS = ("bench", "calibrate", "doctor", "grasps", "posture", "safety", "stud
 
 
 def hpac(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "hpac_gym.cli", *words], capture_output=True, text=True, timeout=120)
+    return subprocess.run([sys.executable, "-m", "hpac_gym.cli", *words], capture_output=True, text=True, timeout=600)
 
 
 def test_help_lists_every_command():
@@ -59,7 +59,7 @@ def test_json_is_one_object_and_nothing_else():
 def test_an_output_that_takes_no_more_is_one_line_and_status_2(words):
     with Path("/dev/full").open("w") as full:
         command = [sys.executable, "-m", "hpac_gym.cli", *words]
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=120)
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=600)
     assert done.returncode == 2
     assert done.stderr == "error: cannot write to standard output: No space left on device\n"
 
@@ -67,7 +67,7 @@ def test_an_output_that_takes_no_more_is_one_line_and_status_2(words):
 @pytest.mark.parametrize("words", ["posture list", "--help", "grasps --help"])
 def test_a_closed_output_is_one_line_and_status_2(words):
     command = f"exec {sys.executable} -m hpac_gym.cli {words} >&-"
-    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=120)
+    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=600)
     assert done.returncode == 2
     assert done.stderr == "error: cannot write to standard output: it is closed\n"
 
@@ -75,7 +75,7 @@ def test_a_closed_output_is_one_line_and_status_2(words):
 @pytest.mark.parametrize("words", ["sweep", "calibrate --record x.csv y", "study --help", "posture"])
 def test_without_its_packages_a_command_of_the_study_says_what_it_needs(words):
     start = "import sys; sys.modules['scipy'] = None; from hpac_gym.cli import main; sys.exit(main(sys.argv[1:]))"
-    done = subprocess.run([sys.executable, "-c", start, *words.split()], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", start, *words.split()], capture_output=True, text=True, timeout=600)
     assert done.returncode == 2
     assert done.stderr == "error: this command needs more: pip install 'hpac_gym[study]' (no module scipy)\n"
 
@@ -88,7 +88,7 @@ def test_the_commands_that_need_packages_are_those_of_the_study():
 
 def test_a_reader_that_leaves_early_is_no_error():
     done = subprocess.run(
-        f"{sys.executable} -m hpac_gym.cli posture list | head -1", shell=True, capture_output=True, text=True, timeout=120
+        f"{sys.executable} -m hpac_gym.cli posture list | head -1", shell=True, capture_output=True, text=True, timeout=600
     )
     assert done.stdout.count("\n") == 1
     assert done.stderr == ""

@@ -6,7 +6,8 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from typing import Any, TypeVar
 from hpac_gym.errors import HpacError
 
 Result = TypeVar("Result")
+Work = Callable[[Callable[..., Result], Iterable[tuple]], Iterator[Result]]
 
 
 class WorkerError(HpacError, RuntimeError):
@@ -22,24 +24,31 @@ class WorkerError(HpacError, RuntimeError):
 
 
 @contextmanager
-def worker_pool(count: int, prepare: Callable[..., None] | None = None, arguments: tuple = ()) -> Iterator[ProcessPoolExecutor]:
+def worker_pool(count: int, prepare: Callable[..., None] | None = None, arguments: tuple = ()) -> Iterator[Work]:
     """A pool of ``count`` processes, each of which first calls ``prepare(*arguments)``.
 
-    Work that is not begun when the block ends is dropped; an error in the block ends the processes at once.
+    The block gets a function that returns the results of ``function(*job)`` in the order of the jobs. When the block ends, with
+    an error or Ctrl-C too, jobs that have not begun are dropped and those under way are finished: a process that is killed may
+    leave half a result in the pipe, for which Python's pool would wait for ever.
 
     Raises:
         WorkerError: A process was ended from outside, as by a system that runs out of memory.
     """
-    others = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start, (prepare, arguments))
+
+    def work(function: Callable[..., Result], jobs: Iterable[tuple]) -> Iterator[Result]:
+        # Not pool.map: it cancels its futures in this thread, and the pool's own thread prints a traceback if it finds one.
+        futures = deque()
+        for job in jobs:
+            with _interrupts_held():
+                futures.append(pool.submit(function, *job))
+        while futures:
+            yield futures.popleft().result()
+
     try:
-        yield pool
-    except BaseException as error:  # Ctrl-C too: nobody waits for what is under way
-        for worker in set(multiprocessing.active_children()) - others:
-            worker.kill()
-        if isinstance(error, BrokenProcessPool):
-            raise WorkerError(f"one of {count} worker processes was ended from outside: is there memory for so many?") from None
-        raise
+        yield work
+    except BrokenProcessPool:
+        raise WorkerError(f"one of {count} worker processes was ended from outside: is there memory for so many?") from None
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -53,12 +62,21 @@ def shared(function: Callable[..., Result], jobs: Sequence[tuple], count: int) -
     if count == 1:
         yield from (function(*job) for job in jobs)
         return
-    with worker_pool(count) as pool:
-        yield from pool.map(function, *zip(*jobs, strict=True))
+    with worker_pool(count) as work:
+        yield from work(function, jobs)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Let Ctrl-C wait until the block ends. Processes that are started in it never see one, not even while they start."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _start(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if prepare:
         prepare(*arguments)

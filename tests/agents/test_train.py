@@ -32,7 +32,7 @@ def start(*words) -> subprocess.Popen:
 
 
 def finish(process: subprocess.Popen, status: int = 0) -> str:
-    _, said = process.communicate(timeout=120)
+    _, said = process.communicate(timeout=600)
     assert process.returncode == status, said
     return said
 
@@ -100,7 +100,7 @@ def test_a_time_limit_ends_a_training_cleanly(tmp_path):
     assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 6
 
 
-def wait_for(condition, process: subprocess.Popen, seconds: float = 60) -> None:
+def wait_for(condition, process: subprocess.Popen, seconds: float = 300) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
         assert process.poll() is None, process.stderr.read()

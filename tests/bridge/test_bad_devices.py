@@ -154,7 +154,7 @@ def test_a_device_that_dribbles_single_bytes_still_works():
                 connection.sendall(bytes([byte]))
                 time.sleep(5e-4)
 
-    with Server(serve) as server, HandLink(server.port, timeout=0.3) as link:
+    with Server(serve) as server, HandLink(server.port, timeout=3.0) as link:
         link.arm()
         link.move(ServoCommand(np.full(6, 0.2), 0.4))
         assert link.wait().state == "armed"

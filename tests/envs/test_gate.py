@@ -45,7 +45,7 @@ OPTIONS = [
     *({"randomize": name} for name in PRESETS),
     {"obs": "privileged", "reward": "sparse", "randomize": Randomization(servo_lag=(0.05, 0.15))},
 ]
-RANDOM_STEPS = 10_000
+RANDOM_STEPS = 4_000
 """Of each id in the default run; `make test-all` makes 350,000 of each."""
 
 PLAIN = [*(BY_NAME[name] for name in IDS), *(BY_NAME[f"{GRASP}/{name}/privileged"] for name in GRASPS)]

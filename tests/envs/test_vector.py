@@ -320,7 +320,7 @@ def test_workers_end_with_a_parent_that_is_killed():
         "print(*GroupedVectorEnv(OddEnv, 2, workers=2).processes, flush=True)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=600)
     processes = [int(word) for word in done.stdout.split()]
     assert len(processes) == 2, done.stderr
     deadline = time.monotonic() + 10
@@ -332,7 +332,7 @@ def test_workers_end_with_a_parent_that_is_killed():
 def test_a_script_without_the_guard_is_told_of_it(tmp_path):
     script = tmp_path / "bare.py"
     script.write_text('import gymnasium\ngymnasium.make_vec("hpac_gym:HPAC-Grasp-v0", num_envs=2)\n')
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=600)
     assert done.returncode == 1
     assert "WorkerError" in done.stderr
     assert 'if __name__ == "__main__":' in done.stderr.splitlines()[-1]

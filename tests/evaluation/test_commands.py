@@ -1,6 +1,7 @@
 """`hpac grasps`: numbers, table, pictures, mistakes."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -108,15 +109,20 @@ def test_a_missing_package_is_one_line_and_the_help_needs_none(module, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_ctrl_c_ends_it_and_its_workers(tmp_path):
+@pytest.mark.parametrize("seconds", [0.0, 2.0])
+def test_ctrl_c_ends_it_and_its_workers(seconds, tmp_path):
+    """Ctrl-C reaches every process of a terminal: while the workers start, and while they work."""
     words = ["grasps", "-n", "1000", "--grasps", "rod", "--workers", "2", "--out", str(tmp_path)]
-    command = subprocess.Popen([sys.executable, "-m", "hpac_gym.cli", *words], stderr=subprocess.PIPE, text=True)
+    command = subprocess.Popen(
+        [sys.executable, "-m", "hpac_gym.cli", *words], stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
+    )  # fmt: skip
     children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
     wait_for(lambda: len(children.read_text().split()) >= 3)  # two workers, and the tracker of their resources
     workers = children.read_text().split()
-    time.sleep(1)
-    command.send_signal(signal.SIGINT)
-    _, said = command.communicate(timeout=30)
+    time.sleep(seconds)
+    os.killpg(command.pid, signal.SIGINT)
+    _, said = command.communicate(timeout=300)
     assert command.returncode == 130
     assert said == "interrupted\n"
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))

@@ -112,9 +112,10 @@ def test_a_value_out_of_range_is_told_with_name_bounds_and_unit(function, value,
         function(np.stack([np.zeros_like(value), value]))
 
 
+@pytest.mark.processor
 def test_a_rounding_error_past_a_bound_is_no_error():
     assert servo_from_joints(HPAC.joint_max + 5e-10) == pytest.approx(servo_from_joints(HPAC.joint_max), abs=1e-8)
-    assert servo_from_action(np.ones(6) + 5e-10) == pytest.approx(HPAC.servo_max, abs=0)
+    assert servo_from_action(np.ones(6) + 5e-10) == pytest.approx(HPAC.servo_max, rel=1e-14)
     with pytest.raises(WorkspaceError):
         servo_from_joints(HPAC.joint_max + 2e-9)
 
