@@ -4,7 +4,8 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --constraint constraints.txt
-PYTEST_ARGS ?=
+# One process a core, but no more than four: some tests start processes of their own.
+PYTEST_ARGS ?= --numprocesses auto --maxprocesses 4 --dist loadfile
 DEMO_ARGS ?=
 
 # One name for everything that decides what set-up installs, so that set-up runs again exactly when that changes.

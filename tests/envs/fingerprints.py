@@ -345,8 +345,8 @@ def changed(case: Case, disturbance: float = 0.0, **fault: Any) -> bool:
 
 
 def digest(env: gymnasium.Env, case: Case) -> str:
-    """A hash of a case's whole episodes, to the bit."""
-    return hashlib.sha256(b"".join(case.play(env, seed).bits() for seed in case.seeds)).hexdigest()
+    """A hash of a case's first episode, to the bit."""
+    return hashlib.sha256(case.play(env, case.seeds[0]).bits()).hexdigest()
 
 
 def taken(case: Case) -> list[dict[str, Any]]:
