@@ -33,6 +33,8 @@ from hpac_gym.policies.loading import load_policy
 
 PULSE_TOLERANCE = 2e-4
 """How far the pulses at the end of a move may be from the commanded angles [rad]: two steps of the wire."""
+WATCHDOG = 0.5
+"""How long the simulation may compute between two commands before the hand goes safe [s]."""
 ATTEMPTS = 3
 """How often an episode is begun before a hand that goes safe is an error."""
 
@@ -80,7 +82,7 @@ class Wire:
     def begin(self, servo: np.ndarray) -> None:
         """Arm anew, which puts the servos at rest, and go to where an episode starts."""
         self._link.clear()
-        self._link.arm()
+        self._link.arm(watchdog=WATCHDOG)
         duration = move_duration(np.zeros(len(SERVOS)), servo)
         if duration > 0:
             # A tenth slower than the limit: the firmware counts whole milliseconds and refuses what is too fast.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from functools import partial
 from importlib.metadata import version
 
@@ -13,9 +14,10 @@ import numpy as np
 from hpac_gym import bench
 from hpac_gym.bridge import HandLink
 from hpac_gym.bridge.commands import add_commands as add_bridge_commands
+from hpac_gym.bridge.commands import connector
 from hpac_gym.command_line import MissingModule, Parser, needing, run
 from hpac_gym.evaluation.commands import add_commands as add_evaluation_commands
-from hpac_gym.model import SERVOS, ServoCommand, move_duration
+from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, move_duration
 
 STUDY_COMMANDS = ("sweep", "calibrate", "study", "posture")
 
@@ -35,16 +37,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(lambda: arguments.func(arguments))
 
 
-def send_posture(port: str, command: ServoCommand) -> None:
+def send_posture(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
     """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until Ctrl-C.
 
+    Args:
+        port: as the bridge's commands take it.
+        hand: whose limits the firmware must have been built with.
+
     Raises:
-        BridgeError: The port, the hand or the firmware does not do its part; the hand is then disarmed or silent.
+        BridgeError: The port, the hand or the firmware does not do its part; the hand is then without pulses, or said not
+            to have confirmed it.
     """
-    with HandLink(port) as link:
+    with ExitStack() as stack:
+        link = stack.enter_context(HandLink(connector(port, hand, stack), hand=hand))
         link.arm()
-        shortest = move_duration(np.zeros(len(SERVOS)), command.servo)
-        link.move(ServoCommand(command.servo, max(command.duration, 1.1 * shortest)))
+        rest = np.clip(np.zeros(len(SERVOS)), hand.servo_min, hand.servo_max)
+        link.move(ServoCommand(command.servo, max(command.duration, 1.1 * move_duration(rest, command.servo, hand))))
         link.wait()
         print("holding; Ctrl-C lets go", file=sys.stderr)
         try:

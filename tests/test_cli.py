@@ -11,7 +11,9 @@ import pytest
 from hpac_gym.cli import STUDY_COMMANDS
 from hpac_gym.study.commands import add_commands
 
-COMMANDS = ("bench", "calibrate", "doctor", "grasps", "posture", "safety", "study", "sweep", "wiggle")
+COMMANDS = (
+    "bench", "calibrate", "clear", "conform", "doctor", "estop", "grasps", "posture", "safety", "study", "sweep", "wiggle"
+)  # fmt: skip
 
 
 def hpac(*words: str) -> subprocess.CompletedProcess[str]:

@@ -7,4 +7,7 @@
 /* Take the frame in hand->rx. */
 void hpac_dispatch(hpac_hand_t *hand);
 
+/* The same for a frame of another version: ESTOP is carried out, HELLO is told who is there, all else is refused. */
+void hpac_dispatch_other_version(hpac_hand_t *hand);
+
 #endif

@@ -10,8 +10,8 @@
 
 /* Longest encoded frame: a zero, one COBS code byte, the frame (shorter than 254 bytes), a zero. */
 #define HPAC_WIRE_MAX (HPAC_FRAME_MAX + 3u)
-/* Longest encoded frame from the host, without its zeros. */
-#define HPAC_HOST_COBS_MAX (HPAC_HOST_FRAME_MAX + 1u)
+/* Longest encoded frame without its zeros. */
+#define HPAC_COBS_MAX (HPAC_FRAME_MAX + 1u)
 
 typedef enum {
     HPAC_RX_MORE,    /* no frame ended with this byte */
@@ -19,11 +19,11 @@ typedef enum {
     HPAC_RX_VERSION, /* intact, of another version */
     HPAC_RX_CRC,     /* damaged: dropped */
     HPAC_RX_BAD,     /* not COBS, or too short for a frame: dropped */
-    HPAC_RX_OVERRUN, /* longer than any frame of ours: dropped */
+    HPAC_RX_OVERRUN, /* longer than any frame: dropped */
 } hpac_rx_result_t;
 
 typedef struct {
-    uint8_t frame[HPAC_HOST_COBS_MAX]; /* encoded while it comes in, decoded in place when it is whole */
+    uint8_t frame[HPAC_COBS_MAX]; /* encoded while it comes in, decoded in place when it is whole */
     uint8_t received;                  /* encoded bytes of the frame that is coming in */
     uint8_t length;                    /* bytes of the last whole frame, decoded */
     bool overrun;                      /* the present frame is too long; waiting for its end */
@@ -40,6 +40,9 @@ hpac_rx_result_t hpac_rx_push(hpac_rx_t *rx, uint8_t byte);
 /* Put header and CRC around a payload that already lies at frame + HPAC_HEADER_LENGTH, and encode it to `wire`, which
  * has room for HPAC_WIRE_MAX bytes. Returns the bytes written, zeros at both ends included. */
 size_t hpac_frame_encode(uint8_t frame[HPAC_FRAME_MAX], uint8_t type, uint16_t seq, size_t payload_length, uint8_t *wire);
+
+/* CRC-32 (zlib's, reflected 0xEDB88320): finds every burst up to 32 bits in a frame. */
+uint32_t hpac_crc32(const uint8_t *bytes, size_t length);
 
 /* Little-endian fields. */
 uint16_t hpac_get_u16(const uint8_t *at);

@@ -1,28 +1,42 @@
 #include "hpac_hand.h"
 
-#include "hpac_answer.h"
 #include "hpac_dispatch.h"
+#include "hpac_load.h"
 #include "hpac_motion.h"
 #include "hpac_state.h"
 
 void hpac_config_default(hpac_config_t *config)
 {
-    static const hpac_servo_t table[HPAC_SERVOS] = HPAC_SERVO_TABLE;
+    static const hpac_servo_t table[HPAC_SERVOS] = HPAC_SERVO_TABLE(0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1);
     for (int i = 0; i < HPAC_SERVOS; i++) {
         config->servo[i] = table[i];
     }
 }
 
-void hpac_hand_init(hpac_hand_t *hand, const hpac_config_t *config, hpac_reset_t reset, uint16_t boot_count)
+static void recall(hpac_hand_t *hand, const hpac_memory_t *memory)
 {
-    *hand = (hpac_hand_t){ .config = *config, .reset = (uint8_t)reset, .boot_count = boot_count, .usable = true };
-    hpac_rx_init(&hand->rx);
-    for (int i = 0; i < HPAC_SERVOS; i++) {
-        hand->usable = hand->usable && hpac_servo_usable(&config->servo[i]);
+    for (int i = 0; i < HPAC_SERVOS; i++) { /* more heat than any effort brings is not a memory but noise */
+        hand->heat[i] = memory->heat[i] < 2u * HPAC_HEAT_LIMIT ? memory->heat[i] : 2u * HPAC_HEAT_LIMIT;
     }
-    hpac_state_detach(hand);
-    hand->state = HPAC_STATE_BOOT;
-    if (!hand->usable) {
+    hand->placed = (1u << HPAC_SERVOS) - 1u;
+    hpac_motion_stand(hand, memory->pose);
+}
+
+void hpac_hand_init(hpac_hand_t *hand, const hpac_config_t *config, hpac_reset_t reset, uint16_t boot_count,
+                    const hpac_memory_t *memory)
+{
+    int32_t rest[HPAC_SERVOS];
+    *hand = (hpac_hand_t){
+        .config = config, .reset = (uint8_t)reset, .boot_count = boot_count, .watchdog_ms = HPAC_WATCHDOG_MS, .state = HPAC_STATE_BOOT
+    };
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        rest[i] = config->servo[i].rest_urad;
+    }
+    hpac_motion_stand(hand, rest);
+    if (memory != NULL) {
+        recall(hand, memory);
+    }
+    if (!hpac_servo_all_usable(config->servo)) {
         hpac_state_fault(hand, HPAC_FAULT_CONFIG, HPAC_NO_SERVO);
     } else if (reset == HPAC_RESET_BROWNOUT) {
         hpac_state_fault(hand, HPAC_FAULT_BROWNOUT, HPAC_NO_SERVO);
@@ -31,32 +45,44 @@ void hpac_hand_init(hpac_hand_t *hand, const hpac_config_t *config, hpac_reset_t
     }
 }
 
-void hpac_hand_tick(hpac_hand_t *hand, uint64_t now_us, uint32_t pulses[HPAC_SERVOS])
+void hpac_hand_remember(const hpac_hand_t *hand, hpac_memory_t *memory)
 {
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        memory->heat[i] = hand->heat[i];
+        memory->pose[i] = hand->pose[i];
+    }
+}
+
+void hpac_hand_inputs(hpac_hand_t *hand, bool estop_pressed, uint16_t supply_mv)
+{
+    hand->estop_pressed = estop_pressed;
+    hand->supply_mv = supply_mv;
+}
+
+void hpac_hand_output_failed(hpac_hand_t *hand) { hpac_state_fault(hand, HPAC_FAULT_INTERNAL, HPAC_NO_SERVO); }
+
+bool hpac_hand_powered(const hpac_hand_t *hand)
+{
+    return hand->state == HPAC_STATE_ARMED || (hand->state == HPAC_STATE_FAULT && hand->attached != 0u);
+}
+
+void hpac_hand_tick(hpac_hand_t *hand, const hpac_config_t *config, uint64_t now_us, uint32_t pulses[HPAC_SERVOS])
+{
+    unsigned servo;
+    hand->config = config;
     hpac_state_advance(hand, now_us);
-    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
-        const hpac_servo_t *servo = &hand->config.servo[i];
-        int32_t urad = hpac_motion_angle(hand, i);
-        if (hand->attached != 0u && (urad < servo->min_urad || urad > servo->max_urad)) {
-            hpac_state_fault(hand, HPAC_FAULT_INTERNAL, i);
-        }
+    if (hand->fault != HPAC_FAULT_CONFIG && !hpac_motion_output(hand, &servo)) {
+        hpac_state_fault(hand, HPAC_FAULT_INTERNAL, servo);
     }
     for (unsigned i = 0; i < HPAC_SERVOS; i++) {
         bool attached = (hand->attached & (1u << i)) != 0u;
-        pulses[i] = attached ? hpac_servo_pulse(&hand->config.servo[i], hpac_motion_angle(hand, i)) : 0u;
+        pulses[i] = attached ? hpac_servo_pulse(&config->servo[i], hand->pose[i]) : 0u;
     }
 }
 
-static void on_other_version(hpac_hand_t *hand)
+void hpac_hand_receive(hpac_hand_t *hand, const hpac_config_t *config, uint64_t now_us, const uint8_t *bytes, size_t length)
 {
-    hpac_state_count(&hand->count.bad_version);
-    if (hand->rx.frame[HPAC_AT_TYPE] == HPAC_HELLO) {
-        hpac_answer_hello(hand, hpac_get_u16(hand->rx.frame + HPAC_AT_SEQ));
-    }
-}
-
-void hpac_hand_receive(hpac_hand_t *hand, uint64_t now_us, const uint8_t *bytes, size_t length)
-{
+    hand->config = config;
     hpac_state_advance(hand, now_us);
     for (size_t i = 0; i < length; i++) {
         switch (hpac_rx_push(&hand->rx, bytes[i])) {
@@ -66,7 +92,7 @@ void hpac_hand_receive(hpac_hand_t *hand, uint64_t now_us, const uint8_t *bytes,
             hpac_dispatch(hand);
             break;
         case HPAC_RX_VERSION:
-            on_other_version(hand);
+            hpac_dispatch_other_version(hand);
             break;
         case HPAC_RX_CRC:
             hpac_state_count(&hand->count.bad_crc);

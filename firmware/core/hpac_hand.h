@@ -1,8 +1,9 @@
 /* The hand: one state machine between received bytes and six pulse widths.
  *
- * The caller owns the struct and the clock. It calls hpac_hand_receive() with what came in, hpac_hand_tick() at 50 Hz
- * or faster, puts the six widths on the pins, and sends what hpac_hand_transmit() gives. No call blocks, allocates or
- * keeps a pointer. States and transitions are drawn in firmware/README.md. */
+ * The caller owns the struct, the servo table and the clock. It calls hpac_hand_receive() with what came in,
+ * hpac_hand_tick() at 50 Hz or faster, puts the six widths on the pins, and sends what hpac_hand_transmit() gives. No call
+ * blocks or allocates. The servo table belongs into flash: it is passed with every call, so that no bit in RAM stands for
+ * it. States and transitions are drawn in firmware/README.md. */
 #ifndef HPAC_HAND_H
 #define HPAC_HAND_H
 
@@ -35,47 +36,81 @@ typedef struct {
 } hpac_counters_t;
 
 typedef struct {
-    hpac_config_t config;
+    const hpac_config_t *config; /* what the present call was given */
     hpac_rx_t rx;
     hpac_ramp_t ramp;
     hpac_counters_t count;
-    uint64_t now_us;   /* latest time seen; never goes back */
-    uint64_t heard_us; /* last accepted frame */
-    uint64_t armed_us;
+    uint64_t now_us;   /* latest time seen */
+    uint64_t not_now_us; /* its complement: nothing else would show that a bit of it has turned, and motions follow it */
+    uint64_t heard_us; /* last accepted frame of the session */
     uint64_t load_us;   /* the load estimate stands here */
     uint64_t status_us; /* last periodic STATUS */
     uint32_t status_period_us;
+    uint32_t step_us;       /* how far motions have gone on since the last output */
+    uint32_t behind_us;     /* how much of the present motion's time late calls have held back */
+    uint32_t start_left_us; /* until the next servo starts */
+    uint32_t hold_left_us;  /* of the hold action; 0: not holding */
+    uint32_t supply_low_us; /* for how long the servo supply has been too low */
     uint32_t heat[HPAC_SERVOS];
+    int32_t pose[HPAC_SERVOS]; /* commanded angles of the last output [urad] */
+    int32_t credit_nrad[HPAC_SERVOS]; /* of the rate limit, after the last output */
+    uint32_t session; /* the nonce of the last HELLO; 0 before the first */
     uint32_t last_move_crc;
     uint16_t last_seq; /* of the last accepted MOVE, if any_move */
     uint16_t boot_count;
+    uint16_t watchdog_ms;
+    uint16_t supply_mv;
     uint8_t state;  /* hpac_state_t */
     uint8_t fault;  /* hpac_fault_t */
     uint8_t action; /* hpac_action_t */
     uint8_t reset;  /* hpac_reset_t */
     uint8_t attached; /* bit i: servo i gets pulses */
+    uint8_t placed;   /* bit i: servo i has had pulses since power-on, so its angle is not just anywhere */
     bool any_move;
-    bool relaxing; /* the relax action runs; pulses stop at its end */
-    bool usable;   /* the servo table passed hpac_servo_usable() */
-    bool started;  /* a time has been seen */
+    bool repeatable; /* the last accepted MOVE may come again: neither CLEAR nor a fault came after it */
+    bool starting;   /* armed, but not all servos have their pulses or the hand is not at rest yet */
+    bool relaxing;   /* the relax action runs; pulses stop at its end */
+    bool estop_pressed;
+    bool started; /* a time has been seen */
     uint8_t tx[HPAC_TX_CAPACITY];
     uint16_t tx_start;
     uint16_t tx_length;
 } hpac_hand_t;
 
+/* What may outlive a reset in memory that the reset does not clear. */
+typedef struct {
+    uint32_t heat[HPAC_SERVOS];
+    int32_t pose[HPAC_SERVOS];
+} hpac_memory_t;
+
 /* The servo table that was generated from the hand's parameters, without trims. */
 void hpac_config_default(hpac_config_t *config);
 
-/* Start in BOOT, without pulses. After a brown-out or a crash, or with an unusable servo table, start in FAULT.
- * `config` is copied. */
-void hpac_hand_init(hpac_hand_t *hand, const hpac_config_t *config, hpac_reset_t reset, uint16_t boot_count);
+/* Start in BOOT, without pulses, at the rest pose. After a brown-out or a crash, or with an unusable servo table, start
+ * in FAULT. `memory` is what hpac_hand_remember() gave before the reset, or NULL after power-on. */
+void hpac_hand_init(hpac_hand_t *hand, const hpac_config_t *config, hpac_reset_t reset, uint16_t boot_count,
+                    const hpac_memory_t *memory);
+
+/* Tell what the board's other pins say: the e-stop input, which stops the pulses and keeps CLEAR away while it is
+ * pressed, and the servo supply before its switch [mV], 0 if no pin measures it. */
+void hpac_hand_inputs(hpac_hand_t *hand, bool estop_pressed, uint16_t supply_mv);
 
 /* Take in bytes from the host, any bytes. Every intact frame is carried out whole or refused whole, and answered. Read
  * the clock after the bytes: with an older time a move seems to come before the one before it has ended. */
-void hpac_hand_receive(hpac_hand_t *hand, uint64_t now_us, const uint8_t *bytes, size_t length);
+void hpac_hand_receive(hpac_hand_t *hand, const hpac_config_t *config, uint64_t now_us, const uint8_t *bytes, size_t length);
 
-/* Advance to `now_us` and write the six pulse widths [ns]; 0 is no pulse. A time before the last one counts as it. */
-void hpac_hand_tick(hpac_hand_t *hand, uint64_t now_us, uint32_t pulses[HPAC_SERVOS]);
+/* Advance to `now_us` and write the six pulse widths [ns]; 0 is no pulse. A time up to HPAC_CLOCK_BACK_MAX_MS before the
+ * last one counts as it, an older one is a broken clock: the fault `internal`. */
+void hpac_hand_tick(hpac_hand_t *hand, const hpac_config_t *config, uint64_t now_us, uint32_t pulses[HPAC_SERVOS]);
+
+/* Tell that the widths of the last tick could not be set: the fault `internal`, without pulses. */
+void hpac_hand_output_failed(hpac_hand_t *hand);
+
+/* Whether the servo supply is to be on: from ARM, a little before the first pulse, to the last pulse. */
+bool hpac_hand_powered(const hpac_hand_t *hand);
+
+/* What to keep for the next start. */
+void hpac_hand_remember(const hpac_hand_t *hand, hpac_memory_t *memory);
 
 /* Move up to `capacity` bytes of answers to `out`. Returns how many. */
 size_t hpac_hand_transmit(hpac_hand_t *hand, uint8_t *out, size_t capacity);

@@ -12,9 +12,8 @@ uint32_t hpac_load_effort(uint32_t travel_permille, uint32_t speed_permille)
 
 uint32_t hpac_load_step(uint32_t heat, uint32_t effort)
 {
-    int32_t target = (int32_t)(effort * effort * 256u);
-    int32_t difference = target - (int32_t)heat;
-    return (uint32_t)((int32_t)heat + difference / STEPS_PER_TIME_CONSTANT);
+    int64_t difference = (int64_t)effort * effort * 256 - heat;
+    return (uint32_t)(heat + difference / STEPS_PER_TIME_CONSTANT);
 }
 
 uint8_t hpac_load_percent(uint32_t heat)

@@ -3,12 +3,12 @@
 #ifndef HPAC_PROTOCOL_H
 #define HPAC_PROTOCOL_H
 
-#define HPAC_VERSION 1u
+#define HPAC_VERSION 2u
 #define HPAC_FIRMWARE_MAJOR 0u
-#define HPAC_FIRMWARE_MINOR 1u
+#define HPAC_FIRMWARE_MINOR 2u
 #define HPAC_FIRMWARE_PATCH 0u
 #define HPAC_SERVOS 6
-#define HPAC_LIMITS_HASH 0x8389d89du
+#define HPAC_LIMITS_HASH 0xa6ace921u /* of the table below; hpac_config_hash() of the table in use */
 
 /* Frame: header, payload, CRC-32 over both. */
 #define HPAC_AT_VERSION 0u
@@ -17,39 +17,47 @@
 #define HPAC_AT_FLAGS 4u
 #define HPAC_HEADER_LENGTH 5u
 #define HPAC_CRC_LENGTH 4u
-#define HPAC_FRAME_MAX 57u
-#define HPAC_HOST_FRAME_MAX 23u
+#define HPAC_FRAME_MAX 59u
 #define HPAC_FLAG_MINIMUM_JERK 0x01u
 #define HPAC_FLAG_NO_ACK 0x02u
 
 /* Messages: code, payload length, and each field's offset in the payload. */
 #define HPAC_HELLO 0x01u
-#define HPAC_HELLO_LENGTH 0u
+#define HPAC_HELLO_LENGTH 4u
+#define HPAC_HELLO_AT_NONCE 0u
 #define HPAC_ARM 0x02u
-#define HPAC_ARM_LENGTH 5u
-#define HPAC_ARM_AT_LIMITS_HASH 0u
-#define HPAC_ARM_AT_ACTION 4u
+#define HPAC_ARM_LENGTH 11u
+#define HPAC_ARM_AT_SESSION 0u
+#define HPAC_ARM_AT_LIMITS_HASH 4u
+#define HPAC_ARM_AT_WATCHDOG_MS 8u
+#define HPAC_ARM_AT_ACTION 10u
 #define HPAC_MOVE 0x03u
-#define HPAC_MOVE_LENGTH 14u
-#define HPAC_MOVE_AT_DURATION_MS 0u
-#define HPAC_MOVE_AT_SERVO 2u
+#define HPAC_MOVE_LENGTH 18u
+#define HPAC_MOVE_AT_SESSION 0u
+#define HPAC_MOVE_AT_DURATION_MS 4u
+#define HPAC_MOVE_AT_SERVO 6u
 #define HPAC_HEARTBEAT 0x04u
-#define HPAC_HEARTBEAT_LENGTH 0u
+#define HPAC_HEARTBEAT_LENGTH 4u
+#define HPAC_HEARTBEAT_AT_SESSION 0u
 #define HPAC_ESTOP 0x05u
 #define HPAC_ESTOP_LENGTH 0u
 #define HPAC_CLEAR 0x06u
-#define HPAC_CLEAR_LENGTH 0u
+#define HPAC_CLEAR_LENGTH 4u
+#define HPAC_CLEAR_AT_SESSION 0u
 #define HPAC_STATUS 0x07u
 #define HPAC_STATUS_LENGTH 2u
 #define HPAC_STATUS_AT_PERIOD_MS 0u
 #define HPAC_DEVICE_HELLO 0x81u
-#define HPAC_DEVICE_HELLO_LENGTH 13u
-#define HPAC_DEVICE_HELLO_AT_FIRMWARE_VERSION 0u
-#define HPAC_DEVICE_HELLO_AT_LIMITS_HASH 3u
-#define HPAC_DEVICE_HELLO_AT_WATCHDOG_MS 7u
-#define HPAC_DEVICE_HELLO_AT_RESET 9u
-#define HPAC_DEVICE_HELLO_AT_BOOT_COUNT 10u
-#define HPAC_DEVICE_HELLO_AT_STATE 12u
+#define HPAC_DEVICE_HELLO_LENGTH 30u
+#define HPAC_DEVICE_HELLO_AT_SESSION 0u
+#define HPAC_DEVICE_HELLO_AT_FIRMWARE_VERSION 4u
+#define HPAC_DEVICE_HELLO_AT_LIMITS_HASH 7u
+#define HPAC_DEVICE_HELLO_AT_TRIM_NS 11u
+#define HPAC_DEVICE_HELLO_AT_REVERSED 23u
+#define HPAC_DEVICE_HELLO_AT_WATCHDOG_MS 24u
+#define HPAC_DEVICE_HELLO_AT_RESET 26u
+#define HPAC_DEVICE_HELLO_AT_BOOT_COUNT 27u
+#define HPAC_DEVICE_HELLO_AT_STATE 29u
 #define HPAC_ACK 0x82u
 #define HPAC_ACK_LENGTH 4u
 #define HPAC_ACK_AT_ACKED 0u
@@ -57,7 +65,7 @@
 #define HPAC_ACK_AT_SERVO 2u
 #define HPAC_ACK_AT_STATE 3u
 #define HPAC_DEVICE_STATUS 0x83u
-#define HPAC_DEVICE_STATUS_LENGTH 48u
+#define HPAC_DEVICE_STATUS_LENGTH 50u
 #define HPAC_DEVICE_STATUS_AT_UPTIME_MS 0u
 #define HPAC_DEVICE_STATUS_AT_STATE 4u
 #define HPAC_DEVICE_STATUS_AT_FAULT 5u
@@ -66,15 +74,16 @@
 #define HPAC_DEVICE_STATUS_AT_SERVO 8u
 #define HPAC_DEVICE_STATUS_AT_HEAT_PERCENT 20u
 #define HPAC_DEVICE_STATUS_AT_RATE_PERMILLE 26u
-#define HPAC_DEVICE_STATUS_AT_LAST_SEQ 28u
-#define HPAC_DEVICE_STATUS_AT_ACCEPTED 30u
-#define HPAC_DEVICE_STATUS_AT_REFUSED 34u
-#define HPAC_DEVICE_STATUS_AT_BAD_CRC 36u
-#define HPAC_DEVICE_STATUS_AT_BAD_FRAME 38u
-#define HPAC_DEVICE_STATUS_AT_BAD_VERSION 40u
-#define HPAC_DEVICE_STATUS_AT_OVERRUN 42u
-#define HPAC_DEVICE_STATUS_AT_DROPPED 44u
-#define HPAC_DEVICE_STATUS_AT_WATCHDOG_TRIPS 46u
+#define HPAC_DEVICE_STATUS_AT_SUPPLY_MV 28u
+#define HPAC_DEVICE_STATUS_AT_LAST_SEQ 30u
+#define HPAC_DEVICE_STATUS_AT_ACCEPTED 32u
+#define HPAC_DEVICE_STATUS_AT_REFUSED 36u
+#define HPAC_DEVICE_STATUS_AT_BAD_CRC 38u
+#define HPAC_DEVICE_STATUS_AT_BAD_FRAME 40u
+#define HPAC_DEVICE_STATUS_AT_BAD_VERSION 42u
+#define HPAC_DEVICE_STATUS_AT_OVERRUN 44u
+#define HPAC_DEVICE_STATUS_AT_DROPPED 46u
+#define HPAC_DEVICE_STATUS_AT_WATCHDOG_TRIPS 48u
 #define HPAC_FAULT 0x84u
 #define HPAC_FAULT_LENGTH 6u
 #define HPAC_FAULT_AT_FAULT 0u
@@ -103,6 +112,10 @@ typedef enum {
     HPAC_REASON_TYPE = 11,
     HPAC_REASON_LENGTH = 12,
     HPAC_REASON_HOT = 13,
+    HPAC_REASON_SESSION = 14,
+    HPAC_REASON_VERSION = 15,
+    HPAC_REASON_SUPPLY = 16,
+    HPAC_REASON_ESTOP = 17,
 } hpac_reason_t;
 
 typedef enum {
@@ -114,6 +127,7 @@ typedef enum {
     HPAC_FAULT_BROWNOUT = 5,
     HPAC_FAULT_CRASH = 6,
     HPAC_FAULT_CONFIG = 7,
+    HPAC_FAULT_SUPPLY = 8,
 } hpac_fault_t;
 
 typedef enum {
@@ -133,14 +147,26 @@ typedef enum {
 #define HPAC_NO_SERVO 255u
 
 #define HPAC_BAUD 460800
-#define HPAC_WATCHDOG_MS 500
-#define HPAC_STAGGER_MS 40
+#define HPAC_ANGLE_UNIT_URAD 100
+#define HPAC_WATCHDOG_MS 400
+#define HPAC_WATCHDOG_MIN_MS 100
+#define HPAC_WATCHDOG_MAX_MS 2000
+#define HPAC_HOLD_MAX_MS 30000
+#define HPAC_POWER_ON_MS 50
+#define HPAC_START_SETTLE_MS 60
+#define HPAC_START_SPEED_URAD_S 5000000
+#define HPAC_START_MAX_MS 6000
 #define HPAC_MOVE_MIN_MS 10
 #define HPAC_MOVE_MAX_MS 10000
 #define HPAC_STATUS_MIN_MS 10
 #define HPAC_ANGLE_TOLERANCE_URAD 100
 #define HPAC_TIME_TOLERANCE_US 1000
+#define HPAC_RATE_EXCESS_PERMILLE 10
+#define HPAC_STEP_MAX_MS 20
 #define HPAC_RELAX_PERMILLE 250
+#define HPAC_CLOCK_BACK_MAX_MS 100
+#define HPAC_SUPPLY_MIN_MV 4500
+#define HPAC_SUPPLY_LOW_MS 20
 #define HPAC_PULSE_PERIOD_NS 20000000
 #define HPAC_PULSE_MIN_NS 500000
 #define HPAC_PULSE_CENTRE_NS 1500000
@@ -154,15 +180,16 @@ typedef enum {
 #define HPAC_LOAD_DERATE_TO_PERMILLE 250
 #define HPAC_LOAD_TIME_CONSTANT_S 120
 
-/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction. */
-#define HPAC_SERVO_TABLE \
+/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction;
+ * trims and directions are those of one copy of the hand. */
+#define HPAC_SERVO_TABLE(trim0, trim1, trim2, trim3, trim4, trim5, direction0, direction1, direction2, direction3, direction4, direction5) \
     { \
-        { 0, 1356600, 0, 678300, 2000000, 636620, 1500000, 0, 1 }, /* thumb_mp */ \
-        { 0, 1386000, 0, 693000, 2000000, 636620, 1500000, 0, 1 }, /* index_mcp */ \
-        { 0, 1350200, 0, 675100, 2000000, 636620, 1500000, 0, 1 }, /* middle_mcp */ \
-        { 0, 1360800, 0, 680400, 2000000, 636620, 1500000, 0, 1 }, /* ring_mcp */ \
-        { 0, 1349700, 0, 674850, 2000000, 636620, 1500000, 0, 1 }, /* pinky_mcp */ \
-        { 0, 1570000, 0, 785000, 2000000, 636620, 1500000, 0, 1 }, /* thumb_cmc */ \
+        { 0, 1356600, 0, 678300, 2000000, 636620, 1500000, trim0, direction0 }, /* thumb_mp */ \
+        { 0, 1386000, 0, 693000, 2000000, 636620, 1500000, trim1, direction1 }, /* index_mcp */ \
+        { 0, 1350200, 0, 675100, 2000000, 636620, 1500000, trim2, direction2 }, /* middle_mcp */ \
+        { 0, 1360800, 0, 680400, 2000000, 636620, 1500000, trim3, direction3 }, /* ring_mcp */ \
+        { 0, 1349700, 0, 674850, 2000000, 636620, 1500000, trim4, direction4 }, /* pinky_mcp */ \
+        { 0, 1570000, 0, 785000, 2000000, 636620, 1500000, trim5, direction5 }, /* thumb_cmc */ \
     }
 
 #endif

@@ -10,7 +10,7 @@
 typedef struct {
     int32_t min_urad;
     int32_t max_urad;
-    int32_t rest_urad;   /* where it starts when armed, and where relax goes */
+    int32_t rest_urad;   /* where it is taken to be at power-on, and where relax goes */
     int32_t centre_urad; /* the angle of the pulse centre_ns */
     int32_t rate_urad_s;
     int32_t ns_per_rad;
@@ -19,8 +19,12 @@ typedef struct {
     int32_t direction; /* 1, or -1 for a servo mounted the other way round */
 } hpac_servo_t;
 
-/* True if the limits are in order and every admissible angle has an admissible pulse. */
+/* True if the limits are in order, the wire can say them, and every admissible angle has an admissible pulse. */
 bool hpac_servo_usable(const hpac_servo_t *servo);
+bool hpac_servo_all_usable(const hpac_servo_t table[HPAC_SERVOS]);
+
+/* CRC-32 of the constants and the table that bound the output: the limits hash, byte by byte in docs/wire.md. */
+uint32_t hpac_servo_hash(const hpac_servo_t table[HPAC_SERVOS]);
 
 /* Width of the pulse for an angle [ns], rounded to the nearest. */
 uint32_t hpac_servo_pulse(const hpac_servo_t *servo, int32_t urad);

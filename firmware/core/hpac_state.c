@@ -5,6 +5,9 @@
 #include "hpac_motion.h"
 
 #define US_PER_MS 1000u
+#define STEP_MAX_US (HPAC_STEP_MAX_MS * US_PER_MS)
+#define HOLD_MAX_US (HPAC_HOLD_MAX_MS * US_PER_MS)
+#define ALL_ATTACHED ((1u << HPAC_SERVOS) - 1u)
 /* A longer silence between two calls says nothing about the servos' heat. */
 #define LOAD_STEPS_MAX 100
 
@@ -15,53 +18,173 @@ void hpac_state_count(uint16_t *counter)
     }
 }
 
-void hpac_state_detach(hpac_hand_t *hand)
+/* No pulses. The last move is not repeatable: a repeat that comes now would be acknowledged and never run. */
+static void detach(hpac_hand_t *hand)
 {
-    hpac_motion_rest(hand);
     hand->attached = 0;
+    hand->starting = false;
     hand->relaxing = false;
+    hand->hold_left_us = 0;
+    hand->repeatable = false;
 }
 
 void hpac_state_idle(hpac_hand_t *hand)
 {
-    hpac_state_detach(hand);
+    hpac_motion_stop(hand);
+    detach(hand);
     hand->state = HPAC_STATE_IDLE;
     hand->fault = HPAC_FAULT_NONE;
 }
 
+void hpac_state_arm(hpac_hand_t *hand)
+{
+    hand->state = HPAC_STATE_ARMED;
+    hand->starting = true;
+    hand->start_left_us = HPAC_POWER_ON_MS * US_PER_MS;
+}
+
+static void relax(hpac_hand_t *hand)
+{
+    hand->relaxing = true;
+    hand->hold_left_us = 0;
+    hpac_motion_relax(hand);
+}
+
+static hpac_action_t action_of(const hpac_hand_t *hand, hpac_fault_t fault)
+{
+    if (fault == HPAC_FAULT_OVERLOAD) {
+        return HPAC_ACTION_RELAX;
+    }
+    return fault == HPAC_FAULT_WATCHDOG ? (hpac_action_t)hand->action : HPAC_ACTION_DETACH;
+}
+
 void hpac_state_fault(hpac_hand_t *hand, hpac_fault_t fault, unsigned servo)
 {
-    hpac_action_t action = HPAC_ACTION_DETACH;
-    if (fault == HPAC_FAULT_WATCHDOG) {
-        action = (hpac_action_t)hand->action;
-    } else if (fault == HPAC_FAULT_OVERLOAD) {
-        action = HPAC_ACTION_RELAX;
+    hpac_action_t action = action_of(hand, fault);
+    if (hand->fault == HPAC_FAULT_CONFIG && hand->attached == 0u) {
+        hpac_answer_fault(hand, servo); /* with that table there is nothing to stop and nothing to compute */
+        return;
     }
     hand->state = HPAC_STATE_FAULT;
     hand->fault = (uint8_t)fault;
-    hpac_motion_stop(hand);
-    hand->relaxing = action == HPAC_ACTION_RELAX;
-    if (hand->relaxing) {
-        hpac_motion_relax(hand);
-    } else if (action == HPAC_ACTION_DETACH) {
-        hpac_state_detach(hand);
+    hand->starting = false;
+    if (fault == HPAC_FAULT_INTERNAL) { /* nothing of the motion can be trusted but its last good output */
+        hpac_motion_stand(hand, hand->pose);
+    } else {
+        hpac_motion_stop(hand);
+    }
+    if (hand->attached == 0u || action == HPAC_ACTION_DETACH) {
+        detach(hand);
+    } else if (action == HPAC_ACTION_RELAX) {
+        relax(hand);
+    } else if (action == HPAC_ACTION_HOLD) {
+        hand->hold_left_us = HOLD_MAX_US;
+    } else {
+        detach(hand);
     }
     hpac_answer_fault(hand, servo);
 }
 
+/* Take up the time. Returns for how long motions may go on: a late call brings no more than STEP_MAX_US between two
+ * outputs, and what it holds back is counted. */
+static uint32_t pass(hpac_hand_t *hand, uint64_t now_us)
+{
+    if (!hand->started) {
+        hand->started = true;
+        hand->now_us = now_us;
+        hand->load_us = now_us;
+    } else if (hand->now_us != ~hand->not_now_us || hand->now_us > now_us + HPAC_CLOCK_BACK_MAX_MS * US_PER_MS) {
+        hand->now_us = now_us;
+        hpac_state_fault(hand, HPAC_FAULT_INTERNAL, HPAC_NO_SERVO);
+    }
+    uint64_t late_us = now_us > hand->now_us ? now_us - hand->now_us : 0u;
+    uint32_t room_us = hand->step_us < STEP_MAX_US ? STEP_MAX_US - hand->step_us : 0u;
+    uint32_t step_us = late_us < room_us ? (uint32_t)late_us : room_us;
+    uint64_t behind_us = hand->behind_us + (late_us - step_us);
+    hand->behind_us = behind_us < UINT32_MAX ? (uint32_t)behind_us : UINT32_MAX;
+    hand->now_us += late_us;
+    hand->not_now_us = ~hand->now_us;
+    hand->step_us += step_us;
+    return step_us;
+}
+
+/* True if no single bit of the state has turned by itself into something that the rest denies. */
+static bool sound(const hpac_hand_t *hand)
+{
+    bool powered = hand->attached != 0u;
+    bool faulty = hand->fault != HPAC_FAULT_NONE;
+    bool in_order = false;
+    if (hand->state == HPAC_STATE_BOOT || hand->state == HPAC_STATE_IDLE) {
+        in_order = !powered && !faulty;
+    } else if (hand->state == HPAC_STATE_ARMED) {
+        in_order = !faulty;
+    } else if (hand->state == HPAC_STATE_FAULT) {
+        in_order = faulty && (!powered || hand->relaxing || hand->hold_left_us != 0u) && hand->hold_left_us <= HOLD_MAX_US;
+    }
+    return in_order && (hand->fault == HPAC_FAULT_CONFIG ? !powered : hpac_motion_sound(hand));
+}
+
+static void watch_estop_input(hpac_hand_t *hand)
+{
+    if (hand->estop_pressed && hand->fault != HPAC_FAULT_ESTOP) {
+        hpac_state_fault(hand, HPAC_FAULT_ESTOP, HPAC_NO_SERVO);
+    }
+}
+
 static void watch_host(hpac_hand_t *hand)
 {
-    if (hand->state == HPAC_STATE_ARMED && hand->now_us - hand->heard_us >= HPAC_WATCHDOG_MS * US_PER_MS) {
+    uint32_t watchdog_ms = hand->watchdog_ms < HPAC_WATCHDOG_MAX_MS ? hand->watchdog_ms : HPAC_WATCHDOG_MAX_MS;
+    if (hand->state == HPAC_STATE_ARMED && hand->now_us - hand->heard_us >= watchdog_ms * US_PER_MS) {
         hpac_state_count(&hand->count.watchdog_trips);
         hpac_state_fault(hand, HPAC_FAULT_WATCHDOG, HPAC_NO_SERVO);
     }
 }
 
-void hpac_state_attach(hpac_hand_t *hand)
+static void watch_supply(hpac_hand_t *hand, uint32_t step_us)
 {
-    for (unsigned i = 0; hand->state == HPAC_STATE_ARMED && i < HPAC_SERVOS; i++) {
-        if (hand->now_us - hand->armed_us >= (uint64_t)i * HPAC_STAGGER_MS * US_PER_MS) {
+    bool low = hand->supply_mv != 0u && hand->supply_mv < HPAC_SUPPLY_MIN_MV;
+    hand->supply_low_us = low ? hand->supply_low_us + step_us : 0u;
+    if (hand->state == HPAC_STATE_ARMED && hand->supply_low_us >= HPAC_SUPPLY_LOW_MS * US_PER_MS) {
+        hpac_state_fault(hand, HPAC_FAULT_SUPPLY, HPAC_NO_SERVO);
+    }
+}
+
+/* Servo after servo gets pulses at its last commanded angle; then all go to rest together, slowly. */
+static void start_servos(hpac_hand_t *hand, uint32_t step_us)
+{
+    if (hand->state != HPAC_STATE_ARMED || !hand->starting) {
+        return;
+    }
+    hand->start_left_us -= step_us < hand->start_left_us ? step_us : hand->start_left_us;
+    if (hand->start_left_us > 0u || hpac_ramp_moving(&hand->ramp)) {
+        return;
+    }
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        if ((hand->attached & (1u << i)) == 0u) {
+            hand->start_left_us = hpac_motion_start_us(hand, i);
             hand->attached = (uint8_t)(hand->attached | (1u << i));
+            hand->placed = (uint8_t)(hand->placed | (1u << i));
+            return;
+        }
+    }
+    hand->starting = !hpac_motion_at_rest(hand);
+    if (hand->starting) {
+        hpac_motion_relax(hand);
+    }
+}
+
+static void end_safe_action(hpac_hand_t *hand, uint32_t step_us)
+{
+    if (hand->state != HPAC_STATE_FAULT) {
+        return;
+    }
+    if (hand->relaxing && !hpac_ramp_moving(&hand->ramp)) {
+        detach(hand);
+    } else if (hand->hold_left_us != 0u) {
+        if (hand->hold_left_us > step_us) {
+            hand->hold_left_us -= step_us;
+        } else {
+            relax(hand);
         }
     }
 }
@@ -93,16 +216,19 @@ static void watch_load(hpac_hand_t *hand)
 
 void hpac_state_advance(hpac_hand_t *hand, uint64_t now_us)
 {
-    if (!hand->started) {
-        hand->started = true;
-        hand->load_us = now_us;
+    uint32_t step_us = pass(hand, now_us);
+    if (!sound(hand)) {
+        hpac_state_fault(hand, HPAC_FAULT_INTERNAL, HPAC_NO_SERVO);
     }
-    hand->now_us = now_us > hand->now_us ? now_us : hand->now_us;
+    hpac_ramp_advance(&hand->ramp, step_us);
+    if (!hpac_ramp_moving(&hand->ramp)) {
+        hand->behind_us = 0;
+    }
+    watch_estop_input(hand);
     watch_host(hand);
-    hpac_state_attach(hand);
-    if (hand->relaxing && !hpac_ramp_moving(&hand->ramp, hand->now_us)) {
-        hpac_state_detach(hand);
-    }
+    watch_supply(hand, step_us);
+    start_servos(hand, step_us);
+    end_safe_action(hand, step_us);
     step_load(hand);
     watch_load(hand);
     if (hand->status_period_us != 0u && hand->now_us - hand->status_us >= hand->status_period_us) {

@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#include "hpac_crc32.h"
 
 void bench_config(hpac_config_t *config)
 {
@@ -19,12 +18,13 @@ void bench_config(hpac_config_t *config)
 
 void bench_start(bench_t *bench)
 {
-    hpac_config_t config;
+    static const hpac_memory_t at_rest;
     memset(bench, 0, sizeof *bench);
-    bench_config(&config);
-    hpac_hand_init(&bench->hand, &config, HPAC_RESET_POWER_ON, 1);
+    bench_config(&bench->config);
+    hpac_hand_init(&bench->hand, &bench->config, HPAC_RESET_POWER_ON, 1, &at_rest);
     bench->now_us = 1000000;
-    hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+    bench->session = 0x51e55107u;
+    hpac_hand_tick(&bench->hand, &bench->config, bench->now_us, bench->pulses);
 }
 
 void bench_idle(bench_t *bench)
@@ -35,12 +35,12 @@ void bench_idle(bench_t *bench)
 
 void bench_armed(bench_t *bench, hpac_action_t action)
 {
-    uint8_t arm[HPAC_ARM_LENGTH];
     bench_idle(bench);
-    hpac_put_u32(arm + HPAC_ARM_AT_LIMITS_HASH, HPAC_LIMITS_HASH);
-    arm[HPAC_ARM_AT_ACTION] = (uint8_t)action;
-    bench_send(bench, HPAC_ARM, 0, arm, sizeof arm);
-    bench_run(bench, HPAC_SERVOS * HPAC_STAGGER_MS);
+    bench_arm(bench, (uint8_t)action, 0);
+    while (bench->hand.starting) {
+        bench_run(bench, 10);
+        bench_send(bench, HPAC_HEARTBEAT, 0, NULL, 0);
+    }
 }
 
 size_t bench_frame(uint8_t *wire, uint8_t version, uint8_t type, uint16_t seq, uint8_t flags, const uint8_t *payload,
@@ -83,8 +83,12 @@ static void take_in(bench_t *bench)
                 bench->answer_types[type]++;
             }
         }
-        if (hpac_rx_push(&rx, bytes[i]) == HPAC_RX_FRAME && rx.frame[HPAC_AT_TYPE] == HPAC_ACK) {
-            const uint8_t *payload = rx.frame + HPAC_HEADER_LENGTH;
+        bool whole = hpac_rx_push(&rx, bytes[i]) == HPAC_RX_FRAME;
+        const uint8_t *payload = rx.frame + HPAC_HEADER_LENGTH;
+        if (whole && rx.frame[HPAC_AT_TYPE] == HPAC_FAULT) {
+            bench->fault_servo = payload[HPAC_FAULT_AT_SERVO];
+        }
+        if (whole && rx.frame[HPAC_AT_TYPE] == HPAC_ACK) {
             bench->acks++;
             bench->acked = payload[HPAC_ACK_AT_ACKED];
             bench->reason = payload[HPAC_ACK_AT_REASON];
@@ -95,18 +99,37 @@ static void take_in(bench_t *bench)
 
 void bench_feed(bench_t *bench, const uint8_t *bytes, size_t length)
 {
-    hpac_hand_receive(&bench->hand, bench->now_us, bytes, length);
-    hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+    hpac_hand_receive(&bench->hand, &bench->config, bench->now_us, bytes, length);
+    hpac_hand_tick(&bench->hand, &bench->config, bench->now_us, bench->pulses);
     take_in(bench);
 }
 
 int bench_send(bench_t *bench, uint8_t type, uint8_t flags, const uint8_t *payload, size_t length)
 {
     uint8_t wire[128];
+    uint8_t body[64] = { 0 };
+    bool tied = type == HPAC_HELLO || type == HPAC_ARM || type == HPAC_MOVE || type == HPAC_HEARTBEAT || type == HPAC_CLEAR;
+    if (payload != NULL) {
+        memcpy(body, payload, length);
+    } else if (tied) {
+        length = 4;
+    }
+    if (tied && length >= 4u) {
+        hpac_put_u32(body, bench->session);
+    }
     bench->acks = 0;
     memset(bench->answer_types, 0, sizeof bench->answer_types);
-    bench_feed(bench, wire, bench_frame(wire, HPAC_VERSION, type, ++bench->seq, flags, payload, length));
+    bench_feed(bench, wire, bench_frame(wire, HPAC_VERSION, type, ++bench->seq, flags, body, length));
     return bench->acks > 0 ? bench->reason : -1;
+}
+
+int bench_arm(bench_t *bench, uint8_t action, uint32_t wrong_hash)
+{
+    uint8_t payload[HPAC_ARM_LENGTH];
+    hpac_put_u32(payload + HPAC_ARM_AT_LIMITS_HASH, hpac_servo_hash(bench->config.servo) ^ wrong_hash);
+    hpac_put_u16(payload + HPAC_ARM_AT_WATCHDOG_MS, BENCH_WATCHDOG_MS);
+    payload[HPAC_ARM_AT_ACTION] = action;
+    return bench_send(bench, HPAC_ARM, 0, payload, sizeof payload);
 }
 
 int bench_move(bench_t *bench, uint8_t flags, uint16_t duration_ms, const int16_t servo[HPAC_SERVOS])
@@ -122,7 +145,7 @@ int bench_move(bench_t *bench, uint8_t flags, uint16_t duration_ms, const int16_
 static void pass(bench_t *bench, uint32_t ms)
 {
     bench->now_us += 1000u * ms;
-    hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+    hpac_hand_tick(&bench->hand, &bench->config, bench->now_us, bench->pulses);
     take_in(bench);
 }
 

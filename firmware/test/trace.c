@@ -1,7 +1,6 @@
 #include "trace.h"
 
 #include "bench.h"
-#include "hpac_crc32.h"
 
 /* CRC-32 in a chain: the next value covers the last one and the new words. */
 static uint32_t fold(uint32_t crc, const uint32_t *words, unsigned count)

@@ -21,16 +21,17 @@ from hpac_gym.bridge.errors import (
     LinkTimeout,
     PortError,
     RejectedError,
+    StoppedError,
+    UnconfirmedWarning,
 )
+from hpac_gym.bridge.exchange import LinkStatistics, WireLog
 from hpac_gym.bridge.host_board import HostBoard
+from hpac_gym.bridge.limits import pulses_from_servo, servo_from_pulses
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import Action, Fault, Reason, Reset, State
-from hpac_gym.bridge.pulses import pulses_from_servo, servo_from_pulses
 from hpac_gym.bridge.reports import HandInfo, HandStatus
-from hpac_gym.bridge.statistics import LinkStatistics
 from hpac_gym.bridge.transport import SerialTransport, SocketTransport, Transport, open_transport
 from hpac_gym.bridge.virtual_hand import VirtualHand
-from hpac_gym.bridge.wire_log import WireLog
 
 __all__ = [
     "Action",
@@ -53,7 +54,9 @@ __all__ = [
     "SerialTransport",
     "SocketTransport",
     "State",
+    "StoppedError",
     "Transport",
+    "UnconfirmedWarning",
     "VirtualHand",
     "WireLog",
     "open_transport",

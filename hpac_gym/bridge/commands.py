@@ -1,84 +1,136 @@
-"""The bridge's part of the `hpac` command: safety, wiggle, doctor."""
+"""The bridge's part of the `hpac` command: clear, estop, doctor, wiggle, safety, conform."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 
 import numpy as np
 
-from hpac_gym.bridge import safety
 from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
+from hpac_gym.bridge.errors import LinkTimeout
+from hpac_gym.bridge.evidence import safety
+from hpac_gym.bridge.evidence.conform import conform
+from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.host_board import HostBoard
 from hpac_gym.bridge.link import HandLink
-from hpac_gym.bridge.virtual_hand import VirtualHand
+from hpac_gym.bridge.reports import KnownState
+from hpac_gym.bridge.transport import Transport, open_transport
+from hpac_gym.bridge.virtual_hand import VirtualHand, config_of
 from hpac_gym.command_line import whole_number
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
+from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, move_duration
 
 _WIGGLE_TIME = 0.8
-_PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this process) or `host` (the firmware as a process)"
+_ESTOP_ATTEMPTS = 20
+PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this process) or `host` (the firmware as a process)"
 
 
 def add_commands(subparsers: argparse._SubParsersAction) -> None:
     """Add the bridge's commands; each sets `func`, which takes the namespace and returns an exit status."""
-    parser = subparsers.add_parser("safety", help="measure the firmware's safety claims now")
-    parser.add_argument("--json", action="store_true", help="a list of claim, figure, limit, unit, holds")
+    parser = subparsers.add_parser("safety", help="measure the safety claims now, each beside a control that must fail")
+    parser.add_argument("--json", action="store_true", help="a list of claim, figure, limit, unit, tried, control, holds")
     parser.add_argument("--frames", type=whole_number(1), default=10_000_000, help="hostile frames (default: %(default)s)")
     parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions (default: %(default)s)")
+    parser.add_argument("--sessions", type=whole_number(1), default=10_000, help="random sessions (default: %(default)s)")
     parser.set_defaults(func=_safety)
 
-    parser = subparsers.add_parser("wiggle", help="move one servo at a time next to its name, to check wiring and order")
-    parser.add_argument("--port", required=True, help=_PORT_HELP)
+    parser = _talking(subparsers, "conform", "try every rule of docs/wire.md on a device: moves the hand a little, takes minutes")
+    parser.add_argument("--json", action="store_true", help="a list of rule, tried, holds, failure")
+    parser.set_defaults(func=_conform)
+
+    parser = _talking(subparsers, "wiggle", "move one servo at a time next to its name, to check wiring and order")
     parser.add_argument("--servo", choices=SERVOS, action="append", help="only this one; can be given again")
     parser.add_argument("--angle", type=float, default=0.3, help="how far from rest [rad] (default: %(default)s)")
     parser.set_defaults(func=_wiggle)
 
-    parser = subparsers.add_parser("doctor", help="find hands, say what is wrong and what to do")
-    parser.add_argument("--port", help=f"look only here: {_PORT_HELP}")
+    _talking(subparsers, "estop", "stop all pulses now and latch a fault").set_defaults(func=_estop)
+    _talking(subparsers, "clear", "leave a fault, or disarm: no motion, no pulses").set_defaults(func=_clear)
+
+    parser = _talking(subparsers, "doctor", "find hands, say what is wrong and the first step; touches nothing", required=False)
     parser.add_argument("--json", action="store_true", help="a list of port, healthy, what, advice")
     parser.set_defaults(func=_doctor)
 
 
-def _connector(port: str, stack: ExitStack):
+def _talking(subparsers: argparse._SubParsersAction, name: str, text: str, required: bool = True) -> argparse.ArgumentParser:
+    """A command that talks to a hand."""
+    parser = subparsers.add_parser(name, help=text)
+    parser.add_argument("--port", required=required, help=PORT_HELP if required else f"look only here: {PORT_HELP}")
+    parser.add_argument("--hand", metavar="FILE", help="hand parameters (TOML) of the firmware (default: nominal)")
+    return parser
+
+
+def connector(port: str, hand: Hand, stack: ExitStack) -> str | Callable[[], Transport]:
     """What a `HandLink` opens for a `--port`; starts a firmware where it names one."""
     if port == "virtual":
-        return VirtualHand().connect
+        return VirtualHand(config=config_of(hand)).connect
     if port == "host":
         return stack.enter_context(HostBoard()).connect
     return port
 
 
+def _hand(options: argparse.Namespace) -> Hand:
+    return load_hand(options.hand) if options.hand else HPAC
+
+
+def _opened(options: argparse.Namespace, stack: ExitStack) -> Transport:
+    port = connector(options.port, _hand(options), stack)
+    return open_transport(port) if isinstance(port, str) else port()
+
+
+def _print_json(rows: list[dict[str, object]]) -> None:
+    json.dump(rows, sys.stdout, indent=2, ensure_ascii=False)
+    print()
+
+
 def _safety(options: argparse.Namespace) -> int:
     claims = []
-    for claim in safety.measure(options.frames, options.trials):
+    for claim in safety.measure(options.frames, options.trials, options.sessions):
         claims.append(claim)
         if not options.json:
-            mark = "holds " if claim.holds else "BROKEN"
-            print(f"{mark}  {claim.figure:9.4g} ≤ {claim.limit:<5g} {claim.unit:<12} {claim.claim}", flush=True)
+            mark = "holds " if claim.holds else "BROKEN" if claim.tried else "NOT TRIED"
+            print(
+                f"{mark}  {claim.figure:9.4g} ≤ {claim.limit:<5g} {claim.unit:<11} "
+                f"tried {claim.tried:<9,} control {claim.control:<9.4g} {claim.claim}",
+                flush=True,
+            )
     if options.json:
-        rows = [{"claim": c.claim, "figure": c.figure, "limit": c.limit, "unit": c.unit, "holds": c.holds} for c in claims]
-        json.dump(rows, sys.stdout, indent=2, ensure_ascii=False)
-        print()
+        names = ("claim", "figure", "limit", "unit", "tried", "control", "holds")
+        _print_json([{name: getattr(claim, name) for name in names} for claim in claims])
     return 0 if all(claim.holds for claim in claims) else 1
 
 
-def _wiggle(options: argparse.Namespace) -> int:
-    chosen = options.servo or SERVOS
-    if not 0 < options.angle <= min(HPAC.servo_max):
-        raise WorkspaceError(f"--angle {options.angle} rad must be above 0 and at most {min(HPAC.servo_max):.3f} rad")
-    rest = np.clip(np.zeros(len(SERVOS)), HPAC.servo_min, HPAC.servo_max)
+def _conform(options: argparse.Namespace) -> int:
+    rows = []
     with ExitStack() as stack:
-        link = stack.enter_context(HandLink(_connector(options.port, stack)))
+        for row in conform(_opened(options, stack), _hand(options)):
+            rows.append(row)
+            if not options.json:
+                mark = "holds " if row.holds else "BROKEN" if row.tried else "NOT TRIED"
+                print(f"{mark}  {row.tried:5} tries  {row.rule}", *filter(None, [row.failure]), sep="\n        ", flush=True)
+    if options.json:
+        _print_json([{"rule": row.rule, "tried": row.tried, "holds": row.holds, "failure": row.failure} for row in rows])
+    return 0 if all(row.holds for row in rows) else 1
+
+
+def _wiggle(options: argparse.Namespace) -> int:
+    hand = _hand(options)
+    room = min(hand.servo_max - np.clip(0.0, hand.servo_min, hand.servo_max))
+    if not 0 < options.angle <= room:
+        raise WorkspaceError(f"--angle {options.angle} rad must be above 0 and at most {room:.3f} rad")
+    rest = np.clip(np.zeros(len(SERVOS)), hand.servo_min, hand.servo_max)
+    with ExitStack() as stack:
+        link = stack.enter_context(HandLink(connector(options.port, hand, stack), hand=hand))
         link.arm()
-        for name in chosen:
+        for name in options.servo or SERVOS:
             index = SERVOS.index(name)
             print(f"servo {index + 1} of {len(SERVOS)}: {name} flexes and returns", flush=True)
             target = rest.copy()
             target[index] += options.angle
-            duration = max(_WIGGLE_TIME, 2 * move_duration(rest, target))  # the peak of minimum jerk is 1.875 times the mean
+            duration = max(_WIGGLE_TIME, 2 * move_duration(rest, target, hand))  # minimum jerk peaks at 1.875 times the mean
             for pose in (target, rest):
                 link.move(ServoCommand(pose, duration), minimum_jerk=True)
                 link.wait()
@@ -86,18 +138,42 @@ def _wiggle(options: argparse.Namespace) -> int:
     return 0
 
 
+def _estop(options: argparse.Namespace) -> int:
+    """Without a handshake: ESTOP is taken from anybody."""
+    with ExitStack() as stack:
+        transport = _opened(options, stack)
+        stack.callback(transport.close)
+        exchange = Exchange(transport, LinkStatistics(), KnownState())
+        try:
+            exchange.request("estop", attempts=_ESTOP_ATTEMPTS)
+        except LinkTimeout:
+            raise LinkTimeout(f"ESTOP sent {_ESTOP_ATTEMPTS} times, not confirmed: switch the servo supply off") from None
+    print("stopped: no pulses, fault estop; `hpac clear` leaves it")
+    return 0
+
+
+def _clear(options: argparse.Namespace) -> int:
+    with ExitStack() as stack:
+        link = stack.enter_context(HandLink(connector(options.port, _hand(options), stack), hand=_hand(options)))
+        fault = link.last_status.fault if link.last_status else "none"
+        link.clear()
+        status = link.status()
+    left = f"left fault {fault}; " if fault != "none" else ""
+    print(f"{left}state {status.state}, pulses on {len(status.attached)} servos")
+    return 0
+
+
 def _doctor(options: argparse.Namespace) -> int:
+    hand = _hand(options)
     ports = [options.port] if options.port else find_ports()
     with ExitStack() as stack:
-        findings = [diagnose(port, _connector(port, stack)) for port in ports]
+        findings = [diagnose(port, connector(port, hand, stack), hand) for port in ports]
     if not ports:
         what = "no USB serial port on this machine"
         advice = "plug the hand in; with a cable that carries data; in a container or virtual machine pass the device through"
         findings = [Finding("ports", False, what, advice)]
     if options.json:
-        rows = [{"port": f.port, "healthy": f.healthy, "what": f.what, "advice": f.advice} for f in findings]
-        json.dump(rows, sys.stdout, indent=2, ensure_ascii=False)
-        print()
+        _print_json([{"port": f.port, "healthy": f.healthy, "what": f.what, "advice": f.advice} for f in findings])
     else:
         print("\n".join(map(str, findings)))
     return 0 if any(finding.healthy for finding in findings) else 1

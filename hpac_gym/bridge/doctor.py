@@ -1,4 +1,4 @@
-"""Find hands, say what is wrong with each, and what to do about it."""
+"""Find hands, say what is wrong with each, and the first step to take. Looks only: no hand is greeted, moved or disarmed."""
 
 from __future__ import annotations
 
@@ -7,11 +7,27 @@ from dataclasses import dataclass
 
 from serial.tools import list_ports
 
-from hpac_gym.bridge.errors import BridgeError, HandshakeError, PortError
-from hpac_gym.bridge.limits import limits_hash
-from hpac_gym.bridge.link import HandLink
-from hpac_gym.bridge.transport import Transport
+from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, PortError
+from hpac_gym.bridge.exchange import Exchange, LinkStatistics
+from hpac_gym.bridge.frame import Frame
+from hpac_gym.bridge.protocol import VERSION, Reason, name_of
+from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
+from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand
+
+_PATIENCE = 3.0
+"""Boards that reset when their port opens need up to 2 s [s]."""
+_ATTEMPT = 0.1
+_HEARD_MAX = 4096
+_TEXT_SHARE = 0.9
+
+_FAULT_STEPS = {
+    "brownout": "the supply sagged: give the servos one of their own, 5 to 6 V, 6 A or more, ground in common; then hpac clear",
+    "crash": "the firmware crashed or hung: report what came before; then hpac clear",
+    "supply": "the servo supply fell too low: 5 to 6 V and 6 A or more are needed; then hpac clear",
+    "config": "pins.h has a trim or direction that takes a pulse out of 0.5 to 2.5 ms: correct it and flash",
+    "overload": "a servo was held closed too long: let it cool for a minute, then hpac clear",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,10 +38,30 @@ class Finding:
     healthy: bool
     what: str
     advice: str = ""
+    """The first step to take."""
 
     def __str__(self) -> str:
         mark = "ok " if self.healthy else "BAD"
         return f"{mark} {self.port}: {self.what}" + (f"\n      → {self.advice}" if self.advice else "")
+
+
+class _Heard:
+    """A transport that keeps what it has read."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self.write, self.now, self.close = transport.write, transport.now, transport.close
+        self.data = b""
+
+    def read(self, timeout: float) -> bytes:
+        """See `Transport.read`."""
+        data = self._transport.read(timeout)
+        self.data = (self.data + data)[-_HEARD_MAX:]
+        return data
+
+
+class _Echo(Exception):
+    """What was sent came back."""
 
 
 def find_ports() -> list[str]:
@@ -34,52 +70,84 @@ def find_ports() -> list[str]:
 
 
 def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) -> Finding:
-    """Greet what is at a port, without arming it.
+    """Look at what is at a port: HELLO 0, which changes nothing, and STATUS where no program has the hand armed.
 
     Args:
         name: how the finding calls the port.
         port: as in `HandLink`.
         hand: whose limits the firmware should have.
     """
-    link = HandLink(port, hand=hand)
     try:
-        with link:
-            return _judge(name, link, hand)
+        transport = _Heard(open_transport(port) if isinstance(port, str) else port())
     except PortError as error:
         what, _, advice = str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ").partition("; ")
         return Finding(name, False, what, advice)
-    except HandshakeError as error:
-        return Finding(name, False, str(error), _handshake_advice(str(error)))
+    statistics = LinkStatistics()
+    exchange = Exchange(transport, statistics, KnownState())
+    try:
+        answer = _look(exchange)
+        if answer.name == "ack":
+            reason = name_of(Reason, answer.fields["reason"])
+            return Finding(name, False, f"answers HELLO with an ACK ({reason})", "flash the hand's firmware of this version")
+        info = HandInfo.from_frame(answer)
+        if info.state == "armed":
+            what = f"hand with firmware {info.firmware_version}, armed by session {info.session:08x}: left alone"
+            return Finding(name, True, what, "stop the program that has it before you start another, or hpac estop")
+        status = HandStatus.from_frame(exchange.request("status", {"period_ms": 0}))
+        return _judge(name, info, status, statistics, hand)
+    except _Echo:
+        what = f"an echo: what is sent comes back ({len(transport.data)} bytes)"
+        return Finding(name, False, what, "take off a jumper between TX and RX, or switch the device's echo off")
+    except LinkTimeout:
+        return _unanswered(name, exchange, transport.data)
+    except PortError as error:
+        return Finding(name, False, str(error), "plug it in again, and look for a loose cable")
     except BridgeError as error:
-        advice = "frames get lost: try a shorter cable, and another USB port without a hub"
-        return Finding(name, False, str(error), advice)
+        return Finding(name, False, str(error), "frames get lost: try a shorter cable, and another USB port without a hub")
+    finally:
+        transport.close()
 
 
-def _handshake_advice(text: str) -> str:
-    if "silence" in text:
-        return "is the board powered and flashed with the hand's firmware? see firmware/board/esp32/README.md"
-    if "protocol" in text:
-        return "flash the firmware of this version of hpac_gym, or install the version that the firmware came with"
-    return "something else talks here: another firmware, or log text on the command port (see sdkconfig.defaults)"
+def _look(exchange: Exchange) -> Frame:
+    """The answer to HELLO 0, in time also for a board that resets when its port opens."""
+    deadline = exchange.transport.now() + _PATIENCE
+    while True:
+        try:
+            return exchange.request("hello", {"nonce": 0}, timeout=_ATTEMPT, attempts=1)
+        except LinkTimeout:
+            if exchange.host_frames:
+                raise _Echo from None
+            if exchange.transport.now() >= deadline:
+                raise
 
 
-def _judge(name: str, link: HandLink, hand: Hand) -> Finding:
-    info = link.info
-    status = link.status()
+def _unanswered(name: str, exchange: Exchange, heard: bytes) -> Finding:
+    splitter = exchange.splitter
+    if splitter.other_version is not None:
+        step = "flash the firmware of this version of hpac_gym, or install the version that the firmware came with"
+        return Finding(name, False, f"a hand that speaks protocol {splitter.other_version}, this library {VERSION}", step)
+    if not heard:
+        step = "is the board powered and flashed with the hand's firmware? see firmware/board/esp32/README.md"
+        return Finding(name, False, f"silence for {_PATIENCE:g} s", step)
+    if sum(byte in b"\r\n\t" or 32 <= byte < 127 for byte in heard) >= _TEXT_SHARE * len(heard):
+        line = max(heard.decode("ascii", "replace").split("\n"), key=len).strip()[:60]
+        step = "another firmware, or log text on the command port: flash the hand's, or move its console (sdkconfig.defaults)"
+        return Finding(name, False, f"text instead of frames ({len(heard)} bytes, such as {line!r})", step)
+    step = "another baud rate, or noise: check the rate (460,800), ground, and that TX meets RX"
+    return Finding(name, False, f"{len(heard)} bytes that are neither frames nor text", step)
+
+
+def _judge(name: str, info: HandInfo, status: HandStatus, statistics: LinkStatistics, hand: Hand) -> Finding:
     what = f"hand with firmware {info.firmware_version}, state {status.state}, reset {info.reset}, boot {info.boot_count}"
-    if info.limits_hash != limits_hash(hand):
-        advice = "python -m hpac_gym.bridge.generate, then build and flash: the firmware was made for another hand"
-        return Finding(name, False, f"{what}; servo limits {info.limits_hash:08x}, wanted {limits_hash(hand):08x}", advice)
-    advice = {
-        "none": "",
-        "brownout": "the supply sagged: give the servos their own supply, 5 to 6 V and 6 A or more, ground in common; then CLEAR",
-        "crash": "the firmware crashed or hung; please report what came before; CLEAR leaves the fault",
-        "config": "pins.h has a trim or direction that takes a pulse out of 0.5 to 2.5 ms: correct it and flash",
-        "overload": "a servo was held closed too long: let it cool for a minute, then CLEAR",
-    }.get(status.fault, "CLEAR leaves the fault")
-    if advice:
-        return Finding(name, False, f"{what}, fault {status.fault}", advice)
+    if status.fault != "none":
+        pulses = f", pulses on {len(status.attached)} servos" if status.attached else ""
+        return Finding(name, False, f"{what}, fault {status.fault}{pulses}", _FAULT_STEPS.get(status.fault, "hpac clear"))
+    try:
+        info.check_limits(hand)
+    except HandshakeError as error:
+        limits, _, advice = str(error).partition(": ")
+        return Finding(name, False, f"{what}; {limits}", advice)
     bad = status.counters["bad_crc"] + status.counters["bad_frame"] + status.counters["overrun"]
     if bad > 10 and bad > status.counters["accepted"] // 100:
         return Finding(name, False, f"{what}; {bad} damaged frames", "line noise: a shorter cable, away from the servo wires")
-    return Finding(name, True, f"{what}; round trip {1e3 * link.statistics.round_trip(50):.1f} ms")
+    return Finding(name, True, f"{what}; round trip {1e3 * statistics.round_trip(50):.1f} ms")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import warnings
+
 from hpac_gym.errors import HpacError
 
 
@@ -53,5 +56,25 @@ class FaultError(RejectedError):
     """The hand refused a frame because a fault has latched. Only `HandLink.clear` leaves it."""
 
 
+class StoppedError(BridgeError, RuntimeError):
+    """The call was interrupted by `HandLink.estop` or `HandLink.close`, from a signal handler or another thread."""
+
+
+class UnconfirmedWarning(UserWarning):
+    """A link was closed without the hand's word that it has no pulses. The text says what was tried and what to do."""
+
+
+class LogWarning(UserWarning):
+    """A wire log takes no more lines. The link goes on without it and counts what is missing."""
+
+
 class FirmwareMissing(BridgeError, FileNotFoundError):
     """The host build of the firmware is not there. `make firmware` builds it."""
+
+
+def tell(warning: Warning) -> None:
+    """Warn, and never raise, not even where warnings are errors."""
+    try:
+        warnings.warn(warning, stacklevel=3)
+    except Warning:
+        print(f"{type(warning).__name__}: {warning}", file=sys.stderr)

@@ -1,21 +1,110 @@
-"""Questions and answers over one transport: sequence numbers, repeats, time-outs, statistics."""
+"""Questions and answers over one transport: sequence numbers, repeats, time-outs, counters, the log of every frame."""
 
 from __future__ import annotations
 
+import json
+import os
+import secrets
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from os import PathLike
 
-from hpac_gym.bridge.errors import LinkTimeout
+import numpy as np
+
+from hpac_gym.bridge.errors import LinkTimeout, LogWarning, PortError, tell
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
-from hpac_gym.bridge.protocol import MESSAGES
-from hpac_gym.bridge.statistics import LinkStatistics
+from hpac_gym.bridge.protocol import MESSAGE_BY_CODE, MESSAGES, Reason, State, name_of
+from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport
-from hpac_gym.bridge.wire_log import WireLog
 
 _ANSWERS = {"hello": "device_hello", "status": "device_status"}
 """What answers a message that is carried out; ACK for all others, and for every refusal."""
 
 _SEQ_MAX = 0xFFFF
+_ROUND_TRIPS_KEPT = 100_000
+_UNACKNOWLEDGED_KEPT = 256
+
+
+@dataclass(slots=True)
+class LinkStatistics:
+    """Counters of one `HandLink`, over all of its connections."""
+
+    sent: int = 0
+    """Frames written, repeats included."""
+    acked: int = 0
+    """Frames answered and carried out."""
+    retried: int = 0
+    """Frames written again because no answer came in time."""
+    rejected: int = 0
+    """Frames that the hand refused."""
+    timeouts: int = 0
+    """Frames given up after the last repeat."""
+    received: int = 0
+    """Intact frames from the hand."""
+    bad_frames: int = 0
+    """Received pieces that were no frame, boot text among them."""
+    bad_bytes: int = 0
+    """Their length [bytes]."""
+    unlogged: int = 0
+    """Frames that the log did not take."""
+    connections: int = 0
+    """Handshakes that succeeded."""
+    round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=_ROUND_TRIPS_KEPT), repr=False)
+    """From writing a frame to its answer, repeats left out [s]."""
+
+    def round_trip(self, percentile: float) -> float:
+        """A percentile of the round trips [s]; NaN before the first."""
+        return float(np.percentile(self.round_trips, percentile)) if self.round_trips else float("nan")
+
+
+class WireLog:
+    """Writes frames as they pass, one JSON object a line; a context manager.
+
+    Each line has `t` [s], `direction` (`sent` or `received`), `hex` (the frame between its zeros), `message`, `seq`,
+    `flags` and `fields` (raw integers, units in docs/wire.md). An ACK's line also has `acked`, `reason` and `state` by
+    name, and every answer `round_trip` [s]. A link whose log fails says so once and goes on without it.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self._file = open(path, "w", encoding="utf-8")  # noqa: SIM115 - closed by close()
+
+    def __enter__(self) -> WireLog:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            self.close()
+        except OSError:
+            if kind is None:  # an exception of the program's own says more
+                raise
+
+    def record(self, time: float, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None) -> None:
+        """Write one line; `round_trip` [s] if the frame is an answer."""
+        line = {
+            "t": round(time, 6),
+            "direction": direction,
+            "hex": encoded.hex(),
+            "message": frame.name,
+            "seq": frame.seq,
+            "flags": frame.flags,
+            "fields": dict(frame.fields),
+        }
+        if frame.name == "ack":
+            acked = MESSAGE_BY_CODE.get(frame.fields["acked"])
+            line["acked"] = acked.name if acked else f"unknown_{frame.fields['acked']}"
+            line["reason"] = name_of(Reason, frame.fields["reason"])
+            line["state"] = name_of(State, frame.fields["state"])
+        if round_trip is not None:
+            line["round_trip"] = round(round_trip, 7)
+        self._file.write(json.dumps(line) + "\n")
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
 
 
 @dataclass(slots=True)
@@ -27,26 +116,42 @@ class _Open:
 
 
 class Exchange:
-    """One connection's conversation.
+    """One connection's conversation, in a session of its own.
 
     Args:
-        on_frame: called with every intact frame from the hand, answers included.
+        known: learns from every frame.
+        check: called whenever a call goes on; raises `StoppedError` when the call shall end.
+
+    Attributes:
+        session: nonce of this controller's HELLO, which ties its other messages to it.
+        sent: how often each message has been written, by name.
+        refused: the latest refusal of a message that was sent without waiting for an answer, or None.
+        host_frames: frames of a host's types that came back: an echo.
+        owner: process that opened the transport.
     """
 
     def __init__(
         self,
         transport: Transport,
         statistics: LinkStatistics,
-        on_frame: Callable[[Frame], None],
+        known: KnownState,
+        check: Callable[[], None] = lambda: None,
         log: WireLog | None = None,
     ) -> None:
         self.transport = transport
         self.splitter = FrameSplitter()
+        self.session = 1 + secrets.randbelow(0xFFFFFFFF)
+        self.sent: dict[str, int] = dict.fromkeys(MESSAGES, 0)
+        self.refused: Frame | None = None
+        self.host_frames = 0
+        self.owner = os.getpid()
         self._statistics = statistics
-        self._on_frame = on_frame
+        self._known = known
+        self._check = check
         self._log = log
         self._seq = 0
         self._open: dict[int, _Open] = {}
+        self._unacknowledged: deque[int] = deque(maxlen=_UNACKNOWLEDGED_KEPT)
 
     def request(
         self,
@@ -63,7 +168,9 @@ class Exchange:
         Raises:
             LinkTimeout: No answer.
             PortError: The port has gone.
+            StoppedError: See `check`.
         """
+        self._check()
         frame = self._frame(name, fields, flags)
         waiting = self._open[frame.seq] = _Open(name, self.transport.now())
         try:
@@ -80,53 +187,83 @@ class Exchange:
         raise LinkTimeout(f"no answer to {name}: {attempts} times, {timeout:g} s each")
 
     def send(self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None = None, flags: int = 0) -> None:
-        """Send a message that asks for no answer.
+        """Send a message and do not wait for an answer.
 
         Raises:
             PortError: The port has gone.
         """
-        self._write(self._frame(name, fields, flags))
+        frame = self._frame(name, fields, flags)
+        self._unacknowledged.append(frame.seq)
+        self._write(frame)
 
     def listen(self, seconds: float) -> None:
         """Let time pass, taking in what the hand says.
 
         Raises:
             PortError: The port has gone.
+            StoppedError: See `check`.
         """
         self._receive_until(self.transport.now() + seconds, None)
 
     def _frame(self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None, flags: int) -> Frame:
         self._seq = self._seq % _SEQ_MAX + 1  # 0 is left to what the hand says unasked
-        return Frame(name, self._seq, flags, fields or {})
+        ours = {part.name: self.session for part in MESSAGES[name].fields if part.name in ("session", "nonce")}
+        return Frame(name, self._seq, flags, ours | dict(fields or {}))
 
     def _write(self, frame: Frame) -> None:
+        """To the port first: nothing else may stand between an intent and the hand."""
         data = encode(frame)
-        if self._log:
-            self._log.record(self.transport.now(), "sent", data[1:-1], frame)
+        self.sent[frame.name] += 1
+        self._known.about_to_send(frame.name)
+        try:
+            self.transport.write(data)
+        except PortError:
+            self._check()
+            raise
         self._statistics.sent += 1
-        self.transport.write(data)
+        self._record("sent", data[1:-1], frame)
 
     def _receive_until(self, deadline: float, waiting: _Open | None) -> None:
         while waiting is None or waiting.answer is None:
+            self._check()
             left = deadline - self.transport.now()
-            data = self.transport.read(max(left, 0.0))
+            try:
+                data = self.transport.read(max(left, 0.0))
+            except PortError:
+                self._check()  # a signal handler that reads meanwhile makes a serial port look gone
+                raise
             for encoded, frame in self.splitter.push(data):
                 self._take_in(encoded, frame)
             if left <= 0:
-                return
+                break
+        self._check()
 
     def _take_in(self, encoded: bytes, frame: Frame) -> None:
+        if MESSAGES[frame.name].from_host:
+            self.host_frames += 1
+            return
         self._statistics.received += 1
-        round_trip = None
+        round_trip = answered = None
         waiting = self._open.get(frame.seq)
         if waiting is not None and waiting.answer is None and _is_answer(frame, waiting.name):
-            waiting.answer = frame
+            waiting.answer, answered = frame, waiting.name
             round_trip = self.transport.now() - waiting.sent_at
             if not waiting.repeated:
                 self._statistics.round_trips.append(round_trip)
-        if self._log:
-            self._log.record(self.transport.now(), "received", encoded, frame, round_trip)
-        self._on_frame(frame)
+        elif frame.name == "ack" and frame.fields["reason"] != Reason.ok and frame.seq in self._unacknowledged:
+            self.refused = frame
+        self._known.take_in(frame, answered)
+        self._record("received", encoded, frame, round_trip)
+
+    def _record(self, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None) -> None:
+        if self._log is None:
+            return
+        try:
+            self._log.record(self.transport.now(), direction, encoded, frame, round_trip)
+        except Exception as error:  # whatever a log does, the hand comes first
+            self._statistics.unlogged += 1
+            if self._statistics.unlogged == 1:
+                tell(LogWarning(f"the wire log takes no more lines, the link goes on without it: {error}"))
 
 
 def _is_answer(frame: Frame, name: str) -> bool:

@@ -1,22 +1,29 @@
-"""Write `firmware/core/hpac_protocol.h` from the protocol description and the hand's parameters.
+"""Write what follows from the protocol description and the hand's parameters: the C header, the tables of docs/wire.md,
+and the test vectors, as a file for anybody and as a C header for the firmware's own tests.
 
-`python -m hpac_gym.bridge.generate` writes it, `--check` compares and exits with status 1 when it is out of date.
+`python -m hpac_gym.bridge.generate` writes them, `--check` compares and exits with status 1 when one is out of date.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
+import zlib
 from enum import IntEnum
 from pathlib import Path
 
 from hpac_gym.bridge import protocol
+from hpac_gym.bridge.frame import Frame, cobs_decode, cobs_encode, encode
 from hpac_gym.bridge.limits import limits_hash, servo_limits
 from hpac_gym.bridge.protocol import MESSAGES
 from hpac_gym.model import HPAC, SERVOS, Hand, load_hand
 
-HEADER = Path(__file__).parents[2] / "firmware" / "core" / "hpac_protocol.h"
-DOCUMENT = Path(__file__).parents[2] / "docs" / "wire.md"
+_ROOT = Path(__file__).parents[2]
+HEADER = _ROOT / "firmware" / "core" / "hpac_protocol.h"
+DOCUMENT = _ROOT / "docs" / "wire.md"
+VECTORS = _ROOT / "docs" / "wire_vectors.csv"
+VECTORS_HEADER = _ROOT / "firmware" / "test" / "unit" / "vectors.h"
 _BEGIN, _END = "<!-- generated: begin -->\n", "<!-- generated: end -->\n"
 
 
@@ -31,14 +38,13 @@ def protocol_header(hand: Hand = HPAC) -> str:
         f"#define HPAC_VERSION {protocol.VERSION}u",
         *(f"#define HPAC_FIRMWARE_{part} {value}u" for part, value in _version_parts()),
         f"#define HPAC_SERVOS {len(SERVOS)}",
-        f"#define HPAC_LIMITS_HASH 0x{limits_hash(hand):08x}u",
+        f"#define HPAC_LIMITS_HASH 0x{limits_hash(hand):08x}u /* of the table below; hpac_config_hash() of the table in use */",
         "",
         "/* Frame: header, payload, CRC-32 over both. */",
         *(f"#define HPAC_AT_{field.name.upper()} {field.offset}u" for field in protocol.HEADER),
         f"#define HPAC_HEADER_LENGTH {protocol.HEADER_LENGTH}u",
         f"#define HPAC_CRC_LENGTH {protocol.CRC_LENGTH}u",
         f"#define HPAC_FRAME_MAX {protocol.FRAME_MAX}u",
-        f"#define HPAC_HOST_FRAME_MAX {protocol.HOST_FRAME_MAX}u",
         f"#define HPAC_FLAG_MINIMUM_JERK 0x{protocol.FLAG_MINIMUM_JERK:02x}u",
         f"#define HPAC_FLAG_NO_ACK 0x{protocol.FLAG_NO_ACK:02x}u",
         "",
@@ -55,8 +61,9 @@ def protocol_header(hand: Hand = HPAC) -> str:
         *_constant_lines("PULSE_", protocol.PULSE),
         *_constant_lines("LOAD_", protocol.LOAD),
         "",
-        "/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction. */",
-        "#define HPAC_SERVO_TABLE \\",
+        "/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction;",
+        " * trims and directions are those of one copy of the hand. */",
+        f"#define HPAC_SERVO_TABLE({_each('trim')}, {_each('direction')}) \\",
         "    { \\",
         *_servo_rows(hand),
         "    }",
@@ -88,24 +95,34 @@ def _constant_lines(prefix: str, constants: dict[str, int]) -> list[str]:
     return [f"#define HPAC_{prefix}{name.upper()} {value}" for name, value in constants.items()]
 
 
+def _each(name: str) -> str:
+    return ", ".join(f"{name}{i}" for i in range(len(SERVOS)))
+
+
 def _servo_rows(hand: Hand) -> list[str]:
     return [
         f"        {{ {s.min_urad}, {s.max_urad}, {s.rest_urad}, {s.centre_urad}, {s.rate_urad_s}, {s.ns_per_rad}, "
-        f"{s.centre_ns}, 0, 1 }}, /* {s.name} */ \\"
-        for s in servo_limits(hand)
+        f"{s.centre_ns}, trim{i}, direction{i} }}, /* {s.name} */ \\"
+        for i, s in enumerate(servo_limits(hand))
     ]
 
 
 def wire_tables(hand: Hand = HPAC) -> str:
-    """The tables of docs/wire.md: messages with their fields, enums, servo limits."""
-    lines = ["| message | code | from | payload | meaning |", "| --- | --- | --- | --- | --- |"]
+    """The tables of docs/wire.md: messages with their fields, enums, constants, servo limits, test vectors."""
+    lines = ["| message | code | from | payload | bytes | meaning |", "| --- | --- | --- | --- | --- | --- |"]
     for message in MESSAGES.values():
         fields = ", ".join(f"`{_type_name(field)} {field.name}`" for field in message.fields) or "–"
         source = "host" if message.from_host else "hand"
-        lines.append(f"| {message.name} | 0x{message.code:02x} | {source} | {fields} | {message.meaning} |")
+        lines.append(f"| {message.name} | 0x{message.code:02x} | {source} | {fields} | {message.length} | {message.meaning} |")
     lines.append("")
     for name, values in protocol.DESCRIPTION["enum"].items():
-        lines.append(f"*{name}*: " + ", ".join(f"{value} {key}" for key, value in values.items()) + ".  ")
+        lines += [f"| {name} | code | meaning |", "| --- | --- | --- |"]
+        lines += [f"| {key} | {value} | {_comment('enum.' + name, key)} |" for key, value in values.items()]
+        lines.append("")
+    lines += ["| constant | value | meaning |", "| --- | --- | --- |"]
+    for table in ("constants", "pulse", "load"):
+        prefix = "" if table == "constants" else f"{table}."
+        lines += [f"| {prefix}{key} | {value:,} | {_comment(table, key)} |" for key, value in protocol.DESCRIPTION[table].items()]
     lines += ["", "| servo | range [rad] | rate limit [rad/s] | pulse at either end [µs] |", "| --- | --- | --- | --- |"]
     for s in servo_limits(hand):
         ends = [(s.centre_ns + (end - s.centre_urad) * s.ns_per_rad / 1e6) / 1e3 for end in (s.min_urad, s.max_urad)]
@@ -113,7 +130,88 @@ def wire_tables(hand: Hand = HPAC) -> str:
             f"| {s.name} | {s.min_urad / 1e6:g} … {s.max_urad / 1e6:g} | {s.rate_urad_s / 1e6:g} "
             f"| {ends[0]:.1f} … {ends[1]:.1f} |"
         )
+    lines += ["", f"Limits hash of this table without trims: 0x{limits_hash(hand):08x}.", ""]
+    lines += ["| vector | verdict | on the wire |", "| --- | --- | --- |"]
+    lines += [f"| {name} | {verdict} | `{wire.hex()}` |" for name, verdict, wire in vectors(hand)]
     return "\n".join(lines) + "\n"
+
+
+def _comment(table: str, key: str) -> str:
+    section = protocol.SOURCE.split(f"\n[{table}]\n")[1].split("\n[")[0]
+    found = re.search(rf"^{key} = [^#\n]*# *(.*)$", section, re.MULTILINE)
+    return found[1] if found else ""
+
+
+_SESSION = 0x12345678
+
+
+def _example(name: str, hand: Hand) -> Frame:
+    """One frame of a message with telling values: no two bytes of a field alike, zeros among them."""
+    values: dict[str, int | tuple[int, ...]] = {
+        "nonce": _SESSION, "session": _SESSION, "limits_hash": limits_hash(hand), "watchdog_ms": 250, "action": 1,
+        "duration_ms": 1000, "servo": (0, 1, 255, 256, 8191, 13000), "period_ms": 100, "firmware_version": (0, 2, 0),
+        "trim_ns": (0, -1, 1, -20000, 20000, 256), "reversed": 0b100010, "reset": 0, "boot_count": 258, "state": 2,
+        "acked": MESSAGES["move"].code, "reason": 5, "uptime_ms": 0x01020304, "fault": 2, "attached": 0b111111, "moving": 1,
+        "heat_percent": (0, 1, 2, 99, 100, 255), "rate_permille": 1000, "supply_mv": 5000, "last_seq": 0xABCD,
+        "accepted": 70000, "refused": 1, "bad_crc": 2, "bad_frame": 3, "bad_version": 4, "overrun": 5, "dropped": 6,
+        "watchdog_trips": 65535,
+    }  # fmt: skip
+    one_servo = {"ack": 3, "fault": 255}  # here `servo` is an index
+    fields = {field.name: values[field.name] for field in MESSAGES[name].fields}
+    fields |= {"servo": one_servo[name]} if name in one_servo else {}
+    return Frame(name, seq=0 if name == "fault" else 0x0102, flags=protocol.FLAG_MINIMUM_JERK * (name == "move"), fields=fields)
+
+
+def _sealed(body: bytes) -> bytes:
+    return b"\0" + cobs_encode(body + zlib.crc32(body).to_bytes(4, "little")) + b"\0"
+
+
+def vectors(hand: Hand = HPAC) -> list[tuple[str, str, bytes]]:
+    """Test vectors: name, verdict, bytes on the wire.
+
+    The verdict is `ok` for a frame of every message, how the receiver drops a damaged one (`cobs`, `short`, `crc`,
+    `overrun`), or the reason why a hand in session 0x12345678 refuses an intact one.
+    """
+    frames = [(name, "ok", encode(_example(name, hand))) for name in MESSAGES]
+    move = cobs_decode(encode(_example("move", hand))[1:-1])[: -protocol.CRC_LENGTH]
+    wire = encode(_example("move", hand))
+    other_session = move[:5] + (_SESSION + 1).to_bytes(4, "little") + move[9:]
+    old_hello = bytes([1, MESSAGES["hello"].code, 1, 0, 0])
+    broken = [
+        ("one bit of the payload", "crc", wire[:12] + bytes([wire[12] ^ 4]) + wire[13:]),
+        ("one bit of the CRC", "crc", wire[:-2] + bytes([wire[-2] ^ 1]) + wire[-1:]),
+        ("a run past the end", "cobs", wire[:-4] + wire[-1:]),
+        ("too short", "short", b"\0" + cobs_encode(move[:4]) + b"\0"),
+        ("longer than any frame", "overrun", _sealed(move + bytes(range(1, 64)))),
+        ("payload one byte short", "length", _sealed(move[:-1])),
+        ("unknown type", "type", _sealed(bytes([move[0], 0x70]) + move[2:])),
+        ("unknown flag", "flags", _sealed(move[:4] + b"\x80" + move[5:])),
+        ("another session", "session", _sealed(other_session)),
+        ("a MOVE of version 3", "version", _sealed(bytes([3]) + move[1:])),
+        ("HELLO of version 1", "look", _sealed(old_hello)),
+        ("ESTOP of version 9 with flags and payload", "estop", _sealed(bytes([9, MESSAGES["estop"].code, 7, 0, 0xFF, 1, 2, 0]))),
+    ]
+    return frames + broken
+
+
+def vectors_header(hand: Hand = HPAC) -> str:
+    """The test vectors as C data."""
+    lines = [
+        "/* Generated by python -m hpac_gym.bridge.generate: the test vectors of docs/wire_vectors.csv. */",
+        "static const struct {",
+        "    const char *name, *verdict;",
+        "    size_t length;",
+        f"    uint8_t wire[{max(len(wire) for _, _, wire in vectors(hand))}];",
+        "} vectors[] = {",
+    ]
+    for name, verdict, wire in vectors(hand):
+        lines.append(f'    {{ "{name}", "{verdict}", {len(wire)}, {{ {", ".join(map(str, wire))} }} }},')
+    return "\n".join([*lines, "};"]) + "\n"
+
+
+def vectors_file(hand: Hand = HPAC) -> str:
+    """The test vectors as comma-separated values."""
+    return "name,verdict,wire\n" + "".join(f"{name},{verdict},{wire.hex()}\n" for name, verdict, wire in vectors(hand))
 
 
 def _type_name(field: protocol.Field) -> str:
@@ -134,7 +232,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--hand", help="hand parameter file (TOML) whose limits the firmware shall enforce")
     options = parser.parse_args(arguments)
     hand = load_hand(options.hand) if options.hand else HPAC
-    wanted = {HEADER: protocol_header(hand), DOCUMENT: wire_document(DOCUMENT.read_text(encoding="utf-8"), hand)}
+    document = wire_document(DOCUMENT.read_text(encoding="utf-8"), hand)
+    wanted = {HEADER: protocol_header(hand), DOCUMENT: document}
+    wanted |= {VECTORS: vectors_file(hand), VECTORS_HEADER: vectors_header(hand)}
     stale = [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     for path in stale:
         print(f"{path.name}: {'out of date, run python -m hpac_gym.bridge.generate' if options.check else 'written'}")

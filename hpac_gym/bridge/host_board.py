@@ -7,16 +7,32 @@ import select
 import subprocess
 import tempfile
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 
-from hpac_gym.bridge.errors import PortError
-from hpac_gym.bridge.firmware_files import firmware_file
+from hpac_gym.bridge.errors import FirmwareMissing, PortError
 from hpac_gym.bridge.transport import SerialTransport
 from hpac_gym.model import SERVOS
 
 _START_TIMEOUT = 5.0
 _END_TIMEOUT = 1.0
+
+BUILD_VARIABLE = "HPAC_FIRMWARE_BUILD"
+"""Environment variable that names another build folder, for a program that runs outside of a checkout."""
+
+
+def firmware_file(name: str) -> Path:
+    """Path of a file of the host build: `hpac_host`, `hpac_driver` or `libhpac.so`.
+
+    Raises:
+        FirmwareMissing: It has not been built.
+    """
+    checkout = Path(__file__).parents[2] / "firmware" / "build"
+    path = Path(os.environ.get(BUILD_VARIABLE, checkout)) / name
+    if not path.exists():
+        raise FirmwareMissing(f"{path} is missing: run `make firmware` in a checkout, or set {BUILD_VARIABLE}")
+    return path
 
 
 class HostBoard:
@@ -37,13 +53,15 @@ class HostBoard:
 
     def __enter__(self) -> HostBoard:
         program = firmware_file("hpac_host")
-        self._folder = tempfile.TemporaryDirectory(prefix="hpac_host_")
-        self._log = Path(self._folder.name) / "pulses.csv"
+        self._owner = os.getpid()
+        self._folder = Path(tempfile.mkdtemp(prefix="hpac_host_"))
+        self._log = self._folder / "pulses.csv"
         self.process = subprocess.Popen(
-            [program, "--pulses", self._log, "--parent", str(os.getpid()), *self._arguments],
+            [program, "--pulses", self._log, "--parent", str(self._owner), *self._arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,
+            start_new_session=True,  # a Ctrl-C at the terminal is for the host: the board must live to be released
         )
         ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT)
         self.port = self.process.stdout.readline().strip() if ready else ""
@@ -53,6 +71,8 @@ class HostBoard:
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self._owner != os.getpid():  # in a fork's child: the board is its parent's
+            return
         self.process.terminate()
         try:
             self.process.wait(_END_TIMEOUT)
@@ -60,7 +80,7 @@ class HostBoard:
             self.process.kill()
             self.process.wait()
         self.process.stdout.close()
-        self._folder.cleanup()
+        rmtree(self._folder, ignore_errors=True)
 
     def connect(self) -> SerialTransport:
         """A serial transport to this board, for `HandLink(board.connect)`."""

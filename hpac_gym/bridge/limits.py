@@ -1,17 +1,24 @@
-"""The servo table on the wire: limits in integer units, taken from the hand's parameters, and their hash.
+"""The servo table on the wire: limits in integer units, taken from the hand's parameters, their hash, and the pulses of an angle.
 
 Host and firmware compare the hash in the handshake, so that neither drives a hand that the other does not know.
 """
 
 from __future__ import annotations
 
+import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from hpac_gym.bridge.protocol import ANGLE_UNIT, PULSE, VERSION
+from hpac_gym.bridge.errors import FrameError
+from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, PULSE, VERSION
 from hpac_gym.model import HPAC, SERVOS, Hand
+
+HASHED_PULSE = ("period_ns", "min_ns", "max_ns")
+HASHED_CONSTANTS = ("angle_tolerance_urad", "time_tolerance_us", "rate_excess_permille", "step_max_ms", "relax_permille")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +60,48 @@ def servo_limits(hand: Hand = HPAC) -> tuple[ServoLimits, ...]:
     )
 
 
-def limits_hash(hand: Hand = HPAC) -> int:
-    """CRC-32 of the protocol version and the servo table."""
-    rows = [",".join(map(str, astuple(servo))) for servo in servo_limits(hand)]
-    return zlib.crc32("\n".join([f"hpac {VERSION}", *rows]).encode())
+def limits_hash(hand: Hand = HPAC, trim_ns: Sequence[int] = (0,) * len(SERVOS), reversed_mask: int = 0) -> int:
+    """CRC-32 of everything that bounds the hand's output, as docs/wire.md lists it byte by byte.
+
+    Args:
+        trim_ns: zero trims of this copy of the hand, as its DEVICE_HELLO tells them, shape (6,) [ns].
+        reversed_mask: bit i for a servo i that is mounted the other way round, as its DEVICE_HELLO tells it.
+    """
+    numbers = [VERSION, *(PULSE[name] for name in HASHED_PULSE), *(CONSTANTS[name] for name in HASHED_CONSTANTS)]
+    for i, servo in enumerate(servo_limits(hand)):
+        _, *row = astuple(servo)
+        numbers += [*row, trim_ns[i], -1 if reversed_mask >> i & 1 else 1]
+    return zlib.crc32(struct.pack(f"<{len(numbers)}i", *numbers))
+
+
+def pulses_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
+    """Pulse widths of servo angles, rounded to the nearest nanosecond.
+
+    Args:
+        servo: shape (..., 6) [rad].
+
+    Returns:
+        Integers, shape (..., 6) [ns].
+    """
+    centre = np.array([limits.centre_urad for limits in servo_limits(hand)]) * 1e-6
+    return np.rint(PULSE["centre_ns"] + (np.asarray(servo, dtype=float) - centre) * PULSE["ns_per_rad"]).astype(np.int64)
+
+
+def servo_from_pulses(pulses: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
+    """Servo angles that a servo without trim takes from these pulses: the inverse of `pulses_from_servo`.
+
+    Args:
+        pulses: shape (..., 6) [ns].
+
+    Returns:
+        shape (..., 6) [rad].
+
+    Raises:
+        FrameError: A width of 0: that servo gets no pulses, so it has no commanded angle.
+    """
+    pulses = np.asarray(pulses)
+    if np.any(pulses == 0):
+        silent = [name for name, width in zip(SERVOS, pulses.reshape(-1, len(SERVOS))[-1], strict=True) if width == 0]
+        raise FrameError(f"no pulses on {', '.join(silent) or 'some servo'}: the hand is not armed")
+    centre = np.array([limits.centre_urad for limits in servo_limits(hand)]) * 1e-6
+    return centre + (pulses - PULSE["centre_ns"]) / PULSE["ns_per_rad"]

@@ -1,41 +1,53 @@
-"""The link to one hand: handshake, arming, moves, heartbeat, e-stop. One thread, and no call blocks for ever."""
+"""The link to one hand: handshake, arming, moves, heartbeat, e-stop, and an end without pulses. No call blocks for ever."""
 
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable
 from contextlib import suppress
+from functools import wraps
 from time import monotonic, sleep
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, PortError
-from hpac_gym.bridge.exchange import Exchange
-from hpac_gym.bridge.frame import FrameSplitter
-from hpac_gym.bridge.known_state import KnownState
-from hpac_gym.bridge.limits import limits_hash
-from hpac_gym.bridge.protocol import (
-    ANGLE_UNIT,
-    CONSTANTS,
-    FLAG_MINIMUM_JERK,
-    FLAG_NO_ACK,
-    VERSION,
-    Action,
-    Fault,
-    Reason,
-)
+from hpac_gym.bridge.connection import Connection, Turns
+from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, PortError, StoppedError
+from hpac_gym.bridge.exchange import LinkStatistics, WireLog
+from hpac_gym.bridge.interrupts import interrupts
+from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, FLAG_MINIMUM_JERK, FLAG_NO_ACK, Action, State
 from hpac_gym.bridge.reports import HandInfo, HandStatus
-from hpac_gym.bridge.statistics import LinkStatistics
 from hpac_gym.bridge.transport import Transport, open_transport
-from hpac_gym.bridge.wire_log import WireLog
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand
 
-_HELLO_PERIOD = 0.1
+_ARM_POLL = 0.05
 _HEARTBEATS_PER_WATCHDOG = 4
+
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
+
+
+def _turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+    """A method that talks to the hand: one at a time, and only in the process that opened the link."""
+
+    @wraps(method)
+    def call(self: HandLink, *args: object, **kwargs: object) -> _Result:
+        if self._connection is not None:
+            self._connection.require_owner()
+        try:
+            with self._turns:
+                return method(self, *args, **kwargs)
+        except StoppedError:  # whatever this call took in last may be older than the e-stop
+            with suppress(BridgeError), self._turns:
+                self._connection.request("status", {"period_ms": 0})
+            raise
+
+    return call
 
 
 class HandLink:
-    """A hand at the other end of a wire; connects on entry, disarms and closes on exit.
+    """A hand at the other end of a wire; connects on entry, and on exit leaves it without pulses.
 
     ```python
     with HandLink("/dev/ttyUSB0") as link:
@@ -45,7 +57,9 @@ class HandLink:
         link.wait()
     ```
     There is no hidden thread: a program that hangs falls silent, and after `info.watchdog` the hand does what `arm` was
-    told. Use `sleep` instead of `time.sleep` while armed; it sends heartbeats. Not to be shared between threads.
+    told. Use `sleep` instead of `time.sleep` while armed; it sends heartbeats. Calls from several threads wait for each
+    other; `estop` and `close` do not wait, and may come from a signal handler: the call that they interrupt raises
+    `StoppedError`. A fork's child cannot use its parent's link, and does not disturb it.
 
     Args:
         port: name of a port (see `open_transport`), or a function that opens a transport, `VirtualHand.connect` say.
@@ -56,8 +70,7 @@ class HandLink:
         log: gets every frame.
 
     Attributes:
-        info: the hand's answer to HELLO.
-        statistics: counters and round trips.
+        statistics: counters and round trips, over all connections.
     """
 
     def __init__(
@@ -71,33 +84,53 @@ class HandLink:
         log: WireLog | None = None,
     ) -> None:
         self._open = (lambda: open_transport(port)) if isinstance(port, str) else port
-        self._limits_hash = limits_hash(hand)
+        self._hand = hand
         self._patience = {"timeout": timeout, "attempts": attempts}
         self._handshake_timeout = handshake_timeout
         self._log = log
-        self._exchange: Exchange | None = None
+        self._turns = Turns()
+        self._connection: Connection | None = None
         self._busy_until = 0.0
-        self._heard_at = 0.0
-        self._known = KnownState()
-        self.info: HandInfo | None = None
+        self._fed_at = 0.0
+        self._watchdog = math.inf
         self.statistics = LinkStatistics()
 
     @property
+    def info(self) -> HandInfo | None:
+        """The hand's answer to HELLO; None before the first."""
+        return self._connection.info if self._connection else None
+
+    @property
     def state(self) -> str:
-        """The hand's last known state, of `protocol.State`."""
-        return self._known.state
+        """The hand's last known state, of `protocol.State`; `boot` when not connected."""
+        return self._connection.known.state if self._connection else State.boot.name
 
     @property
     def last_status(self) -> HandStatus | None:
         """The latest STATUS, asked for or periodic."""
-        return self._known.status
+        return self._connection.known.status if self._connection else None
 
     def __enter__(self) -> HandLink:
         self.connect()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    @interrupts.closing
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        self._end(error)
+
+    @interrupts.closing
+    def close(self) -> None:
+        """Leave the hand without pulses and let the port go. May be called twice, from any thread and a signal handler.
+
+        A hand that does not confirm it is told of in an `UnconfirmedWarning`; no error is raised. Signals wait until the
+        end. A link that is forgotten open is closed when it is collected or the program ends.
+        """
+        self._end(None)
+
+    def _end(self, error: BaseException | None) -> None:
+        if self._connection is not None:
+            self._connection.end(error)
+            self._when_forgotten.detach()
 
     def connect(self) -> HandInfo:
         """Open the port and greet the hand. Afterwards it is not armed, whatever it was before.
@@ -106,23 +139,18 @@ class HandLink:
             PortError: The port cannot be opened.
             HandshakeError: Nothing answers, or a firmware of another protocol version.
         """
-        self._drop()
-        self._exchange = Exchange(self._open(), self.statistics, self._known.take_in, self._log)
-        attempts = max(1, math.ceil(self._handshake_timeout / _HELLO_PERIOD))
-        try:
-            answer = self._exchange.request("hello", timeout=_HELLO_PERIOD, attempts=attempts)
-        except LinkTimeout:
-            error = _handshake_error(self._exchange.splitter, self._handshake_timeout)
-            self._drop()
-            raise error from None
-        except PortError:
-            self._drop()
-            raise
-        self.info = HandInfo.from_frame(answer)
+        self.close()
+        connection = Connection(self._open(), self._turns, self.statistics, log=self._log, **self._patience)
+        self._connection = connection
+        self._when_forgotten = weakref.finalize(self, connection.end)
         self._busy_until = 0.0
-        self.statistics.connections += 1
-        self.statistics.acked += 1
-        return self.info
+        try:
+            with self._turns:
+                connection.greet(self._handshake_timeout)
+        except BaseException as error:
+            self._end(error)
+            raise
+        return connection.info
 
     def reconnect(self, timeout: float = 10.0) -> HandInfo:
         """Wait until the port is there again [s, wall clock], and connect. The hand is then not armed.
@@ -139,37 +167,31 @@ class HandLink:
                     raise
                 sleep(0.05)
 
-    def close(self) -> None:
-        """Disarm the hand if it can be reached, and let the port go. Raises nothing, may be called twice."""
-        if self._exchange is not None and self._known.armed:
-            with suppress(BridgeError):
-                self.clear()
-        self._drop()
-
-    def arm(self, action: Action = Action.relax) -> None:
-        """Arm the hand and wait until all servos get pulses, one after the other, at rest.
+    @_turn
+    def arm(self, action: Action = Action.relax, watchdog: float = CONSTANTS["watchdog_ms"] * 1e-3) -> None:
+        """Arm the hand and wait until all servos have pulses, one after the other, and stand at rest.
 
         Args:
-            action: what the hand does when this program falls silent for `info.watchdog`.
+            action: what the hand does when this program falls silent. `hold` relaxes as well, after 30 s.
+            watchdog: for how long it may be silent, 0.1 to 2 [s].
 
         Raises:
             HandshakeError: The firmware was built with other limits than those of `hand`.
-            RejectedError: Not in IDLE, or a servo is too hot. FaultError: a fault must be cleared first.
+            RejectedError: Not in IDLE, a servo is too hot, or `watchdog` out of bounds. FaultError: clear a fault first.
             LinkTimeout: No answer, or not all servos got pulses.
         """
-        if self.info is not None and self.info.limits_hash != self._limits_hash:
-            raise HandshakeError(
-                f"the firmware's servo limits {self.info.limits_hash:08x} are not this hand's {self._limits_hash:08x}: "
-                "generate, build and flash the firmware for this hand"
-            )
-        self._request("arm", {"limits_hash": self._limits_hash, "action": int(action)})
-        deadline = self._now() + 2 * len(SERVOS) * CONSTANTS["stagger_ms"] * 1e-3
-        while len(self.status().attached) < len(SERVOS):
+        self._connected().info.check_limits(self._hand)
+        fields = {"limits_hash": self.info.limits_hash, "watchdog_ms": round(watchdog * 1e3), "action": int(action)}
+        self._feed("arm", fields)
+        self._watchdog = watchdog
+        deadline = self._now() + CONSTANTS["start_max_ms"] * 1e-3
+        while len(self.status().attached) < len(SERVOS) or self.last_status.moving:
             if self._now() > deadline:
-                raise LinkTimeout(f"only {', '.join(self.last_status.attached)} got pulses")
-            self.sleep(CONSTANTS["stagger_ms"] * 0.25e-3)
+                raise LinkTimeout(f"after {CONSTANTS['start_max_ms'] * 1e-3:g} s pulses at {self.last_status.attached} alone")
+            self.sleep(_ARM_POLL)
         self._busy_until = self._now()
 
+    @_turn
     def move(self, command: ServoCommand, *, minimum_jerk: bool = False, acknowledge: bool = True, pace: bool = True) -> None:
         """Send one synchronised move, and wait for the hand's ACK.
 
@@ -177,7 +199,8 @@ class HandLink:
 
         Args:
             minimum_jerk: a smooth move from the present pose and velocity, instead of a linear one from the pose.
-            acknowledge: False asks for no ACK and does not wait; a refusal then shows in the next answer's counters.
+            acknowledge: False asks for no ACK and does not wait; a refusal or a fault is raised by the first call after it
+                has come.
             pace: first wait until the move before has ended. False pre-empts it.
 
         Raises:
@@ -192,11 +215,14 @@ class HandLink:
         if pace:
             self.sleep(self._busy_until - self._now())
         if acknowledge:
-            self._request("move", fields, flags)
+            self._feed("move", fields, flags)
         else:
-            self._connected().send("move", fields, flags | FLAG_NO_ACK)
+            self._connected().exchange.send("move", fields, flags | FLAG_NO_ACK)
+            self._connected().exchange.listen(0)
+            self._connected().raise_unasked("move")
         self._busy_until = self._now() + duration_ms * 1e-3
 
+    @_turn
     def wait(self) -> HandStatus:
         """Let time pass until the hand says that the move has ended.
 
@@ -212,6 +238,7 @@ class HandLink:
             self.sleep(1e-3)
         return status
 
+    @_turn
     def sleep(self, seconds: float) -> None:
         """Let time pass, with heartbeats while armed; returns at once for `seconds` ≤ 0.
 
@@ -220,80 +247,63 @@ class HandLink:
             LinkTimeout, PortError: A heartbeat got no answer; the port has gone.
         """
         deadline = self._now() + seconds
-        was_armed = self._known.armed
-        period = (self.info.watchdog if self.info else 1.0) / _HEARTBEATS_PER_WATCHDOG
+        was_armed = self._connected().known.armed
+        period = self._watchdog / _HEARTBEATS_PER_WATCHDOG
         while (left := deadline - self._now()) > 0:
-            due = self._heard_at + period
-            self._connected().listen(min(left, max(due - self._now(), 0.0)) if was_armed else left)
+            due = self._fed_at + period
+            self._connected().exchange.listen(min(left, max(due - self._now(), 0.0)) if was_armed else left)
             if was_armed and self._now() >= due:
                 self.heartbeat()
-            if was_armed and self._known.in_fault:
-                self._learn_fault()
-                raise self._known.fault_error("it latched while waiting")
+            if was_armed:
+                self._connected().raise_unasked("it latched while waiting")
 
+    @_turn
     def heartbeat(self) -> str:
         """Tell the hand that this program is alive; returns the hand's state, of `protocol.State`."""
-        self._request("heartbeat")
+        self._feed("heartbeat")
         return self.state
 
     def estop(self) -> None:
-        """Stop all pulses now and latch a fault, in any state."""
-        self._request("estop")
+        """Stop all pulses now and latch a fault, in any state. From any thread and from a signal handler: the call that is
+        under way ends with `StoppedError`.
 
+        Raises:
+            LinkTimeout, PortError: It is not confirmed: switch the servo supply off.
+        """
+        connection = self._connected()
+        connection.require_owner()
+        with self._turns.preempt("estop()", lambda: connection.exchange.send("estop")):
+            self._connected().request("estop")
+
+    @_turn
     def clear(self) -> None:
         """Disarm, or leave a latched fault: no motion, no pulses, state IDLE.
 
         Raises:
             RejectedError: The fault cannot be cleared: the board's own servo table is unusable.
         """
-        self._request("clear")
+        self._connected().request("clear")
 
+    @_turn
     def status(self, period: float = 0.0) -> HandStatus:
         """Ask what the hand does; from now on it also says so by itself every `period` [s], or not at all for 0.
 
         Raises:
             RejectedError: A period below 10 ms.
         """
-        self._request("status", {"period_ms": round(period * 1e3)})
+        self._connected().request("status", {"period_ms": round(period * 1e3)})
         return self.last_status
 
-    # --- below: one frame at a time -------------------------------------------------------------------------------
-
-    def _connected(self) -> Exchange:
-        if self._exchange is None:
+    def _connected(self) -> Connection:
+        if self._connection is None or self._connection.ended:
             raise PortError("not connected")
-        return self._exchange
+        return self._connection
 
     def _now(self) -> float:
-        return self._connected().transport.now()
+        return self._connected().exchange.transport.now()
 
-    def _drop(self) -> None:
-        if self._exchange is not None:
-            self.statistics.bad_frames += self._exchange.splitter.rejected_frames
-            self.statistics.bad_bytes += self._exchange.splitter.rejected_bytes
-            self._exchange.transport.close()
-        self._exchange = None
-        self._known.forget()
-
-    def _request(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
-        answer = self._connected().request(name, fields, flags, **self._patience)
-        if answer.name == "ack" and answer.fields["reason"] != Reason.ok:
-            self.statistics.rejected += 1
-            self._learn_fault()
-            raise self._known.refusal(name, answer)
-        self.statistics.acked += 1
-        self._heard_at = self._now()
-
-    def _learn_fault(self) -> None:
-        """Ask which fault it is if the frame that told of it was lost."""
-        if self._known.in_fault and self._known.fault == Fault.none.name:
-            with suppress(BridgeError):
-                self._connected().request("status", {"period_ms": 0}, **self._patience)
-
-
-def _handshake_error(heard: FrameSplitter, patience: float) -> HandshakeError:
-    """Why nobody answered HELLO, as far as what was heard tells."""
-    if heard.other_version is not None:
-        return HandshakeError(f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them")
-    what = f"{heard.rejected_bytes} bytes came that were no frame" if heard.rejected_bytes else "silence"
-    return HandshakeError(f"no hand answered within {patience:g} s ({what})")
+    def _feed(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
+        """Send what also feeds the hand's watchdog."""
+        sent_at = self._now()
+        self._connected().request(name, fields, flags)
+        self._fed_at = sent_at

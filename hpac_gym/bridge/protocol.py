@@ -60,7 +60,8 @@ def _read_fields(pairs: list[list[str]]) -> tuple[Field, ...]:
     return tuple(fields)
 
 
-DESCRIPTION = tomllib.loads(files(__package__).joinpath("protocol.toml").read_text(encoding="utf-8"))
+SOURCE = files(__package__).joinpath("protocol.toml").read_text(encoding="utf-8")
+DESCRIPTION = tomllib.loads(SOURCE)
 """The whole file, as read."""
 
 VERSION: int = DESCRIPTION["version"]
@@ -91,12 +92,9 @@ MESSAGES = {
 MESSAGE_BY_CODE = {message.code: message for message in MESSAGES.values()}
 
 FRAME_MAX = HEADER_LENGTH + max(message.length for message in MESSAGES.values()) + CRC_LENGTH
-"""Longest frame before COBS [bytes]."""
+"""Longest frame before COBS, in either direction [bytes]."""
 
-HOST_FRAME_MAX = HEADER_LENGTH + max(m.length for m in MESSAGES.values() if m.from_host) + CRC_LENGTH
-"""Longest frame from the host before COBS [bytes]."""
-
-ANGLE_UNIT = 1e-4
+ANGLE_UNIT = CONSTANTS["angle_unit_urad"] / 1e6
 """One step of an angle on the wire [rad]."""
 
 NO_SERVO = 255

@@ -1,14 +1,17 @@
-"""What the hand says about itself, in SI units and names."""
+"""What the hand says about itself, in SI units and names, and what is known of it from that."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from hpac_gym.bridge.errors import FaultError, HandshakeError, RejectedError
 from hpac_gym.bridge.frame import Frame
-from hpac_gym.bridge.protocol import ANGLE_UNIT, Fault, Reset, State, name_of
-from hpac_gym.model import SERVOS
+from hpac_gym.bridge.limits import limits_hash
+from hpac_gym.bridge.protocol import ANGLE_UNIT, Fault, Reason, Reset, State, name_of
+from hpac_gym.model import SERVOS, Hand
 
 COUNTERS = ("accepted", "refused", "bad_crc", "bad_frame", "bad_version", "overrun", "dropped", "watchdog_trips")
 """Names of the firmware's counters, as in firmware/core/hpac_hand.h."""
@@ -27,6 +30,12 @@ class HandInfo:
     boot_count: int
     state: str
     """Of `protocol.State`, at the time of the answer."""
+    session: int
+    """The nonce of the HELLO whose session is in force; 0 for none."""
+    trim_ns: tuple[int, ...]
+    """Zero trims of this copy of the hand, shape (6,) [ns]."""
+    reversed_mask: int
+    """Bit i for a servo i that is mounted the other way round."""
 
     @classmethod
     def from_frame(cls, frame: Frame) -> HandInfo:
@@ -39,7 +48,23 @@ class HandInfo:
             reset=name_of(Reset, fields["reset"]),
             boot_count=fields["boot_count"],
             state=name_of(State, fields["state"]),
+            session=fields["session"],
+            trim_ns=fields["trim_ns"],
+            reversed_mask=fields["reversed"],
         )
+
+    def check_limits(self, hand: Hand) -> None:
+        """Compare the firmware's limits with those of a hand.
+
+        Raises:
+            HandshakeError: They differ; the message says how the firmware is made to fit.
+        """
+        wanted = limits_hash(hand, self.trim_ns, self.reversed_mask)
+        if self.limits_hash != wanted:
+            raise HandshakeError(
+                f"the firmware's servo limits {self.limits_hash:08x} are not this hand's {wanted:08x}: name the hand that it was "
+                "built for (--hand FILE), or build and flash it for this one (python -m hpac_gym.bridge.generate --hand FILE)"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +86,8 @@ class HandStatus:
     """Estimated heat of each servo as a share of what is admissible, shape (6,)."""
     rate_share: float
     """What is left of the rate limit of the hottest servo, 0…1."""
+    supply: float
+    """Voltage of the servo supply [V]; NaN where the board does not measure it."""
     last_seq: int
     counters: dict[str, int]
     """By the names of `COUNTERS`, since boot."""
@@ -78,6 +105,83 @@ class HandStatus:
             servo=np.array(fields["servo"]) * ANGLE_UNIT,
             heat=np.array(fields["heat_percent"]) * 1e-2,
             rate_share=fields["rate_permille"] * 1e-3,
+            supply=fields["supply_mv"] * 1e-3 or math.nan,
             last_seq=fields["last_seq"],
             counters={name: fields[name] for name in COUNTERS},
         )
+
+
+class KnownState:
+    """The latest news of the hand: learnt from whatever it says, and from nothing else.
+
+    Attributes:
+        state: of `protocol.State`; `boot` when not connected.
+        fault: of `protocol.Fault`; `none` also when a fault is known but not yet which.
+        status: the latest STATUS, or None.
+        may_have_power: False once the hand has said, in answer to a message that was sent after the last ARM, that it has
+            no pulses.
+    """
+
+    def __init__(self) -> None:
+        self.status: HandStatus | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """The connection is gone: nothing is known."""
+        self.state = State.boot.name
+        self.fault = Fault.none.name
+        self.may_have_power = True
+
+    def about_to_send(self, name: str) -> None:
+        """From the first byte of ARM on, the hand may have pulses."""
+        self.may_have_power = self.may_have_power or name == "arm"
+
+    def take_in(self, frame: Frame, answered: str | None = None) -> None:
+        """Learn from any frame of the hand; `answered` names the message that it answers."""
+        if "state" in frame.fields:
+            self.state = name_of(State, frame.fields["state"])
+        if frame.name == "device_status":
+            self.status = HandStatus.from_frame(frame)
+            self.fault = self.status.fault
+        elif frame.name == "fault":
+            self.state = State.fault.name
+            self.fault = name_of(Fault, frame.fields["fault"])
+        elif self.state != State.fault.name:
+            self.fault = Fault.none.name
+        # An answer to ARM or MOVE proves nothing: a repeat of the same frame may still be on its way.
+        if answered in ("hello", "clear", "estop", "status"):
+            self.may_have_power = not _without_pulses(frame, answered)
+
+    @property
+    def armed(self) -> bool:
+        """Whether the hand has said that it is armed."""
+        return self.state == State.armed.name
+
+    @property
+    def in_fault(self) -> bool:
+        """Whether the hand has said that a fault has latched."""
+        return self.state == State.fault.name
+
+    def refusal(self, name: str, ack: Frame) -> RejectedError:
+        """The error that an ACK with a reason stands for."""
+        reason = name_of(Reason, ack.fields["reason"])
+        servo = SERVOS[ack.fields["servo"]] if ack.fields["servo"] < len(SERVOS) else None
+        if self.in_fault:
+            return self.fault_error(f"{name} refused", reason, servo)
+        where = f" at servo {servo}" if servo else ""
+        if reason == Reason.session.name:
+            where = ": another program has greeted the hand since, or the board has restarted"
+        return RejectedError(f"the hand refused {name}: {reason}{where} (state {self.state})", reason, servo, self.state)
+
+    def fault_error(self, what: str, reason: str = Reason.state.name, servo: str | None = None) -> FaultError:
+        """The error of whoever meets a latched fault."""
+        return FaultError(f"the hand is in fault ({self.fault}): {what}; clear() leaves it", reason, servo, self.state)
+
+
+def _without_pulses(frame: Frame, answered: str) -> bool:
+    state = frame.fields["state"]
+    if frame.name == "device_status":
+        return state != State.armed and not frame.fields["attached"]
+    if answered == "estop":
+        return state == State.fault and frame.fields["reason"] == Reason.ok
+    return state in (State.boot, State.idle)

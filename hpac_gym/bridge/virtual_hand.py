@@ -13,9 +13,10 @@ from functools import cache
 import numpy as np
 
 from hpac_gym.bridge.errors import PortError
-from hpac_gym.bridge.firmware_files import firmware_file
+from hpac_gym.bridge.host_board import firmware_file
+from hpac_gym.bridge.limits import servo_limits
 from hpac_gym.bridge.protocol import Reset
-from hpac_gym.model import SERVOS
+from hpac_gym.model import SERVOS, Hand
 
 _Pulses = ctypes.c_uint32 * len(SERVOS)
 
@@ -43,16 +44,16 @@ def load_library() -> ctypes.CDLL:
     Raises:
         FirmwareMissing: It has not been built.
     """
-    library = ctypes.CDLL(str(firmware_file("libhpac.so")))
+    library = ctypes.PyDLL(str(firmware_file("libhpac.so")))  # holds the GIL: no second thread in the core meanwhile
     pointer, size, u64 = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
     signatures = {
         "hpac_library_hand_size": (size, []),
         "hpac_library_config_size": (size, []),
-        "hpac_library_run": (u64, [pointer, u64, u64, u64, _Pulses]),
+        "hpac_library_run": (u64, [pointer, pointer, u64, u64, u64, _Pulses]),
         "hpac_config_default": (None, [pointer]),
-        "hpac_hand_init": (None, [pointer, pointer, ctypes.c_int, ctypes.c_uint16]),
-        "hpac_hand_receive": (None, [pointer, u64, ctypes.c_char_p, size]),
-        "hpac_hand_tick": (None, [pointer, u64, _Pulses]),
+        "hpac_hand_init": (None, [pointer, pointer, ctypes.c_int, ctypes.c_uint16, pointer]),
+        "hpac_hand_receive": (None, [pointer, pointer, u64, ctypes.c_char_p, size]),
+        "hpac_hand_tick": (None, [pointer, pointer, u64, _Pulses]),
         "hpac_hand_transmit": (size, [pointer, pointer, size]),
     }
     for name, (result, arguments) in signatures.items():
@@ -67,6 +68,12 @@ def default_config() -> ctypes.Array[ServoConfig]:
     config = Config()
     load_library().hpac_config_default(config)
     return config
+
+
+def config_of(hand: Hand) -> ctypes.Array[ServoConfig]:
+    """The servo table of a hand as the generator writes it into a firmware for that hand."""
+    columns = ("min_urad", "max_urad", "rest_urad", "centre_urad", "rate_urad_s", "ns_per_rad", "centre_ns")
+    return Config(*(ServoConfig(*(getattr(servo, name) for name in columns), 0, 1) for servo in servo_limits(hand)))
 
 
 class VirtualHand:
@@ -108,7 +115,7 @@ class VirtualHand:
 
     def restart(self, reset: Reset = Reset.power_on, boot_count: int = 1) -> None:
         """Reset the chip; the clock goes on."""
-        self._library.hpac_hand_init(self._hand, self._config, reset, boot_count)
+        self._library.hpac_hand_init(self._hand, self._config, reset, boot_count, None)
         self.tick()
 
     def connect(self) -> VirtualTransport:
@@ -121,7 +128,7 @@ class VirtualHand:
 
     def receive(self, data: bytes) -> None:
         """Give the firmware bytes from the host, now."""
-        self._library.hpac_hand_receive(self._hand, self.now_us, data, len(data))
+        self._library.hpac_hand_receive(self._hand, self._config, self.now_us, data, len(data))
         self.tick()
 
     def transmit(self) -> bytes:
@@ -131,7 +138,7 @@ class VirtualHand:
 
     def tick(self) -> None:
         """Let the firmware look at the clock, as the board does every period."""
-        self._library.hpac_hand_tick(self._hand, self.now_us, self._pulses)
+        self._library.hpac_hand_tick(self._hand, self._config, self.now_us, self._pulses)
         if self._on_pulses:
             self._on_pulses(self.now_us, self.pulses())
 
@@ -144,7 +151,8 @@ class VirtualHand:
                 self.now_us = min(self.now_us + self._period_us, until_us)
                 self.tick()
             else:
-                self.now_us = self._library.hpac_library_run(self._hand, self.now_us, until_us, self._period_us, self._pulses)
+                until = (until_us, self._period_us, self._pulses)
+                self.now_us = self._library.hpac_library_run(self._hand, self._config, self.now_us, *until)
             said = self.transmit()
         return said
 

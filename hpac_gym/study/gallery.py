@@ -34,7 +34,7 @@ STAND = (0.0, 0.0, 0.05)  # m, where the wrist is
 LOOK_AT = (0.03, 0.0, 0.15)  # m, the middle of the hand
 SHEET_CAMERA = Camera(width=320, height=320, distance=0.34, yaw_deg=55.0, pitch_deg=-12.0)
 
-Send = Callable[[str, ServoCommand], None]
+Send = Callable[[str, ServoCommand, Hand], None]
 
 
 def add_arguments(parser: argparse.ArgumentParser, send: Send | None = None) -> None:
@@ -65,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         if not arguments.json:
             print(f"drawn to {sheet}")
     if arguments.port and not everything:
-        arguments.send(arguments.port, command_to(shown[0], hand))
+        arguments.send(arguments.port, command_to(shown[0], hand), hand)
     return 0
 
 

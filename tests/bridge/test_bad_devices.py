@@ -47,7 +47,7 @@ def test_unacknowledged_moves_fill_the_line_to_within_a_tenth():
     with HandLink(lambda: RateLimitedTransport(hand)) as link:
         link.arm()
         command = ServoCommand(np.full(6, 0.05), 0.1)
-        count, length = 2000, len(encode(Frame("move", 1, 0, {"duration_ms": 100, "servo": (500,) * 6})))
+        count, length = 2000, len(encode(Frame("move", 1, 0, {"session": 1 << 24, "duration_ms": 100, "servo": (500,) * 6})))
         before, start = link.status().counters["accepted"], hand.now_us
         for _ in range(count):
             link.move(command, acknowledge=False, pace=False)
@@ -167,7 +167,7 @@ def test_a_connection_that_closes_is_a_port_error():
 
 
 def test_half_a_frame_before_the_cable_is_pulled_does_no_harm(virtual_hand, armed):
-    virtual_hand.receive(encode(Frame("move", 50, 0, {"duration_ms": 500, "servo": (5000,) * 6}))[:13])
+    virtual_hand.receive(encode(Frame("move", 50, 0, {"session": 1, "duration_ms": 500, "servo": (5000,) * 6}))[:13])
     armed.reconnect()
     armed.arm()
     armed.move(ServoCommand(np.full(6, 0.2), 0.4))

@@ -25,7 +25,7 @@ def frames(draw):
     return Frame(message.name, draw(st.integers(0, 0xFFFF)), draw(st.integers(0, 255)), fields)
 
 
-MOVE = Frame("move", 7, 0, {"duration_ms": 50, "servo": (0, 1, -1, 32767, -32768, 256)})
+MOVE = Frame("move", 7, 0, {"session": 0x12345678, "duration_ms": 50, "servo": (0, 1, -1, 32767, -32768, 256)})
 
 
 @given(frames())
@@ -56,8 +56,8 @@ def test_any_cut_of_a_stream_gives_the_same_frames(sent, data):
     assert splitter.rejected_frames == 0
 
 
-def test_a_move_takes_26_bytes():
-    assert len(encode(MOVE)) == 26
+def test_a_move_takes_30_bytes():
+    assert len(encode(MOVE)) == 30
 
 
 def _resealed(body: bytes) -> bytes:
@@ -120,11 +120,11 @@ def test_splitter_remembers_the_version_that_it_could_not_read():
     [
         Frame("nonsense"),
         Frame("move", 1, 0, {"duration_ms": 50}),
-        Frame("move", 1, 0, {"duration_ms": 50, "servo": (0,) * 5}),
-        Frame("move", 1, 0, {"duration_ms": 50, "servo": (32768, 0, 0, 0, 0, 0)}),
-        Frame("move", 1, 0, {"duration_ms": 65536, "servo": (0,) * 6}),
-        Frame("move", 70000, 0, {"duration_ms": 50, "servo": (0,) * 6}),
-        Frame("hello", 1, 0, {"extra": 1}),
+        Frame("move", 1, 0, {"session": 1, "duration_ms": 50, "servo": (0,) * 5}),
+        Frame("move", 1, 0, {"session": 1, "duration_ms": 50, "servo": (32768, 0, 0, 0, 0, 0)}),
+        Frame("move", 1, 0, {"session": 1, "duration_ms": 65536, "servo": (0,) * 6}),
+        Frame("move", 70000, 0, {"session": 1, "duration_ms": 50, "servo": (0,) * 6}),
+        Frame("hello", 1, 0, {"nonce": 1, "extra": 1}),
     ],
     ids=["unknown", "missing field", "five servos", "angle overflow", "duration overflow", "sequence overflow", "extra field"],
 )

@@ -19,7 +19,7 @@ from hpac_gym.bridge import (
     open_transport,
     servo_from_pulses,
 )
-from hpac_gym.bridge.firmware_files import BUILD_VARIABLE
+from hpac_gym.bridge.host_board import BUILD_VARIABLE
 from hpac_gym.model import HPAC, ServoCommand, stream_command
 
 POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])

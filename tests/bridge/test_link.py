@@ -24,6 +24,7 @@ from hpac_gym.bridge import (
     servo_from_pulses,
 )
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.protocol import MESSAGES
 from hpac_gym.bridge.virtual_hand import VirtualTransport
 from hpac_gym.errors import HpacError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration, stream_command
@@ -43,8 +44,8 @@ def streamed(rng, count):
 
 
 def test_handshake_greets_and_does_not_arm(virtual_hand, link):
-    assert link.info.firmware_version == "0.1.0"
-    assert link.info.watchdog == 0.5
+    assert link.info.firmware_version == "0.2.0"
+    assert link.info.watchdog == 0.4
     assert link.state == "idle"
     assert not virtual_hand.pulses().any()
 
@@ -145,7 +146,7 @@ def test_arm_refuses_a_firmware_with_other_limits(virtual_hand):
 
 def test_firmware_refuses_a_host_with_other_limits(link):
     with pytest.raises(RejectedError, match="limits"):
-        link._request("arm", {"limits_hash": link._limits_hash ^ 1, "action": 0})
+        link._connection.request("arm", {"limits_hash": link.info.limits_hash ^ 1, "watchdog_ms": 250, "action": 0})
 
 
 # --- silence, faults ------------------------------------------------------------------------------------------------
@@ -284,7 +285,7 @@ class OtherVersion(VirtualTransport):
                 "device_hello",
                 1,
                 0,
-                {"firmware_version": (9, 0, 0), "limits_hash": 0, "watchdog_ms": 1, "reset": 0, "boot_count": 0, "state": 0},
+                {field.name: (0,) * field.count if field.is_array else 0 for field in MESSAGES["device_hello"].fields},
             ),
             version=9,
         )
@@ -301,9 +302,11 @@ def test_another_protocol_version_is_named(virtual_hand):
 
 
 def test_a_hand_that_stops_answering_ends_in_a_timeout(virtual_hand, armed):
-    armed._exchange.transport.write = lambda data: None
+    write = armed._connection.exchange.transport.write
+    armed._connection.exchange.transport.write = lambda data: None
     with pytest.raises(LinkTimeout, match="heartbeat"):
         armed.heartbeat()
+    armed._connection.exchange.transport.write = write
     assert armed.statistics.timeouts == 1
 
 
@@ -348,7 +351,8 @@ def test_the_wire_log_has_every_frame(virtual_hand, tmp_path):
     assert [line["seq"] for line in sent] == [line["seq"] for line in answers]
     assert len(lines) == link.statistics.sent + link.statistics.received
     move = next(line for line in sent if line["message"] == "move")
-    assert move["fields"] == {"duration_ms": 1000, "servo": [5000, 4000, 3000, 2000, 1000, 6000]}
+    session = {"session": link.info.session}
+    assert move["fields"] == {**session, "duration_ms": 1000, "servo": [5000, 4000, 3000, 2000, 1000, 6000]}
     assert encode(Frame("move", move["seq"], 0, move["fields"]))[1:-1].hex() == move["hex"]
     ack = next(line for line in answers if line.get("acked") == "move")
     assert (ack["reason"], ack["state"]) == ("ok", "armed")
@@ -363,6 +367,13 @@ def test_servo_from_pulses_is_the_inverse_of_pulses_from_servo(share):
 def test_no_pulse_has_no_angle(virtual_hand):
     with pytest.raises(FrameError, match="not armed"):
         servo_from_pulses(virtual_hand.pulses())
+
+
+def test_a_servo_without_pulses_is_named():
+    pulses = pulses_from_servo(POSE)
+    pulses[1] = 0
+    with pytest.raises(FrameError, match="no pulses on index_mcp"):
+        servo_from_pulses(pulses)
 
 
 def test_minimum_jerk_arrives_at_rest_and_on_time(virtual_hand, armed):

@@ -5,7 +5,7 @@ import pytest
 
 from hpac_gym.bridge import generate, protocol
 from hpac_gym.bridge.limits import limits_hash, servo_limits
-from hpac_gym.bridge.virtual_hand import Config, default_config, load_library
+from hpac_gym.bridge.virtual_hand import Config, config_of, default_config, load_library
 from hpac_gym.model import HPAC, SERVOS
 
 
@@ -60,3 +60,7 @@ def test_fields_follow_each_other_without_gaps(message):
 def test_codes_tell_host_from_hand():
     assert all((message.code < 0x80) == message.from_host for message in protocol.MESSAGES.values())
     assert len(protocol.MESSAGE_BY_CODE) == len(protocol.MESSAGES)
+
+
+def test_the_table_of_the_nominal_hand_is_the_firmwares_own():
+    assert bytes(config_of(HPAC)) == bytes(default_config())

@@ -6,15 +6,15 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
-from hpac_gym.bridge.limits import limits_hash, servo_limits
+from hpac_gym.bridge.limits import limits_hash, pulses_from_servo, servo_limits
 from hpac_gym.bridge.protocol import MESSAGES, Action, Reason, State
-from hpac_gym.bridge.pulses import pulses_from_servo
 from hpac_gym.bridge.virtual_hand import VirtualHand
 from hpac_gym.model import HPAC
 
 LOW = pulses_from_servo([servo.min_urad * 1e-6 for servo in servo_limits()])
 HIGH = pulses_from_servo([servo.max_urad * 1e-6 for servo in servo_limits()])
-ARM = {"limits_hash": limits_hash(), "action": int(Action.hold)}
+SESSION = {"session": 0xC0FFEE}
+ARM = {**SESSION, "limits_hash": limits_hash(), "watchdog_ms": 1000, "action": int(Action.hold)}
 
 
 def ask(hand, frame):
@@ -29,23 +29,29 @@ def ask(hand, frame):
 
 def armed_hand():
     hand = VirtualHand()
-    ask(hand, Frame("hello", 1))
+    ask(hand, Frame("hello", 1, 0, {"nonce": SESSION["session"]}))
     ask(hand, Frame("arm", 2, 0, ARM))
-    hand.run(0.3)
+    while _status(hand)["moving"]:
+        ask(hand, Frame("heartbeat", 3, 0, SESSION))
+        hand.run(0.2)
     return hand
+
+
+def _status(hand):
+    return next(a.fields for a in ask(hand, Frame("status", 0, 0, {"period_ms": 0})) if a.name == "device_status")
 
 
 @given(st.integers(0, 0xFFFF), st.integers(10, 10_000), st.tuples(*[st.integers(-100, 14_000)] * 6))
 def test_the_core_reads_a_move_as_python_wrote_it(seq, duration_ms, servo):
     hand = armed_hand()
-    (ack,) = ask(hand, Frame("move", seq, 0, {"duration_ms": duration_ms, "servo": servo}))
+    (ack,) = ask(hand, Frame("move", seq, 0, {**SESSION, "duration_ms": duration_ms, "servo": servo}))
     assert ack.seq == seq
     limits = servo_limits()
     outside = [i for i in range(6) if not limits[i].min_urad <= servo[i] * 100 <= limits[i].max_urad]
     if ack.fields["reason"] == Reason.ok:
         assert not outside
         for _ in range(duration_ms // 400 + 1):
-            ask(hand, Frame("heartbeat", 5))
+            ask(hand, Frame("heartbeat", 5, 0, SESSION))
             while hand.run(min(duration_ms * 1e-3, 0.4)):
                 pass
         np.testing.assert_allclose(hand.pulses(), pulses_from_servo(np.array(servo) * 1e-4), rtol=0, atol=1)  # a tie, rounded
@@ -82,7 +88,7 @@ def test_no_bytes_make_pulses_before_arming(data):
 def test_any_bytes_cost_at_most_the_frame_that_they_touch(data):
     hand = VirtualHand()
     hand.receive(data)
-    answers = ask(hand, Frame("hello", 42))
+    answers = ask(hand, Frame("hello", 42, 0, {"nonce": 1}))
     assert [answer.name for answer in answers if answer.seq == 42] == ["device_hello"]
 
 
@@ -93,6 +99,7 @@ class HostileHost(RuleBasedStateMachine):
     def power_on(self):
         self.hand = VirtualHand()
         self.seq = 0
+        self.greeted = False
 
     def _ask(self, name, fields=None, flags=0):
         self.seq = self.seq % 0xFFFF + 1
@@ -103,24 +110,24 @@ class HostileHost(RuleBasedStateMachine):
         return before, accepted, self._state()
 
     def _state(self):
-        status = next(a for a in ask(self.hand, Frame("status", 0, 0, {"period_ms": 0})) if a.name == "device_status")
-        return State(status.fields["state"])
+        return State(_status(self.hand)["state"])
 
     @rule()
     def hello(self):
-        before, _, after = self._ask("hello")
+        before, _, after = self._ask("hello", {"nonce": SESSION["session"]})
+        self.greeted = True
         assert after == (State.fault if before == State.fault else State.idle)
 
     @rule(action=st.integers(0, 4), good=st.booleans())
     def arm(self, action, good):
-        fields = {"limits_hash": limits_hash() ^ (not good), "action": action}
+        fields = {**ARM, "watchdog_ms": 500, "limits_hash": limits_hash() ^ (not good), "action": action}
         before, accepted, after = self._ask("arm", fields)
-        assert accepted == (good and action <= 2 and before in (State.idle, State.armed))
+        assert accepted == (self.greeted and good and action <= 2 and before in (State.idle, State.armed))
         assert after == (State.armed if accepted else before)
 
     @rule(servo=st.tuples(*[st.integers(-50, 14_000)] * 6), duration_ms=st.integers(0, 11_000), minimum_jerk=st.integers(0, 1))
     def move(self, servo, duration_ms, minimum_jerk):
-        before, accepted, after = self._ask("move", {"duration_ms": duration_ms, "servo": servo}, minimum_jerk)
+        before, accepted, after = self._ask("move", {**SESSION, "duration_ms": duration_ms, "servo": servo}, minimum_jerk)
         assert after == before
         assert not accepted or (before == State.armed and self.hand.pulses().all())
 
@@ -133,9 +140,9 @@ class HostileHost(RuleBasedStateMachine):
 
     @rule()
     def clear(self):
-        before, accepted, after = self._ask("clear")
-        assert accepted == (before != State.boot)
-        assert after == (State.idle if accepted else State.boot)
+        before, accepted, after = self._ask("clear", SESSION)
+        assert accepted == self.greeted
+        assert after == (State.idle if accepted else before)
         assert not self.hand.pulses().any()
 
     @rule(seconds=st.floats(0.001, 0.7))

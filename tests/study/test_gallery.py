@@ -73,7 +73,7 @@ def test_json_of_one_and_of_all(capsys):
 
 def test_a_posture_is_sent_to_the_port_that_is_named():
     sent = []
-    assert run("fist", "--port", "/dev/hand", send=lambda port, command: sent.append((port, command))) == 0
+    assert run("fist", "--port", "/dev/hand", send=lambda port, command, hand: sent.append((port, command))) == 0
     ((port, command),) = sent
     assert port == "/dev/hand"
     assert command.servo == pytest.approx(gallery.command_to(posture("fist")).servo)

@@ -1,9 +1,9 @@
 /* The firmware as a process: opens a pseudo-terminal, prints its path, and runs the core against the real clock.
  *
- *   hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--trim SERVO NS] [--reverse SERVO]
+ *   hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--cold] [--trim SERVO NS] [--reverse SERVO]
  *
  * FILE gets a line "time_us,pulse_ns × 6" whenever a width changes, before the answer that tells of it is sent.
- * Ends on SIGTERM or SIGINT, or when the process PID is no longer its parent. */
+ * With --cold it does not know where its servos are, as after power-on, and takes longer to arm. Ends on SIGTERM or SIGINT, or when the process PID is no longer its parent. */
 #define _XOPEN_SOURCE 600
 
 #include <errno.h>
@@ -25,6 +25,7 @@ typedef struct {
     const char *pulses_path;
     long parent;
     bool boot_text;
+    bool cold;
     hpac_config_t config;
 } options_t;
 
@@ -65,6 +66,8 @@ static bool read_options(int count, char **arguments, options_t *options)
         int left = count - i - 1;
         if (strcmp(name, "--boot-text") == 0) {
             options->boot_text = true;
+        } else if (strcmp(name, "--cold") == 0) {
+            options->cold = true;
         } else if (strcmp(name, "--pulses") == 0 && left >= 1) {
             options->pulses_path = arguments[++i];
         } else if (strcmp(name, "--parent") == 0 && left >= 1) {
@@ -76,8 +79,8 @@ static bool read_options(int count, char **arguments, options_t *options)
             options->config.servo[servo].direction = -1;
             i++;
         } else {
-            fprintf(stderr, "usage: hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--trim SERVO NS] "
-                            "[--reverse SERVO]   (SERVO 0 to 5)\n");
+            fprintf(stderr, "usage: hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--cold] "
+                            "[--trim SERVO NS] [--reverse SERVO]   (SERVO 0 to 5)\n");
             return false;
         }
     }
@@ -150,7 +153,11 @@ static void run(int port, const options_t *options, FILE *log)
     uint32_t last[HPAC_SERVOS] = { 0 };
     uint64_t start_us = clock_us();
     uint64_t next_us = 0;
-    hpac_hand_init(&hand, &options->config, HPAC_RESET_POWER_ON, 1);
+    hpac_memory_t at_rest = { .heat = { 0 } };
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        at_rest.pose[i] = options->config.servo[i].rest_urad;
+    }
+    hpac_hand_init(&hand, &options->config, HPAC_RESET_POWER_ON, 1, options->cold ? NULL : &at_rest);
     if (options->boot_text) {
         pending.length = sizeof boot_text - 1u;
         memcpy(pending.bytes, boot_text, pending.length);
@@ -163,12 +170,12 @@ static void run(int port, const options_t *options, FILE *log)
         ssize_t length = read(port, received, sizeof received);
         now_us = clock_us() - start_us;
         if (length > 0) {
-            hpac_hand_receive(&hand, now_us, received, (size_t)length);
+            hpac_hand_receive(&hand, &options->config, now_us, received, (size_t)length);
         } else if (now_us < next_us) {
             continue;
         }
         next_us = now_us + TICK_US;
-        hpac_hand_tick(&hand, now_us, pulses);
+        hpac_hand_tick(&hand, &options->config, now_us, pulses);
         log_pulses(log, now_us, pulses, last);
         send_answers(port, &hand, &pending);
     }
@@ -176,7 +183,7 @@ static void run(int port, const options_t *options, FILE *log)
 
 int main(int count, char **arguments)
 {
-    options_t options = { .pulses_path = NULL, .parent = 0, .boot_text = false };
+    options_t options = { .pulses_path = NULL, .parent = 0 };
     hpac_config_default(&options.config);
     if (!read_options(count, arguments, &options)) {
         return 2;

@@ -32,7 +32,7 @@ static void tick(bench_t *bench)
     while (virt_clock_us() < next_us) {
     }
     bench->now_us = virt_clock_us();
-    hpac_hand_tick(&bench->hand, bench->now_us, bench->pulses);
+    hpac_hand_tick(&bench->hand, &bench->config, bench->now_us, bench->pulses);
     print_number((uint32_t)bench->now_us, ' ');
     for (int i = 0; i < HPAC_SERVOS; i++) {
         print_number(bench->pulses[i], i < HPAC_SERVOS - 1 ? ' ' : '\n');
@@ -44,7 +44,7 @@ int main(void)
     static bench_t bench;
     static const int16_t target[HPAC_SERVOS] = { 500, 1000, 1500, 2000, 2500, 3000 };
     bench_armed(&bench, HPAC_ACTION_HOLD); /* its own time: 1.24 s after power-on */
-    hpac_config_default(&bench.hand.config);
+    hpac_config_default(&bench.config);
     while (virt_clock_us() < bench.now_us) {
     }
     bench.now_us = virt_clock_us();

@@ -6,6 +6,7 @@
 #define TICK_US 1000u
 
 static hpac_hand_t hand;
+static hpac_memory_t at_rest; /* its servos are: it arms as after a reset, not as after power-on */
 
 int main(void)
 {
@@ -15,16 +16,16 @@ int main(void)
     uint8_t answer = 0;
     bool pending = false;
     hpac_config_default(&config);
-    hpac_hand_init(&hand, &config, HPAC_RESET_POWER_ON, 1);
+    hpac_hand_init(&hand, &config, HPAC_RESET_POWER_ON, 1, &at_rest);
     for (;;) {
         uint8_t byte;
         while (virt_read_byte(&byte)) {
-            hpac_hand_receive(&hand, virt_clock_us(), &byte, 1); /* the clock after the byte: never before it came */
+            hpac_hand_receive(&hand, &config, virt_clock_us(), &byte, 1); /* the clock after the byte: never before it came */
         }
         uint64_t now_us = virt_clock_us();
         if (now_us >= next_us) {
             next_us = now_us + TICK_US;
-            hpac_hand_tick(&hand, now_us, pulses);
+            hpac_hand_tick(&hand, &config, now_us, pulses);
         }
         pending = pending || hpac_hand_transmit(&hand, &answer, 1) == 1u;
         while (pending && virt_write_byte(answer)) {

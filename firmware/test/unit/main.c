@@ -24,6 +24,7 @@ int main(void)
     test_states();
     test_moves();
     test_malformed();
+    test_vectors();
     printf("firmware unit tests: %d checks, %d failed\n", checks, failures);
     return failures == 0 && checks > 0 ? 0 : 1;
 }

@@ -3,7 +3,6 @@
 
 #include "bench.h"
 #include "check.h"
-#include "hpac_crc32.h"
 #include "tests.h"
 
 static void crc_is_zlibs(void)
@@ -26,7 +25,7 @@ static hpac_rx_result_t last_result(const uint8_t *bytes, size_t length)
 static void receiver_names_the_damage(void)
 {
     uint8_t wire[128];
-    uint8_t payload[40];
+    uint8_t payload[HPAC_FRAME_MAX];
     size_t length = bench_frame(wire, HPAC_VERSION, HPAC_HEARTBEAT, 3, 0, NULL, 0);
     CHECK(last_result(wire, length) == HPAC_RX_FRAME);
     wire[2] ^= 0x40u;
@@ -68,6 +67,8 @@ static void fields_are_little_endian(void)
     CHECK(hpac_get_u32(bytes) == 0x89abcdefu);
     CHECK(hpac_get_u16(bytes) == 0xcdefu);
     CHECK(hpac_get_i16(bytes) == -12817);
+    CHECK(hpac_get_i16((const uint8_t[]){ 0x00, 0x80 }) == -32768);
+    CHECK(hpac_get_i16((const uint8_t[]){ 0xff, 0x7f }) == 32767);
 }
 
 void test_frame(void)

@@ -1,7 +1,11 @@
 /* Pulse widths, trims, and the heat estimate. */
+#include <string.h>
+
 #include "bench.h"
 #include "check.h"
 #include "hpac_load.h"
+#include "hpac_motion.h"
+#include "hpac_state.h"
 #include "tests.h"
 
 static void pulses_follow_the_table(void)
@@ -36,18 +40,79 @@ static void unusable_tables_are_found(void)
     }
 }
 
+/* Each bound of a table at its last admissible value, and one beyond it. */
+static void bounds_of_a_table_are_exact(void)
+{
+    static const hpac_servo_t wide = { .min_urad = 0, .max_urad = 1000000, .rest_urad = 500000, .centre_urad = 500000,
+                                       .rate_urad_s = 1000000, .ns_per_rad = 1000000, .centre_ns = 1500000, .direction = 1 };
+    static const struct {
+        size_t at; /* offset of the column */
+        int32_t good, bad;
+    } rows[] = {
+        { offsetof(hpac_servo_t, min_urad), 500000, 500001 }, /* rest */
+        { offsetof(hpac_servo_t, max_urad), 500000, 499999 },
+        { offsetof(hpac_servo_t, rest_urad), 0, -1 },
+        { offsetof(hpac_servo_t, rest_urad), 1000000, 1000001 },
+        { offsetof(hpac_servo_t, rate_urad_s), 1, 0 },
+        { offsetof(hpac_servo_t, rate_urad_s), 100000000, 100000001 },
+        { offsetof(hpac_servo_t, ns_per_rad), 1, 0 },
+        { offsetof(hpac_servo_t, trim_ns), 32767, 32768 },
+        { offsetof(hpac_servo_t, trim_ns), -32768, -32769 },
+        { offsetof(hpac_servo_t, direction), -1, 2 },
+        { offsetof(hpac_servo_t, direction), 1, 0 },
+        { offsetof(hpac_servo_t, centre_ns), HPAC_PULSE_MIN_NS + 500000, HPAC_PULSE_MIN_NS + 499999 },
+        { offsetof(hpac_servo_t, centre_ns), HPAC_PULSE_MAX_NS - 500000, HPAC_PULSE_MAX_NS - 499999 },
+        { offsetof(hpac_servo_t, centre_urad), 0, -1 },
+        { offsetof(hpac_servo_t, centre_urad), 1000000, 1000001 },
+    };
+    CHECK(hpac_servo_usable(&wide));
+    for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+        for (int direction = -1; direction <= 1; direction += 2) {
+            hpac_servo_t servo = wide;
+            servo.direction = direction;
+            memcpy((uint8_t *)&servo + rows[i].at, &rows[i].good, sizeof rows[i].good);
+            CHECK(hpac_servo_usable(&servo));
+            memcpy((uint8_t *)&servo + rows[i].at, &rows[i].bad, sizeof rows[i].bad);
+            CHECK(!hpac_servo_usable(&servo));
+        }
+    }
+    hpac_servo_t far = wide; /* what the wire can say */
+    far.ns_per_rad = 100000;
+    far.min_urad = -3276700;
+    far.max_urad = 3276700;
+    CHECK(hpac_servo_usable(&far));
+    far.max_urad++;
+    CHECK(!hpac_servo_usable(&far));
+    far.max_urad--;
+    far.min_urad--;
+    CHECK(!hpac_servo_usable(&far));
+    for (int i = 0; i < HPAC_SERVOS; i++) { /* one is enough */
+        hpac_config_t config;
+        bench_config(&config);
+        CHECK(hpac_servo_all_usable(config.servo));
+        config.servo[i].direction = 0;
+        CHECK(!hpac_servo_all_usable(config.servo));
+    }
+}
+
 static void an_unusable_table_never_gets_pulses(void)
 {
     bench_t bench;
-    hpac_config_t config;
     bench_start(&bench);
-    bench_config(&config);
-    config.servo[3].trim_ns = 800000;
-    hpac_hand_init(&bench.hand, &config, HPAC_RESET_POWER_ON, 1);
+    bench.config.servo[3].trim_ns = 800000;
+    hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_POWER_ON, 1, NULL);
     CHECK(bench.hand.state == HPAC_STATE_FAULT && bench.hand.fault == HPAC_FAULT_CONFIG);
+    bench_send(&bench, HPAC_HELLO, 0, NULL, 0);
+    CHECK(bench.fault_servo == HPAC_NO_SERVO);
     CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_STATE);
     bench_run(&bench, 10);
     CHECK(bench.hand.state == HPAC_STATE_FAULT && bench_silent(&bench));
+    bench.fault_servo = 0;
+    CHECK(bench_send(&bench, HPAC_ESTOP, 0, NULL, 0) == HPAC_REASON_OK); /* there is nothing to stop, but it is told */
+    CHECK(bench.answer_types[HPAC_FAULT] == 1u && bench.fault_servo == HPAC_NO_SERVO);
+    CHECK(bench.hand.fault == HPAC_FAULT_CONFIG && bench_silent(&bench));
+    bench_run(&bench, 10);
+    CHECK(bench.hand.fault == HPAC_FAULT_CONFIG);
 }
 
 static void heat_rises_to_the_square_of_the_effort(void)
@@ -72,11 +137,19 @@ static void the_rate_falls_with_heat(void)
 {
     CHECK(hpac_load_rate_permille(0) == 1000u);
     CHECK(hpac_load_rate_permille(HPAC_HEAT_LIMIT / 100u * HPAC_LOAD_DERATE_FROM_PERCENT) == 1000u);
-    CHECK(hpac_load_rate_permille(HPAC_HEAT_LIMIT / 100u * 90u) > 600u);
-    CHECK(hpac_load_rate_permille(HPAC_HEAT_LIMIT / 100u * 90u) < 650u);
+    for (uint32_t share = 0; share < 1000u; share++) { /* from 80 % on, in thousandths of the way to 100 % */
+        uint32_t heat = HPAC_HEAT_LIMIT / 100u * HPAC_LOAD_DERATE_FROM_PERCENT + share * (HPAC_HEAT_LIMIT / 5000u);
+        CHECK(hpac_load_rate_permille(heat) == 1000u - 750u * share / 1000u);
+    }
+    bench_t bench;
+    bench_idle(&bench);
+    bench.hand.heat[4] = HPAC_HEAT_LIMIT / 100u * 90u;
+    bench.hand.heat[2] = HPAC_HEAT_LIMIT / 100u * 85u;
+    CHECK(hpac_motion_rate_permille(&bench.hand) == 625u); /* the hottest servo's */
     CHECK(hpac_load_rate_permille(HPAC_HEAT_LIMIT) == HPAC_LOAD_DERATE_TO_PERMILLE);
     CHECK(hpac_load_rate_permille(UINT32_MAX) == HPAC_LOAD_DERATE_TO_PERMILLE);
     CHECK(hpac_load_percent(HPAC_HEAT_LIMIT) == 100u);
+    CHECK(hpac_load_percent(UINT32_MAX) == 255u);
 }
 
 static void keep_alive(bench_t *bench, uint32_t s)
@@ -92,11 +165,8 @@ static void a_closed_hand_is_derated_then_relaxes(void)
 {
     static const int16_t closed[HPAC_SERVOS] = { 13000, 13000, 13000, 13000, 13000, 13000 };
     static const int16_t open[HPAC_SERVOS] = { 0 };
-    uint8_t arm[HPAC_ARM_LENGTH];
     bench_t bench;
     bench_armed(&bench, HPAC_ACTION_HOLD);
-    hpac_put_u32(arm + HPAC_ARM_AT_LIMITS_HASH, HPAC_LIMITS_HASH);
-    arm[HPAC_ARM_AT_ACTION] = HPAC_ACTION_HOLD;
     CHECK(bench_move(&bench, 0, 400, closed) == HPAC_REASON_OK);
     keep_alive(&bench, 200);
     CHECK(bench.hand.state == HPAC_STATE_ARMED);
@@ -107,9 +177,86 @@ static void a_closed_hand_is_derated_then_relaxes(void)
     bench_run(&bench, 2000);
     CHECK(bench_silent(&bench));
     CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_OK);
-    CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == HPAC_REASON_HOT);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_HOT);
     bench_run(&bench, 60000);
-    CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == HPAC_REASON_OK);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
+}
+
+static void the_first_servo_at_its_limit_is_told_once(void)
+{
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        bench_t bench;
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        for (unsigned k = i; k < HPAC_SERVOS; k++) {
+            bench.hand.heat[k] = HPAC_HEAT_LIMIT;
+        }
+        bench.hand.load_us = bench.now_us;
+        bench.answer_types[HPAC_FAULT] = 0;
+        bench_feed(&bench, NULL, 0);
+        CHECK(bench.hand.fault == HPAC_FAULT_OVERLOAD && bench.fault_servo == i && bench.answer_types[HPAC_FAULT] == 1u);
+    }
+}
+
+/* Every 10 ms, and after a gap for one second of it. */
+static void heat_steps_are_counted(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench.hand.load_us = bench.now_us;
+    uint32_t heat = bench.hand.heat[1];
+    bench.now_us += HPAC_LOAD_STEP_US - 1u;
+    bench_feed(&bench, NULL, 0);
+    CHECK(bench.hand.heat[1] == heat);
+    bench.now_us++;
+    bench_feed(&bench, NULL, 0);
+    heat = hpac_load_step(heat, HPAC_LOAD_IDLE_PERMILLE);
+    CHECK(bench.hand.heat[1] == heat);
+    for (int gaps = 0; gaps < 2; gaps++) {
+        hpac_state_idle(&bench.hand);
+        bench.hand.heat[1] = HPAC_HEAT_LIMIT / 2u;
+        uint32_t cold = HPAC_HEAT_LIMIT / 2u;
+        for (int i = 0; i < 100; i++) {
+            cold = hpac_load_step(cold, 0);
+        }
+        bench.now_us += 100u * HPAC_LOAD_STEP_US + (gaps == 0 ? 0u : 5000000u);
+        bench_feed(&bench, NULL, 0);
+        CHECK(bench.hand.heat[1] == cold);
+    }
+}
+
+static void each_hot_servo_keeps_the_hand_from_arming(void)
+{
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        bench_t bench;
+        bench_idle(&bench);
+        bench.hand.heat[i] = HPAC_HEAT_LIMIT / 100u * 90u;
+        CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_HOT && bench.servo == i);
+        CHECK(bench.hand.state == HPAC_STATE_IDLE);
+    }
+}
+
+static void a_low_supply_keeps_the_hand_from_arming_and_stops_it(void)
+{
+    bench_t bench;
+    bench_idle(&bench);
+    hpac_hand_inputs(&bench.hand, false, HPAC_SUPPLY_MIN_MV - 1);
+    bench.now_us++;
+    hpac_hand_tick(&bench.hand, &bench.config, bench.now_us, bench.pulses);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_SUPPLY);
+    hpac_hand_inputs(&bench.hand, false, HPAC_SUPPLY_MIN_MV);
+    bench_run(&bench, 1);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
+    bench_run(&bench, 200);
+    for (int dips = 0; dips < 3; dips++) { /* a dip is none */
+        hpac_hand_inputs(&bench.hand, false, 1);
+        bench_run(&bench, HPAC_SUPPLY_LOW_MS - 1);
+        CHECK(bench.hand.state == HPAC_STATE_ARMED);
+        hpac_hand_inputs(&bench.hand, false, 5000);
+        bench_run(&bench, 1);
+    }
+    hpac_hand_inputs(&bench.hand, false, 1);
+    bench_run(&bench, HPAC_SUPPLY_LOW_MS);
+    CHECK(bench.hand.fault == HPAC_FAULT_SUPPLY && bench_silent(&bench) && !hpac_hand_powered(&bench.hand));
 }
 
 static void heat_does_not_depend_on_how_often_the_board_ticks(void)
@@ -121,7 +268,7 @@ static void heat_does_not_depend_on_how_often_the_board_ticks(void)
     for (int i = 0; i < 400; i++) {
         bench_run(&often, 20);
         rarely.now_us += 20000u;
-        hpac_hand_tick(&rarely.hand, rarely.now_us, rarely.pulses);
+        hpac_hand_tick(&rarely.hand, &rarely.config, rarely.now_us, rarely.pulses);
         if (i % 10 == 0) {
             bench_send(&often, HPAC_HEARTBEAT, 0, NULL, 0);
             bench_send(&rarely, HPAC_HEARTBEAT, 0, NULL, 0);
@@ -133,8 +280,13 @@ static void heat_does_not_depend_on_how_often_the_board_ticks(void)
 void test_servo_and_load(void)
 {
     heat_does_not_depend_on_how_often_the_board_ticks();
+    the_first_servo_at_its_limit_is_told_once();
+    heat_steps_are_counted();
+    each_hot_servo_keeps_the_hand_from_arming();
+    a_low_supply_keeps_the_hand_from_arming_and_stops_it();
     pulses_follow_the_table();
     unusable_tables_are_found();
+    bounds_of_a_table_are_exact();
     an_unusable_table_never_gets_pulses();
     heat_rises_to_the_square_of_the_effort();
     the_rate_falls_with_heat();

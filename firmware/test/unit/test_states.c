@@ -1,26 +1,22 @@
 /* The state machine: who may do what when, watchdog, e-stop, safe actions, latches. */
+#include <string.h>
+
 #include "bench.h"
 #include "check.h"
+#include "hpac_load.h"
+#include "hpac_motion.h"
 #include "tests.h"
 
 static const int16_t half[HPAC_SERVOS] = { 6000, 6000, 6000, 6000, 6000, 6000 };
 
-static void arm_payload(uint8_t *payload, uint32_t hash, uint8_t action)
-{
-    hpac_put_u32(payload + HPAC_ARM_AT_LIMITS_HASH, hash);
-    payload[HPAC_ARM_AT_ACTION] = action;
-}
-
 static void nothing_moves_before_the_handshake(void)
 {
     bench_t bench;
-    uint8_t arm[HPAC_ARM_LENGTH];
-    arm_payload(arm, HPAC_LIMITS_HASH, HPAC_ACTION_HOLD);
     bench_start(&bench);
     CHECK(bench.hand.state == HPAC_STATE_BOOT);
-    CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == HPAC_REASON_STATE);
-    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_STATE);
-    CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_STATE);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_SESSION);
+    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_SESSION);
+    CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_SESSION);
     bench_run(&bench, 2000);
     CHECK(bench_silent(&bench));
     CHECK(bench_send(&bench, HPAC_HELLO, 0, NULL, 0) == -1);
@@ -32,32 +28,68 @@ static void nothing_moves_before_the_handshake(void)
 static void arming_is_checked_and_staggered(void)
 {
     bench_t bench;
-    uint8_t arm[HPAC_ARM_LENGTH];
-    bench_idle(&bench);
-    arm_payload(arm, HPAC_LIMITS_HASH ^ 1u, HPAC_ACTION_HOLD);
-    CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == HPAC_REASON_LIMITS);
-    arm_payload(arm, HPAC_LIMITS_HASH, HPAC_ACTION_DETACH + 1u);
-    CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == HPAC_REASON_ACTION);
+    bench_start(&bench);
+    hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_POWER_ON, 1, NULL);
+    bench_send(&bench, HPAC_HELLO, 0, NULL, 0);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 1) == HPAC_REASON_LIMITS);
+    CHECK(bench_arm(&bench, HPAC_ACTION_DETACH + 1u, 0) == HPAC_REASON_ACTION);
     CHECK(bench.hand.state == HPAC_STATE_IDLE);
-    arm_payload(arm, HPAC_LIMITS_HASH, HPAC_ACTION_HOLD);
-    CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == HPAC_REASON_OK);
-    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
-        CHECK(bench.hand.attached == (1u << (i + 1u)) - 1u);
-        CHECK(i == HPAC_SERVOS - 1u || bench_move(&bench, 0, 1000, half) == HPAC_REASON_STARTING);
-        bench_run(&bench, HPAC_STAGGER_MS);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
+    for (int i = 0; i < HPAC_SERVOS; i++) { /* after power-on each may have its whole range to go */
+        uint32_t ms = HPAC_START_SETTLE_MS + ((uint32_t)bench.config.servo[i].max_urad + 4999u) / (HPAC_START_SPEED_URAD_S / 1000);
+        bench_run(&bench, i == 0 ? HPAC_POWER_ON_MS : 1);
+        CHECK(bench.hand.attached == (1u << (i + 1)) - 1u);
+        CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_STARTING);
+        bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0);
+        bench_run(&bench, ms - 1u);
+        CHECK(bench.hand.attached == (1u << (i + 1)) - 1u && bench.hand.starting);
     }
-    CHECK(bench_all_pulses(&bench));
+    bench_run(&bench, 2);
+    CHECK(bench_all_pulses(&bench) && !bench.hand.starting);
     CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+}
+
+/* Nobody knows better where the servos are than the last command: no step at the first pulses, then slowly to rest. */
+static void arming_takes_up_the_last_pose_and_goes_to_rest_slowly(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench_move(&bench, 0, 300, half) == HPAC_REASON_OK);
+    bench_run(&bench, 200);
+    uint32_t last[HPAC_SERVOS];
+    memcpy(last, bench.pulses, sizeof last);
+    bench_send(&bench, HPAC_CLEAR, 0, NULL, 0);
+    CHECK(bench_silent(&bench));
+    bench_run(&bench, 300);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
+    for (uint32_t ms = 0; ms < HPAC_START_MAX_MS && bench.hand.starting; ms++) {
+        uint32_t before[HPAC_SERVOS];
+        memcpy(before, bench.pulses, sizeof before);
+        uint8_t attached = bench.hand.attached;
+        bench_run(&bench, 1);
+        for (int i = 0; i < HPAC_SERVOS; i++) {
+            bool first = before[i] == 0u && bench.pulses[i] != 0u;
+            CHECK(!first || bench.pulses[i] == last[i]);
+            /* a quarter of 4 rad/s is 637 ns a ms */
+            CHECK(bench.pulses[i] == 0u || first || (before[i] - bench.pulses[i] <= 638u && bench.pulses[i] <= before[i]));
+            CHECK(bench_all_pulses(&bench) || bench.pulses[i] == 0u || bench.pulses[i] == last[i]);
+        }
+        CHECK(bench.hand.attached == attached || bench.hand.attached == 2u * attached + 1u); /* one at a time */
+        if (ms % 100u == 0u) {
+            CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_STARTING);
+            bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0);
+        }
+    }
+    CHECK(bench.hand.state == HPAC_STATE_ARMED && !bench.hand.starting);
+    CHECK(bench.pulses[0] == hpac_servo_pulse(&bench.config.servo[0], 0));
 }
 
 static void silence_trips_the_watchdog_and_latches(hpac_action_t action)
 {
     bench_t bench;
-    uint8_t arm[HPAC_ARM_LENGTH];
-    arm_payload(arm, HPAC_LIMITS_HASH, HPAC_ACTION_HOLD);
     bench_armed(&bench, action);
     CHECK(bench_move(&bench, 0, 200, half) == HPAC_REASON_OK);
-    bench_run(&bench, HPAC_WATCHDOG_MS - 1);
+    bench_run(&bench, BENCH_WATCHDOG_MS - 1);
     CHECK(bench.hand.state == HPAC_STATE_ARMED);
     uint32_t before = bench.pulses[2];
     bench_run(&bench, 1);
@@ -66,7 +98,7 @@ static void silence_trips_the_watchdog_and_latches(hpac_action_t action)
     CHECK(bench_silent(&bench) == (action == HPAC_ACTION_DETACH));
     CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_STATE);
     CHECK(bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0) == HPAC_REASON_OK);
-    CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == HPAC_REASON_STATE);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_STATE);
     CHECK(bench.hand.state == HPAC_STATE_FAULT);
     bench_run(&bench, 50);
     CHECK(action != HPAC_ACTION_HOLD || bench.pulses[2] == before);
@@ -84,7 +116,7 @@ static void refused_frames_do_not_feed_the_watchdog(void)
     bench_t bench;
     bench_armed(&bench, HPAC_ACTION_DETACH);
     for (int i = 0; i < 20; i++) {
-        bench_run(&bench, HPAC_WATCHDOG_MS / 10);
+        bench_run(&bench, BENCH_WATCHDOG_MS / 10);
         bench_move(&bench, 0, 1, half);
     }
     CHECK(bench.hand.state == HPAC_STATE_FAULT && bench.hand.fault == HPAC_FAULT_WATCHDOG);
@@ -96,9 +128,87 @@ static void heartbeats_feed_the_watchdog(void)
     bench_armed(&bench, HPAC_ACTION_DETACH);
     for (int i = 0; i < 20; i++) {
         CHECK(bench_send(&bench, HPAC_HEARTBEAT, HPAC_FLAG_NO_ACK, NULL, 0) == -1);
-        bench_run(&bench, HPAC_WATCHDOG_MS - 1);
+        bench_run(&bench, BENCH_WATCHDOG_MS - 1);
     }
     CHECK(bench.hand.state == HPAC_STATE_ARMED);
+}
+
+static void another_session_is_refused_and_feeds_nothing(void)
+{
+    bench_t bench;
+    uint8_t period[HPAC_STATUS_LENGTH] = { 0 };
+    bench_armed(&bench, HPAC_ACTION_DETACH);
+    uint32_t ours = bench.session;
+    for (uint32_t ms = 0; ms < BENCH_WATCHDOG_MS - 10u; ms += 10u) {
+        bench.session = ms % 20u == 0u ? ours ^ 1u : 0u;
+        CHECK(bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0) == HPAC_REASON_SESSION);
+        CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_SESSION);
+        CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_SESSION);
+        CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_SESSION);
+        CHECK(bench_send(&bench, HPAC_STATUS, 0, period, sizeof period) == -1); /* answered, from anybody */
+        bench.session = 0;
+        CHECK(bench_send(&bench, HPAC_HELLO, 0, NULL, 0) == -1); /* only looks */
+        CHECK(bench.answer_types[HPAC_DEVICE_HELLO] == 1u && bench.hand.state == HPAC_STATE_ARMED);
+        bench_run(&bench, 10);
+    }
+    bench_run(&bench, 10);
+    CHECK(bench.hand.fault == HPAC_FAULT_WATCHDOG && bench_silent(&bench));
+}
+
+static void a_new_session_takes_over_and_disarms(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    uint32_t ours = bench.session;
+    bench_move(&bench, 0, 1000, half);
+    bench_run(&bench, 100);
+    bench.session = ours + 1u;
+    bench_send(&bench, HPAC_HELLO, 0, NULL, 0);
+    CHECK(bench.hand.state == HPAC_STATE_IDLE && bench_silent(&bench));
+    bench.session = ours;
+    CHECK(bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0) == HPAC_REASON_SESSION);
+}
+
+static void the_watchdog_is_what_arm_chose(void)
+{
+    static const uint16_t periods[] = { HPAC_WATCHDOG_MIN_MS - 1, HPAC_WATCHDOG_MIN_MS, 377, HPAC_WATCHDOG_MAX_MS, HPAC_WATCHDOG_MAX_MS + 1 };
+    for (int i = 0; i < 5; i++) {
+        bench_t bench;
+        uint8_t arm[HPAC_ARM_LENGTH] = { 0 };
+        bool allowed = i > 0 && i < 4;
+        bench_armed(&bench, HPAC_ACTION_DETACH);
+        hpac_put_u32(arm + HPAC_ARM_AT_LIMITS_HASH, hpac_servo_hash(bench.config.servo));
+        hpac_put_u16(arm + HPAC_ARM_AT_WATCHDOG_MS, periods[i]);
+        arm[HPAC_ARM_AT_ACTION] = HPAC_ACTION_DETACH;
+        CHECK(bench_send(&bench, HPAC_ARM, 0, arm, sizeof arm) == (allowed ? HPAC_REASON_OK : HPAC_REASON_PERIOD));
+        bench_run(&bench, allowed ? periods[i] - 1u : 1u);
+        CHECK(bench.hand.state == HPAC_STATE_ARMED);
+        bench_run(&bench, allowed ? 1u : 0u);
+        CHECK(bench.hand.state == (allowed ? HPAC_STATE_FAULT : HPAC_STATE_ARMED));
+    }
+}
+
+/* Any flags, any payload, any version, no session; and another version is told who is there, and refused. */
+static void anybody_may_stop_the_hand_and_other_versions_do_nothing_else(void)
+{
+    static const uint8_t payload[40] = { 1, 2, 3 };
+    for (unsigned version = 0; version < 256u; version++) {
+        for (uint8_t type = HPAC_HELLO; type <= HPAC_STATUS; type++) {
+            bench_t bench;
+            uint8_t wire[128];
+            bool stops = type == HPAC_ESTOP;
+            bench_armed(&bench, HPAC_ACTION_HOLD);
+            bench.acks = 0;
+            if (version == HPAC_VERSION && !stops) {
+                continue;
+            }
+            bench_feed(&bench, wire, bench_frame(wire, (uint8_t)version, type, 9, (uint8_t)version, payload, version % 41u));
+            CHECK(bench.hand.state == (stops ? HPAC_STATE_FAULT : HPAC_STATE_ARMED));
+            CHECK(bench_silent(&bench) == stops);
+            CHECK(bench.acks == (type == HPAC_HELLO ? 0 : 1));
+            CHECK(type == HPAC_HELLO || bench.reason == (stops ? HPAC_REASON_OK : HPAC_REASON_VERSION));
+        }
+    }
 }
 
 static void estop_stops_pulses_in_every_state(void)
@@ -114,7 +224,7 @@ static void estop_stops_pulses_in_every_state(void)
     CHECK(bench.hand.fault == HPAC_FAULT_ESTOP && bench_silent(&bench));
     CHECK(bench.answer_types[HPAC_FAULT] == 1u);
     bench_armed(&bench, HPAC_ACTION_HOLD);
-    bench_run(&bench, HPAC_WATCHDOG_MS);
+    bench_run(&bench, BENCH_WATCHDOG_MS);
     CHECK(bench.hand.fault == HPAC_FAULT_WATCHDOG && bench_all_pulses(&bench));
     bench_send(&bench, HPAC_ESTOP, 0, NULL, 0); /* also out of a fault that holds */
     CHECK(bench.hand.fault == HPAC_FAULT_ESTOP && bench_silent(&bench));
@@ -129,7 +239,7 @@ static void clear_and_hello_stop_a_motion(void)
         bench_run(&bench, 100);
         bench_send(&bench, kind == 0 ? HPAC_CLEAR : HPAC_HELLO, 0, NULL, 0);
         CHECK(bench.hand.state == HPAC_STATE_IDLE && bench_silent(&bench));
-        CHECK(!hpac_ramp_moving(&bench.hand.ramp, bench.now_us));
+        CHECK(!hpac_ramp_moving(&bench.hand.ramp));
         bench_run(&bench, 1000);
         CHECK(bench_silent(&bench));
     }
@@ -141,10 +251,8 @@ static void a_suspicious_reset_stays_disarmed(void)
     static const hpac_fault_t faults[] = { HPAC_FAULT_BROWNOUT, HPAC_FAULT_CRASH };
     for (int i = 0; i < 2; i++) {
         bench_t bench;
-        hpac_config_t config;
         bench_start(&bench);
-        bench_config(&config);
-        hpac_hand_init(&bench.hand, &config, resets[i], 2);
+        hpac_hand_init(&bench.hand, &bench.config, resets[i], 2, NULL);
         bench_send(&bench, HPAC_HELLO, 0, NULL, 0);
         CHECK(bench.hand.state == HPAC_STATE_FAULT && bench.hand.fault == faults[i]);
         CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_OK);
@@ -176,9 +284,14 @@ static void time_never_goes_back(void)
     bench_armed(&bench, HPAC_ACTION_HOLD);
     bench_move(&bench, 0, 1000, half);
     bench_run(&bench, 300);
-    hpac_hand_tick(&bench.hand, 0, pulses);
+    hpac_hand_tick(&bench.hand, &bench.config, bench.now_us - 1000u * HPAC_CLOCK_BACK_MAX_MS, pulses);
     CHECK(pulses[0] == bench.pulses[0]);
     CHECK(bench.hand.state == HPAC_STATE_ARMED);
+    bench.fault_servo = 0;
+    bench.now_us -= 1000u * HPAC_CLOCK_BACK_MAX_MS + 1u;
+    bench_run(&bench, 0);
+    bench_feed(&bench, NULL, 0);
+    CHECK(bench_silent(&bench) && bench.hand.fault == HPAC_FAULT_INTERNAL && bench.fault_servo == HPAC_NO_SERVO);
 }
 
 /* Whatever the reason: an angle outside of the limits never becomes a pulse. */
@@ -186,20 +299,146 @@ static void a_wrong_angle_inside_latches_a_fault(void)
 {
     bench_t bench;
     bench_armed(&bench, HPAC_ACTION_HOLD);
-    bench.hand.ramp.to[4] = bench.hand.config.servo[4].max_urad + 17;
+    bench.hand.ramp.to[4] = bench.config.servo[4].max_urad + 17;
     bench_run(&bench, 1);
     CHECK(bench.hand.fault == HPAC_FAULT_INTERNAL && bench_silent(&bench));
 }
 
+/* Heat and pose outlive a reset; whatever stands in that memory, no angle leaves the table and no heat stays for ever. */
+static void memory_is_taken_up_within_bounds(void)
+{
+    bench_t bench;
+    hpac_memory_t memory;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench_move(&bench, 0, 300, half);
+    bench_run(&bench, 300);
+    hpac_hand_remember(&bench.hand, &memory);
+    hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_SOFTWARE, 2, &memory);
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        CHECK(memory.heat[i] > 0u && bench.hand.heat[i] == memory.heat[i]);
+        CHECK(hpac_motion_angle(&bench.hand, (unsigned)i) == half[i] * 100);
+        memory.heat[i] = i < 3 ? UINT32_MAX : 2u * HPAC_HEAT_LIMIT + HPAC_HEAT_LIMIT / 2u;
+        memory.pose[i] = i % 2 == 0 ? INT32_MAX : INT32_MIN;
+    }
+    hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_SOFTWARE, 3, &memory);
+    CHECK(bench.hand.placed == (1u << HPAC_SERVOS) - 1u); /* no servo is just anywhere */
+    bench.now_us = 0;
+    bench_run(&bench, 1);
+    CHECK(bench.hand.state == HPAC_STATE_BOOT && bench_silent(&bench));
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        const hpac_servo_t *limits = &bench.config.servo[i];
+        CHECK(hpac_motion_angle(&bench.hand, (unsigned)i) == (i % 2 == 0 ? limits->max_urad : limits->min_urad));
+        CHECK(bench.hand.heat[i] <= 2u * HPAC_HEAT_LIMIT && bench.hand.heat[i] > 2u * HPAC_HEAT_LIMIT - HPAC_HEAT_LIMIT / 100u);
+    }
+}
+
+static void the_estop_input_holds_off_clear(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(hpac_hand_powered(&bench.hand));
+    hpac_hand_inputs(&bench.hand, true, 0);
+    memset(bench.answer_types, 0, sizeof bench.answer_types);
+    bench_run(&bench, 100);
+    CHECK(bench.hand.fault == HPAC_FAULT_ESTOP && bench_silent(&bench) && !hpac_hand_powered(&bench.hand));
+    CHECK(bench.answer_types[HPAC_FAULT] == 1u); /* told once, however long it is pressed */
+    CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_ESTOP);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_STATE);
+    hpac_hand_inputs(&bench.hand, false, 0);
+    bench_run(&bench, 1);
+    CHECK(bench.hand.fault == HPAC_FAULT_ESTOP); /* latched */
+    CHECK(bench_send(&bench, HPAC_CLEAR, 0, NULL, 0) == HPAC_REASON_OK);
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
+}
+
+/* What cannot be computed with is found before it is computed with, even where it does not show yet. */
+static void an_unsound_motion_is_a_fault(void)
+{
+    enum { DURATION_MAX_US = (HPAC_MOVE_MAX_MS + HPAC_WATCHDOG_MAX_MS) * 1000, SPEED_MAX = 4000000 + 1000000 };
+    for (int beyond = 0; beyond < 2; beyond++) {
+        for (int which = 0; which < 7; which++) {
+            bench_t bench;
+            bench_armed(&bench, HPAC_ACTION_HOLD);
+            hpac_ramp_t *ramp = &bench.hand.ramp;
+            int32_t most = bench.config.servo[5].max_urad;
+            int32_t *fields[] = { &ramp->from[5], &ramp->from[5], &ramp->from_speed[5], &ramp->from_speed[5] };
+            const int32_t values[] = { most + beyond, -beyond, SPEED_MAX + beyond, -SPEED_MAX - beyond };
+            if (which < 4) {
+                *fields[which] = values[which];
+            } else if (which == 4) {
+                ramp->minimum_jerk = true;
+                ramp->duration_us = ramp->elapsed_us = DURATION_MAX_US + (uint32_t)beyond;
+            } else if (which == 5) { /* linear ones may take as long as they like */
+                ramp->duration_us = ramp->elapsed_us = DURATION_MAX_US + 1u;
+            } else {
+                bench.hand.fault = beyond != 0 ? HPAC_FAULT_OVERLOAD : HPAC_FAULT_NONE;
+            }
+            bench_run(&bench, 1);
+            CHECK((bench.hand.fault == HPAC_FAULT_INTERNAL) == (beyond != 0 && which != 5));
+            CHECK(beyond == 0 || which == 5 || bench.fault_servo == HPAC_NO_SERVO);
+            CHECK(bench_silent(&bench) == (beyond != 0 && which != 5));
+        }
+    }
+}
+
+static void a_jump_inside_the_table_is_a_fault_of_its_servo(void)
+{
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        bench_t bench;
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        bench.hand.ramp.to[i] += 50000;
+        bench_run(&bench, 1);
+        CHECK(bench.hand.fault == HPAC_FAULT_INTERNAL && bench_silent(&bench));
+        bench_feed(&bench, NULL, 0);
+        CHECK(bench.fault_servo == i);
+    }
+}
+
+static void an_output_that_fails_is_a_fault(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    hpac_hand_output_failed(&bench.hand);
+    bench_run(&bench, 1);
+    CHECK(bench.fault_servo == HPAC_NO_SERVO);
+    CHECK(bench.hand.fault == HPAC_FAULT_INTERNAL && bench_silent(&bench) && !hpac_hand_powered(&bench.hand));
+}
+
+static void hold_ends_in_a_relax(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench_move(&bench, 0, 300, half);
+    bench_run(&bench, BENCH_WATCHDOG_MS);
+    uint32_t held = bench.pulses[3];
+    bench_run(&bench, HPAC_HOLD_MAX_MS - 2);
+    CHECK(bench.pulses[3] == held && !bench.hand.relaxing);
+    bench_run(&bench, 100);
+    CHECK(bench.pulses[3] < held && bench.hand.relaxing);
+    bench_run(&bench, 1000);
+    CHECK(bench_silent(&bench) && !hpac_hand_powered(&bench.hand) && bench.hand.fault == HPAC_FAULT_WATCHDOG);
+}
+
 void test_states(void)
 {
+    memory_is_taken_up_within_bounds();
+    the_estop_input_holds_off_clear();
+    an_unsound_motion_is_a_fault();
+    a_jump_inside_the_table_is_a_fault_of_its_servo();
+    an_output_that_fails_is_a_fault();
+    hold_ends_in_a_relax();
     nothing_moves_before_the_handshake();
     arming_is_checked_and_staggered();
+    arming_takes_up_the_last_pose_and_goes_to_rest_slowly();
     silence_trips_the_watchdog_and_latches(HPAC_ACTION_HOLD);
     silence_trips_the_watchdog_and_latches(HPAC_ACTION_RELAX);
     silence_trips_the_watchdog_and_latches(HPAC_ACTION_DETACH);
     refused_frames_do_not_feed_the_watchdog();
     heartbeats_feed_the_watchdog();
+    another_session_is_refused_and_feeds_nothing();
+    a_new_session_takes_over_and_disarms();
+    the_watchdog_is_what_arm_chose();
+    anybody_may_stop_the_hand_and_other_versions_do_nothing_else();
     estop_stops_pulses_in_every_state();
     clear_and_hello_stop_a_motion();
     a_suspicious_reset_stays_disarmed();

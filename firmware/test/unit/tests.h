@@ -7,5 +7,6 @@ void test_servo_and_load(void);
 void test_states(void);
 void test_moves(void);
 void test_malformed(void);
+void test_vectors(void);
 
 #endif

@@ -1,5 +1,5 @@
-/* The core on an ESP32: UART0 is the port, LEDC makes the pulses, one loop does everything. */
-#include "driver/uart.h"
+/* The core on an ESP32: one loop does everything. */
+#include "board.h"
 #include "esp_attr.h"
 #include "esp_err.h"
 #include "esp_system.h"
@@ -9,29 +9,26 @@
 #include "freertos/task.h"
 #include "hpac_hand.h"
 #include "pins.h"
-#include "servo_pwm.h"
+#include "servo_output.h"
 
-#define PORT UART_NUM_0
-#define RING_BYTES 1024
 #define LOOP_TIMEOUT_MS 100
 #define PERIOD_US (HPAC_PULSE_PERIOD_NS / 1000)
 #define AFTER_PERIOD_US 200 /* widths are written this long after a period has started, far from its end */
-#define BOOTS_MAGIC 0x48504143u
 
-/* Survives every reset but power-on. */
-static RTC_NOINIT_ATTR uint32_t boots_magic;
-static RTC_NOINIT_ATTR uint16_t boots;
+#define TABLE(...) HPAC_SERVO_TABLE(__VA_ARGS__)
+static const hpac_config_t config = { .servo = TABLE(SERVO_TRIMS_NS, SERVO_DIRECTIONS) };
+
+/* Survives every reset but power-on, when it is noise. */
+typedef struct {
+    hpac_memory_t hand;
+    uint32_t boots;
+    uint32_t crc;
+} kept_t;
+static RTC_NOINIT_ATTR kept_t kept;
 
 static hpac_hand_t hand;
 
-static uint16_t count_boot(void)
-{
-    if (boots_magic != BOOTS_MAGIC) {
-        boots_magic = BOOTS_MAGIC;
-        boots = 0;
-    }
-    return ++boots;
-}
+static uint32_t crc_of_kept(void) { return hpac_crc32((const uint8_t *)&kept, offsetof(kept_t, crc)); }
 
 static hpac_reset_t reset_reason(void)
 {
@@ -52,20 +49,6 @@ static hpac_reset_t reset_reason(void)
     }
 }
 
-static void start_port(void)
-{
-    const uart_config_t settings = {
-        .baud_rate = HPAC_BAUD,
-        .data_bits = UART_DATA_8_BITS,
-        .parity = UART_PARITY_DISABLE,
-        .stop_bits = UART_STOP_BITS_1,
-        .flow_ctrl = UART_HW_FLOWCTRL_DISABLE,
-        .source_clk = UART_SCLK_DEFAULT,
-    };
-    ESP_ERROR_CHECK(uart_driver_install(PORT, RING_BYTES, RING_BYTES, 0, NULL, 0));
-    ESP_ERROR_CHECK(uart_param_config(PORT, &settings));
-}
-
 static void start_watchdog(void)
 {
     const esp_task_wdt_config_t settings = { .timeout_ms = LOOP_TIMEOUT_MS, .idle_core_mask = 0, .trigger_panic = true };
@@ -75,35 +58,35 @@ static void start_watchdog(void)
 
 static void start_hand(void)
 {
-    static const int32_t trims[HPAC_SERVOS] = SERVO_TRIMS_NS;
-    static const int32_t directions[HPAC_SERVOS] = SERVO_DIRECTIONS;
-    hpac_config_t config;
-    hpac_config_default(&config);
-    for (int i = 0; i < HPAC_SERVOS; i++) {
-        config.servo[i].trim_ns = trims[i];
-        config.servo[i].direction = directions[i];
-    }
-    hpac_hand_init(&hand, &config, reset_reason(), count_boot());
+    hpac_reset_t reset = reset_reason();
+    bool known = reset != HPAC_RESET_POWER_ON && kept.crc == crc_of_kept();
+    kept.boots = known ? kept.boots + 1u : 1u;
+    hpac_hand_init(&hand, &config, reset, (uint16_t)kept.boots, known ? &kept.hand : NULL);
+}
+
+static void remember(void)
+{
+    hpac_hand_remember(&hand, &kept.hand);
+    kept.crc = crc_of_kept();
 }
 
 static void receive(void)
 {
     uint8_t bytes[128];
-    int length = uart_read_bytes(PORT, bytes, sizeof bytes, 0);
-    if (length > 0) {
-        hpac_hand_receive(&hand, (uint64_t)esp_timer_get_time(), bytes, (size_t)length);
+    size_t length = board_read(bytes, sizeof bytes);
+    if (length > 0u) {
+        hpac_hand_receive(&hand, &config, (uint64_t)esp_timer_get_time(), bytes, length);
     }
 }
 
-/* Only as much as the driver's ring takes without waiting. */
+/* Only as much as the driver takes without waiting. */
 static void transmit(void)
 {
     uint8_t bytes[128];
-    size_t room = 0;
-    ESP_ERROR_CHECK(uart_get_tx_buffer_free_size(PORT, &room));
+    size_t room = board_room();
     size_t length = hpac_hand_transmit(&hand, bytes, room < sizeof bytes ? room : sizeof bytes);
     if (length > 0u) {
-        uart_write_bytes(PORT, bytes, length);
+        board_write(bytes, length);
     }
 }
 
@@ -117,28 +100,41 @@ static bool some_pulse_ended(const uint32_t pulses[HPAC_SERVOS], const uint32_t 
     return false;
 }
 
+/* Pulses that end do so at the next period's start, whenever that is; all else changes in step with it. */
+static void put_out(int64_t now_us, int64_t *next_us)
+{
+    static uint32_t written[HPAC_SERVOS];
+    uint32_t pulses[HPAC_SERVOS];
+    hpac_hand_tick(&hand, &config, (uint64_t)now_us, pulses);
+    board_power(hpac_hand_powered(&hand));
+    if (now_us < *next_us && !some_pulse_ended(pulses, written)) {
+        return;
+    }
+    if (!servo_output_write(pulses)) {
+        hpac_hand_output_failed(&hand);
+        board_power(false);
+    }
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        written[i] = pulses[i];
+    }
+    remember();
+    while (now_us >= *next_us) {
+        *next_us += PERIOD_US;
+    }
+}
+
 void app_main(void)
 {
-    uint32_t pulses[HPAC_SERVOS];
-    uint32_t written[HPAC_SERVOS] = { 0 };
+    servo_output_quiet();
+    board_quiet();
     start_hand();
-    start_port();
+    board_start();
+    int64_t next_us = servo_output_start() + AFTER_PERIOD_US;
     start_watchdog();
-    int64_t next_us = servo_pwm_start() + AFTER_PERIOD_US;
     for (;;) {
         receive();
-        int64_t now_us = esp_timer_get_time();
-        hpac_hand_tick(&hand, (uint64_t)now_us, pulses);
-        /* Pulses that end do so at the next period's start, whenever that is; all else changes in step with it. */
-        if (now_us >= next_us || some_pulse_ended(pulses, written)) {
-            servo_pwm_write(pulses);
-            for (int i = 0; i < HPAC_SERVOS; i++) {
-                written[i] = pulses[i];
-            }
-        }
-        while (now_us >= next_us) {
-            next_us += PERIOD_US;
-        }
+        hpac_hand_inputs(&hand, board_estop_pressed(), board_supply_mv());
+        put_out(esp_timer_get_time(), &next_us);
         transmit();
         ESP_ERROR_CHECK(esp_task_wdt_reset());
         vTaskDelay(1);

@@ -1,9 +1,15 @@
-#include "servo_pwm.h"
+/* Resolution of the timer: the finest that the chip has among those that divide its 80 MHz clock to exactly 50 Hz.
+ * 17 bits where 20 are to be had (ESP32, C6), 14 elsewhere (C3, S3). With an inexact divider every pulse would be wrong
+ * by up to 0.1 %, ten steps of the resolution that it wins. */
+#include "pins.h"
+#include "servo_output.h"
 
+#if !SERVOS_ON_PCA9685
+
+#include "driver/gpio.h"
 #include "driver/ledc.h"
 #include "esp_err.h"
 #include "esp_timer.h"
-#include "pins.h"
 #include "soc/soc_caps.h"
 
 #define PWM_HZ (1000000000 / HPAC_PULSE_PERIOD_NS)
@@ -18,7 +24,7 @@
 
 static const int pins[HPAC_SERVOS] = SERVO_PINS;
 
-unsigned servo_pwm_bits(void)
+static unsigned timer_bits(void)
 {
     unsigned bits = SOC_LEDC_TIMER_BIT_WIDTH;
     while ((uint64_t)CLOCK_HZ * DIVIDER_FRACTION % ((uint64_t)PWM_HZ << bits) != 0u) {
@@ -27,17 +33,27 @@ unsigned servo_pwm_bits(void)
     return bits;
 }
 
-uint32_t servo_pwm_duty(uint32_t pulse_ns)
+static uint32_t duty(uint32_t pulse_ns)
 {
-    uint64_t scaled = (uint64_t)pulse_ns << servo_pwm_bits();
+    uint64_t scaled = (uint64_t)pulse_ns << timer_bits();
     return (uint32_t)((scaled + HPAC_PULSE_PERIOD_NS / 2) / HPAC_PULSE_PERIOD_NS);
 }
 
-int64_t servo_pwm_start(void)
+uint32_t servo_output_step_ns(void) { return (uint32_t)((HPAC_PULSE_PERIOD_NS >> timer_bits()) + 1); }
+
+void servo_output_quiet(void)
+{
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        ESP_ERROR_CHECK(gpio_set_level(pins[i], 0));
+        ESP_ERROR_CHECK(gpio_set_direction(pins[i], GPIO_MODE_OUTPUT));
+    }
+}
+
+int64_t servo_output_start(void)
 {
     ledc_timer_config_t timer = {
         .speed_mode = LEDC_LOW_SPEED_MODE,
-        .duty_resolution = (ledc_timer_bit_t)servo_pwm_bits(),
+        .duty_resolution = (ledc_timer_bit_t)timer_bits(),
         .timer_num = LEDC_TIMER_0,
         .freq_hz = PWM_HZ,
         .clk_cfg = CLOCK_SOURCE,
@@ -58,12 +74,15 @@ int64_t servo_pwm_start(void)
     return esp_timer_get_time();
 }
 
-void servo_pwm_write(const uint32_t pulses[HPAC_SERVOS])
+bool servo_output_write(const uint32_t pulses[HPAC_SERVOS])
 {
     for (int i = 0; i < HPAC_SERVOS; i++) {
-        ESP_ERROR_CHECK(ledc_set_duty(LEDC_LOW_SPEED_MODE, (ledc_channel_t)i, servo_pwm_duty(pulses[i])));
+        ESP_ERROR_CHECK(ledc_set_duty(LEDC_LOW_SPEED_MODE, (ledc_channel_t)i, duty(pulses[i])));
     }
     for (int i = 0; i < HPAC_SERVOS; i++) {
         ESP_ERROR_CHECK(ledc_update_duty(LEDC_LOW_SPEED_MODE, (ledc_channel_t)i));
     }
+    return true;
 }
+
+#endif

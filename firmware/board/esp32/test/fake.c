@@ -4,12 +4,20 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "driver/gpio.h"
+#include "driver/i2c_master.h"
 #include "driver/ledc.h"
 #include "driver/uart.h"
+#include "driver/usb_serial_jtag.h"
+#include "esp_adc/adc_oneshot.h"
 #include "esp_task_wdt.h"
 #include "esp_timer.h"
 #include "freertos/FreeRTOS.h"
 #include "freertos/task.h"
+#include "pins.h"
+#include "soc/soc_caps.h"
+
+#define ROOM 100
 
 void app_main(void);
 
@@ -21,18 +29,23 @@ static int ms_passed;
 static int ms_in_all;
 static uint8_t to_receive[1024];
 static size_t to_receive_length;
-static size_t sent_length;
 
 void fake_boot(esp_reset_reason_t reset, void (*every_ms)(int ms), int ms)
 {
     memset(&fake, 0, sizeof fake);
     fake.reset = reset;
     fake.now_us = 300000; /* the boot loader took its time */
+    fake.adc_raw = 4095 * 6000 / SUPPLY_FULL_SCALE_MV;
+    fake.tx_pin = fake.rx_pin = fake.adc_channel = -1;
+    fake.i2c[0x00] = 0x11; /* as the PCA9685 wakes up: asleep, divider 30, everything off */
+    fake.i2c[0xfe] = 0x1e;
+    for (int i = 0; i < 16; i++) {
+        fake.i2c[0x09 + 4 * i] = 0x10;
+    }
     script = every_ms;
     ms_passed = 0;
     ms_in_all = ms;
     to_receive_length = 0;
-    sent_length = 0;
     if (setjmp(power_off) == 0) {
         app_main();
     }
@@ -44,7 +57,25 @@ void fake_receive(const uint8_t *bytes, size_t length)
     to_receive_length += length;
 }
 
-size_t fake_sent(void) { return sent_length; }
+double fake_pulse_ns(int i)
+{
+    const uint8_t *led = fake.i2c + 0x06 + 4 * i;
+    if (!SERVOS_ON_PCA9685) {
+        return (double)fake.channels[i].output * HPAC_PULSE_PERIOD_NS / (double)(1u << fake.bits);
+    }
+    bool asleep = (fake.i2c[0x00] & 0x10u) != 0u;
+    bool enabled = fake.output[PCA9685_OE_PIN] && fake.level[PCA9685_OE_PIN] == 0u;
+    if (asleep || !enabled || (led[3] & 0x10u) != 0u) {
+        return 0;
+    }
+    return (led[2] + 256 * led[3] - (led[0] + 256 * led[1])) * (fake.i2c[0xfe] + 1) * 1e9 / PCA9685_CLOCK_HZ;
+}
+
+static esp_err_t fine(bool holds)
+{
+    fake.errors += !holds;
+    return holds ? ESP_OK : ESP_FAIL;
+}
 
 void stub_check(esp_err_t error, const char *what)
 {
@@ -83,38 +114,99 @@ void vTaskDelay(uint32_t ticks)
 
 esp_err_t esp_task_wdt_reconfigure(const esp_task_wdt_config_t *config)
 {
-    fake.watchdog_ms = config->trigger_panic ? config->timeout_ms : 0u;
+    fake.watchdog_ms = config->trigger_panic && config->idle_core_mask == 0u ? config->timeout_ms : 0u;
     return ESP_OK;
 }
 
 esp_err_t esp_task_wdt_add(void *task)
 {
     fake.fed_us = fake.now_us;
+    fake.watched = true;
     return task == NULL ? ESP_OK : ESP_FAIL;
 }
 
 esp_err_t esp_task_wdt_reset(void)
 {
     fake.fed_us = fake.now_us;
+    return fake.watched ? ESP_OK : ESP_FAIL;
+}
+
+/* --- pins --- */
+
+esp_err_t gpio_set_level(gpio_num_t pin, uint32_t level)
+{
+    fake.level[pin] = level;
+    return fine(level <= 1u);
+}
+
+esp_err_t gpio_set_direction(gpio_num_t pin, gpio_mode_t mode)
+{
+    fake.output[pin] = mode == GPIO_MODE_OUTPUT;
+    fake.glitches |= fake.output[pin] && fake.level[pin] != 0u ? 1ull << pin : 0u;
     return ESP_OK;
 }
+
+esp_err_t gpio_config(const gpio_config_t *config)
+{
+    for (int pin = 0; pin < 64; pin++) {
+        if ((config->pin_bit_mask >> pin & 1u) != 0u) {
+            fake.input[pin] = config->mode == GPIO_MODE_INPUT;
+            fake.pulled_up[pin] = config->pull_up_en == GPIO_PULLUP_ENABLE && config->pull_down_en == GPIO_PULLDOWN_DISABLE;
+        }
+    }
+    return ESP_OK;
+}
+
+int gpio_get_level(gpio_num_t pin)
+{
+    fine(fake.input[pin]);
+    return (int)fake.level[pin];
+}
+
+esp_err_t adc_oneshot_new_unit(const adc_oneshot_unit_init_cfg_t *config, adc_oneshot_unit_handle_t *unit)
+{
+    *unit = (adc_oneshot_unit_handle_t)&fake;
+    return fine(config->unit_id == ADC_UNIT_1);
+}
+
+esp_err_t adc_oneshot_config_channel(adc_oneshot_unit_handle_t unit, adc_channel_t channel, const adc_oneshot_chan_cfg_t *config)
+{
+    fake.adc_channel = (int)channel;
+    return fine(unit != NULL && config->atten == ADC_ATTEN_DB_12 && config->bitwidth == ADC_BITWIDTH_12);
+}
+
+esp_err_t adc_oneshot_read(adc_oneshot_unit_handle_t unit, adc_channel_t channel, int *raw)
+{
+    *raw = fake.adc_raw;
+    fine(unit != NULL && (int)channel == fake.adc_channel);
+    return fake.adc_broken ? ESP_FAIL : ESP_OK;
+}
+
+/* --- the port --- */
 
 esp_err_t uart_driver_install(int port, int rx_bytes, int tx_bytes, int queue_length, void *queue, int flags)
 {
     (void)queue_length;
     (void)flags;
-    return port == UART_NUM_0 && rx_bytes > 128 && tx_bytes > 128 && queue == NULL ? ESP_OK : ESP_FAIL;
+    return fine(port == UART_NUM_0 && rx_bytes > 128 && tx_bytes > 128 && queue == NULL);
 }
 
 esp_err_t uart_param_config(int port, const uart_config_t *config)
 {
-    return port == UART_NUM_0 && config->baud_rate == HPAC_BAUD ? ESP_OK : ESP_FAIL;
+    bool plain = config->data_bits == UART_DATA_8_BITS && config->parity == UART_PARITY_DISABLE
+                 && config->stop_bits == UART_STOP_BITS_1 && config->flow_ctrl == UART_HW_FLOWCTRL_DISABLE;
+    return fine(port == UART_NUM_0 && plain && config->baud_rate == HPAC_BAUD && config->source_clk == UART_SCLK_DEFAULT);
 }
 
-int uart_read_bytes(int port, void *buffer, uint32_t length, uint32_t ticks)
+esp_err_t uart_set_pin(int port, int tx, int rx, int rts, int cts)
 {
-    (void)port;
-    (void)ticks;
+    fake.tx_pin = tx;
+    fake.rx_pin = rx;
+    return fine(port == UART_NUM_0 && rts == UART_PIN_NO_CHANGE && cts == UART_PIN_NO_CHANGE);
+}
+
+static int receive(void *buffer, uint32_t length)
+{
     size_t taken = to_receive_length < length ? to_receive_length : length;
     memcpy(buffer, to_receive, taken);
     to_receive_length -= taken;
@@ -122,50 +214,149 @@ int uart_read_bytes(int port, void *buffer, uint32_t length, uint32_t ticks)
     return (int)taken;
 }
 
+static int send(const void *bytes, size_t length)
+{
+    size_t room = sizeof fake.sent - fake.sent_length;
+    memcpy(fake.sent + fake.sent_length, bytes, length < room ? length : room);
+    fake.sent_length += length < room ? length : room;
+    return (int)length;
+}
+
+int uart_read_bytes(int port, void *buffer, uint32_t length, uint32_t ticks)
+{
+    fine(port == UART_NUM_0 && ticks == 0u);
+    return fake.rx_pin < 0 ? 0 : receive(buffer, length);
+}
+
 int uart_write_bytes(int port, const void *bytes, size_t length)
 {
-    (void)port;
-    (void)bytes;
-    sent_length += length;
-    return (int)length;
+    fine(port == UART_NUM_0 && length <= ROOM); /* more would wait */
+    return fake.tx_pin < 0 ? 0 : send(bytes, length);
 }
 
 esp_err_t uart_get_tx_buffer_free_size(int port, size_t *size)
 {
-    *size = 100;
-    return port == UART_NUM_0 ? ESP_OK : ESP_FAIL;
+    *size = ROOM;
+    return fine(port == UART_NUM_0);
 }
+
+esp_err_t usb_serial_jtag_driver_install(usb_serial_jtag_driver_config_t *config)
+{
+    fake.usb = true;
+    return fine(config->rx_buffer_size > 64u && config->tx_buffer_size > 64u);
+}
+
+int usb_serial_jtag_read_bytes(void *buffer, uint32_t length, uint32_t ticks)
+{
+    fine(fake.usb && ticks == 0u);
+    return receive(buffer, length);
+}
+
+int usb_serial_jtag_write_bytes(const void *bytes, size_t length, uint32_t ticks)
+{
+    fine(fake.usb && ticks == 0u);
+    return send(bytes, length);
+}
+
+/* --- LEDC --- */
 
 esp_err_t ledc_timer_config(const ledc_timer_config_t *config)
 {
     fake.bits = (unsigned)config->duty_resolution;
     fake.hz = config->freq_hz;
-    return config->freq_hz == 50u && config->clk_cfg == LEDC_USE_APB_CLK ? ESP_OK : ESP_FAIL;
+    bool clocked = config->clk_cfg == (SOC_LEDC_SUPPORT_APB_CLOCK ? LEDC_USE_APB_CLK : LEDC_USE_PLL_DIV_CLK);
+    return fine(config->freq_hz == 50u && clocked && fake.bits <= SOC_LEDC_TIMER_BIT_WIDTH && config->timer_num == LEDC_TIMER_0);
 }
 
 esp_err_t ledc_channel_config(const ledc_channel_config_t *config)
 {
     fake.channels[config->channel].pin = config->gpio_num;
-    return config->duty == 0u && config->timer_sel == LEDC_TIMER_0 ? ESP_OK : ESP_FAIL;
+    return fine(config->duty == 0u && config->hpoint == 0 && config->timer_sel == LEDC_TIMER_0);
 }
 
 esp_err_t ledc_timer_rst(ledc_mode_t mode, ledc_timer_t timer)
 {
     (void)mode;
     fake.period_start_us = fake.now_us;
-    return timer == LEDC_TIMER_0 ? ESP_OK : ESP_FAIL;
+    return fine(timer == LEDC_TIMER_0);
 }
 
 esp_err_t ledc_set_duty(ledc_mode_t mode, ledc_channel_t channel, uint32_t duty)
 {
     (void)mode;
     fake.channels[channel].set = duty;
-    return duty < (1u << fake.bits) ? ESP_OK : ESP_FAIL;
+    return fine(duty < (1u << fake.bits));
 }
 
 esp_err_t ledc_update_duty(ledc_mode_t mode, ledc_channel_t channel)
 {
     (void)mode;
     fake.channels[channel].pending = fake.channels[channel].set;
+    return ESP_OK;
+}
+
+/* --- I2C and the PCA9685's registers --- */
+
+esp_err_t i2c_new_master_bus(const i2c_master_bus_config_t *config, i2c_master_bus_handle_t *bus)
+{
+    *bus = (i2c_master_bus_handle_t)&fake;
+    return fine(config->sda_io_num == PCA9685_SDA_PIN && config->scl_io_num == PCA9685_SCL_PIN);
+}
+
+esp_err_t i2c_master_bus_add_device(i2c_master_bus_handle_t bus, const i2c_device_config_t *config, i2c_master_dev_handle_t *device)
+{
+    *device = (i2c_master_dev_handle_t)&fake;
+    return fine(bus != NULL && config->device_address == PCA9685_ADDRESS && config->scl_speed_hz <= 1000000u);
+}
+
+static esp_err_t transfer(int timeout_ms)
+{
+    fine(timeout_ms > 0 && timeout_ms <= 10);
+    fake.i2c_transfers++;
+    if (fake.i2c_faults > 0) {
+        fake.i2c_faults--;
+        fake.now_us += 1000 * timeout_ms;
+        return ESP_FAIL;
+    }
+    return ESP_OK;
+}
+
+static uint8_t next_register(uint8_t at) { return (uint8_t)((fake.i2c[0x00] & 0x20u) != 0u ? at + 1u : at); }
+
+esp_err_t i2c_master_transmit(i2c_master_dev_handle_t device, const uint8_t *bytes, size_t length, int timeout_ms)
+{
+    (void)device;
+    if (transfer(timeout_ms) != ESP_OK) {
+        return ESP_FAIL;
+    }
+    uint8_t at = bytes[0];
+    for (size_t i = 1; i < length; i++) {
+        bool sleeps = (fake.i2c[0x00] & 0x10u) != 0u;
+        uint8_t value = bytes[i];
+        if (fake.i2c_flips > 0 && i == length - 2u) {
+            fake.i2c_flips--;
+            value ^= 0x40u;
+        }
+        if (at != 0xfeu || sleeps) { /* the divider can be written asleep only */
+            fake.i2c[at] = value;
+        }
+        at = next_register(at);
+    }
+    return ESP_OK;
+}
+
+esp_err_t i2c_master_transmit_receive(i2c_master_dev_handle_t device, const uint8_t *bytes, size_t length, uint8_t *back,
+                                      size_t back_length, int timeout_ms)
+{
+    (void)device;
+    fine(length == 1u);
+    if (transfer(timeout_ms) != ESP_OK) {
+        return ESP_FAIL;
+    }
+    uint8_t at = bytes[0];
+    for (size_t i = 0; i < back_length; i++) {
+        back[i] = fake.i2c[at];
+        at = next_register(at);
+    }
     return ESP_OK;
 }

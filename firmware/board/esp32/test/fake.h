@@ -1,7 +1,8 @@
-/* A chip that is not there: time, UART and LEDC as far as the port sees them. */
+/* A chip that is not there: time, ports, pins, LEDC, ADC, I2C with a PCA9685 on it, as far as the port sees them. */
 #ifndef FAKE_H
 #define FAKE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -22,18 +23,32 @@ typedef struct {
     esp_reset_reason_t reset;
     uint32_t watchdog_ms;
     int64_t fed_us, longest_unfed_us;
-    int errors; /* failed ESP_ERROR_CHECKs */
+    bool watched;
+    int errors; /* failed ESP_ERROR_CHECKs, and calls that the real chip would refuse or that would wait */
+    uint32_t level[64];
+    bool output[64], pulled_up[64], input[64];
+    uint64_t glitches;  /* pins that drove a high level the moment they became outputs */
+    int tx_pin, rx_pin; /* of UART0; -1: not routed, deaf */
+    bool usb;
+    int adc_channel, adc_raw;
+    bool adc_broken;
+    uint8_t i2c[256];      /* the PCA9685's registers */
+    int i2c_faults;        /* so many transfers from now on fail */
+    int i2c_flips;         /* so many writes from now on arrive with one bit wrong */
+    unsigned i2c_transfers;
+    uint8_t sent[4096];
+    size_t sent_length;
 } fake_t;
 
 extern fake_t fake;
 
-/* Run app_main() from reset for `ms`; it comes back by a jump out of vTaskDelay(). */
+/* Run app_main() from reset for `ms`; it comes back by a jump out of vTaskDelay(). Memory that a reset keeps is kept. */
 void fake_boot(esp_reset_reason_t reset, void (*every_ms)(int ms), int ms);
 
-/* Give the UART bytes to receive. */
+/* Give the port bytes to receive. */
 void fake_receive(const uint8_t *bytes, size_t length);
 
-/* How many bytes the port has sent since reset. */
-size_t fake_sent(void);
+/* The pulse that leaves channel i now [ns], whatever makes it; 0 for none. */
+double fake_pulse_ns(int i);
 
 #endif

@@ -1,11 +1,14 @@
-/* The ESP32 port on a chip that is not there: app_main() runs, a host talks to it, the pins are watched. */
+/* The ESP32 port on a chip that is not there: app_main() runs, a host talks to it, the pins are watched. Compiled once a
+ * chip and output; the oracle's codec speaks to it. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "bench.h"
 #include "fake.h"
-#include "servo_pwm.h"
+#include "oracle.h"
+#include "pins.h"
+#include "servo_output.h"
 
 static int failures;
 
@@ -19,105 +22,378 @@ static void check(bool holds, const char *what, int line)
     }
 }
 
+#define SESSION 0x0badcafeu
+
+static const int32_t trims[HPAC_SERVOS] = { SERVO_TRIMS_NS };
+static const int32_t directions[HPAC_SERVOS] = { SERVO_DIRECTIONS };
 static const int16_t target[HPAC_SERVOS] = { 500, 900, 1300, 1700, 2100, 2500 };
 
-static void say(uint8_t type, uint16_t seq, const uint8_t *payload, size_t length)
+/* --- a host --- */
+
+static void say(uint8_t type, const uint8_t *payload, size_t length)
 {
+    static uint16_t seq;
     uint8_t wire[128];
-    fake_receive(wire, bench_frame(wire, HPAC_VERSION, type, seq, 0, payload, length));
+    uint8_t body[64] = { 0 };
+    if (payload != NULL) {
+        memcpy(body, payload, length);
+    }
+    if (length >= 4u) {
+        hpac_put_u32(body, SESSION);
+    }
+    fake_receive(wire, oracle_encode(wire, HPAC_VERSION, type, ++seq, 0, body, length));
+}
+
+static uint32_t hash_of_this_copy(void)
+{
+    oracle_servo_t table[ORACLE_SERVOS];
+    oracle_table(table, 2.0);
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        table[i].trim_ns = trims[i];
+        table[i].direction = directions[i];
+    }
+    return oracle_hash(table);
 }
 
 static void say_arm(void)
 {
     uint8_t arm[HPAC_ARM_LENGTH] = { 0 };
-    hpac_put_u32(arm + HPAC_ARM_AT_LIMITS_HASH, HPAC_LIMITS_HASH);
-    say(HPAC_ARM, 2, arm, sizeof arm);
+    hpac_put_u32(arm + HPAC_ARM_AT_LIMITS_HASH, hash_of_this_copy());
+    hpac_put_u16(arm + HPAC_ARM_AT_WATCHDOG_MS, HPAC_WATCHDOG_MAX_MS);
+    say(HPAC_ARM, arm, sizeof arm);
 }
 
 static void say_move(uint16_t duration_ms)
 {
     uint8_t move[HPAC_MOVE_LENGTH];
-    hpac_put_u16(move, duration_ms);
+    hpac_put_u16(move + HPAC_MOVE_AT_DURATION_MS, duration_ms);
     for (int i = 0; i < HPAC_SERVOS; i++) {
         hpac_put_u16(move + HPAC_MOVE_AT_SERVO + 2 * i, (uint16_t)target[i]);
     }
-    say(HPAC_MOVE, 3, move, sizeof move);
+    say(HPAC_MOVE, move, sizeof move);
 }
+
+/* The payload of the latest answer of a type, or NULL. */
+static const uint8_t *heard(uint8_t type)
+{
+    static uint8_t latest[128];
+    bool found = false;
+    size_t start = 0;
+    for (size_t i = 0; i < fake.sent_length; i++) {
+        if (fake.sent[i] != 0u) {
+            continue;
+        }
+        uint8_t frame[128];
+        size_t length = 0;
+        if (i > start && i - start < 100u && oracle_decode(fake.sent + start, i - start, frame, &length) == ORACLE_INTACT
+            && frame[HPAC_AT_TYPE] == type) {
+            memcpy(latest, frame, sizeof latest);
+            found = true;
+        }
+        start = i + 1u;
+    }
+    return found ? latest + HPAC_HEADER_LENGTH : NULL;
+}
+
+/* Ask for STATUS, to be heard one ms later. */
+static void ask_status(void)
+{
+    uint8_t payload[HPAC_STATUS_LENGTH] = { 0 };
+    fake.sent_length = 0;
+    say(HPAC_STATUS, payload, sizeof payload);
+}
+
+static unsigned status_of(unsigned at, unsigned bytes)
+{
+    const uint8_t *status = heard(HPAC_DEVICE_STATUS);
+    CHECK(status != NULL);
+    return status == NULL ? 0u : bytes == 1u ? status[at] : hpac_get_u16(status + at);
+}
+
+/* --- the pins --- */
 
 static bool silent(void)
 {
     for (int i = 0; i < HPAC_SERVOS; i++) {
-        if (fake.channels[i].output != 0u) {
+        if (fake_pulse_ns(i) > 0) {
             return false;
         }
     }
     return true;
 }
 
-/* What a servo on pin i would read, in 1e-6 rad. */
+static bool powered(void) { return fake.output[SUPPLY_SWITCH_PIN] && fake.level[SUPPLY_SWITCH_PIN] == 1u; }
+
+/* What a servo on channel i would read [urad]. */
 static double angle_at_pin(int i)
 {
-    hpac_config_t config;
-    hpac_config_default(&config);
-    double ns = (double)fake.channels[i].output * HPAC_PULSE_PERIOD_NS / (double)(1u << fake.bits);
-    return config.servo[i].centre_urad + (ns - config.servo[i].centre_ns) / config.servo[i].ns_per_rad * 1e6;
+    oracle_servo_t table[ORACLE_SERVOS];
+    oracle_table(table, 2.0);
+    return table[i].centre + directions[i] * (fake_pulse_ns(i) - trims[i] - table[i].centre_ns) / table[i].ns_per_rad * 1e6;
 }
 
-static void session(int ms)
+static double half_a_step_urad(void) { return 0.5 * servo_output_step_ns() / HPAC_PULSE_NS_PER_RAD * 1e6; }
+
+/* Greeted, armed, at rest by 2600 ms, moving to `target` by 3100 ms. */
+static void open_session(int ms)
 {
     if (ms == 5) {
-        CHECK(silent());
-        say(HPAC_HELLO, 1, NULL, 0);
-    } else if (ms == 10) {
-        CHECK(fake_sent() > 0u && silent());
+        say(HPAC_HELLO, NULL, HPAC_HELLO_LENGTH);
+    } else if (ms == 10 || ms == 1500) {
         say_arm();
-    } else if (ms == 300) {
+    } else if (ms == 2600) {
         say_move(400);
-    } else if (ms > 700 && ms <= 760) {
-        CHECK(ms < 745 || abs((int)(fake.channels[0].changed_us - fake.channels[5].changed_us)) == 0);
-    } else if (ms == 770) {
-        double half_step = 0.5 * HPAC_PULSE_PERIOD_NS / (double)(1u << fake.bits) / HPAC_PULSE_NS_PER_RAD * 1e6;
-        for (int i = 0; i < HPAC_SERVOS; i++) {
-            CHECK(abs((int)(angle_at_pin(i) - target[i] * 100)) <= (int)(half_step + 2.0));
-        }
-        printf("esp32 port at %u bits: half a step is %.1e rad\n", fake.bits, half_step * 1e-6);
-        say(HPAC_ESTOP, 4, NULL, 0);
-    } else if (ms == 792) { /* heard within 1 ms, and the next period starts within 20 ms */
-        CHECK(silent());
     }
+}
+
+static void whole_session(int ms)
+{
+    open_session(ms);
+    CHECK(ms > 5 || (silent() && !powered()));
+    CHECK(ms != 10 || (silent() && heard(HPAC_DEVICE_HELLO) != NULL));
+    CHECK(ms < 12 || ms > 60 || (powered() && silent())); /* the supply first */
+    if (ms == 3100) {
+        for (int i = 0; i < HPAC_SERVOS; i++) {
+            CHECK(abs((int)(angle_at_pin(i) - target[i] * 100)) <= (int)(half_a_step_urad() + 2.0));
+        }
+        CHECK(SERVOS_ON_PCA9685 || fake.channels[0].changed_us == fake.channels[5].changed_us);
+        say(HPAC_ESTOP, NULL, 0);
+    }
+    CHECK(ms < 3102 || !powered());
+    CHECK(ms < 3122 || silent()); /* heard within 1 ms, and the next period starts within 20 ms */
+    CHECK(!SERVOS_ON_PCA9685 || ms < 3102 || silent()); /* OE does not wait for a period */
 }
 
 static void stays_silent(int ms)
 {
-    if (ms == 5) {
-        say(HPAC_HELLO, 1, NULL, 0);
-    } else if (ms == 10) {
-        say_arm();
-    }
-    CHECK(silent());
+    open_session(ms);
+    CHECK(silent() && !powered());
 }
 
-static void exact_frequency(void)
+static const uint8_t *hello_after(esp_reset_reason_t reset)
 {
-    unsigned bits = servo_pwm_bits();
-    CHECK(bits == (STUB_LEDC_BITS == 20 ? 17u : 14u));
-    CHECK((uint64_t)80000000u * 256u % (50ull << bits) == 0u);
-    CHECK(servo_pwm_duty(0) == 0u);
-    CHECK(servo_pwm_duty(HPAC_PULSE_PERIOD_NS / 2) == 1u << (bits - 1u));
+    fake_boot(reset, stays_silent, 8);
+    return heard(HPAC_DEVICE_HELLO);
 }
+
+static void resets_are_told(void)
+{
+    static const struct { esp_reset_reason_t reason; uint8_t told, state; } rows[] = {
+        { ESP_RST_POWERON, HPAC_RESET_POWER_ON, HPAC_STATE_IDLE },  { ESP_RST_SW, HPAC_RESET_SOFTWARE, HPAC_STATE_IDLE },
+        { ESP_RST_BROWNOUT, HPAC_RESET_BROWNOUT, HPAC_STATE_FAULT }, { ESP_RST_PANIC, HPAC_RESET_CRASH, HPAC_STATE_FAULT },
+        { ESP_RST_INT_WDT, HPAC_RESET_CRASH, HPAC_STATE_FAULT },     { ESP_RST_TASK_WDT, HPAC_RESET_CRASH, HPAC_STATE_FAULT },
+        { ESP_RST_WDT, HPAC_RESET_CRASH, HPAC_STATE_FAULT },         { ESP_RST_EXT, HPAC_RESET_OTHER, HPAC_STATE_IDLE },
+        { ESP_RST_UNKNOWN, HPAC_RESET_OTHER, HPAC_STATE_IDLE },
+    };
+    for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
+        const uint8_t *hello = hello_after(rows[i].reason);
+        CHECK(hello != NULL && hello[HPAC_DEVICE_HELLO_AT_RESET] == rows[i].told && hello[HPAC_DEVICE_HELLO_AT_STATE] == rows[i].state);
+        CHECK(hello != NULL && hpac_get_u16(hello + HPAC_DEVICE_HELLO_AT_BOOT_COUNT) == i + 1u);
+    }
+    const uint8_t *hello = hello_after(ESP_RST_POWERON); /* what is in that memory now is not to be believed */
+    CHECK(hello != NULL && hpac_get_u16(hello + HPAC_DEVICE_HELLO_AT_BOOT_COUNT) == 1u);
+}
+
+static void this_copy_is_told(void)
+{
+    const uint8_t *hello = hello_after(ESP_RST_POWERON);
+    CHECK(hello != NULL && hpac_get_u32(hello + HPAC_DEVICE_HELLO_AT_LIMITS_HASH) == hash_of_this_copy());
+    for (int i = 0; hello != NULL && i < HPAC_SERVOS; i++) {
+        CHECK(hpac_get_i16(hello + HPAC_DEVICE_HELLO_AT_TRIM_NS + 2 * i) == trims[i]);
+        CHECK((hello[HPAC_DEVICE_HELLO_AT_REVERSED] >> i & 1) == (directions[i] < 0));
+    }
+}
+
+/* A software reset in the middle of a session: heat and pose are what they were, and so arming starts there. */
+static void until_the_reset(int ms) { open_session(ms); }
+
+static void after_the_reset(int ms)
+{
+    if (ms == 5) {
+        ask_status();
+    } else if (ms == 7) {
+        for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+            CHECK(abs((int)status_of(HPAC_DEVICE_STATUS_AT_SERVO + 2u * i, 2) - target[i]) <= 1);
+        }
+        say(HPAC_HELLO, NULL, HPAC_HELLO_LENGTH);
+    } else if (ms == 9) {
+        say_arm();
+    } else if (ms == 100) {
+        CHECK(abs((int)(angle_at_pin(0) - target[0] * 100)) <= (int)(half_a_step_urad() + 2.0) && angle_at_pin(0) > 0);
+        CHECK(fake_pulse_ns(1) == 0);
+    }
+}
+
+static void memory_outlives_a_reset(void)
+{
+    fake_boot(ESP_RST_POWERON, until_the_reset, 3100);
+    fake_boot(ESP_RST_SW, after_the_reset, 120);
+}
+
+static void a_session_with_pins(int ms)
+{
+    open_session(ms);
+    if (ms == 1) {
+        CHECK(ESTOP_PIN == NO_PIN || (fake.pulled_up[ESTOP_PIN & 63] && fake.input[ESTOP_PIN & 63]));
+    } else if (ms == 3100) {
+        CHECK(!silent() && powered());
+        ask_status();
+    } else if (ms == 3103) {
+        CHECK(abs((int)status_of(HPAC_DEVICE_STATUS_AT_SUPPLY_MV, 2) - (SUPPLY_ADC_CHANNEL != NO_PIN ? 6000 : 0)) <= 3);
+    }
+}
+
+static void the_button(int ms)
+{
+    a_session_with_pins(ms);
+    if (ms == 3110) {
+        fake.level[ESTOP_PIN & 63] = 1; /* pressed, or the wire has come off */
+    } else if (ms == 3140) {
+        CHECK(silent() && !powered());
+        say(HPAC_CLEAR, NULL, HPAC_CLEAR_LENGTH);
+        ask_status();
+    } else if (ms == 3145) {
+        CHECK(status_of(HPAC_DEVICE_STATUS_AT_FAULT, 1) == HPAC_FAULT_ESTOP);
+        fake.level[ESTOP_PIN & 63] = 0;
+    } else if (ms == 3150) {
+        say(HPAC_CLEAR, NULL, HPAC_CLEAR_LENGTH);
+        ask_status();
+    } else if (ms == 3155) {
+        CHECK(status_of(HPAC_DEVICE_STATUS_AT_STATE, 1) == HPAC_STATE_IDLE && silent() && !powered());
+    }
+}
+
+static void the_supply(int ms)
+{
+    a_session_with_pins(ms);
+    if (ms == 3110) {
+        fake.adc_raw = 4095 * (HPAC_SUPPLY_MIN_MV - 100) / SUPPLY_FULL_SCALE_MV;
+    } else if (ms == 3125) {
+        CHECK(powered()); /* a dip is none */
+    } else if (ms == 3155) {
+        CHECK(silent() && !powered());
+        ask_status();
+    } else if (ms == 3158) {
+        CHECK(status_of(HPAC_DEVICE_STATUS_AT_FAULT, 1) == HPAC_FAULT_SUPPLY);
+    }
+}
+
+static void the_adc_breaks(int ms)
+{
+    a_session_with_pins(ms);
+    fake.adc_broken = ms >= 3110;
+    CHECK(ms < 3155 || (silent() && !powered()));
+}
+
+static bool forbidden(int pin)
+{
+    /* booting, flash, PSRAM, native USB, inputs only, and pins that the chip does not have (data sheets) */
+    static const int esp32[] = { 0, 2, 5, 12, 15, 6, 7, 8, 9, 10, 11, 16, 17, 20, 24, 28, 29, 30, 31, 34, 35, 36, 37, 38, 39, 1, 3 };
+    static const int s3[] = { 0, 3, 45, 46, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35, 36, 37, 19, 20, 43, 44 };
+    static const int c6[] = { 4, 5, 8, 9, 15, 24, 25, 26, 27, 28, 29, 30, 12, 13, 14, 16, 17 };
+    static const int c3[] = { 2, 8, 9, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21 };
+    const int *list = STUB_TARGET == 32 ? esp32 : STUB_TARGET == 3 ? s3 : STUB_TARGET == 6 ? c6 : c3;
+    size_t count = STUB_TARGET == 32 ? sizeof esp32 : STUB_TARGET == 3 ? sizeof s3 : STUB_TARGET == 6 ? sizeof c6 : sizeof c3;
+    for (size_t i = 0; i < count / sizeof *list; i++) {
+        if (list[i] == pin) {
+            return true;
+        }
+    }
+    return false;
+}
+
+static void pins_are_free_and_different(void)
+{
+    static const int servos[] = SERVO_PINS;
+    static const int bus[] = { PCA9685_SDA_PIN, PCA9685_SCL_PIN, PCA9685_OE_PIN };
+    int used[10] = { SUPPLY_SWITCH_PIN, ESTOP_PIN };
+    int count = 2;
+    for (int i = 0; i < (SERVOS_ON_PCA9685 ? 3 : 6); i++) {
+        used[count++] = SERVOS_ON_PCA9685 ? bus[i] : servos[i];
+        CHECK(SERVOS_ON_PCA9685 || fake.channels[i].pin == servos[i]);
+    }
+    for (int i = 0; i < count; i++) {
+        CHECK(!forbidden(used[i]));
+        for (int j = 0; j < i; j++) {
+            CHECK(used[i] != used[j]);
+        }
+    }
+    CHECK(PORT_IS_USB ? fake.usb : fake.tx_pin == UART_TX_PIN && fake.rx_pin == UART_RX_PIN);
+}
+
+#if SERVOS_ON_PCA9685
+static void bus_dies(int ms)
+{
+    open_session(ms);
+    fake.i2c_faults = ms >= 2700 ? 1000 : 0;
+    CHECK(ms < 2745 || (silent() && !powered()));
+}
+
+static void bus_stumbles(int ms)
+{
+    open_session(ms);
+    if (ms > 2600 && ms % 50 == 0) {
+        fake.i2c_faults = 2;
+    } else if (ms > 2600 && ms % 50 == 25) {
+        fake.i2c_flips = 1;
+    }
+    CHECK(ms < 2600 || ms > 3050 || powered());
+    CHECK(ms != 3100 || abs((int)(angle_at_pin(3) - target[3] * 100)) <= (int)(half_a_step_urad() + 2.0));
+}
+
+static void chip_loses_its_supply(int ms)
+{
+    open_session(ms);
+    if (ms == 2900) {
+        fake.i2c[0x00] = 0x11;
+        fake.i2c[0xfe] = 0x1e;
+    }
+    CHECK(ms != 3100 || (fake.i2c[0xfe] == 121 && fake.i2c[0x00] == 0x20));
+    CHECK(ms != 3100 || abs((int)(angle_at_pin(3) - target[3] * 100)) <= (int)(half_a_step_urad() + 2.0));
+}
+
+static void clock_stays_wrong(int ms) /* a divider that cannot be set: every pulse would be as wrong */
+{
+    open_session(ms);
+    fake.i2c[0xfe] = ms >= 2700 ? 0x1f : fake.i2c[0xfe];
+    fake.i2c_flips = ms >= 2700 ? 1000 : 0;
+    CHECK(ms < 2745 || (silent() && !powered()));
+}
+
+static void the_bus_and_its_faults(void)
+{
+    fake_boot(ESP_RST_POWERON, bus_dies, 2900);
+    fake_boot(ESP_RST_POWERON, bus_stumbles, 3200);
+    fake_boot(ESP_RST_POWERON, chip_loses_its_supply, 3200);
+    fake_boot(ESP_RST_POWERON, clock_stays_wrong, 2900);
+}
+#else
+static void the_bus_and_its_faults(void) { CHECK(80000000ull * 256u % (50ull << fake.bits) == 0u); }
+#endif
 
 int main(void)
 {
-    exact_frequency();
-    fake_boot(ESP_RST_POWERON, session, 900);
+    fake_boot(ESP_RST_POWERON, whole_session, 3200);
     CHECK(fake.errors == 0);
-    CHECK(fake.watchdog_ms > 0u && fake.longest_unfed_us < (int64_t)fake.watchdog_ms * 1000 / 10);
-    for (int i = 0; i < HPAC_SERVOS; i++) {
-        for (int j = 0; j < i; j++) {
-            CHECK(fake.channels[i].pin != fake.channels[j].pin);
-        }
-    }
+    CHECK(fake.watched && fake.watchdog_ms > 0u && fake.watchdog_ms <= 100u);
+    CHECK(fake.longest_unfed_us < (int64_t)fake.watchdog_ms * 1000 / 4);
+    CHECK((fake.glitches & ~(SERVOS_ON_PCA9685 ? 1ull << PCA9685_OE_PIN : 0ull)) == 0u); /* OE is high when it becomes one */
+    pins_are_free_and_different();
+    the_bus_and_its_faults();
     fake_boot(ESP_RST_BROWNOUT, stays_silent, 300);
     fake_boot(ESP_RST_TASK_WDT, stays_silent, 300);
+    fake_boot(ESP_RST_POWERON, stays_silent, 1);
+    resets_are_told();
+    this_copy_is_told();
+    memory_outlives_a_reset();
+    if (ESTOP_PIN != NO_PIN) {
+        fake_boot(ESP_RST_POWERON, the_button, 3200);
+    }
+    if (SUPPLY_ADC_CHANNEL != NO_PIN) {
+        fake_boot(ESP_RST_POWERON, the_supply, 3200);
+        fake_boot(ESP_RST_POWERON, the_adc_breaks, 3200);
+    }
+    CHECK(fake.errors == 0);
+    printf("one step is %.2g rad\n", 2e-6 * half_a_step_urad());
     return failures == 0 ? 0 : 1;
 }

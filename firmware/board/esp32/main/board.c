@@ -1,0 +1,105 @@
+#include "board.h"
+
+#include "driver/gpio.h"
+#include "esp_adc/adc_oneshot.h"
+#include "esp_err.h"
+#include "hpac_protocol.h"
+#include "pins.h"
+#if PORT_IS_USB
+#include "driver/usb_serial_jtag.h"
+#else
+#include "driver/uart.h"
+#endif
+
+#define RING_BYTES 1024
+#define ADC_MAX 4095
+
+static adc_oneshot_unit_handle_t adc;
+
+void board_quiet(void) /* the level first: the pin never drives the switch on, not for a moment */
+{
+    ESP_ERROR_CHECK(gpio_set_level(SUPPLY_SWITCH_PIN, 0));
+    ESP_ERROR_CHECK(gpio_set_direction(SUPPLY_SWITCH_PIN, GPIO_MODE_OUTPUT));
+}
+
+static void start_port(void)
+{
+#if PORT_IS_USB
+    usb_serial_jtag_driver_config_t settings = { .rx_buffer_size = RING_BYTES, .tx_buffer_size = RING_BYTES };
+    ESP_ERROR_CHECK(usb_serial_jtag_driver_install(&settings));
+#else
+    const uart_config_t settings = {
+        .baud_rate = HPAC_BAUD,
+        .data_bits = UART_DATA_8_BITS,
+        .parity = UART_PARITY_DISABLE,
+        .stop_bits = UART_STOP_BITS_1,
+        .flow_ctrl = UART_HW_FLOWCTRL_DISABLE,
+        .source_clk = UART_SCLK_DEFAULT,
+    };
+    ESP_ERROR_CHECK(uart_driver_install(UART_NUM_0, RING_BYTES, RING_BYTES, 0, NULL, 0));
+    ESP_ERROR_CHECK(uart_param_config(UART_NUM_0, &settings));
+    /* without a console nobody else has routed UART0 to its pins, and the port would be deaf */
+    ESP_ERROR_CHECK(uart_set_pin(UART_NUM_0, UART_TX_PIN, UART_RX_PIN, UART_PIN_NO_CHANGE, UART_PIN_NO_CHANGE));
+#endif
+}
+
+void board_start(void)
+{
+    if (ESTOP_PIN != NO_PIN) {
+        const gpio_config_t input = { .pin_bit_mask = 1ull << (ESTOP_PIN & 63), .mode = GPIO_MODE_INPUT, .pull_up_en = GPIO_PULLUP_ENABLE };
+        ESP_ERROR_CHECK(gpio_config(&input));
+    }
+    if (SUPPLY_ADC_CHANNEL != NO_PIN) {
+        const adc_oneshot_unit_init_cfg_t unit = { .unit_id = ADC_UNIT_1 };
+        const adc_oneshot_chan_cfg_t channel = { .atten = ADC_ATTEN_DB_12, .bitwidth = ADC_BITWIDTH_12 };
+        ESP_ERROR_CHECK(adc_oneshot_new_unit(&unit, &adc));
+        ESP_ERROR_CHECK(adc_oneshot_config_channel(adc, (adc_channel_t)SUPPLY_ADC_CHANNEL, &channel));
+    }
+    start_port();
+}
+
+size_t board_read(uint8_t *bytes, size_t capacity)
+{
+#if PORT_IS_USB
+    int length = usb_serial_jtag_read_bytes(bytes, (uint32_t)capacity, 0);
+#else
+    int length = uart_read_bytes(UART_NUM_0, bytes, (uint32_t)capacity, 0);
+#endif
+    return length > 0 ? (size_t)length : 0u;
+}
+
+/* The USB driver does not tell its room, but takes whole pieces or nothing and never waits: an answer of the hand fits. */
+size_t board_room(void)
+{
+    size_t room = HPAC_FRAME_MAX + 3u;
+#if !PORT_IS_USB
+    ESP_ERROR_CHECK(uart_get_tx_buffer_free_size(UART_NUM_0, &room));
+#endif
+    return room;
+}
+
+void board_write(const uint8_t *bytes, size_t length)
+{
+#if PORT_IS_USB
+    usb_serial_jtag_write_bytes(bytes, length, 0); /* nobody reads: lost, as on any wire */
+#else
+    uart_write_bytes(UART_NUM_0, bytes, length);
+#endif
+}
+
+void board_power(bool on) { ESP_ERROR_CHECK(gpio_set_level(SUPPLY_SWITCH_PIN, on ? 1 : 0)); }
+
+bool board_estop_pressed(void) { return ESTOP_PIN != NO_PIN && gpio_get_level(ESTOP_PIN) != 0; }
+
+uint16_t board_supply_mv(void)
+{
+    int raw = 0;
+    if (SUPPLY_ADC_CHANNEL == NO_PIN) {
+        return 0;
+    }
+    if (adc_oneshot_read(adc, (adc_channel_t)SUPPLY_ADC_CHANNEL, &raw) != ESP_OK) {
+        return 1; /* it cannot be read: as good as none */
+    }
+    int mv = raw * SUPPLY_FULL_SCALE_MV / ADC_MAX;
+    return (uint16_t)(mv > 0 ? mv : 1);
+}

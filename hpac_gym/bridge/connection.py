@@ -1,0 +1,258 @@
+"""One opened port with a hand behind it: from HELLO to the hand's word that it has no pulses."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from threading import RLock
+from time import monotonic
+
+from hpac_gym.bridge.errors import (
+    BridgeError,
+    HandshakeError,
+    LinkTimeout,
+    PortError,
+    RejectedError,
+    StoppedError,
+    UnconfirmedWarning,
+    tell,
+)
+from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
+from hpac_gym.bridge.frame import Frame
+from hpac_gym.bridge.interrupts import interrupts
+from hpac_gym.bridge.protocol import VERSION, Fault, Reason, name_of
+from hpac_gym.bridge.reports import HandInfo, KnownState
+from hpac_gym.bridge.transport import Transport
+
+_HELLO_PERIOD = 0.1
+_PREEMPT_PERIOD = 0.02
+_PREEMPT_TIMEOUT = 3.0
+
+_LAST_WORDS = ("clear",) * 6 + ("estop",) * 4
+_LAST_WORDS_UNGREETED = ("hello", "clear") * 3
+"""To a device that never answered: it may be no hand, or one that an earlier session left in a fault that holds."""
+
+
+class Turns:
+    """Whose turn it is to talk: calls wait for each other, `estop` and `close` for none."""
+
+    def __init__(self) -> None:
+        self._lock = RLock()
+        self._depth = 0
+        self._preempted = 0
+        self._stopped_by = ""
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+        if self._depth == 0:
+            self._stopped_by = ""
+        self._depth += 1
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._depth -= 1
+        stopped = self._stopped_by if self._depth == 0 and kind is None else ""
+        self._lock.release()
+        if stopped:
+            raise StoppedError(f"stopped by {stopped}")
+
+    def check(self) -> None:
+        """End the call that has the turn, if `preempt` has asked for it.
+
+        Raises:
+            StoppedError: It has.
+        """
+        if self._stopped_by and not self._preempted:
+            raise StoppedError(f"stopped by {self._stopped_by}")
+
+    @contextmanager
+    def preempt(self, by: str, insist: Callable[[], None]) -> Iterator[None]:
+        """Take the turn from the call that has it, in another thread or interrupted by a signal handler in this one.
+
+        Args:
+            by: what its `StoppedError` names.
+            insist: called every 20 ms until another thread's call has ended; one that does not in 3 s is passed over.
+        """
+        deadline = monotonic() + _PREEMPT_TIMEOUT
+        taken = self._lock.acquire(blocking=False)
+        while not taken and monotonic() < deadline:
+            self._stopped_by = by
+            with suppress(BridgeError):
+                insist()
+            taken = self._lock.acquire(timeout=_PREEMPT_PERIOD)
+        within_a_call = self._depth > 0
+        self._stopped_by = ""
+        self._preempted += 1
+        try:
+            yield
+        finally:
+            self._preempted -= 1
+            if within_a_call:
+                self._stopped_by = by
+            if taken:
+                self._lock.release()
+
+
+class Connection:
+    """One connection and what is known of the hand through it. Ends once, by `end`, and in no other way.
+
+    Args:
+        transport: opened; `end` closes it.
+        turns: the link's.
+        timeout, attempts: patience with one answer [s], and how often a frame is sent.
+
+    Attributes:
+        info: the hand's answer to HELLO.
+        known: what the hand has said about its state.
+        ended: whether the port is closed.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        turns: Turns,
+        statistics: LinkStatistics,
+        timeout: float,
+        attempts: int,
+        log: WireLog | None,
+    ) -> None:
+        self.known = KnownState()
+        self.info: HandInfo | None = None
+        self.exchange = Exchange(transport, statistics, self.known, turns.check, log)
+        self._turns = turns
+        self._statistics = statistics
+        self._timeout = timeout
+        self._attempts = attempts
+        self._owner = os.getpid()
+        self.ended = False
+        interrupts.link_opened()
+
+    def require_owner(self) -> None:
+        """Refuse to talk in a fork's child.
+
+        Raises:
+            PortError: Another process opened this connection.
+        """
+        if self._owner != os.getpid():
+            raise PortError(f"this link belongs to process {self._owner}: open one of your own")
+
+    def greet(self, patience: float) -> None:
+        """Say HELLO for `patience` [s] and take in the answer.
+
+        Raises:
+            HandshakeError: No answer, or not that of a hand of this protocol.
+            PortError: The port has gone.
+        """
+        attempts = max(1, math.ceil(patience / _HELLO_PERIOD))
+        try:
+            answer = self.exchange.request("hello", timeout=_HELLO_PERIOD, attempts=attempts)
+        except LinkTimeout:
+            raise self._handshake_error(patience) from None
+        if answer.name == "ack":
+            reason = name_of(Reason, answer.fields["reason"])
+            raise HandshakeError(f"the device answers HELLO with an ACK ({reason}): no firmware for this hand")
+        self.info = HandInfo.from_frame(answer)
+        self._statistics.connections += 1
+        self._statistics.acked += 1
+        self.learn_fault()
+
+    def _handshake_error(self, patience: float) -> HandshakeError:
+        heard = self.exchange.splitter
+        if heard.other_version is not None:
+            return HandshakeError(f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them")
+        what = f"{heard.rejected_bytes} bytes came that were no frame" if heard.rejected_bytes else "silence"
+        what = "an echo of what is sent" if self.exchange.host_frames else what
+        return HandshakeError(f"no hand answered within {patience:g} s ({what}); `hpac doctor` says more")
+
+    def request(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
+        """Have a message carried out.
+
+        Raises:
+            RejectedError: The hand refuses it. LinkTimeout, PortError: no answer; the port has gone.
+        """
+        answer = self.exchange.request(name, fields, flags, self._timeout, self._attempts)
+        if answer.name == "ack" and answer.fields["reason"] != Reason.ok:
+            raise self._refusal(name, answer)
+        self._statistics.acked += 1
+
+    def raise_unasked(self, what: str) -> None:
+        """Raise what the hand has said meanwhile: a fault, or the refusal of an unacknowledged message."""
+        refused, self.exchange.refused = self.exchange.refused, None
+        if refused is not None:
+            raise self._refusal(what, refused)
+        if self.known.in_fault:
+            self.learn_fault()
+            raise self.known.fault_error(what)
+
+    def _refusal(self, name: str, answer: Frame) -> RejectedError:
+        self._statistics.rejected += 1
+        self.learn_fault()
+        return self.known.refusal(name, answer)
+
+    def learn_fault(self) -> None:
+        """Ask which fault it is, and what it does, if the frame that told of it was lost."""
+        if self.known.in_fault and self.known.fault == Fault.none.name:
+            with suppress(BridgeError):
+                self.exchange.request("status", {"period_ms": 0}, 0, self._timeout, self._attempts)
+
+    @interrupts.closing
+    def end(self, error: BaseException | None = None) -> None:
+        """Leave the hand without pulses and let the port go. Nothing that happens meanwhile keeps it from doing so.
+
+        What is not confirmed is told in an `UnconfirmedWarning`, and noted on `error`, the exception that is on its way.
+
+        Raises:
+            KeyboardInterrupt, SystemExit: One that came meanwhile, at the end, unless `error` is one already.
+        """
+        if self.ended:
+            return
+        interrupt = None
+        try:
+            if self._owner == os.getpid():
+                with self._turns.preempt("close()", lambda: self.exchange.send("clear")):
+                    unconfirmed, interrupt = ("", None) if self.ended else self._release()
+                if unconfirmed and error is not None:
+                    error.add_note(unconfirmed)
+                if unconfirmed and not isinstance(error, HandshakeError):
+                    tell(UnconfirmedWarning(unconfirmed))
+        finally:
+            if not self.ended:
+                self.ended = True
+                self._statistics.bad_frames += self.exchange.splitter.rejected_frames
+                self._statistics.bad_bytes += self.exchange.splitter.rejected_bytes
+                self.known.forget()
+                interrupts.link_closed()
+            self.exchange.transport.close()
+        already_ending = error is not None and not isinstance(error, Exception)
+        if interrupt is not None and not already_ending:
+            raise interrupt
+        interrupts.deliver(already_ending)
+
+    def _release(self) -> tuple[str, BaseException | None]:
+        """Send CLEAR, then ESTOP, until the hand says that it has no pulses.
+
+        Returns:
+            What was tried in vain, in one sentence, or nothing if the hand has confirmed it; and the interrupt that came
+            meanwhile (`KeyboardInterrupt`, `SystemExit`).
+        """
+        sent_before = dict(self.exchange.sent)
+        failure, interrupt = "no answer", None
+        for name in _LAST_WORDS if self.info is not None else _LAST_WORDS_UNGREETED:
+            try:
+                if self.known.may_have_power:
+                    self.exchange.request(name, timeout=self._timeout, attempts=1)
+                if self.known.may_have_power:  # refused, or HELLO alone: how does it stand?
+                    self.exchange.request("status", {"period_ms": 0}, timeout=self._timeout, attempts=1)
+            except LinkTimeout:
+                pass
+            except Exception as error:
+                failure = str(error)
+            except BaseException as error:
+                interrupt = interrupt or error
+        if not self.known.may_have_power:
+            return "", interrupt
+        counts = ((name.upper(), count - sent_before[name]) for name, count in self.exchange.sent.items())
+        tried = ", ".join(f"{name} × {count}" for name, count in counts if count)
+        advice = "if the servos hold, switch their supply off; the hand's watchdog acts by itself if it was armed"
+        return f"the hand has not confirmed that it has no pulses (sent {tried or 'nothing'}: {failure}); {advice}", interrupt

@@ -1,0 +1,468 @@
+"""docs/wire.md as a suite: does a device do what the document says? Moves a hand by at most 0.3 rad per servo.
+
+It talks with the oracle's codec and knows the device by its answers alone, so that it runs against anything that claims to
+speak the wire: a board, the host board, a virtual hand, a firmware of the user's own.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+from hpac_gym.bridge.errors import BridgeError
+from hpac_gym.bridge.evidence.device import SESSION, SLACK, BrokenRule, Device, Status, stands
+from hpac_gym.bridge.evidence.oracle import (
+    ACK,
+    ARM,
+    CLEAR,
+    DEVICE_HELLO,
+    DEVICE_STATUS,
+    ESTOP,
+    HEARTBEAT,
+    HELLO,
+    LENGTHS,
+    MINIMUM_JERK,
+    MOVE,
+    NO_ACK,
+    STATUS,
+    VERSION,
+    wire,
+)
+from hpac_gym.bridge.limits import limits_hash
+from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, name_of
+from hpac_gym.bridge.transport import Transport
+from hpac_gym.model import HPAC, SERVOS, Hand
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One rule of the document, and how the device did."""
+
+    rule: str
+    tried: int
+    """How often the device could have broken it, up to the first time that it did."""
+    failure: str
+    """What it did instead; empty if it keeps the rule."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the rule was tried and kept."""
+        return self.tried > 0 and not self.failure
+
+
+# --- the rules, in the order of the document ------------------------------------------------------------------------
+
+
+def _hello(d: Device) -> None:
+    hello = d.hello(SESSION)
+    d.expect(hello.session == SESSION, f"session {hello.session:08x} in force after HELLO {SESSION:08x}")
+    wanted = limits_hash(d.hand, hello.trim_ns, hello.reversed_mask)
+    d.expect(hello.limits_hash == wanted, f"limits hash {hello.limits_hash:08x}, this hand's is {wanted:08x} (--hand FILE?)")
+
+
+def _hello_looks(d: Device) -> None:
+    d.armed()
+    hello = d.hello(0)
+    d.expect(hello.session == SESSION, f"HELLO 0 changed the session to {hello.session:08x}")
+    d.expect(hello.state == State.armed, f"HELLO 0 left the hand {name_of(State, hello.state)}")
+    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), "after HELLO 0")
+
+
+def _hello_takes_over(d: Device) -> None:
+    d.armed()
+    hello = d.hello(SESSION + 1)
+    status = d.status()
+    d.expect(status.state == State.idle and not status.attached, f"HELLO of another controller left {stands(status)}")
+    d.expect(hello.session == SESSION + 1, f"its session is {hello.session:08x}, must be {SESSION + 1:08x}")
+    d.must(Reason.session, HEARTBEAT, struct.pack("<I", SESSION), "of the session before")
+
+
+def _other_version(d: Device) -> None:
+    d.idle()
+    before = d.status()
+    for version in (1, 3, 255):
+        answer = d.ask(HELLO, struct.pack("<I", 7), version=version)
+        d.expect(answer is not None and answer.kind == DEVICE_HELLO, f"HELLO of version {version} is not answered by HELLO")
+        d.expect(answer.version == VERSION, f"it is answered in version {answer.version}, must be {VERSION}")
+        d.must(Reason.version, STATUS, bytes(2), f"of version {version}", version=version)
+    status = d.status()
+    d.expect(status.bad_version - before.bad_version == 6, f"bad_version counts {status.bad_version - before.bad_version} of 6")
+    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), "of the session that another version's HELLO must not end")
+
+
+def _damage(d: Device) -> None:
+    d.idle()
+    before = d.status()
+    good = wire(CLEAR, 900, struct.pack("<I", SESSION))
+    sent = 0
+    for bit in range(8, 8 * (len(good) - 1), 3):
+        bad = bytearray(good)
+        bad[bit // 8] ^= 1 << bit % 8
+        if 0 not in bad[1:-1]:
+            d.raw(bytes(bad))
+            d.unasked.clear()
+            d.listen(0.01)
+            d.expect(not d.unasked, f"a frame with bit {bit} turned was answered: {bytes(bad).hex()}")
+            sent += 1
+    status = d.status()
+    counted = status.bad_crc + status.bad_frame + status.overrun - before.bad_crc - before.bad_frame - before.overrun
+    d.expect(counted == sent, f"{counted} of {sent} damaged frames counted in bad_crc, bad_frame, overrun")
+
+
+def _junk(d: Device) -> None:
+    d.idle()
+    for junk in (b"\x05abc\0", b"x" * 300 + b"\0", b"\0" * 50, b"\x01", b"\xff" * 254 + b"\0", b"ets Jul 29 2019 12:21:46\r\n"):
+        d.raw(junk)
+        d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), f"right after {junk[:12]!r}")
+
+
+def _lost_byte(d: Device) -> None:
+    d.idle()
+    one = wire(HEARTBEAT, 901, struct.pack("<I", SESSION))
+    for at in range(len(one)):
+        d.raw(one[:at] + one[at + 1 :])
+        d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), f"after one that lost its byte {at}")
+
+
+def _lengths(d: Device) -> None:
+    d.idle()
+    for kind, length in LENGTHS.items():
+        for wrong in {0, max(length - 1, 0), length + 1, 30} - {length} if kind != ESTOP else ():
+            d.must(Reason.length, kind, bytes(wrong), f"with {wrong} bytes of payload")
+    for kind in (8, 0x33, 0x7F):
+        d.must(Reason.type, kind, b"", f"message 0x{kind:02x}")
+
+
+def _device_types(d: Device) -> None:
+    d.idle()
+    for kind in (0x80, DEVICE_HELLO, ACK, 0xFF):
+        d.expect(d.ask(kind, bytes(4)) is None, f"a frame of the hand's own type 0x{kind:02x} was answered")
+
+
+def _flags(d: Device) -> None:
+    d.idle()
+    session = struct.pack("<I", SESSION)
+    payloads = {HELLO: session, ARM: d.arm(), MOVE: d.move(0), HEARTBEAT: session, CLEAR: session, STATUS: bytes(2)}
+    for kind, payload in payloads.items():
+        allowed = {MOVE: 3, HEARTBEAT: 2}.get(kind, 0)
+        for bit in range(8):
+            if not allowed >> bit & 1:
+                d.must(Reason.flags, kind, payload, f"with flag 0x{1 << bit:02x}", flags=1 << bit)
+
+
+def _sessions(d: Device) -> None:
+    d.armed()
+    for other in (0, SESSION ^ 1, SESSION + 1):
+        session = struct.pack("<I", other)
+        for kind, payload in (
+            (ARM, d.arm(session=other)), (MOVE, d.move(500, session=other)), (HEARTBEAT, session), (CLEAR, session)
+        ):  # fmt: skip
+            d.must(Reason.session, kind, payload, f"of session {other:08x}")
+            d.live(0.01)
+    status = d.status()
+    d.expect(status.state == State.armed and not status.moving, f"after them {stands(status)}, must be armed")
+
+
+def _priorities(d: Device) -> None:
+    d.idle()
+    d.must(Reason.length, ARM, bytes(3), "too short, with flags and of no session", flags=0x80)
+    d.must(Reason.flags, ARM, d.arm(session=5), "with a flag and of another session", flags=0x80)
+    d.must(Reason.session, ARM, d.arm(action=9, session=5), "of another session and action 9")
+    d.must(Reason.state, MOVE, d.move(0, duration_ms=1), "in IDLE, too short")
+    d.must(Reason.limits, ARM, d.arm(action=9, hash_=d.hash ^ 1), "with another hash and action 9")
+    d.must(Reason.action, ARM, d.arm(action=9, watchdog_ms=1), "with action 9 and a watchdog of 1 ms")
+
+
+def _arm_bounds(d: Device) -> None:
+    d.idle()
+    d.must(Reason.limits, ARM, d.arm(hash_=d.hash ^ 1), "with another limits hash")
+    d.must(Reason.action, ARM, d.arm(action=3), "with action 3")
+    for watchdog_ms in (0, CONSTANTS["watchdog_min_ms"] - 1, CONSTANTS["watchdog_max_ms"] + 1, 0xFFFF):
+        d.must(Reason.period, ARM, d.arm(watchdog_ms=watchdog_ms), f"with a watchdog of {watchdog_ms} ms")
+    status = d.status()
+    d.expect(status.state == State.idle and not status.attached, f"after refused ARMs {stands(status)}, must be idle")
+
+
+def _starting(d: Device) -> None:
+    d.idle()
+    d.must(Reason.ok, ARM, d.arm())
+    d.must(Reason.starting, MOVE, d.move(0), "right after ARM")
+    seen, last = [], 0
+    for _ in range(600):
+        status = d.status()
+        d.expect(status.attached & last == last, f"servos {status.attached:06b} after {last:06b}: one has lost its pulses")
+        d.expect((status.attached ^ last).bit_count() <= 1, f"servos {status.attached:06b} after {last:06b}: two at once")
+        seen += [status.attached] if status.attached != last else []
+        last = status.attached
+        if last == 0x3F and not status.moving:
+            break
+        d.live(0.01)
+    d.expect(len(seen) == len(SERVOS), f"servos started in {len(seen)} steps, must be {len(SERVOS)}")
+    d.must(Reason.ok, MOVE, d.move(0, 400), "once the hand is at rest")
+
+
+def _moves(d: Device) -> None:
+    d.armed()
+    d.moved(2000)
+    d.moved(500)
+    d.must(Reason.ok, MOVE, d.move(2500, 800), "with minimum jerk", flags=MINIMUM_JERK)
+    d.live(0.4)
+    status = d.status()
+    d.expect(status.moving == 1, "in the middle of a move it says that it does not move")
+    half = [abs(at - servo.rest_urad // 100 - 1500) for at, servo in zip(status.servo, d.limits, strict=True)]
+    d.expect(max(half) < 600, f"half-way through minimum jerk {status.servo}, {max(half)} from the middle [1e-4 rad]")
+    d.live(0.4 + SLACK)
+    d.moved(0)
+
+
+def _move_bounds(d: Device) -> None:
+    d.armed()
+    rest = [servo.rest_urad // 100 for servo in d.limits]
+    for i, servo in enumerate(d.limits):
+        for wrong in (servo.min_urad // 100 - 1, servo.max_urad // 100 + 1, -32768, 32767):
+            got = d.refusal(MOVE, d.move([wrong if j == i else r for j, r in enumerate(rest)], 10_000))
+            d.expect(got == (Reason.angle, i), f"{SERVOS[i]} to {wrong} [1e-4 rad]: {got}, must be angle at servo {i}")
+        d.live(0.01)
+    for duration_ms in (0, CONSTANTS["move_min_ms"] - 1, CONSTANTS["move_max_ms"] + 1, 0xFFFF):
+        d.must(Reason.duration, MOVE, d.move(0, duration_ms), f"of {duration_ms} ms")
+    for i, servo in enumerate(d.limits):
+        way = servo.rate_urad_s // 100 // 10  # what 0.1 s allows
+        target = [r + 3 * way // 2 if j == i else r for j, r in enumerate(rest)]
+        got = d.refusal(MOVE, d.move(target, 100))
+        d.expect(got == (Reason.rate, i), f"{SERVOS[i]} at 1.5 times its rate limit: {got}, must be rate at servo {i}")
+        d.live(0.01)
+    status = d.status()
+    d.expect(not status.moving and list(status.servo) == rest, f"after refused moves {status.servo}, must be {rest}")
+
+
+def _repeats(d: Device) -> None:
+    d.armed()
+    seq = d.send(HEARTBEAT, struct.pack("<I", SESSION)) + 100
+    first = d.move(1000)
+    d.must(Reason.ok, MOVE, first, "newer", seq=seq)
+    d.live(0.4 + SLACK)
+    d.must(Reason.ok, MOVE, first, "the same frame again", seq=seq)
+    d.must(Reason.stale, MOVE, d.move(1500), "another MOVE of the same number", seq=seq)
+    d.must(Reason.stale, MOVE, first, "an older number", seq=seq - 1)
+    d.must(Reason.stale, MOVE, first, "a number half the circle ahead", seq=(seq + 0x8000) % 0x10000)
+    status = d.status()
+    d.expect(not status.moving, "a repeated or old MOVE moves the hand")
+    d.expect(status.last_seq == seq, f"last_seq {status.last_seq}, must be {seq}")
+    d.must(Reason.ok, MOVE, d.move(500), "the largest step ahead", seq=(seq + 0x7FFF) % 0x10000)
+
+
+def _repeat_after_clear(d: Device) -> None:
+    d.armed()
+    seq = d.send(HEARTBEAT, struct.pack("<I", SESSION)) + 100
+    d.must(Reason.ok, MOVE, d.move(1000), seq=seq)
+    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION))
+    d.must(Reason.ok, ARM, d.arm())
+    d.started()
+    d.must(Reason.stale, MOVE, d.move(1000), "that was carried out before CLEAR", seq=seq)
+
+
+def _no_ack(d: Device) -> None:
+    d.armed(watchdog_ms=CONSTANTS["watchdog_max_ms"])
+    d.expect(d.ask(HEARTBEAT, struct.pack("<I", SESSION), NO_ACK) is None, "HEARTBEAT without ACK was answered")
+    d.live(0.01)
+    d.expect(d.ask(MOVE, d.move(300), NO_ACK) is None, "MOVE without ACK was answered")
+    d.live(0.01)
+    d.must(Reason.duration, MOVE, d.move(0, 1), "without ACK, but refused", flags=NO_ACK)
+
+
+def _silence(d: Device, action: Action, watchdog_ms: int) -> Status:
+    d.armed(action, watchdog_ms)
+    d.moved(2000)
+    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION))
+    d.unasked.clear()
+    d.listen(watchdog_ms * 1e-3 - 0.04)
+    status = d.status()
+    d.expect(status.state == State.armed, f"40 ms before the watchdog's {watchdog_ms} ms: {stands(status)}, must be armed")
+    d.listen(0.04 + SLACK)
+    status = d.status()
+    tripped = status.state == State.fault and status.fault == Fault.watchdog
+    d.expect(tripped, f"after {watchdog_ms} ms of silence {stands(status)}")
+    d.expect((codes := d.faults()) == [Fault.watchdog], f"FAULT messages {codes}, must be one of watchdog")
+    return status
+
+
+def _watchdog_detach(d: Device) -> None:
+    for watchdog_ms in (CONSTANTS["watchdog_min_ms"], CONSTANTS["watchdog_max_ms"]):
+        status = _silence(d, Action.detach, watchdog_ms)
+        d.expect(not status.attached, f"detach leaves servos {status.attached:06b} with pulses")
+
+
+def _watchdog_relax(d: Device) -> None:
+    before = _silence(d, Action.relax, 100)
+    d.expect(before.attached == 0x3F, f"relax has taken the pulses of servos {before.attached ^ 0x3F:06b} at once")
+    d.listen(0.1)
+    status = d.status()
+    rest = [servo.rest_urad // 100 for servo in d.limits]
+    gone = [abs(was - r) - abs(at - r) for was, at, r in zip(before.servo, status.servo, rest, strict=True)]
+    d.expect(min(gone) > 0, f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]")
+    most = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000 * (0.1 + SLACK)
+    d.expect(max(gone) <= most, f"relax goes {max(gone)} [1e-4 rad] in 0.1 s, at most {most:.0f}")
+    d.listen(1.5)
+    status = d.status()
+    d.expect(not status.attached and list(status.servo) == rest, f"after relax {status.servo}, servos {status.attached:06b}")
+
+
+def _watchdog_hold(d: Device) -> None:
+    before = _silence(d, Action.hold, 100)
+    d.listen(CONSTANTS["hold_max_ms"] * 1e-3 - 1.0)
+    status = d.status()
+    d.expect(status.attached == 0x3F and status.servo == before.servo, f"hold: {status.servo}, servos {status.attached:06b}")
+    d.listen(1.0 + 1.5)
+    status = d.status()
+    d.expect(not status.attached, f"servos {status.attached:06b} have pulses 1.5 s after hold must have become relax")
+    d.expect(status.state == State.fault, f"after hold {stands(status)}, must be fault")
+
+
+def _watchdog_food(d: Device) -> None:
+    d.armed(Action.detach, 200)
+    d.live(1.0)
+    status = d.status()
+    d.expect(status.state == State.armed, f"with a HEARTBEAT every 30 ms {stands(status)}, must be armed")
+    d.armed(Action.detach, 200)
+    before = d.status()
+    strangers = ((STATUS, bytes(2)), (HEARTBEAT, struct.pack("<I", 5)), (HELLO, bytes(4)), (MOVE, d.move(0, 1)))
+    for number in range(20):
+        kind, payload = strangers[number % 4]
+        d.send(kind, payload)
+        d.listen(0.02)
+    status = d.status()
+    d.expect(status.state == State.fault, f"0.4 s of STATUS, strangers and refused MOVEs kept it {stands(status)}")
+    d.expect(status.trips - before.trips == 1, f"watchdog_trips counts {status.trips - before.trips} of 1")
+
+
+def _estop(d: Device) -> None:
+    kinds = ((0, b"", VERSION), (0xFF, b"", VERSION), (0, bytes(7), VERSION), (0, b"", 1), (9, b"\1", 200))
+    for flags, payload, version in kinds:
+        d.armed(Action.hold)
+        d.unasked.clear()
+        text = f"with flags {flags}, {len(payload)} bytes, version {version}"
+        d.must(Reason.ok, ESTOP, payload, text, flags=flags, version=version)
+        status = d.status()
+        stopped = status.fault == Fault.estop and not status.attached
+        d.expect(stopped, f"after ESTOP {stands(status)}, must be estop without pulses")
+        d.expect((codes := d.faults()) == [Fault.estop], f"FAULT messages {codes}, must be one of estop")
+    d.idle()
+    d.must(Reason.ok, ESTOP, b"", "in IDLE")
+    status = d.status()
+    d.expect(status.fault == Fault.estop, f"after ESTOP in IDLE {stands(status)}, must be estop")
+
+
+def _latched(d: Device) -> None:
+    d.armed()
+    d.must(Reason.ok, ESTOP)
+    d.must(Reason.state, ARM, d.arm(), "in a fault")
+    d.must(Reason.state, MOVE, d.move(0), "in a fault")
+    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), "in a fault")
+    d.must(Reason.session, CLEAR, struct.pack("<I", 5), "of another session, in a fault")
+    hello = d.hello(SESSION)
+    d.expect(hello.state == State.fault, f"HELLO leaves the fault: {name_of(State, hello.state)}")
+    status = d.status()
+    d.expect(status.fault == Fault.estop and not status.attached, f"after all but CLEAR {stands(status)}, must be estop")
+    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION), "in a fault")
+    status = d.status()
+    d.expect(status.state == State.idle and status.fault == Fault.none, f"after CLEAR {stands(status)}, must be idle")
+
+
+def _clear(d: Device) -> None:
+    d.armed()
+    d.must(Reason.ok, MOVE, d.move(2000))
+    d.live(0.1)
+    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION), "in a move")
+    status = d.status()
+    d.expect(status.state == State.idle and not status.attached, f"after CLEAR {stands(status)}, must be idle without pulses")
+    d.expect(not status.moving, "after CLEAR in a move it says that it moves")
+    d.listen(0.5)
+    later = d.status()
+    d.expect(later.servo == status.servo, f"after CLEAR the commanded pose goes on from {status.servo} to {later.servo}")
+    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION), "in IDLE")
+
+
+def _periodic(d: Device) -> None:
+    d.idle()
+    d.must(Reason.period, STATUS, struct.pack("<H", CONSTANTS["status_min_ms"] - 1), "every 9 ms")
+    for ended_by in ("STATUS 0", "HELLO"):
+        d.status(50)
+        d.unasked.clear()
+        d.listen(1.0)
+        count = sum(message.kind == DEVICE_STATUS and message.seq == 0 for message in d.unasked)
+        d.expect(17 <= count <= 21, f"{count} STATUS of number 0 in 1 s, must be 20")
+        d.hello(SESSION) if ended_by == "HELLO" else d.status(0)
+        d.unasked.clear()
+        d.listen(0.3)
+        d.expect(not d.unasked, f"after {ended_by} it still sends {len(d.unasked)} messages by itself")
+
+
+def _counters(d: Device) -> None:
+    d.idle()
+    before = d.status()
+    for _ in range(5):
+        d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION))
+        d.must(Reason.state, MOVE, d.move(0))
+    status = d.status()
+    accepted = (status.accepted - before.accepted) % 2**32
+    d.expect(accepted == 6, f"accepted counts {accepted}, must be 6")
+    d.expect(status.refused - before.refused == 5, f"refused counts {status.refused - before.refused}, must be 5")
+
+
+RULES: dict[str, Callable[[Device], None]] = {
+    "HELLO is answered with session and the limits' hash": _hello,
+    "HELLO 0 looks and changes nothing": _hello_looks,
+    "HELLO of another controller disarms and takes over": _hello_takes_over,
+    "another version: HELLO told who is there, all else refused": _other_version,
+    "a damaged frame is counted and not answered": _damage,
+    "junk costs no frame after it": _junk,
+    "a lost byte costs at most one frame": _lost_byte,
+    "length and type are checked": _lengths,
+    "messages of the hand's own types are ignored": _device_types,
+    "flags are checked": _flags,
+    "ARM, MOVE, HEARTBEAT and CLEAR belong to the session": _sessions,
+    "which error wins": _priorities,
+    "ARM checks hash, action and watchdog": _arm_bounds,
+    "servos start one after the other; MOVE waits for them": _starting,
+    "MOVE arrives; minimum jerk": _moves,
+    "MOVE out of limits, too fast, too short, too long is refused": _move_bounds,
+    "a MOVE comes once; old numbers are refused": _repeats,
+    "a MOVE from before CLEAR is refused": _repeat_after_clear,
+    "no ACK where none is wanted, refusals always": _no_ack,
+    "silence: detach": _watchdog_detach,
+    "silence: relax": _watchdog_relax,
+    "silence: hold, then relax": _watchdog_hold,
+    "what feeds the watchdog, and what does not": _watchdog_food,
+    "ESTOP from anybody, with anything": _estop,
+    "a fault is latched until CLEAR": _latched,
+    "CLEAR stops motion and pulses": _clear,
+    "periodic STATUS": _periodic,
+    "counters": _counters,
+}
+
+
+def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3) -> Iterator[Row]:
+    """Try every rule on the device behind a transport, one after the other. The transport is closed at the end.
+
+    Args:
+        hand: whose limits the device should have.
+        patience: with one answer [s].
+    """
+    device = Device(transport, hand, patience)
+    try:
+        with suppress(BrokenRule):
+            device.hash = device.hello(0).limits_hash
+        for rule, test in RULES.items():
+            device.tried, failure = 0, ""
+            try:
+                test(device)
+            except BrokenRule as broken:
+                failure = str(broken)
+            yield Row(rule, device.tried, failure)
+    finally:
+        with suppress(BridgeError):
+            device.send(CLEAR, struct.pack("<I", SESSION))
+            device.send(ESTOP)
+        transport.close()

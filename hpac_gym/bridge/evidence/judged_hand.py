@@ -1,0 +1,183 @@
+"""Virtual hands that an oracle watches, and hands that break one promise each: the negative controls of the evidence."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import numpy as np
+
+from hpac_gym.bridge.evidence import oracle as wire
+from hpac_gym.bridge.evidence.oracle import Oracle
+from hpac_gym.bridge.protocol import Reset
+from hpac_gym.bridge.virtual_hand import VirtualHand
+
+
+class JudgedHand(VirtualHand):
+    """A virtual hand that an oracle watches; its three hooks are where a control breaks it.
+
+    Args:
+        period_us: how often the board ticks the core [µs].
+        start_us: where the clock starts [µs].
+    """
+
+    def __init__(self, period_us: int = 1000, start_us: int = 0) -> None:
+        self.oracle = Oracle(period_us=period_us)
+        super().__init__(period_us, on_pulses=self._judge, start_us=start_us)
+
+    def _judge(self, now_us: int, widths: np.ndarray) -> None:
+        self.oracle.pulses(now_us, widths)
+
+    def restart(self, reset: Reset = Reset.power_on, boot_count: int = 1) -> None:
+        """See `VirtualHand.restart`."""
+        self.oracle.power_on()
+        super().restart(reset, boot_count)
+
+    def receive(self, data: bytes) -> None:
+        """See `VirtualHand.receive`."""
+        self.oracle.host(self.now_us, data)
+        super().receive(self.heard(data))
+
+    def transmit(self) -> bytes:
+        """See `VirtualHand.transmit`."""
+        said = super().transmit()
+        self.oracle.device(self.now_us, said)
+        return said
+
+    def pulses(self) -> np.ndarray:
+        """See `VirtualHand.pulses`: as shown."""
+        return np.array(self.shown(self.now_us, super().pulses().tolist()), dtype=np.int64)
+
+    def heard(self, data: bytes) -> bytes:
+        """What the core hears of what arrives."""
+        return data
+
+    def shown(self, now_us: int, widths: list[int]) -> list[int]:
+        """What the servos see of what the core puts out."""
+        return widths
+
+
+def _rewritten(data: bytes, change: Callable[[bytearray], bytes | None], mend: bool = False) -> bytes:
+    """Every intact frame changed and sealed again, or left out; damaged ones as they are, or mended as well."""
+    out = b""
+    for piece in filter(None, data.split(b"\0")):
+        opened = wire.unseal(piece)
+        if opened is None or not (opened[1] or mend):
+            out += b"\0" + piece + b"\0"
+        elif (body := change(bytearray(opened[0]))) is not None:
+            out += wire.seal(bytes(body))
+    return out
+
+
+class DeafToEstop(JudgedHand):
+    """A hand that does not hear ESTOP."""
+
+    def heard(self, data: bytes) -> bytes:
+        return _rewritten(data, lambda body: None if body[1] == wire.ESTOP else body)
+
+
+class NoWatchdog(JudgedHand):
+    """A hand whose watchdog is fed by itself."""
+
+    session = b""
+
+    def heard(self, data: bytes) -> bytes:
+        _rewritten(data, self._note_session)
+        return data
+
+    def _note_session(self, body: bytearray) -> None:
+        if body[1] == wire.HELLO:
+            self.session = bytes(body[5:9])
+
+    def tick(self) -> None:
+        if self.session:
+            feed = wire.wire(wire.HEARTBEAT, 0xFFFF, self.session, wire.NO_ACK)
+            self._library.hpac_hand_receive(self._hand, self._config, self.now_us, feed, len(feed))
+        super().tick()
+
+
+class MovesOn(JudgedHand):
+    """A hand that goes on moving in its fault: the servo pulses drift by 0.05 rad/s."""
+
+    def shown(self, now_us: int, widths: list[int]) -> list[int]:
+        silent_us = max(now_us - getattr(self, "heard_us", now_us) - 600_000, 0)
+        return [width + int(silent_us * 0.03) if width else 0 for width in widths]
+
+    def heard(self, data: bytes) -> bytes:
+        self.heard_us = self.now_us
+        return data
+
+
+class Coarse(JudgedHand):
+    """A hand that moves in steps of 0.03 rad."""
+
+    def shown(self, now_us: int, widths: list[int]) -> list[int]:
+        return [width // 20_000 * 20_000 for width in widths]
+
+
+class Shifted(JudgedHand):
+    """A hand whose first servo is 0.5 rad off."""
+
+    def shown(self, now_us: int, widths: list[int]) -> list[int]:
+        return [widths[0] and widths[0] - 318_310, *widths[1:]]
+
+
+class StartsAtOnce(JudgedHand):
+    """A hand that starts all of its servos together."""
+
+    def shown(self, now_us: int, widths: list[int]) -> list[int]:
+        return widths if all(widths) or not any(widths) else [width or 1_500_000 for width in widths]
+
+
+class AlwaysOn(JudgedHand):
+    """A hand that has pulses from power-on."""
+
+    def shown(self, now_us: int, widths: list[int]) -> list[int]:
+        return [width or 1_500_000 for width in widths]
+
+
+class Forgiving(JudgedHand):
+    """A hand that takes what it should refuse: mends damage and sessions, renumbers old moves, clears its faults itself."""
+
+    session, seq = bytes(4), 0
+
+    def heard(self, data: bytes) -> bytes:
+        return _rewritten(data, self._mend, mend=True)
+
+    def _mend(self, body: bytearray) -> bytes:
+        if body[1] == wire.HELLO:
+            self.session = bytes(body[5:9])
+        elif body[1] in (wire.ARM, wire.MOVE, wire.HEARTBEAT, wire.CLEAR):
+            body[5:9] = self.session
+        return bytes(body)
+
+
+class Renumbering(JudgedHand):
+    """A hand that takes every MOVE for a new one."""
+
+    seq = 0
+
+    def heard(self, data: bytes) -> bytes:
+        return _rewritten(data, self._renumber)
+
+    def _renumber(self, body: bytearray) -> bytes:
+        if body[1] == wire.MOVE:
+            self.seq += 1
+            self.asked[self.seq] = bytes(body[2:4])
+            body[2:4] = struct.pack("<H", self.seq)
+        return bytes(body)
+
+    def transmit(self) -> bytes:
+        said = VirtualHand.transmit(self)
+        said = _rewritten(said, self._number_back)
+        self.oracle.device(self.now_us, said)
+        return said
+
+    def _number_back(self, body: bytearray) -> bytes:
+        if body[1] == wire.ACK and body[5] == wire.MOVE:
+            body[2:4] = self.asked.get(struct.unpack_from("<H", body, 2)[0], body[2:4])
+        return bytes(body)
+
+    def __init__(self, *args: int, **kwargs: int) -> None:
+        self.asked: dict[int, bytes] = {}
+        super().__init__(*args, **kwargs)

@@ -1,0 +1,312 @@
+"""A judge of hands: what docs/wire.md promises about pulses, held against the bytes that went in and the pulses that came out.
+
+Written from the document alone. It has its own codec, its own servo table from the hand's parameters, and its own clock; it
+imports nothing of the link, of the Python codec or of the firmware core.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.model import HPAC, SERVOS, Hand
+
+VERSION = 2
+HELLO, ARM, MOVE, HEARTBEAT, ESTOP, CLEAR, STATUS = range(1, 8)
+DEVICE_HELLO, ACK, DEVICE_STATUS, FAULT = range(0x81, 0x85)
+LENGTHS = {HELLO: 4, ARM: 11, MOVE: 18, HEARTBEAT: 4, ESTOP: 0, CLEAR: 4, STATUS: 2}
+"""Payload of each message of the host [bytes]."""
+MINIMUM_JERK, NO_ACK = 1, 2
+HOLD, RELAX, DETACH = range(3)
+FAULT_ESTOP, FAULT_WATCHDOG, FAULT_OVERLOAD = 1, 2, 3
+
+WATCHDOG_US = (100_000, 2_000_000)
+HOLD_US = 30_000_000
+RELAX_SHARE = 0.25
+START_GAP_US = 60_000
+STEP_MAX_US = 20_000
+RATE_EXCESS = 1.01
+NS_PER_RAD = 636_620.0
+CENTRE_NS = 1_500_000.0
+ROUNDING = 3e-6
+"""Pulses are whole nanoseconds, angles whole microradians [rad]."""
+CREDIT_TIME = 1e-3
+CREDIT_ANGLE = 1e-4
+"""What a servo may be ahead of its rate limit: 1 ms of it, and 1e-4 rad."""
+
+RULES = ("range", "rate", "start", "unarmed", "estop", "silence", "accept")
+
+
+def wire(kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: int = VERSION) -> bytes:
+    """A frame on the wire."""
+    return seal(struct.pack("<BBHB", version, kind, seq, flags) + payload)
+
+
+def seal(body: bytes) -> bytes:
+    """Header and payload with CRC-32 and COBS, between zeros."""
+    data = body + struct.pack("<I", zlib.crc32(body))
+    out, run = bytearray(), bytearray()
+    for byte in data:
+        if byte:
+            run.append(byte)
+        else:
+            out += bytes([len(run) + 1]) + run
+            run.clear()
+    return b"\0" + bytes(out) + bytes([len(run) + 1]) + bytes(run) + b"\0"
+
+
+def unseal(piece: bytes) -> tuple[bytes, bool] | None:
+    """Header and payload of what stood between two zeros, and whether the CRC fits; None if it is no COBS or too short."""
+    data, at = bytearray(), 0
+    while at < len(piece):
+        step = piece[at]
+        if at + step > len(piece):
+            return None
+        data += piece[at + 1 : at + step]
+        at += step
+        if at < len(piece):
+            data.append(0)
+    if len(data) < 9:
+        return None
+    return bytes(data[:-4]), zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """An intact frame."""
+
+    version: int
+    kind: int
+    seq: int
+    flags: int
+    payload: bytes
+
+
+class Reader:
+    """Cuts a stream at its zeros into intact frames."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def push(self, data: bytes) -> list[Message]:
+        """Take in bytes; the intact frames that they end."""
+        *pieces, self._rest = (self._rest + data).split(b"\0")
+        self._rest = self._rest[-300:]
+        opened = [unseal(piece) for piece in pieces if piece]
+        return [Message(*struct.unpack_from("<BBHB", body), body[5:]) for body, intact in filter(None, opened) if intact]
+
+
+@dataclass(frozen=True, slots=True)
+class Complaint:
+    """A promise that was broken."""
+
+    rule: str
+    now_us: int
+    text: str
+
+
+class Oracle:
+    """Follows one hand from its power-on and complains of every promise that its pulses break.
+
+    Args:
+        hand: whose limits the hand should have.
+        period_us: how often the board looks at the clock [µs]: how late anything may be.
+
+    Attributes:
+        complaints: the first hundred broken promises, in order.
+        broken: how many there were, by rule.
+        tried: how often each of `RULES` was looked at where it could have been broken.
+    """
+
+    def __init__(self, hand: Hand = HPAC, period_us: int = 1000) -> None:
+        self._low = [round(x * 1e4) / 1e4 for x in hand.servo_min]
+        self._high = [round(x * 1e4) / 1e4 for x in hand.servo_max]
+        self._centre = [(low + high) / 2 for low, high in zip(self._low, self._high, strict=True)]
+        self._rest = [min(max(0.0, low), high) for low, high in zip(self._low, self._high, strict=True)]
+        self._rate = [float(x) for x in np.broadcast_to(hand.servo_rate_limit, len(SERVOS))]
+        self._period_us = period_us
+        ways = ((high - low) / (RELAX_SHARE * rate) for low, high, rate in zip(self._low, self._high, self._rate, strict=True))
+        self._way_to_rest_us = max(ways) * 1e6
+        self.complaints: list[Complaint] = []
+        self.broken: Counter[str] = Counter()
+        self.tried: Counter[str] = Counter(dict.fromkeys(RULES, 0))
+        self._from_host, self._from_hand = Reader(), Reader()
+        self.power_on()
+
+    def power_on(self) -> None:
+        """The chip has restarted: no session, no pulses."""
+        self._session = 0
+        self._waiting: dict[tuple[int, int], tuple[int, Message]] = {}
+        self._armed = False
+        self._ending = -1  # the action that a fault has begun
+        self._ending_us, self._ending_rule = 0, ""
+        self._fed_us = self._watchdog_us = self._action = 0
+        self._last_move: tuple[int, bytes] | None = None
+        self._repeatable = False
+        self._now_us: int | None = None
+        self._angles: list[float | None] = [None] * len(SERVOS)
+        self._pose = list(self._rest)
+        self._over = [0.0] * len(SERVOS)
+        self._started_us = -START_GAP_US
+
+    def _complain(self, rule: str, now_us: int, text: str) -> None:
+        self.broken[rule] += 1
+        if len(self.complaints) < 100:
+            self.complaints.append(Complaint(rule, now_us, text))
+
+    # --- what the host sent, and what the hand said to it ----------------------------------------------------------
+
+    def host(self, now_us: int, data: bytes) -> None:
+        """Bytes that reached the hand."""
+        for message in self._from_host.push(data):
+            if message.kind == ESTOP:  # from anybody, with anything
+                self.tried["estop"] += 1
+                self._end(DETACH, now_us, "estop")
+            elif message.version == VERSION:
+                self._waiting[message.kind, message.seq] = (now_us, message)
+                if message.kind == HELLO and message.payload != bytes(4) and len(message.payload) == 4 and not message.flags:
+                    self._greet(struct.unpack("<I", message.payload)[0])
+
+    def _greet(self, nonce: int) -> None:
+        self._session = nonce
+        self._armed = False
+        self._last_move = None
+
+    def _end(self, action: int, now_us: int, rule: str) -> None:
+        self._armed, self._repeatable = False, False
+        self._ending, self._ending_us, self._ending_rule = action, now_us, rule
+
+    def device(self, now_us: int, data: bytes) -> None:
+        """Bytes that the hand sent: which messages it carried out, and which faults it found by itself."""
+        for message in self._from_hand.push(data):
+            if message.kind == ACK and len(message.payload) == 4 and message.payload[1] == 0:
+                sent_us, question = self._waiting.pop((message.payload[0], message.seq), (now_us, None))
+                if question is not None:
+                    self._carried_out(sent_us, question)
+                elif message.payload[0] != ESTOP:
+                    self._complain("accept", now_us, f"message {message.payload[0]} was carried out, but never came")
+            elif message.kind == FAULT and message.payload[0] not in (FAULT_ESTOP, FAULT_WATCHDOG):
+                self._end(RELAX if message.payload[0] == FAULT_OVERLOAD else DETACH, now_us, "silence")
+
+    def _carried_out(self, now_us: int, message: Message) -> None:
+        self.tried["accept"] += 1
+        if (why := self._must_refuse(message)) is not None:
+            self._complain("accept", now_us, f"message {message.kind} of sequence {message.seq} was carried out: {why}")
+        if message.kind in (ARM, MOVE, HEARTBEAT):
+            self._fed_us = max(self._fed_us, now_us)
+        if message.kind == ARM:
+            _, _, watchdog_ms, self._action = struct.unpack("<IIHB", message.payload)
+            self._watchdog_us = watchdog_ms * 1000
+            self._armed, self._ending = True, -1
+        elif message.kind == CLEAR:
+            self._armed, self._ending, self._repeatable = False, -1, False
+        elif message.kind == MOVE:
+            self._last_move, self._repeatable = (message.seq, message.payload), True
+
+    def _must_refuse(self, message: Message) -> str | None:
+        """Why this message may not be carried out, as far as an onlooker knows."""
+        if len(message.payload) != LENGTHS.get(message.kind, -1):
+            return f"payload of {len(message.payload)} bytes"
+        if message.flags & ~(3 if message.kind == MOVE else NO_ACK if message.kind == HEARTBEAT else 0):
+            return f"flags {message.flags}"
+        if message.kind == STATUS:
+            return None
+        session = struct.unpack_from("<I", message.payload)[0] if message.payload else 0
+        if not self._session or session != self._session:
+            return f"session {session:08x} instead of {self._session:08x}"
+        if message.kind == ARM:
+            _, _, watchdog_ms, action = struct.unpack("<IIHB", message.payload)
+            if action > DETACH or not WATCHDOG_US[0] <= watchdog_ms * 1000 <= WATCHDOG_US[1]:
+                return f"action {action}, watchdog {watchdog_ms} ms"
+            return "a fault is latched" if self._ending >= 0 else None
+        if message.kind == MOVE:
+            return self._move_must_be_refused(message)
+        return None
+
+    def _move_must_be_refused(self, message: Message) -> str | None:
+        if not self._armed:
+            return "the hand is not armed"
+        _, duration_ms, *steps = struct.unpack("<IH6h", message.payload)
+        if not 10 <= duration_ms <= 10_000:
+            return f"duration {duration_ms} ms"
+        for name, step, low, high in zip(SERVOS, steps, self._low, self._high, strict=True):
+            if not low - 1e-9 <= step * 1e-4 <= high + 1e-9:
+                return f"{name} to {step * 1e-4:g} rad"
+        if self._last_move is not None and not (self._repeatable and self._last_move == (message.seq, message.payload)):
+            if not 0 < (message.seq - self._last_move[0]) % 0x10000 < 0x8000:
+                return f"older than {self._last_move[0]}"
+        return None
+
+    # --- what the pulses did ---------------------------------------------------------------------------------------
+
+    def pulses(self, now_us: int, widths: list[int] | np.ndarray) -> None:
+        """The six widths [ns] after the board has looked at the clock; 0 is no pulse."""
+        if self._armed and now_us - self._fed_us >= self._watchdog_us + self._period_us:
+            self._end(self._action, self._fed_us + self._watchdog_us, "silence")
+        before_us = self._now_us if self._now_us is not None else now_us
+        angles = [
+            None if not width else centre + (int(width) - CENTRE_NS) / NS_PER_RAD
+            for width, centre in zip(widths, self._centre, strict=True)
+        ]
+        self._check_power(now_us, angles)
+        self._check_start(now_us, angles)
+        for i, angle in enumerate(angles):
+            if angle is not None:
+                self._check_motion(i, angle, now_us, now_us - before_us)
+                self._pose[i] = angle
+        self._angles, self._now_us = angles, now_us
+
+    def _check_power(self, now_us: int, angles: list[float | None]) -> None:
+        powered = any(angle is not None for angle in angles)
+        if self._armed:
+            return
+        if self._ending < 0:
+            self.tried["unarmed"] += 1
+            if powered:
+                self._complain("unarmed", now_us, "pulses although the hand is not armed")
+            return
+        allowed_us = 0.0 if self._ending == DETACH else self._way_to_rest_us + (HOLD_US if self._ending == HOLD else 0)
+        self.tried[self._ending_rule] += 1
+        if powered and now_us > self._ending_us + allowed_us + 2 * self._period_us:
+            self._complain(self._ending_rule, now_us, f"pulses {(now_us - self._ending_us) / 1e3:.1f} ms after the end began")
+
+    def _check_start(self, now_us: int, angles: list[float | None]) -> None:
+        new = [i for i, (was, angle) in enumerate(zip(self._angles, angles, strict=True)) if was is None and angle is not None]
+        if not new:
+            return
+        self.tried["start"] += 1
+        if len(new) > 1 or now_us - self._started_us < START_GAP_US - self._period_us:
+            self._complain("start", now_us, f"servos {new} start {(now_us - self._started_us) / 1e3:.0f} ms after the one before")
+        for i in new:
+            # Pulses stop at the tick that finds the relaxing servo at rest: the last output is a tick older.
+            if abs(angles[i] - self._pose[i]) > RELAX_SHARE * self._rate[i] * 2e-6 * self._period_us + ROUNDING:
+                self._complain("start", now_us, f"{SERVOS[i]} starts at {angles[i]:.4f} rad, was last at {self._pose[i]:.4f} rad")
+        self._started_us = now_us
+
+    def _check_motion(self, i: int, angle: float, now_us: int, step_us: int) -> None:
+        self.tried["range"] += 1
+        if not self._low[i] - ROUNDING <= angle <= self._high[i] + ROUNDING:
+            self._complain("range", now_us, f"{SERVOS[i]} at {angle:.4f} rad, limits {self._low[i]:g} … {self._high[i]:g} rad")
+        before = self._angles[i]
+        if before is None:
+            self._over[i] = 0.0
+            return
+        moved = abs(angle - before)
+        slow = self._ending == RELAX or (self._ending == HOLD and now_us > self._ending_us + HOLD_US)
+        rate = self._rate[i] * (RELAX_SHARE if slow else 1.0)
+        allowed = rate * RATE_EXCESS * min(step_us, STEP_MAX_US) * 1e-6
+        self._over[i] = max(self._over[i] + moved - allowed, 0.0)
+        self.tried["rate"] += moved > ROUNDING
+        if self._over[i] > rate * CREDIT_TIME + CREDIT_ANGLE + ROUNDING:
+            self._complain("rate", now_us, f"{SERVOS[i]} is {self._over[i]:.4f} rad ahead of {rate:g} rad/s")
+            self._over[i] = 0.0
+        if self._ending < 0 or now_us <= self._ending_us + self._period_us:
+            return
+        if self._ending == HOLD and now_us < self._ending_us + HOLD_US and moved > ROUNDING:
+            self._complain("silence", now_us, f"{SERVOS[i]} moves although the hand shall hold")
+        if slow and abs(angle - self._rest[i]) > abs(before - self._rest[i]) + ROUNDING:
+            self._complain("silence", now_us, f"{SERVOS[i]} moves away from rest although the hand shall relax")

@@ -1,0 +1,484 @@
+"""The safety case: claims about hand and host, each measured now, each beside a negative control that must fail.
+
+Firmware time is the core's own clock in the virtual hand, exact to a tick; there an `Oracle` judges, which knows the document
+and nothing of the core. Wall-clock figures come from the host board on this machine: a process under a scheduler, so they
+tell of this machine too. A control breaks the hand on its way between core and judge, or leaves out what the claim is about:
+a claim holds only if something was tried, the figure is within its limit, and the control's is not.
+"""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.bridge.errors import BridgeError
+from hpac_gym.bridge.evidence import oracle as wire
+from hpac_gym.bridge.evidence.judged_hand import (
+    AlwaysOn,
+    Coarse,
+    DeafToEstop,
+    Forgiving,
+    JudgedHand,
+    MovesOn,
+    NoWatchdog,
+    Renumbering,
+    Shifted,
+    StartsAtOnce,
+)
+from hpac_gym.bridge.evidence.sessions import BOUND, run_sessions
+from hpac_gym.bridge.host_board import HostBoard, firmware_file
+from hpac_gym.bridge.link import HandLink
+from hpac_gym.bridge.protocol import CONSTANTS, Action, Reset
+from hpac_gym.bridge.virtual_hand import VirtualHand, VirtualTransport
+from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
+
+BOARD_TICK_US = 20_000
+"""A board that ticks only once a servo period: the slowest that is allowed [µs]."""
+
+_PATIENCE = 1.0
+_HALF = HPAC.servo_max / 2
+_TIME = 1.1 * move_duration(_HALF, HPAC.servo_max)
+_BOOT_TEXT = b"ets Jul 29 2019 12:21:46\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One row of the safety case."""
+
+    claim: str
+    figure: float
+    limit: float
+    unit: str
+    tried: int
+    """How often the claim could have been broken."""
+    control: float
+    """The figure with the protection broken; NaN if there is none."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether it was tried, the figure is within its limit, and the control's is not."""
+        return self.tried > 0 and self.figure <= self.limit and self.control > self.limit
+
+
+# --- what is played: each returns the figure, and how often the claim could have been broken --------------------------
+
+Played = tuple[float, int]
+Hands = type[JudgedHand]
+
+
+def _linked(hand: JudgedHand, action: Action = Action.relax, watchdog: float = 0.25) -> HandLink:
+    """A link that arms the hand and has moved it; on a broken hand perhaps not quite."""
+    link = HandLink(hand.connect)
+    link.connect()
+    link.arm(action, watchdog)
+    link.move(ServoCommand(_HALF, _TIME))
+    return link
+
+
+def _silence(kind: Hands, action: Action) -> Played:
+    """The host falls silent in the middle of a move: the figure counts broken promises about what follows."""
+    broken = tried = 0
+    longest = 4.0 + (CONSTANTS["hold_max_ms"] * 1e-3 if action == Action.hold else 0.0)
+    for number, watchdog in enumerate((0.1, 0.25, 2.0)):
+        hand = kind(BOARD_TICK_US, start_us=7_300 * number)
+        link = _linked(hand, action, watchdog)
+        link.sleep(0.3 * _TIME)
+        _pass(hand, watchdog + longest)
+        broken += hand.oracle.broken.total()
+        tried += hand.oracle.tried["silence"] > 0
+    return broken, tried
+
+
+def _pass(hand: VirtualHand, seconds: float) -> None:
+    """Let time pass, whatever the hand has to say."""
+    until_us = hand.now_us + seconds * 1e6
+    while hand.now_us < until_us:
+        hand.run((until_us - hand.now_us) * 1e-6)
+
+
+def _silence_time(kind: Hands) -> Played:
+    """From the last word to the last pulse with the action `detach`, beyond the watchdog [ms]."""
+    worst, tried = 0.0, 0
+    for watchdog in (0.1, 0.25, 0.5, 2.0):
+        for offset_us in range(0, BOARD_TICK_US, 3_700):
+            hand = kind(BOARD_TICK_US, start_us=offset_us)
+            link = _linked(hand, Action.detach, watchdog)
+            link.heartbeat()
+            tried += 1
+            worst = max(worst, _ms_until_silent(hand, watchdog + _PATIENCE) - watchdog * 1e3)
+    return worst, tried
+
+
+def _ms_until_silent(hand: VirtualHand, patience: float) -> float:
+    start_us = hand.now_us
+    while hand.pulses().any() and hand.now_us - start_us < patience * 1e6:
+        hand.run(BOARD_TICK_US * 1e-6)
+    return (hand.now_us - start_us) * 1e-3
+
+
+def _fed_by_strangers(kind: Hands) -> Played:
+    """The controller is silent while others ask for STATUS and send HEARTBEAT, MOVE and CLEAR of other sessions."""
+    hand = kind()
+    link = _linked(hand, Action.detach)
+    session = struct.pack("<I", link.info.session ^ 1)
+    others = [(wire.STATUS, bytes(2)), (wire.HEARTBEAT, session), (wire.MOVE, session + struct.pack("<H6h", 500, *[100] * 6))]
+    others += [(wire.CLEAR, session), (wire.HEARTBEAT, bytes(4)), (wire.HELLO, bytes(4))]
+    for number in range(30):
+        message, payload = others[number % len(others)]
+        hand.receive(wire.wire(message, 1000 + number, payload))
+        _pass(hand, 0.02)
+    return hand.oracle.broken.total() + bool(hand.pulses().any()), 30
+
+
+def _random_moves(kind: Hands, rule: str) -> Played:
+    """Moves of every kind at every time, good and bad, and boards that stall for up to 0.4 s."""
+    hand = kind()
+    rng = np.random.default_rng(4)
+    link = _linked(hand, Action.hold, 2.0)
+    for number in range(400):
+        share = rng.random(len(SERVOS)) if rng.random() < 0.7 else rng.normal(0.5, 1.0, len(SERVOS))
+        duration = float(rng.choice([0.01, 0.05, 0.3, 1.0])) * rng.random() + 0.01
+        start = link.status().servo
+        target = np.clip(start + (HPAC.servo_max * share - start) * min(duration, 1.0), -1.0, 2.0)
+        with suppress(BridgeError):
+            link.move(ServoCommand(target, duration), minimum_jerk=rng.random() < 0.4, pace=False)
+        if number % 10 == 0:
+            hand.now_us += int(rng.integers(0, 400_000))
+        with suppress(BridgeError):
+            link.sleep(duration * rng.random())
+    return hand.oracle.broken[rule], hand.oracle.tried[rule]
+
+
+def _starts(kind: Hands) -> Played:
+    """Arming at rest, and again wherever CLEAR has left the hand."""
+    hand = kind()
+    link = _linked(hand)
+    for _ in range(5):
+        link.wait()
+        link.clear()
+        _pass(hand, 0.2)
+        link.arm()
+        link.move(ServoCommand(_HALF, _TIME))
+    return hand.oracle.broken["start"] + hand.oracle.broken["rate"], hand.oracle.tried["start"]
+
+
+def _unarmed(kind: Hands) -> Played:
+    """Every message but ARM, before the first ARM and after CLEAR and HELLO."""
+    hand = kind()
+    session = struct.pack("<I", 5)
+    move = (wire.MOVE, session + struct.pack("<H6h", 1000, *[100] * 6))
+    frames = [move, (wire.HELLO, session), (wire.HEARTBEAT, session), move, (wire.STATUS, struct.pack("<H", 20))]
+    frames.append((wire.CLEAR, session))
+    with suppress(BridgeError):
+        for number, (message, payload) in enumerate(frames * 3):
+            hand.receive(wire.wire(message, number + 1, payload))
+            _pass(hand, 0.1)
+        link = _linked(hand)
+        link.clear()
+        _pass(hand, 0.5)
+    return hand.oracle.broken["unarmed"], hand.oracle.tried["unarmed"]
+
+
+def _estops(kind: Hands) -> Played:
+    """ESTOP with any flags, payload, version and sequence number, into any moment; from the last byte to the last pulse [ms]."""
+    rng = np.random.default_rng(3)
+    worst, tried = 0.0, 0
+    for number in range(24):
+        hand = kind(BOARD_TICK_US, start_us=1_700 * number)
+        link = _linked(hand, Action(number % 3))
+        link.sleep(_TIME * rng.random())
+        payload = rng.bytes(int(rng.integers(0, 12))) if number % 2 else b""
+        frame = wire.wire(wire.ESTOP, int(rng.integers(0x10000)), payload, int(rng.integers(256)), int(rng.integers(256)))
+        tried += bool(hand.pulses().all())
+        hand.receive(frame)
+        worst = max(worst, _ms_until_silent(hand, _PATIENCE))
+    return worst, tried
+
+
+def _ways_out_of_a_fault(kind: Hands) -> Played:
+    """After an e-stop, every message but the session's CLEAR: how many of them bring pulses back or leave the fault."""
+    hand = kind()
+    link = _linked(hand, Action.detach)
+    link.estop()
+    out, tried = 0, 0
+    session = struct.pack("<I", link.info.session)
+    arm = session + struct.pack("<IHB", link.info.limits_hash, 250, 0)
+    move = session + struct.pack("<H6h", 1000, *[100] * 6)
+    frames = [(wire.ARM, arm), (wire.MOVE, move), (wire.HEARTBEAT, session), (wire.STATUS, bytes(2)), (wire.ESTOP, b"")]
+    frames += [(wire.CLEAR, struct.pack("<I", link.info.session ^ 1)), (wire.HELLO, bytes(4)), (wire.HELLO, session)]
+    for number, (message, payload) in enumerate(frames, 1000):
+        hand.receive(wire.wire(message, number, payload))
+        _pass(hand, 0.1)
+        tried += 1
+        out += link.status().state != "fault" or bool(hand.pulses().any())
+    return out, tried
+
+
+def _old_moves(kind: Hands) -> Played:
+    """The same MOVE, and older ones, again: after later ones, and after CLEAR and ARM."""
+    hand = kind()
+    link = _linked(hand, Action.hold, 2.0)
+    link.wait()
+    session = struct.pack("<I", link.info.session)
+    moves = [wire.wire(wire.MOVE, 30_000 + i, session + struct.pack("<H6h", 1000, *[1000 * (i + 1)] * 6)) for i in range(5)]
+    for move in moves:
+        hand.receive(move)
+        link.sleep(1.1)
+    tried = 0
+    for _ in range(2):
+        before = link.status().servo
+        for move in moves[:-1] if tried == 0 else moves:
+            hand.receive(move)
+            link.sleep(0.1)
+            tried += 1
+        moved = float(np.abs(link.status().servo - before).max())
+        link.clear()
+        link.arm(Action.hold, 2.0)
+    return hand.oracle.broken["accept"] + (moved > 0), tried
+
+
+def _hostile(kind: Hands, frames: int) -> Played:
+    """Good, absurd, damaged and foreign frames at random times: every promise that the oracle knows."""
+    rng = np.random.default_rng(6)
+    hand = kind()
+    link = HandLink(hand.connect)
+    link.connect()
+    limits_hash = link.info.limits_hash
+    session = link.info.session
+    for number in range(frames):
+        hand.receive(_hostile_frame(rng, session, limits_hash, number))
+        hand.transmit()
+        if rng.random() < 0.02:  # a fault would silence all that follows
+            hand.receive(wire.wire(wire.CLEAR, number % 0x10000, struct.pack("<I", session)))
+            hand.transmit()
+        if rng.random() < 0.05:
+            _pass(hand, float(rng.choice([0.001, 0.02, 0.3])))
+    return hand.oracle.broken.total(), frames
+
+
+def _hostile_frame(rng: np.random.Generator, session: int, limits_hash: int, number: int) -> bytes:
+    kinds = [wire.ARM, wire.MOVE, wire.HEARTBEAT, wire.CLEAR, wire.STATUS, wire.ESTOP, 9]
+    kind = int(rng.choice(kinds, p=[0.3, 0.4, 0.2, 0.02, 0.05, 0.01, 0.02]))
+    nonce = struct.pack("<I", session if rng.random() < 0.9 else int(rng.integers(2**32)))
+    payload = {
+        wire.ARM: nonce + struct.pack("<IHB", limits_hash, int(rng.integers(50, 2500)), int(rng.integers(0, 4))),
+        wire.MOVE: nonce + struct.pack("<H6h", int(rng.integers(5, 3000)), *rng.integers(-500, 16_000, 6).tolist()),
+        wire.STATUS: bytes(2),
+        wire.ESTOP: b"",
+    }.get(kind, nonce)
+    if rng.random() < 0.03:
+        payload = payload[: rng.integers(len(payload) + 1)] + rng.bytes(int(rng.integers(3)))
+    flags = int(rng.integers(256)) if rng.random() < 0.05 else 0
+    data = bytearray(wire.wire(kind, number % 0x10000, payload, flags))
+    if rng.random() < 0.1:
+        data[int(rng.integers(1, len(data) - 1))] ^= 1 << int(rng.integers(8))
+    return bytes(data)
+
+
+def _damaged(kind: Hands, frames: int = 3000) -> Played:
+    """MOVE and ARM frames with one to eight bits turned: how many were carried out."""
+    rng = np.random.default_rng(8)
+    hand = kind()
+    link = _linked(hand, Action.hold, 2.0)
+    damaged = 0
+    for number in range(frames):
+        move = struct.pack("<IH6h", link.info.session, 1000, *rng.integers(0, 10_000, 6).tolist())
+        intact = wire.wire(wire.MOVE, 5 + number % 30_000, move)
+        data = bytearray(intact)
+        for _ in range(int(rng.integers(1, 9))):
+            data[int(rng.integers(1, len(data) - 1))] ^= 1 << int(rng.integers(8))
+        damaged += bytes(data) != intact
+        hand.receive(bytes(data))
+        hand.transmit()
+        if number % 20 == 0:
+            with suppress(BridgeError):
+                link.heartbeat()
+    return hand.oracle.broken["accept"], damaged
+
+
+def _overload(kind: Hands) -> Played:
+    """How long a hand stays fully closed before it opens by itself [s]."""
+    hand = kind(BOARD_TICK_US)
+    link = _linked(hand, Action.hold)
+    link.move(ServoCommand(HPAC.servo_max, _TIME))
+    start_us = hand.now_us
+    with suppress(BridgeError):
+        while hand.now_us - start_us < 400e6:
+            link.sleep(1.0)
+    while hand.pulses().any() and hand.now_us - start_us < 400e6:
+        hand.run(0.1)
+    return (hand.now_us - start_us) * 1e-6, 1
+
+
+class _Restarting(VirtualTransport):
+    """A board that restarts when its port opens, and once more after `restart_at` writes, with boot text each time."""
+
+    def __init__(self, hand: VirtualHand, restart_at: int, seen: dict[str, int], endless: bool) -> None:
+        super().__init__(hand)
+        self._hand, self._left, self._seen, self._endless = hand, restart_at, seen, endless
+        self._restart()
+
+    def _restart(self) -> None:
+        self._hand.restart(Reset.power_on)
+        self._text, self._deaf_until_us = _BOOT_TEXT, self._hand.now_us + 300_000
+        self._seen["resets"] += 1
+
+    def write(self, data: bytes) -> None:
+        self._left -= 1
+        if self._left == 0:
+            self._restart()
+        if self._hand.now_us >= self._deaf_until_us:
+            super().write(data)
+
+    def read(self, timeout: float) -> bytes:
+        data = super().read(timeout)
+        if self._text or self._endless:
+            data, self._text = (self._text or _BOOT_TEXT) + (b"" if self._endless else data), b""
+            self._seen["bytes"] += len(data)
+        return data
+
+
+def _boots(endless: bool) -> Played:
+    """Sessions with boards that restart at opening and in the session: how many are lost or leave pulses."""
+    lost, seen = 0, {"resets": 0, "bytes": 0}
+    for restart_at in range(8, 28):
+        hand = VirtualHand()
+        link = HandLink(lambda hand=hand, at=restart_at: _Restarting(hand, at, seen, endless), handshake_timeout=1.0)
+        try:
+            link.connect()
+            with suppress(BridgeError):  # the restart in the session ends it; a silent one would be a fault
+                link.arm()
+                link.move(ServoCommand(_HALF, _TIME))
+                link.sleep(2.0)
+                lost += 1
+            lost += bool(hand.pulses().any())
+        except BridgeError:
+            lost += 1
+        finally:
+            link.close()
+    return lost, min(seen["resets"] // 2, seen["bytes"] // len(_BOOT_TEXT))
+
+
+def _sessions(count: int) -> Iterator[Claim]:
+    """Random sessions; those whose link is dead towards the hand at the end are counted apart, since only the firmware can
+    act there. Controls: links without last words, and hands without a watchdog."""
+    seen, mute = run_sessions(count), run_sessions(max(10, count // 50), release=False)
+    broken, control = (s.powered + s.untold + s.swallowed for s in (seen, mute))
+    text = f"{seen.sessions:,} random sessions over bad links, interrupted anywhere: left powered over a living link, or untold"
+    yield Claim(text, broken, 0, "sessions", seen.with_pulses, control)
+    fed = run_sessions(40, release=False, kind=NoWatchdog).longest_cut_off
+    text = "of them over links dead towards the hand: longest with pulses after the watchdog (hold, then relax)"
+    yield Claim(text, seen.longest_cut_off + 1e3 * seen.cut_off_too_long, BOUND[Action.hold], "s", seen.cut_off, fed)
+
+
+# --- the claims -----------------------------------------------------------------------------------------------------
+
+
+def measure(frames: int = 10_000_000, trials: int = 20, sessions: int = 10_000, seed: int = 1) -> Iterator[Claim]:
+    """Measure every claim and its control, one after the other.
+
+    Args:
+        frames: hostile frames, and as many damaged ones, that the C driver plays.
+        trials: repetitions of what is measured on the wall clock.
+        sessions: random sessions over bad links.
+
+    Raises:
+        FirmwareMissing: The host build is not there.
+    """
+
+    for claim, limit, unit, control, play, *words in _PLAYED:
+        figure, tried = play(JudgedHand, *words)
+        yield Claim(claim, float(figure), limit, unit, int(tried), float(play(control, *words)[0]))
+    yield from _driver(frames, seed)
+    lost, tried = _boots(endless=False)
+    text = "boot text and restarts, at opening and in the session: sessions lost or left with pulses"
+    yield Claim(text, lost, 0, "sessions", tried, _boots(endless=True)[0])
+    yield from _sessions(sessions)
+    yield from _wall_clock(trials)
+
+
+_PLAYED = [
+    ("host silent → hold for 30 s, then relax", 0, "complaints", MovesOn, _silence, Action.hold),
+    ("host silent → relax, then no pulses", 0, "complaints", NoWatchdog, _silence, Action.relax),
+    ("host silent → detach", 0, "complaints", NoWatchdog, _silence, Action.detach),
+    ("host silent → no pulses after the watchdog, on a board that ticks every 20 ms", 20, "ms", NoWatchdog, _silence_time),
+    ("neither STATUS nor strangers feed the watchdog", 0, "complaints", Forgiving, _fed_by_strangers),
+    ("every pulse within the servo's limits", 0, "complaints", Shifted, _random_moves, "range"),
+    ("no servo beyond its rate limit by more than 1 % and 1 ms; late ticks too", 0, "complaints", Coarse, _random_moves, "rate"),
+    ("arming: one servo after the other, from the last pose, slowly to rest", 0, "complaints", StartsAtOnce, _starts),
+    ("no pulse before ARM, nor after CLEAR or HELLO", 0, "complaints", AlwaysOn, _unarmed),
+    ("e-stop of any flags, payload and version → no pulses", 20, "ms", DeafToEstop, _estops),
+    ("a fault is latched: messages other than CLEAR that leave it", 0, "messages", Forgiving, _ways_out_of_a_fault),
+    ("a MOVE that comes again, or late, moves nothing", 0, "moves", Renumbering, _old_moves),
+    ("no damaged frame is carried out", 0, "frames", Forgiving, _damaged),
+    ("a hostile host: all of the above", 0, "complaints", Shifted, _hostile, 20_000),
+    ("a fully closed hand opens by itself (chosen load model)", 300, "s", AlwaysOn, _overload),
+]
+"""Claim, limit, unit, the broken hand that must fail it, what is played, and with which words."""
+
+
+_PREDICTED = ("broken", "outside_limits", "too_fast", "pulses_unarmed", "estop_ignored")
+
+
+def _driver(frames: int, seed: int) -> Iterator[Claim]:
+    """The C driver's figures: more frames than Python could send, judged by a second oracle, which predicts every answer and
+    every pulse. Its controls tamper with what the oracle and the hand are given."""
+    good, tampered = _drive(frames, seed), _drive(frames, seed, "tampered")
+    text = f"every answer and every pulse as the document says ({good['frames']:,} hostile frames)"
+    broken, control = (sum(figures[name] for name in _PREDICTED) for figures in (good, tampered))
+    yield Claim(text, broken, 0, "differences", good["moves"], control)
+    good, tampered = _drive(frames, seed + 1, "damaged"), _drive(frames, seed + 1, "damaged", "tampered")
+    for text, figure, unit, tried in (
+        ("one lost byte costs at most one frame", "frames_lost_beyond_one", "more frames", "lost_bytes"),
+        ("no damaged frame is taken for a good one", "damaged_accepted", "frames", "damaged"),
+    ):
+        yield Claim(f"{text} ({good[tried]:,} tried)", good[figure], 0, unit, good[tried], tampered[figure])
+
+
+def _drive(frames: int, seed: int, *mode: str) -> dict[str, int]:
+    command = [firmware_file("hpac_driver"), str(frames), str(seed), *mode]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    if answer.returncode not in (0, 1):  # 1: a promise was broken, and the figures say which
+        raise BridgeError(f"{command[0]} ended with status {answer.returncode}: {answer.stderr.strip() or 'no message'}")
+    return {name: int(value) for name, value in (line.split() for line in answer.stdout.splitlines())}
+
+
+def _real_ms_until_silent(board: HostBoard, start: float, keep_alive: HandLink | None = None) -> float:
+    while board.pulses().any():
+        if time.monotonic() - start > _PATIENCE:
+            return _PATIENCE * 1e3
+        if keep_alive is not None:
+            keep_alive.heartbeat()
+        time.sleep(1e-4)
+    return (time.monotonic() - start) * 1e3
+
+
+def _wall_clock(trials: int) -> Iterator[Claim]:
+    silence, estop = [], []
+    watchdog = CONSTANTS["watchdog_ms"] * 1e-3
+
+    def begin() -> float:
+        link.arm(Action.detach)
+        link.heartbeat()
+        return time.monotonic()
+
+    with HostBoard() as board, HandLink(board.connect) as link:
+        for _ in range(trials):
+            start = begin()
+            link.estop()
+            estop.append(_real_ms_until_silent(board, start))
+            link.clear()
+        for _ in range(max(1, trials // 5)):
+            silence.append(_real_ms_until_silent(board, begin()))
+            link.clear()
+        without = _real_ms_until_silent(board, begin(), keep_alive=link)
+    limit = watchdog * 1e3 + 100
+    worst, p99 = max(silence), float(np.percentile(estop, 99))
+    yield Claim("host silent → no pulses, wall clock on this machine, worst", worst, limit, "ms", len(silence), without)
+    yield Claim("e-stop → no pulses, wall clock on this machine, p99", p99, 100, "ms", len(estop), without)

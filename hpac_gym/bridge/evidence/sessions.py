@@ -1,0 +1,221 @@
+"""Random sessions over bad links, interrupted anywhere: does any end with the hand powered?
+
+Everything runs in virtual time against the firmware core. The judge looks at the pulses and at the bytes that reached the
+hand, not at what the link believes.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.bridge.errors import BridgeError, UnconfirmedWarning
+from hpac_gym.bridge.link import HandLink
+from hpac_gym.bridge.protocol import CONSTANTS, Action
+from hpac_gym.bridge.transport import PortError
+from hpac_gym.bridge.virtual_hand import VirtualHand, VirtualTransport
+from hpac_gym.model import HPAC, ServoCommand, move_duration
+
+_STEP = 0.01
+_SLACK = 0.03
+_RELAX_TIME = 1e3 / CONSTANTS["relax_permille"] * move_duration(HPAC.servo_min, HPAC.servo_max)
+"""The longest way to rest at the relax rate [s]."""
+
+BOUND = {
+    Action.detach: _SLACK,
+    Action.relax: _RELAX_TIME + _SLACK,
+    Action.hold: CONSTANTS["hold_max_ms"] * 1e-3 + _RELAX_TIME + _SLACK,
+}
+"""For how long after the watchdog a hand whose link is dead may have pulses [s]: then only its firmware can act."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """The Ctrl-C of a random session."""
+
+
+class BadTransport(VirtualTransport):
+    """A link that loses and damages bytes, dies in one direction or both, and is interrupted at chosen calls and bytes.
+
+    Attributes:
+        calls: reads and writes so far.
+        dead_out, dead_in: nothing more arrives in this direction.
+    """
+
+    def __init__(self, hand: VirtualHand, rng: np.random.Generator) -> None:
+        super().__init__(hand)
+        self._rng = rng
+        self.calls = 0
+        self.loss_out, self.loss_in = rng.choice([0.0, 0.0, 0.1, 0.4], 2).tolist()
+        self.dead_out = self.dead_in = self.gone = False
+        self.dies_at, self.death = int(rng.integers(3, 300)), str(rng.choice(["", "", "out", "in", "both", "gone"]))
+        first = int(rng.integers(0, 250))
+        self.interrupt_at = {first, first + int(rng.integers(1, 6))} if rng.random() < 0.6 else set()
+        self.interrupted = 0
+
+    def _spoil(self, data: bytes, loss: float) -> bytes:
+        if not data or self._rng.random() >= loss:
+            return data
+        if self._rng.random() < 0.5:
+            return b""
+        at = int(self._rng.integers(len(data)))
+        return data[:at] + bytes([data[at] ^ 1 << int(self._rng.integers(8))]) + data[at + 1 :]
+
+    def _count(self) -> bool:
+        self.calls += 1
+        if self.calls == self.dies_at:
+            self.dead_out = self.dead_out or self.death in ("out", "both")
+            self.dead_in = self.dead_in or self.death in ("in", "both")
+            self.gone = self.death == "gone"
+        if self.gone:
+            raise PortError("the link has died")
+        return self.calls in self.interrupt_at
+
+    def write(self, data: bytes) -> None:
+        """See `Transport.write`; an interrupt comes between any two bytes."""
+        interrupt = self._count()
+        passed = data[: self._rng.integers(len(data) + 1)] if interrupt else data
+        arriving = b"" if self.dead_out else self._spoil(passed, self.loss_out)
+        if arriving:
+            super().write(arriving)
+        if interrupt:
+            self.interrupted += 1
+            raise Interrupted
+
+    def read(self, timeout: float) -> bytes:
+        """See `Transport.read`."""
+        interrupt = self._count()
+        data = super().read(timeout * self._rng.random() if interrupt else timeout)
+        if interrupt:
+            self.interrupted += 1
+            raise Interrupted
+        return b"" if self.dead_in else self._spoil(data, self.loss_in)
+
+
+@dataclass(slots=True)
+class Sessions:
+    """What so many random sessions showed."""
+
+    sessions: int = 0
+    with_pulses: int = 0
+    """Came to their end while the hand had pulses."""
+    interrupted: int = 0
+    interrupted_twice: int = 0
+    unconfirmed: int = 0
+    """Ended with the statement that the hand had not confirmed."""
+    lossy: int = 0
+    """Over a link that lost or damaged frames towards the hand."""
+    powered: int = 0
+    """Powered after the end although the link still led to the hand. None may be."""
+    cut_off: int = 0
+    """Powered after the end, and nothing could reach the hand any more: only the firmware could act."""
+    cut_off_too_long: int = 0
+    """Of these, powered for longer than watchdog and safe action allow (`BOUND`). None may be."""
+    untold: int = 0
+    """Powered at the end without a word to the user. None may be."""
+    swallowed: int = 0
+    """An interrupt, or the program's own exception, that did not come out. None may be."""
+    longest_cut_off: float = 0.0
+    """Longest that a cut-off hand had pulses after its watchdog [s]."""
+
+
+class _UserError(Exception):
+    pass
+
+
+def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float) -> None:
+    """What a user's program may do; ends in any way."""
+    link.arm(action, watchdog)
+    for _ in range(int(rng.integers(0, 12))):
+        target = HPAC.servo_max * rng.random(6)
+        step = rng.random()
+        if step < 0.5:
+            link.move(ServoCommand(target, 1.1 * move_duration(HPAC.servo_min, HPAC.servo_max)), pace=rng.random() < 0.3)
+        elif step < 0.6:
+            link.move(ServoCommand(target, 1.0), acknowledge=False, pace=False)
+        elif step < 0.7:
+            link.wait()
+        elif step < 0.85:
+            link.sleep(0.3 * rng.random())
+        elif step < 0.92:
+            hand.run(rng.choice([0.1, 0.7, 2.5]))  # thinking, without a heartbeat
+        elif step < 0.96:
+            link.clear()
+            link.arm(action, watchdog)
+        else:
+            link.estop()
+    ending = rng.random()
+    if ending < 0.2:
+        raise _UserError
+    if ending < 0.3:
+        raise SystemExit(3)
+
+
+def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: type[VirtualHand]) -> None:
+    hand = kind()
+    transports: list[BadTransport] = []
+
+    def connect() -> BadTransport:
+        transports.append(BadTransport(hand, rng))
+        return transports[-1]
+
+    action, watchdog = Action(int(rng.integers(3))), float(rng.choice([0.1, 0.25, 0.5, 2.0]))
+    link = HandLink(connect, handshake_timeout=0.5, timeout=float(rng.choice([0.02, 0.1])))
+    raised: BaseException | None = None
+    said = ""
+    powered_before = False
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            try:
+                with link:
+                    try:
+                        _program(link, hand, rng, action, watchdog)
+                    finally:
+                        powered_before = bool(hand.pulses().any())
+                        if not release:
+                            link._connection.known.may_have_power = False
+            except BridgeError as error:
+                raised = error
+        except BaseException as error:
+            raised = error
+        said = "".join(str(w.message) for w in caught if isinstance(w.message, UnconfirmedWarning))
+    said += "".join(getattr(raised, "__notes__", ()))
+    bad = transports[-1]
+    total.sessions += 1
+    total.with_pulses += powered_before
+    total.lossy += bool(bad.loss_out > 0)
+    total.interrupted += bad.interrupted > 0
+    total.interrupted_twice += bad.interrupted > 1
+    total.unconfirmed += bool(said)
+    total.swallowed += bad.interrupted > 0 and not isinstance(raised, Interrupted | SystemExit)
+    powered = bool(hand.pulses().any())
+    reachable = not (bad.dead_out or bad.gone)
+    total.untold += powered and not said
+    total.powered += powered and reachable
+    if powered and not reachable:
+        total.cut_off += 1
+        lasted = _seconds_with_pulses(hand, watchdog + BOUND[action] + 1.0)
+        total.cut_off_too_long += lasted > watchdog + BOUND[action]
+        total.longest_cut_off = max(total.longest_cut_off, lasted - watchdog)
+
+
+def _seconds_with_pulses(hand: VirtualHand, patience: float) -> float:
+    start_us = hand.now_us
+    while hand.pulses().any() and hand.now_us - start_us < patience * 1e6:
+        hand.run(_STEP)
+    return (hand.now_us - start_us) * 1e-6
+
+
+def run_sessions(count: int, seed: int = 1, release: bool = True, kind: type[VirtualHand] = VirtualHand) -> Sessions:
+    """Play random sessions and judge how each one leaves the hand.
+
+    Args:
+        release: False is a negative control: the links end without their last words.
+        kind: of the hands; one without a watchdog is another control.
+    """
+    total = Sessions()
+    for number in range(count):
+        _one(np.random.default_rng([seed, number]), total, release, kind)
+    return total

@@ -1,0 +1,218 @@
+"""The evidence itself: it holds for the hand that ships, and goes red for hands that break one promise each."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hpac_gym.bridge import HostBoard, VirtualHand
+from hpac_gym.bridge.evidence import judged_hand, safety
+from hpac_gym.bridge.evidence.conform import RULES, conform
+from hpac_gym.bridge.evidence.oracle import RULES as ORACLE_RULES
+from hpac_gym.bridge.evidence.oracle import Oracle, Reader, seal, unseal, wire
+from hpac_gym.bridge.frame import Frame, decode, encode
+from hpac_gym.bridge.host_board import BUILD_VARIABLE
+from hpac_gym.bridge.protocol import MESSAGES
+from tests.bridge.test_commands import run
+
+FIRMWARE = Path(__file__).parents[2] / "firmware"
+
+# --- the safety case ------------------------------------------------------------------------------------------------
+
+
+def test_every_safety_claim_holds_beside_a_control_that_does_not(capsys):
+    assert run("safety", "--json", "--frames", "20000", "--trials", "5", "--sessions", "200") == 0
+    claims = json.loads(capsys.readouterr().out)
+    assert len(claims) >= 20
+    for claim in claims:
+        assert set(claim) == {"claim", "figure", "limit", "unit", "tried", "control", "holds"}
+        assert claim["holds"], claim
+        assert claim["tried"] > 0, claim
+        assert claim["figure"] <= claim["limit"] < claim["control"], claim
+
+
+def test_a_claim_that_was_not_tried_does_not_hold(capsys, monkeypatch):
+    assert not safety.Claim("it is safe", 0.0, 0.0, "ms", tried=0, control=1.0).holds
+    assert not safety.Claim("it is safe", 0.0, 0.0, "ms", tried=5, control=0.0).holds
+    assert safety.Claim("it is safe", 0.0, 0.0, "ms", tried=5, control=1.0).holds
+    few = [claim for claim in safety._driver(frames=10, seed=1) if not claim.tried]
+    assert few
+    assert not any(claim.holds for claim in few)
+    monkeypatch.setattr(safety, "measure", lambda *_: iter(few))
+    assert run("safety") == 1
+    assert "NOT TRIED" in capsys.readouterr().out
+
+
+def test_a_broken_claim_is_told_and_ends_in_status_1(capsys, monkeypatch):
+    monkeypatch.setattr(safety, "measure", lambda *_: iter([safety.Claim("it is safe", 21.0, 20.0, "ms", 1, 30.0)]))
+    assert run("safety") == 1
+    assert "BROKEN" in capsys.readouterr().out
+    assert run("safety", "--json") == 1
+    (row,) = json.loads(capsys.readouterr().out)
+    assert row["claim"] == "it is safe"
+    assert list(row.values())[1:] == [21.0, 20.0, "ms", 1, 30.0, False]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "was", "becomes", "claim"),
+    [
+        ("hpac_state.c", "        hpac_motion_stop(hand);\n    }\n", "    }\n", "hold for 30 s"),
+        ("hpac_dispatch.c", "if (type == HPAC_ESTOP) {", "if (type == 99u) {", "e-stop"),
+        ("hpac_state.c", "hand->repeatable = false;\n", "", "comes again"),
+    ],
+    ids=["hold with the motion running on", "no e-stop", "repeats after CLEAR"],
+)
+def test_a_firmware_that_breaks_a_promise_breaks_its_claim(tmp_path, file, was, becomes, claim):
+    copy = tmp_path / "firmware"
+    shutil.copytree(FIRMWARE, copy, ignore=shutil.ignore_patterns("build"))
+    source = copy / "core" / file
+    text = source.read_text()
+    assert was in text
+    source.write_text(text.replace(was, becomes))
+    subprocess.run(["make", "-s", "-C", copy], check=True)
+    program = (
+        "from hpac_gym.bridge.evidence import safety\n"
+        "from hpac_gym.bridge.errors import BridgeError\n"
+        "for name, limit, unit, control, play, *words in safety._PLAYED:\n"
+        "    try: figure = play(safety.JudgedHand, *words)[0]\n"
+        "    except BridgeError: figure = limit + 1\n"
+        "    print(figure <= limit, name)"
+    )
+    environment = os.environ | {BUILD_VARIABLE: str(copy / "build")}
+    answer = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert [line for line in answer.stdout.splitlines() if line.startswith("False") and claim in line], answer.stdout
+
+
+# --- the oracle -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_oracles_codec_is_the_codec(name):
+    fields = {field.name: (1, 0, 200, 3, 4, 5)[: field.count] if field.is_array else 77 for field in MESSAGES[name].fields}
+    data = encode(Frame(name, 0x1234, 1, fields))
+    (message,) = Reader().push(data)
+    assert (message.kind, message.seq, message.flags) == (MESSAGES[name].code, 0x1234, 1)
+    assert wire(message.kind, message.seq, message.payload, message.flags) == data
+    assert decode(data[1:-1]).fields == fields
+
+
+def test_the_oracle_tells_damage():
+    body = bytes(range(20))
+    sealed = seal(body)
+    assert unseal(sealed[1:-1]) == (body, True)
+    assert unseal(sealed[1:-2] + bytes([sealed[-2] ^ 1]))[1] is False
+    assert unseal(b"\5abc") is None
+    assert unseal(b"\3ab") is None
+
+
+@pytest.mark.parametrize(
+    ("rule", "kind", "play"),
+    [
+        ("range", judged_hand.Shifted, lambda kind: safety._random_moves(kind, "range")),
+        ("rate", judged_hand.Coarse, lambda kind: safety._random_moves(kind, "rate")),
+        ("start", judged_hand.StartsAtOnce, safety._starts),
+        ("unarmed", judged_hand.AlwaysOn, safety._unarmed),
+        ("silence", judged_hand.NoWatchdog, lambda kind: safety._silence(kind, safety.Action.detach)),
+        ("estop", judged_hand.DeafToEstop, safety._estops),
+        ("accept", judged_hand.Forgiving, safety._damaged),
+    ],
+)
+def test_each_rule_of_the_oracle_finds_the_hand_that_breaks_it(monkeypatch, rule, kind, play):
+    oracles = []
+
+    class Noting(kind):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            oracles.append(self.oracle)
+
+    play(Noting)
+    assert rule in ORACLE_RULES
+    assert sum(oracle.broken[rule] for oracle in oracles) > 0
+    assert all(complaint.text for oracle in oracles for complaint in oracle.complaints)
+
+
+def test_an_oracle_that_saw_nothing_has_tried_nothing():
+    assert Oracle().tried.total() == 0
+
+
+# --- conformance ----------------------------------------------------------------------------------------------------
+
+
+class Mute(VirtualHand):
+    def transmit(self):
+        super().transmit()
+        return b""
+
+
+class WrongSequence(judged_hand.JudgedHand):
+    """A hand that answers MOVE under another number."""
+
+    def transmit(self):
+        def change(body):
+            if body[1] == 0x82 and body[5] == 3:
+                body[2] ^= 1
+            return body
+
+        return judged_hand._rewritten(super().transmit(), change)
+
+
+class Chatty(judged_hand.JudgedHand):
+    """A hand that hears a flag where there is none: it acknowledges what wants no ACK."""
+
+    def heard(self, data):
+        def change(body):
+            if body[1] in (3, 4):
+                body[4] &= ~2
+            return body
+
+        return judged_hand._rewritten(data, change)
+
+
+SILENCE = {"silence: detach", "silence: relax", "silence: hold, then relax"}
+WRONG = {
+    judged_hand.DeafToEstop: {"ESTOP from anybody, with anything", "a fault is latched until CLEAR"},
+    judged_hand.NoWatchdog: SILENCE | {"counters"},
+    judged_hand.Renumbering: {"a MOVE comes once; old numbers are refused", "a MOVE from before CLEAR is refused"},
+    judged_hand.Forgiving: {
+        "a damaged frame is counted and not answered",
+        "ARM, MOVE, HEARTBEAT and CLEAR belong to the session",
+        "which error wins",
+    },
+    Chatty: {"no ACK where none is wanted, refusals always"},
+    WrongSequence: {"MOVE arrives; minimum jerk"},
+    Mute: set(RULES),
+}
+
+
+def test_the_firmware_conforms():
+    rows = list(conform(VirtualHand().connect()))
+    assert [row.rule for row in rows] == list(RULES)
+    assert all(row.holds for row in rows), [row for row in rows if not row.holds]
+
+
+@pytest.mark.slow
+def test_the_host_board_conforms():
+    with HostBoard() as board:
+        assert run("conform", "--port", board.port) == 0
+
+
+@pytest.mark.parametrize("kind", WRONG, ids=lambda kind: kind.__name__)
+def test_a_wrong_device_goes_red_in_the_right_rows(kind):
+    red = {row.rule for row in conform(kind().connect(), patience=0.1) if not row.holds}
+    assert red >= WRONG[kind]
+    if kind in (judged_hand.DeafToEstop, judged_hand.NoWatchdog, judged_hand.Renumbering, Chatty):
+        assert red == WRONG[kind]
+
+
+def test_conform_leaves_the_hand_without_pulses_and_tells_its_status(capsys, monkeypatch):
+    hand = judged_hand.Renumbering()
+    monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: hand)
+    assert run("conform", "--port", "virtual", "--json") == 1
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["rule"] for row in rows if not row["holds"]} == WRONG[judged_hand.Renumbering]
+    assert not hand.pulses().any()

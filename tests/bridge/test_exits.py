@@ -1,0 +1,505 @@
+"""However a program ends, the hand ends without pulses, or the program says that this is not confirmed."""
+
+# ruff: noqa: PT012, PT031 - what a session raises comes out of all of it, its end included
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hpac_gym.bridge
+from hpac_gym.bridge import (
+    Action,
+    BridgeError,
+    FaultError,
+    HandLink,
+    HandshakeError,
+    LinkTimeout,
+    PortError,
+    StoppedError,
+    UnconfirmedWarning,
+    VirtualHand,
+    WireLog,
+)
+from hpac_gym.bridge.errors import LogWarning
+from hpac_gym.bridge.evidence import sessions
+from hpac_gym.bridge.frame import Frame, decode, encode
+from hpac_gym.bridge.virtual_hand import VirtualTransport
+from hpac_gym.model import ServoCommand
+
+ROOT = Path(__file__).parents[2]
+BRIDGE = str(Path(hpac_gym.bridge.__file__).parent)
+POSE = ServoCommand(np.full(6, 0.4), 0.5)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def signals_as_in_a_terminal():
+    """A job in the background of a shell ignores SIGINT, and so would these tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+# --- random sessions ------------------------------------------------------------------------------------------------
+
+
+def check(result: sessions.Sessions) -> None:
+    assert result.powered == result.cut_off_too_long == result.untold == result.swallowed == 0, result
+    assert result.with_pulses > 0.6 * result.sessions, result
+    assert min(result.interrupted, result.cut_off, result.lossy, result.unconfirmed) > 0.03 * result.sessions, result
+    assert result.interrupted_twice > 0.01 * result.sessions, result
+
+
+def test_no_random_session_leaves_the_hand_powered():
+    check(sessions.run_sessions(500))
+
+
+@pytest.mark.slow
+def test_none_of_ten_thousand_random_sessions_leaves_the_hand_powered():
+    check(sessions.run_sessions(10_000, seed=2))
+
+
+def test_sessions_whose_last_words_are_left_out_are_found_out():
+    result = sessions.run_sessions(200, release=False)
+    assert result.powered > 100
+    assert result.untold > 100
+
+
+# --- signals --------------------------------------------------------------------------------------------------------
+
+
+def session_with_ctrl_c(at_line, again_after=None):
+    """Play a session that gets SIGINT when so many lines of the bridge have run, and again so many seconds later.
+
+    Returns:
+        The hand, the lines that ran until tracing ended, what came out, and whether the second signal came.
+    """
+    hand = VirtualHand()
+    lines = 0
+    came_again = False
+
+    def trace(frame, event, _argument):
+        nonlocal lines
+        if not frame.f_code.co_filename.startswith(BRIDGE):
+            return None
+        if event in ("call", "line"):
+            lines += 1
+            if lines == at_line:
+                if again_after is not None:
+                    signal.setitimer(signal.ITIMER_REAL, again_after)
+                signal.raise_signal(signal.SIGINT)  # what this raises ends the tracing
+        return trace
+
+    def again(*_):
+        nonlocal came_again
+        came_again = True
+        signal.raise_signal(signal.SIGINT)
+
+    came_out = None
+    before = signal.signal(signal.SIGALRM, again)
+    try:
+        sys.settrace(trace)
+        try:
+            with HandLink(hand.connect) as link:
+                link.arm(Action.hold)
+                link.move(POSE)
+        finally:
+            sys.settrace(None)
+            signal.setitimer(signal.ITIMER_REAL, 0)
+    except BaseException as error:
+        came_out = error
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    return hand, lines, came_out, came_again
+
+
+LINES = session_with_ctrl_c(0)[1]
+DELAYS = (None, 2e-5, 1e-4, 3e-4)
+
+
+def check_ctrl_c(lines):
+    interrupted = reached = twice = 0
+    for number, at in enumerate(lines):
+        hand, ran, came_out, came_again = session_with_ctrl_c(at, DELAYS[number % len(DELAYS)])
+        assert not hand.pulses().any(), at
+        assert came_out is None or isinstance(came_out, KeyboardInterrupt), at
+        reached += ran >= at
+        interrupted += came_out is not None
+        twice += came_again
+    assert interrupted > 0.9 * reached, "a Ctrl-C was swallowed"
+    assert reached > 0.6 * len(lines)
+    assert twice > 0.1 * len(lines)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_ctrl_c_at_any_line_and_again_leaves_no_pulses():
+    anywhere = np.random.default_rng(1).choice(np.arange(1, LINES - 400), 120, replace=False).tolist()
+    check_ctrl_c(anywhere + list(range(LINES - 400, LINES, 4)))
+
+
+@pytest.mark.slow
+def test_ctrl_c_at_every_eleventh_line_leaves_no_pulses():
+    check_ctrl_c(list(range(1, LINES, 11)))
+
+
+def test_a_signal_that_waited_for_the_end_is_delivered_then(virtual_hand):
+    class Signalling(VirtualTransport):
+        def write(self, data):
+            if decode(data[1:-1]).name == "clear":
+                signal.raise_signal(signal.SIGTERM)
+            super().write(data)
+
+    link = HandLink(lambda: Signalling(virtual_hand))
+    link.connect()
+    link.arm(Action.hold)
+    with pytest.raises(SystemExit) as caught:
+        link.close()
+    assert caught.value.code == 128 + signal.SIGTERM
+    assert not virtual_hand.pulses().any()
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+def test_a_program_keeps_its_own_signal_handlers(virtual_hand):
+    seen = []
+    before = signal.signal(signal.SIGTERM, lambda number, _frame: seen.append(number))
+    try:
+        with HandLink(virtual_hand.connect) as link:
+            link.arm()
+            signal.raise_signal(signal.SIGTERM)
+            assert link.heartbeat() == "armed"
+        assert seen == [signal.SIGTERM]
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+# --- processes ------------------------------------------------------------------------------------------------------
+
+PROGRAM = """
+import os, signal, sys, time, warnings
+from hpac_gym.bridge import *
+from hpac_gym.model import ServoCommand
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGTERM, signal.SIG_DFL)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+link = HandLink(sys.argv[1])
+"""
+SESSION = """
+with link:
+    link.arm(Action.hold, watchdog=2.0)
+    link.move(ServoCommand([0.4] * 6, 0.5))
+    print("armed", flush=True)
+    {body}
+"""
+
+
+def run_against(board, body, *signals, whole=None):
+    """A program of its own that arms the hand and goes on with `body`; gets the signals once it is armed."""
+    program = PROGRAM + textwrap.dedent(whole or SESSION.format(body=textwrap.indent(body, "    ").strip()))
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, board.port],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert process.stdout.readline().strip() == "armed"
+    for number in signals:
+        process.send_signal(number)
+    _, complaint = process.communicate(timeout=20)
+    return process.returncode, complaint
+
+
+@pytest.mark.parametrize(
+    ("body", "signals", "status"),
+    [
+        ("pass", [], 0),
+        ("raise ValueError('mine')", [], 1),
+        ("sys.exit(5)", [], 5),
+        ("link.sleep(60)", [signal.SIGINT], -signal.SIGINT),
+        ("time.sleep(60)", [signal.SIGINT, signal.SIGINT], -signal.SIGINT),
+        ("link.sleep(60)", [signal.SIGTERM], 128 + signal.SIGTERM),
+        ("link.sleep(60)", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT], 128 + signal.SIGHUP),
+    ],
+    ids=["return", "exception", "exit", "ctrl-c", "ctrl-c twice", "sigterm", "sighup and more"],
+)
+def test_a_program_that_ends_leaves_the_hand_without_pulses(host_board, body, signals, status):
+    returned, complaint = run_against(host_board, body, *signals)
+    assert returned == status, complaint
+    assert not host_board.pulses().any()
+    assert "Unconfirmed" not in complaint
+
+
+def test_a_link_that_nobody_closes_is_closed_at_the_end_of_the_program(host_board):
+    whole = "link.connect(); link.arm(Action.hold); print('armed', flush=True)"
+    assert run_against(host_board, "", whole=whole) == (0, "")
+    assert not host_board.pulses().any()
+
+
+def test_a_link_that_is_forgotten_is_closed(virtual_hand):
+    link = HandLink(virtual_hand.connect)
+    link.connect()
+    link.arm(Action.hold)
+    del link
+    gc.collect()
+    assert not virtual_hand.pulses().any()
+
+
+@pytest.mark.parametrize("ending", ["os._exit(0)", "sys.exit(0)", "raise ValueError", "signal.raise_signal(signal.SIGTERM)"])
+def test_a_forks_child_neither_disarms_nor_closes_the_hand(host_board, ending):
+    body = f"""
+warnings.simplefilter("ignore")
+child = os.fork()
+if not child:
+    try:
+        link.estop()
+    except PortError:
+        {ending}
+    os._exit(9)
+_, status = os.waitpid(child, 0)
+assert os.waitstatus_to_exitcode(status) != 9
+assert link.heartbeat() == "armed"
+link.sleep(0.3)
+assert len(link.status().attached) == 6
+"""
+    returned, complaint = run_against(host_board, body)
+    assert returned == 0, complaint
+    assert not host_board.pulses().any()
+
+
+# --- answers and links that are lost --------------------------------------------------------------------------------
+
+
+class Failing(VirtualTransport):
+    """Loses what goes `out` or comes `in` once told to."""
+
+    lost = ()
+
+    def write(self, data):
+        if "out" not in self.lost:
+            super().write(data)
+
+    def read(self, timeout):
+        data = super().read(timeout)
+        return b"" if "in" in self.lost else data
+
+
+@pytest.fixture
+def failing(virtual_hand, monkeypatch):
+    monkeypatch.setattr(Failing, "lost", ())
+    return lambda: Failing(virtual_hand)
+
+
+def test_answers_lost_while_arming_leave_no_pulses(virtual_hand, failing, monkeypatch):
+    with pytest.warns(UnconfirmedWarning, match="CLEAR × 6"):
+        with pytest.raises(LinkTimeout) as caught, HandLink(failing) as link:
+            monkeypatch.setattr(Failing, "lost", ("in",))
+            link.arm(Action.hold)
+    assert "not confirmed" in caught.value.__notes__[0]
+    assert not virtual_hand.pulses().any()
+
+
+def test_a_dead_link_is_told_of_and_the_users_exception_survives(virtual_hand, failing, monkeypatch):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ZeroDivisionError) as caught, HandLink(failing) as link:
+            link.arm(Action.detach)
+            monkeypatch.setattr(Failing, "lost", ("in", "out"))
+            raise ZeroDivisionError
+    assert "CLEAR × 6" in caught.value.__notes__[0]
+    assert "ESTOP × 4" in caught.value.__notes__[0]
+    assert "supply" in caught.value.__notes__[0]
+
+
+def test_a_fault_that_holds_ends_with_the_session(virtual_hand):
+    with pytest.raises(FaultError), HandLink(virtual_hand.connect) as link:
+        link.arm(Action.hold)
+        virtual_hand.run(0.7)
+        link.move(POSE)
+    assert not virtual_hand.pulses().any()
+
+
+def test_the_next_session_ends_a_fault_that_holds(virtual_hand, failing, monkeypatch):
+    with pytest.warns(UnconfirmedWarning), HandLink(failing) as link:
+        link.arm(Action.hold)
+        monkeypatch.setattr(Failing, "lost", ("in", "out"))
+    virtual_hand.run(1.0)
+    assert virtual_hand.pulses().all()
+    with HandLink(virtual_hand.connect) as link:
+        assert link.state == "fault"
+    assert not virtual_hand.pulses().any()
+
+
+def test_a_hand_that_nobody_can_hear_is_cleared_when_the_handshake_fails(virtual_hand, failing, monkeypatch):
+    with pytest.warns(UnconfirmedWarning), HandLink(failing) as link:
+        link.arm(Action.hold)
+        monkeypatch.setattr(Failing, "lost", ("in", "out"))
+    virtual_hand.run(1.0)
+    assert virtual_hand.pulses().all()
+    monkeypatch.setattr(Failing, "lost", ("in",))
+    with pytest.raises(HandshakeError) as caught:
+        HandLink(failing, handshake_timeout=0.3).connect()
+    assert "not confirmed" in caught.value.__notes__[0]
+    assert not virtual_hand.pulses().any()
+
+
+def test_a_latched_fault_without_pulses_is_left_for_the_next_session(virtual_hand):
+    for _ in range(2):
+        with HandLink(virtual_hand.connect) as link:
+            link.estop()
+    assert HandLink(virtual_hand.connect).connect().state == "fault"
+
+
+# --- logs -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_closed_log_does_not_stand_between_the_program_and_the_hand(virtual_hand, tmp_path):
+    log = WireLog(tmp_path / "wire.jsonl")
+    log.close()
+    with pytest.warns(LogWarning, match="closed") as said:
+        with pytest.raises(ZeroDivisionError), HandLink(virtual_hand.connect, log=log) as link:
+            link.arm(Action.hold)
+            raise ZeroDivisionError
+    assert len(said) == 1
+    assert link.statistics.unlogged == link.statistics.sent + link.statistics.received
+    assert not virtual_hand.pulses().any()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_neither_stops_an_estop_nor_hides_the_users_exception(virtual_hand):
+    with pytest.warns(LogWarning, match="space"):
+        with pytest.raises(ZeroDivisionError), WireLog("/dev/full") as log, HandLink(virtual_hand.connect, log=log) as link:
+            link.arm(Action.hold)
+            for _ in range(300):
+                link.estop()
+            assert not virtual_hand.pulses().any()
+            raise ZeroDivisionError
+
+
+def test_a_log_that_fails_is_told_once_even_where_warnings_are_errors(virtual_hand, capsys):
+    class Broken:
+        def record(self, *_):
+            raise RuntimeError("broken log")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with HandLink(virtual_hand.connect, log=Broken()) as link:
+            link.arm(Action.hold)
+    assert capsys.readouterr().err.count("broken log") == 1
+
+
+# --- e-stop from elsewhere ------------------------------------------------------------------------------------------
+
+
+def test_estop_from_a_signal_handler_ends_the_interrupted_call(host_board):
+    with HandLink(host_board.connect) as link:
+        before = signal.signal(signal.SIGALRM, lambda *_: link.estop())
+        try:
+            for delay in np.linspace(0.001, 0.05, 8):
+                if link.state == "fault":
+                    link.clear()
+                link.arm(Action.hold)
+                signal.setitimer(signal.ITIMER_REAL, delay)
+                with pytest.raises(StoppedError, match=r"stopped by estop\(\)"):
+                    while True:
+                        link.status()
+                assert link.state == "fault"
+                assert not host_board.pulses().any()
+        finally:
+            signal.signal(signal.SIGALRM, before)
+
+
+def test_estop_from_another_thread_ends_the_call_that_waits(host_board):
+    with HandLink(host_board.connect) as link:
+        for wait in (lambda: link.sleep(30), lambda: [link.status() for _ in range(10**6)]):
+            link.arm(Action.hold)
+            failures = []
+            stopper = threading.Timer(0.05, lambda failures=failures: failures.extend(_error_of(link.estop)))
+            start = time.monotonic()
+            stopper.start()
+            with pytest.raises(StoppedError):
+                wait()
+            stopper.join()
+            assert time.monotonic() - start < 3.0
+            assert not failures
+            assert link.status().fault == "estop"
+            assert not host_board.pulses().any()
+            link.clear()
+
+
+def _error_of(call):
+    try:
+        call()
+    except BridgeError as error:
+        return [error]
+    return []
+
+
+def test_close_from_another_thread_ends_the_call_that_waits(host_board):
+    link = HandLink(host_board.connect)
+    link.connect()
+    link.arm(Action.hold)
+    closer = threading.Timer(0.1, link.close)
+    closer.start()
+    with pytest.raises(StoppedError, match=r"close\(\)"):
+        link.sleep(30)
+    closer.join()
+    assert not host_board.pulses().any()
+    with pytest.raises(PortError, match="not connected"):
+        link.heartbeat()
+
+
+def test_an_estop_that_is_not_confirmed_says_so(virtual_hand, failing, monkeypatch):
+    with pytest.warns(UnconfirmedWarning), HandLink(failing) as link:
+        link.arm()
+        monkeypatch.setattr(Failing, "lost", ("in",))
+        with pytest.raises(LinkTimeout, match="estop"):
+            link.estop()
+        assert not virtual_hand.pulses().any()
+
+
+# --- what the hand says unasked -------------------------------------------------------------------------------------
+
+
+def test_unacknowledged_moves_into_a_latched_fault_raise_at_once(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm(Action.hold)
+        virtual_hand.receive(encode(Frame("estop", 9)))
+        with pytest.raises(FaultError, match="estop"):
+            link.move(POSE, acknowledge=False, pace=False)
+
+
+def test_the_refusal_of_an_unacknowledged_move_is_raised(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        with pytest.raises(BridgeError, match="rate"):
+            for _ in range(2):
+                link.move(ServoCommand(np.full(6, 1.3), 0.02), acknowledge=False, pace=False)
+
+
+def test_a_hello_that_is_answered_by_an_ack_is_a_handshake_error(virtual_hand):
+    class Refusing(VirtualTransport):
+        def write(self, data):
+            self.answer = encode(Frame("ack", 1, 0, {"acked": 1, "reason": 12, "servo": 255, "state": 0}))
+
+        def read(self, timeout):
+            return self.answer
+
+    with pytest.raises(HandshakeError, match=r"ACK \(length\)"):
+        HandLink(lambda: Refusing(virtual_hand)).connect()
+
+
+def test_another_programs_hello_ends_this_session_by_name(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        virtual_hand.receive(encode(Frame("hello", 1, 0, {"nonce": 77})))
+        with pytest.raises(BridgeError, match="another program"):
+            link.heartbeat()
