@@ -1,25 +1,26 @@
 # hpac_gym: 'make' or 'make help' lists the targets.
 
-PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
+# The virtual environment keeps its Python until another one is named; PyBullet has wheels for 3.11 alone.
+PYTHON ?= $(or $(wildcard $(BIN)/python),python3.11)
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --constraint constraints.txt
 # One process a core, but no more than four: some tests start processes of their own.
-PYTEST_ARGS ?= --numprocesses auto --maxprocesses 4 --dist loadfile
+PYTEST_ARGS ?= --numprocesses auto --maxprocesses 4 --dist worksteal
 DEMO_ARGS ?=
 
 # One name for everything that decides what set-up installs, so that set-up runs again exactly when that changes.
-SETUP_ID := $(shell { cat pyproject.toml constraints.txt; grep PIP Makefile; } | cksum | tr ' ' '-')
+SETUP_ID := $(shell { $(PYTHON) --version; cat pyproject.toml constraints.txt; grep PIP Makefile; } 2>&1 | cksum | tr ' ' '-')
 STAMP := $(VENV)/.setup-$(SETUP_ID)
 
 # Each expands to nothing, or ends make with one line and exit status 2.
-need-python = $(if $(shell $(PYTHON) -c 'import sys, venv; print(sys.version_info[:2] == (3, 11))' 2>/dev/null | grep True),,$(error \
-	hpac_gym needs Python 3.11 with venv and '$(PYTHON)' is none: install it, or name one with PYTHON=))
+need-python = $(if $(shell $(PYTHON) -c 'import sys, venv; print((3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null | grep True),,$(error \
+	hpac_gym needs Python 3.11, 3.12 or 3.13 with venv and '$(PYTHON)' is none: install it, or name one with PYTHON=))
 need-compiler = $(if $(shell command -v $(firstword $(CC))),,$(error \
 	no C compiler '$(firstword $(CC))' found: install one such as gcc, or name one with CC=))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compiler firmware test test-all demo bench wheel lint clean
+.PHONY: help setup compiler firmware test test-all demo bench generate wheel lint clean
 MAKEFLAGS += --no-print-directory
 
 help: ## list the targets
@@ -29,7 +30,8 @@ setup: $(STAMP) ## make .venv and install every pinned dependency and the projec
 
 $(STAMP):
 	$(need-python)
-	@test -x $(BIN)/python || { echo "Set-up: virtual environment in $(VENV)"; $(PYTHON) -m venv $(VENV); }
+	@test "$$($(BIN)/python --version 2>&1)" = "$$($(PYTHON) --version)" || \
+		{ echo "Set-up: virtual environment in $(VENV)"; $(PYTHON) -m venv --clear $(VENV); }
 	@echo "Set-up: PyTorch (the first time takes some minutes)"
 	@$(PIP) torch==2.13.0
 	@echo "Set-up: the other dependencies and the project"
@@ -55,8 +57,12 @@ test-all: compiler setup firmware ## pass all the tests, slow ones and firmware 
 demo: compiler setup firmware ## train, evaluate and replay over the wire into runs/demo (under 30 minutes)
 	@$(BIN)/python -m agents.demo --out runs/demo $(DEMO_ARGS)
 
-bench: setup ## measure the speed of the model and of the environments
-	@$(BIN)/python -m hpac_gym.bench
+bench: setup ## measure the speed of the environments, of the model and of the command line
+	@$(BIN)/hpac bench
+	@$(BIN)/python -m tools.bench
+
+generate: setup ## rewrite every generated file from its data
+	@$(BIN)/python -m tools.generate
 
 wheel: setup ## build dist/*.whl
 	@$(BIN)/python -m pip wheel . --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist

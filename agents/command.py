@@ -2,7 +2,7 @@
 
 import argparse
 
-from hpac_gym.command_line import Parser
+from hpac import Parser
 
 
 def command_parser(module: str, description: str) -> Parser:

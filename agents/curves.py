@@ -18,7 +18,7 @@ from agents.command import command_parser
 from agents.errors import RunError
 from agents.evaluate import table
 from agents.learning_curve import CURVE, read_curve
-from hpac_gym.command_line import run
+from hpac import run
 from hpac_gym.output import replacing, write_text
 
 RESULTS = "results.json"

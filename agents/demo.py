@@ -10,7 +10,7 @@ from pathlib import Path
 
 from agents.command import command_parser, minutes
 from agents.recipes import RECIPES
-from hpac_gym.command_line import run, whole_number
+from hpac import run, whole_number
 from hpac_gym.output import writable_folder
 
 EVALUATION_MINUTES = 8.0  # 400 episodes of each of three policies fit; fewer are taken on a slower machine

@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from agents.command import command_parser, minutes
 from agents.tasks import make_task
-from hpac_gym.command_line import run, whole_number
+from hpac import run, whole_number
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
@@ -34,6 +34,8 @@ from hpac_gym.policies.loading import load_policy
 
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
 LEARNED = "learned"  # what a policy file is called in tables
+OPTIONS = ("engine", "body", "randomize")
+"""Options of the environment that the command passes on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,16 +87,19 @@ def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
 def evaluate(
     names: Sequence[str], env_id: str, episodes: int,
     *, seed_start: int = HELD_OUT_SEED, workers: int = 1, time_limit: float = float("inf"),
+    options: Mapping[str, Any] | None = None,
 ) -> Evaluation:  # fmt: skip
     """Run policies over the same held-out episodes; a policy file goes by the name ``learned``.
 
-    ``time_limit`` [s] takes fewer episodes, the same first ones of every policy, where they do not all fit.
+    ``time_limit`` [s] takes fewer episodes, the same first ones of every policy, where they do not all fit; ``options``
+    are those of the environment, such as engine, body and randomize.
 
     Raises:
         TaskError: There is no such environment.
         PolicyError: A policy cannot be loaded, or is of another environment.
     """
-    env = make_task(env_id)
+    options = dict(options or {})
+    env = make_task(env_id, **options)
     for name in names:
         load_policy(name, env)  # a mistake ends here, not in a worker
     env.close()
@@ -102,7 +107,7 @@ def evaluate(
     deadline = time.monotonic() + time_limit
     seeds = range(seed_start, seed_start + episodes)
     rows = []
-    with _results(names, env_id, seeds, workers) as results, tqdm(
+    with _results(names, env_id, options, seeds, workers) as results, tqdm(
         total=episodes, desc="evaluating", unit="seed", disable=not sys.stderr.isatty(), dynamic_ncols=True
     ) as bar:  # fmt: skip
         for row in results:
@@ -141,9 +146,10 @@ def main(argv: list[str] | None = None) -> int:
         names += reversed(BASELINES)
     if args.out:
         writable_folder(args.out.parent)
-    limits = {"workers": args.workers, "time_limit": 60 * args.time_limit}
+    options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
+    limits = {"options": options, "workers": args.workers, "time_limit": 60 * args.time_limit}
     result = evaluate(names, env_id, args.episodes, seed_start=args.seed_start, **limits)
-    summary = result.summary()
+    summary = result.summary() | {"options": options}
     if args.policy not in BASELINES:
         summary["policy"] = {"file": args.policy, **read_policy(Path(args.policy)).about}
     text = json.dumps(summary, indent=2)
@@ -157,10 +163,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("agents.evaluate", __doc__)
     parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
     parser.add_argument("--env", help="environment id; of a policy file, its own")
+    parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
+    parser.add_argument("--body", help="twin or light (default: the environment's own)")
+    parser.add_argument("--randomize", help="nominal, hand, link or full (default: nominal)")
     parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes of each policy")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help=f"training stays below {HELD_OUT_SEED}")
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, help="processes")
-    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="then fewer episodes")
+    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES",
+                        help="stop after this many minutes, evaluating fewer episodes")  # fmt: skip
     parser.add_argument("--no-baselines", action="store_true", help="not random and scripted beside a policy file")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--out", type=Path, help="write the JSON object to this file too")
@@ -192,22 +202,24 @@ def _phase_name(phase: Any) -> str:
 
 
 @contextmanager
-def _results(names: Sequence[str], env_id: str, seeds: Sequence[int], workers: int) -> Iterator[Iterator[tuple[Episode, ...]]]:
+def _results(
+    names: Sequence[str], env_id: str, options: dict[str, Any], seeds: Sequence[int], workers: int
+) -> Iterator[Iterator[tuple[Episode, ...]]]:
     """The rows of episodes, one per seed and in that order, as they are done."""
     if workers == 1:
-        bench = _Bench(names, env_id)
+        bench = _Bench(names, env_id, options)
         yield map(bench.episodes, seeds)
         bench.close()
         return
-    with worker_pool(workers, _prepare_worker, (names, env_id)) as work:
+    with worker_pool(workers, _prepare_worker, (names, env_id, options)) as work:
         yield work(_work, zip(seeds, strict=True))
 
 
 class _Bench:
     """An environment with the policies that it is to judge."""
 
-    def __init__(self, names: Sequence[str], env_id: str) -> None:
-        self._env = make_task(env_id)
+    def __init__(self, names: Sequence[str], env_id: str, options: dict[str, Any]) -> None:
+        self._env = make_task(env_id, **options)
         self._policies = [load_policy(name, self._env) for name in names]
 
     def episodes(self, seed: int) -> tuple[Episode, ...]:
@@ -221,9 +233,9 @@ class _Bench:
 _bench: _Bench
 
 
-def _prepare_worker(names: Sequence[str], env_id: str) -> None:
+def _prepare_worker(names: Sequence[str], env_id: str, options: dict[str, Any]) -> None:
     global _bench
-    _bench = _Bench(names, env_id)
+    _bench = _Bench(names, env_id, options)
 
 
 def _work(seed: int) -> tuple[Episode, ...]:

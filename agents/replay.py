@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,14 +23,15 @@ from agents.command import command_parser
 from agents.errors import RunError
 from agents.evaluate import DEFAULT_TASK
 from agents.video import Sheet, Video
+from hpac import run, whole_number
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
-from hpac_gym.command_line import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import Policy, read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.tasks.task import CONTROL_HZ
 
 PULSE_TOLERANCE = 2e-4
 """How far the pulses at the end of a move may be from the commanded angles [rad]: two steps of the wire."""
@@ -78,6 +80,7 @@ class Wire:
     def __init__(self, hand: HostBoard | VirtualHand | None, link: HandLink) -> None:
         self._hand, self._link = hand, link
         self.moves, self.worst_error = 0, 0.0
+        self.arrived: list[ServoCommand] = []
 
     def begin(self, servo: np.ndarray) -> None:
         """Arm anew, which puts the servos at rest, and go to where an episode starts."""
@@ -87,17 +90,19 @@ class Wire:
         if duration > 0:
             # A tenth slower than the limit: the firmware counts whole milliseconds and refuses what is too fast.
             self.transmit(ServoCommand(servo, 1.1 * duration + 0.01))
+        self.arrived = []
 
     def transmit(self, command: ServoCommand) -> ServoCommand:
         """The command as the servos get it."""
         self._link.move(command)
         self._link.wait()
         self.moves += 1
-        if self._hand is None:
-            return command
-        servo = servo_from_pulses(self._hand.pulses())
-        self.worst_error = max(self.worst_error, float(np.abs(servo - command.servo).max()))
-        return ServoCommand(servo, command.duration)
+        if self._hand is not None:
+            servo = servo_from_pulses(self._hand.pulses())
+            self.worst_error = max(self.worst_error, float(np.abs(servo - command.servo).max()))
+            command = ServoCommand(servo, command.duration)
+        self.arrived.append(command)
+        return command
 
 
 @dataclass
@@ -118,12 +123,12 @@ def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report:
     Raises:
         FaultError: The hand went safe three times in one episode.
     """
-    task, episodes = env.unwrapped, []
+    episodes = []
     bar = tqdm(seeds, desc="replaying", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
     for seed in bar:
         for attempt in range(ATTEMPTS):
             try:
-                episodes.append(_run_episode(policy, env, task, wire, seed))
+                episodes.append(_run_episode(policy, env, wire, seed))
                 break
             except FaultError:
                 if attempt == ATTEMPTS - 1:
@@ -135,35 +140,29 @@ def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report:
     return episodes
 
 
-def _run_episode(policy: Policy, env: gymnasium.Env, task: gymnasium.Env, wire: Wire, seed: int) -> Episode:
-    commands: list[ServoCommand] = []
-
-    def transmit(command: ServoCommand) -> ServoCommand:
-        commands.append(wire.transmit(command))
-        return commands[-1]
-
+def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> Episode:
     observation, _ = env.reset(seed=seed)
     policy.reset(seed)
-    task.transmit = transmit
-    wire.begin(task.command.servo)
+    wire.begin(env.unwrapped.command.servo)
     done = False
     while not done:
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
         done = terminated or truncated
-    return Episode(seed, commands, bool(info["is_success"]))
+    return Episode(seed, wire.arrived, bool(info["is_success"]))
 
 
-def film(env: gymnasium.Env, episodes: list[Episode], video: Video, sheet: Sheet) -> None:
+def film(env_id: str, episodes: list[Episode], video: Video, sheet: Sheet) -> None:
     """Render the episodes, off the wire: the same commands from the same seed give the same motion, to the bit."""
-    task = env.unwrapped
+    rest: Iterator[ServoCommand] = iter(())
+    env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest))
     still = np.zeros(env.action_space.shape)
     for episode in tqdm(episodes, desc="filming", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True):
         _, info = env.reset(seed=episode.seed)
         sheet.begin_row()
         phase, picture = info["phase"], env.render()
         sheet.add(picture)
-        for command in episode.commands:
-            task.transmit = lambda _, command=command: command
+        rest = iter(episode.commands)
+        for _ in episode.commands:
             *_, info = env.step(still)
             if info["phase"] != phase:
                 sheet.add(picture)
@@ -172,29 +171,28 @@ def film(env: gymnasium.Env, episodes: list[Episode], video: Video, sheet: Sheet
             video.add(picture, f"seed {episode.seed}   {phase}")
         sheet.add(picture)
         video.hold(picture, f"seed {episode.seed}   {info['outcome']}")
+    env.close()
 
 
 def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     writable_folder(args.out)
     env_id = DEFAULT_TASK if args.policy in BASELINES else read_policy(Path(args.policy)).about["env_id"]
-    env = gymnasium.make(env_id)
-    policy = load_policy(args.policy, env)
     report = Report(args.policy, env_id, args.seed_start)
     with ExitStack() as stack:
-        stack.callback(env.close)
         hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
         log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
         link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
         wire = Wire(hand, link)
+        env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command)))
+        policy = load_policy(args.policy, env)
         episodes = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
         link.clear()
         _take_statistics(report, wire, link)
-    with gymnasium.make(env_id, render_mode="rgb_array") as camera:
-        sheet = Sheet()
-        with Video(args.out / "grasps.mp4", camera.metadata["render_fps"]) as video:
-            film(camera, episodes, video, sheet)
-        sheet.write(args.out / "grasps.png")
+    sheet = Sheet()
+    with Video(args.out / "grasps.mp4", CONTROL_HZ) as video:
+        film(env_id, episodes, video, sheet)
+    sheet.write(args.out / "grasps.png")
     text = json.dumps(asdict(report), indent=2)
     write_text(args.out / "replay.json", text + "\n")
     print(text if args.json else _summary(report))

@@ -20,7 +20,7 @@ from agents.learning_curve import CURVE, drop_rows_after
 from agents.recipes import RECIPES, Recipe, recipe_named, with_settings
 from agents.seeds import training_seed
 from agents.tasks import make_task
-from hpac_gym.command_line import INTERRUPTED, run, whole_number
+from hpac import INTERRUPTED, run, whole_number
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 

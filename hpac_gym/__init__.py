@@ -12,16 +12,16 @@ else:
     register(
         id="HPAC-Grasp-v0",
         entry_point="hpac_gym.envs:grasp",
-        vector_entry_point="hpac_gym.envs.vector:grasp",
+        vector_entry_point="hpac_gym.envs:grasp_vector",
     )
     register(
         id="HPAC-PickPlace-v0",
         entry_point="hpac_gym.envs:pick_place",
-        vector_entry_point="hpac_gym.envs.vector:pick_place",
+        vector_entry_point="hpac_gym.envs:pick_place_vector",
     )
     register(
         id="HPAC-Posture-v0",
         entry_point="hpac_gym.envs:PostureEnv",
-        vector_entry_point="hpac_gym.envs.vector:posture",
+        vector_entry_point="hpac_gym.envs:posture_vector",
         max_episode_steps=40,
     )

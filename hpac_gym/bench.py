@@ -1,129 +1,224 @@
-"""``python -m hpac_gym.bench``: what the library costs on this machine, each figure beside a bare one of the same run.
+"""``hpac bench``: the speed of the environments on both engines, beside environments of other libraries.
 
-A section is a function that measures and returns its text and its figures; ``SECTIONS`` lists them by name.
+Every figure is of a hand that holds a can, at 20 commands a second. A rate is counted per second of CPU time, so that other
+work on the machine weighs less, and is the median over rounds in which all environments take turns. The other libraries need
+another MuJoCo than this one: they get a virtual environment of their own, which the command makes.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from time import perf_counter
+import os
+import statistics
+import subprocess
+import sys
+import venv
+from collections.abc import Sequence
+from contextlib import ExitStack
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
-import numpy as np
+from hpac import whole_number
+from hpac_gym.errors import HpacError
+from hpac_gym.physics.simulation import ENGINES
 
-from hpac_gym.model import HPAC, joints_from_synergy, servo_from_action, servo_from_joints
+WORKER = Path(__file__).with_name("bench_worker.py")
+NUM_ENVS = (1, 16, 64)
+STEPS = 40
+"""Of one environment in a round; many environments share them, down to 4."""
+PEERS = {"HandManipulateBlock-v1": "gymnasium_robotics", "PandaPickAndPlace-v3": "panda_gym"}
+"""A hand on MuJoCo, and an arm on PyBullet: ids and the modules that register them."""
+# Gymnasium-Robotics 1.4.2 does not know MuJoCo's joint types from 3.12 on: its hands stop with an AssertionError.
+PEER_PACKAGES = ("gymnasium-robotics==1.4.2", "mujoco==3.11.0", "panda-gym==3.0.7", "gymnasium==1.4.0", "numpy==2.4.6")
+LEAST_OVER_PYBULLET, LEAST_OVER_PEERS, LEAST_THREADS, LEAST_ARITHMETIC = 2.1, 3.0, 1.8, 1.9
+MOST_OUTSIDE, MOST_RESET_MS = 0.10, 0.3
 
-BATCH = 100_000
-ROUNDS = 9
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One measured figure, and the same of a bare counterpart."""
-
-    name: str
-    value: float
-    unit: str
-    bare: float
-    """The counterpart without checks and names, in the same unit and the same run."""
-    ratio: float
-    """Cost of the figure over the cost of its counterpart: above 1 is slower."""
+Report = dict[str, Any]
 
 
-def seconds_per_call(call: Callable[[], object], calls: int, rounds: int = ROUNDS) -> float:
-    """Time of one call, best round of several: what the machine's other work did not disturb [s]."""
-    best = float("inf")
-    for _ in range(rounds):
-        start = perf_counter()
-        for _ in range(calls):
-            call()
-        best = min(best, perf_counter() - start)
-    return best / calls
+class BenchError(HpacError, RuntimeError):
+    """A measurement could not be made."""
 
 
-def bare_servo_from_joints(joint_pos: np.ndarray) -> np.ndarray:
-    """Eq. (15) as one vectorised map: no checks, no limits."""
-    synergy = joint_pos @ HPAC.synergy_projection.T
-    chord = np.sqrt(HPAC.guide_sum - HPAC.guide_product * np.cos(HPAC.guide_alpha - synergy[..., :5]))
-    synergy[..., :5] = (HPAC.rest_chord - chord) / HPAC.servo_radius
-    return synergy
+class Worker:
+    """A process that times one environment."""
+
+    def __init__(self, python: str, **make: Any) -> None:
+        threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            [python, "-P", str(WORKER)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            env=os.environ | threads,
+        )  # fmt: skip
+        self.ask("make", **make)
+
+    def send(self, call: str, **arguments: Any) -> None:
+        """Start a call."""
+        print(json.dumps({"call": call, **arguments}), file=self._process.stdin, flush=True)
+
+    def answer(self) -> dict[str, float]:
+        """Wait for the result of the call that was started.
+
+        Raises:
+            BenchError: The environment failed.
+        """
+        line = self._process.stdout.readline()
+        found = json.loads(line) if line else {"error": f"its process ended with status {self._process.wait()}"}
+        if "error" in found:
+            raise BenchError(f"an environment of the benchmark failed: {found['error']}")
+        return found
+
+    def ask(self, call: str, **arguments: Any) -> dict[str, float]:
+        """Call and wait."""
+        self.send(call, **arguments)
+        return self.answer()
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
 
 
-def bare_servo_from_action(action: np.ndarray) -> np.ndarray:
-    """An action's posture and Eq. (15), no checks, no limits."""
-    synergy = HPAC.synergy_min + 0.5 * (action + 1) * (HPAC.synergy_max - HPAC.synergy_min)
-    return bare_servo_from_joints(synergy[..., HPAC.servo_of_joint] * HPAC.elastic_ratio)
+def peers_python() -> str:
+    """The Python of the peers' virtual environment, which is made where it is missing.
+
+    Raises:
+        BenchError: It cannot be made; the message has the last line of what pip said.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = cache / "hpac_gym" / f"bench-peers-{sys.version_info[0]}.{sys.version_info[1]}"
+    python, stamp = folder / "bin" / "python", folder / "complete"
+    wanted = "\n".join(PEER_PACKAGES)
+    if not (stamp.exists() and stamp.read_text(encoding="utf-8") == wanted):
+        print(f"making the peers' virtual environment in {folder}", file=sys.stderr)
+        venv.create(folder, with_pip=True, clear=True)
+        pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", *PEER_PACKAGES]
+        done = subprocess.run(pip, stderr=subprocess.PIPE, text=True, check=False)
+        if done.returncode:
+            raise BenchError(f"the peers cannot be installed in {folder}: {(done.stderr.splitlines() or ['pip failed'])[-1]}")
+        stamp.write_text(wanted, encoding="utf-8")
+    return str(python)
 
 
-def model_rows() -> list[Row]:
-    """One command with all its checks, and a batch of postures on one core."""
-    rng = np.random.default_rng(0)
-    action = rng.uniform(-1, 1, 6)
-    one = 1e6 * seconds_per_call(lambda: servo_from_action(action), 2000)
-    bare_one = 1e6 * seconds_per_call(lambda: bare_servo_from_action(action), 2000)
-    posture = joints_from_synergy(rng.uniform(HPAC.synergy_min, HPAC.synergy_max, (BATCH, 6)))
-    rate = BATCH / seconds_per_call(lambda: servo_from_joints(posture), 1) / 1e6
-    bare_rate = BATCH / seconds_per_call(lambda: bare_servo_from_joints(posture), 1) / 1e6
+def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str], rounds: int) -> Report:
+    """Time everything, in rounds in which all take turns.
+
+    Args:
+        engines: to be measured, all of them installed.
+        num_envs: sizes of the vector environments; the engine with threads is measured at the greatest.
+        peers: ids out of `PEERS`.
+        rounds: how often.
+
+    Raises:
+        BenchError: An environment failed, or the peers cannot be installed.
+    """
+    with ExitStack() as stack:
+
+        def worker(python: str = sys.executable, **make: Any) -> Worker:
+            made = Worker(python, **make)
+            stack.callback(made.close)
+            return made
+
+        hands = {(e, n): worker(kind="hands", engine=e, num_envs=n, threads=1) for e in engines for n in num_envs}
+        two = worker(kind="hands", engine="mujoco", num_envs=max(num_envs), threads=2) if "mujoco" in engines else None
+        others = {name: worker(peers_python(), kind="peer", name=name, module=PEERS[name]) for name in peers}
+        pair = [worker(kind="arithmetic") for _ in range(2)]
+        found: dict[Any, list[dict[str, float]]] = {}
+        for _ in range(rounds):
+            for (engine, n), each in hands.items():
+                found.setdefault((engine, n), []).append(each.ask("measure", steps=max(STEPS // n, 4)))
+            if two is not None:
+                found.setdefault("two", []).append(two.ask("measure", steps=max(STEPS // max(num_envs), 4)))
+            for name, each in others.items():
+                found.setdefault(name, []).append(each.ask("measure", steps=STEPS))
+            alone = pair[0].ask("measure", steps=STEPS)["per_second"]
+            for each in pair:
+                each.send("measure", steps=STEPS)
+            found.setdefault("arithmetic", []).append({"gain": sum(each.answer()["per_second"] for each in pair) / alone})
+        resets = {engine: hands[engine, min(num_envs)].ask("resets", count=30)["reset_ms"] for engine in engines}
+
+    def median(key: Any, figure: str) -> float:
+        return statistics.median(row[figure] for row in found[key])
+
+    most = max(num_envs)
+    return {
+        "engines": {
+            engine: {
+                "env_steps_per_cpu_second": {str(n): median((engine, n), "per_cpu_second") for n in num_envs},
+                "outside_engine": {str(n): median((engine, n), "outside") for n in num_envs},
+                "reset_ms": resets[engine],
+            }
+            for engine in engines
+        },
+        "two_threads": None if two is None else median("two", "per_second") / median(("mujoco", most), "per_second"),
+        "two_processes_of_arithmetic": median("arithmetic", "gain"),
+        "peers": {name: median(name, "per_cpu_second") for name in peers},
+        "peers_control_hz": {name: median(name, "control_hz") for name in peers},
+    }
+
+
+def marks(report: Report) -> list[tuple[str, float, str, bool | None]]:
+    """What is asked of MuJoCo's figures: the mark, the figure, the bound, and whether it is kept; None where none can say."""
+    engines, peers = report["engines"], report["peers"]
+    if "mujoco" not in engines:
+        return []
+    found = engines["mujoco"]
+    n = max(found["env_steps_per_cpu_second"], key=int)
+    rate, arithmetic = found["env_steps_per_cpu_second"][n], report["two_processes_of_arithmetic"]
+    rows = []
+    if "pybullet" in engines:
+        slower = max(engines["pybullet"]["env_steps_per_cpu_second"].values())
+        rows.append((f"n = {n} over pybullet's best", rate / slower, LEAST_OVER_PYBULLET))
+    if peers:
+        rows.append((f"n = {n} over the faster peer", rate / max(peers.values()), LEAST_OVER_PEERS))
+    rows.append((f"two threads over one, arithmetic × {arithmetic:.2f}", report["two_threads"], LEAST_THREADS))
+    least = [(f"mujoco, {name}", figure, f"≥ {bound}", figure >= bound) for name, figure, bound in rows]
+    if arithmetic < LEAST_ARITHMETIC:
+        least[-1] = (*least[-1][:3], None)
+    outside, reset_ms = found["outside_engine"][n], found["reset_ms"]
     return [
-        Row("servo_from_action, one command", one, "µs", bare_one, one / bare_one),
-        Row(f"servo_from_joints, {BATCH:,} postures", rate, "million/s", bare_rate, bare_rate / rate),
+        *least,
+        (f"mujoco, n = {n}, share outside the engine", outside, f"≤ {MOST_OUTSIDE}", outside <= MOST_OUTSIDE),
+        ("mujoco, reset [ms]", reset_ms, f"≤ {MOST_RESET_MS}", reset_ms <= MOST_RESET_MS),
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """What a section found."""
-
-    lines: list[str]
-    """For a reader."""
-    figures: Any
-    """For ``--json``."""
-
-
-def model_section() -> Measured:
-    """The model's rows."""
-    rows = model_rows()
-    lines = [f"  {row.name:<40} {row.value:8.1f} {row.unit:<10} bare {row.bare:6.1f}   × {row.ratio:.1f}" for row in rows]
-    return Measured(lines, [asdict(row) for row in rows])
-
-
-def env_section() -> Measured:
-    """The environments' report."""
-    from hpac_gym.env_bench import report  # here, so that the model can be measured without PyBullet
-
-    found = report()
-    return Measured(found.lines(), found.as_json())
-
-
-SECTIONS: dict[str, Callable[[], Measured]] = {"model": model_section, "env": env_section}
+def lines(report: Report) -> list[str]:
+    """The report as text."""
+    text = ["env steps per second of CPU time, hand holding a can, one thread"]
+    for name, found in report["engines"].items():
+        rates = "   ".join(f"n = {n}: {rate:6.0f}" for n, rate in found["env_steps_per_cpu_second"].items())
+        outside = ", ".join(f"{share:.1%}" for share in found["outside_engine"].values())
+        text.append(f"  {name:<24} {rates}   outside the engine {outside}   reset {found['reset_ms']:.2f} ms")
+    for name, rate in report["peers"].items():
+        text.append(f"  {name:<24} n = 1: {rate:6.0f}   {report['peers_control_hz'][name]:g} commands a second")
+    signs = {True: "✓", False: "✗", None: "? (this machine gives no second processor)"}
+    return [*text, "marks", *(f"  {name}: {figure:.3g} ({bound}) {signs[kept]}" for name, figure, bound, kept in marks(report))]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
-    parser.add_argument("--section", action="append", choices=SECTIONS, help="measure only this; may be given again")
+    """The arguments of `hpac bench`."""
+    parser.description = " ".join(__doc__.partition("\n\n")[2].split())
+    parser.add_argument("--engine", choices=ENGINES, action="append", help="only this one; can be given again")
+    parser.add_argument("--num-envs", type=whole_number(1), nargs="+", default=NUM_ENVS, metavar="N",
+                        help="sizes of the vector environments (default: 1 16 64)")  # fmt: skip
+    parser.add_argument("--rounds", type=whole_number(1), default=9, metavar="N", help="default: %(default)s")
+    parser.add_argument("--no-peers", action="store_true", help="without the other libraries, which are downloaded once")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the sections that are asked for and print them."""
-    measured = {name: SECTIONS[name]() for name in arguments.section or SECTIONS}
-    if arguments.json:
-        print(json.dumps({name: section.figures for name, section in measured.items()}, indent=2))
-        return 0
-    for name, section in measured.items():
-        print("\n".join([name, *section.lines]))
+    """Measure and print."""
+    installed = [engine for engine in ENGINES if find_spec(engine)]
+    missing = [engine for engine in arguments.engine or [] if engine not in installed]
+    if missing:
+        raise BenchError(f"engine {missing[0]!r} is not installed, only {', '.join(installed) or 'none'}")
+    engines = [engine for engine in installed if engine in (arguments.engine or installed)]
+    # panda-gym needs PyBullet, which has no wheels beyond CPython 3.11.
+    peers = [] if arguments.no_peers else [name for name in PEERS if "panda" not in PEERS[name] or sys.version_info < (3, 12)]
+    report = measure(engines, arguments.num_envs, peers, arguments.rounds)
+    print(json.dumps(report, indent=2) if arguments.json else "\n".join(lines(report)))
     return 0
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """``python -m hpac_gym.bench``; ``hpac bench`` is the same command."""
-    parser = argparse.ArgumentParser(prog="python -m hpac_gym.bench", description=__doc__.splitlines()[0])
-    add_arguments(parser)
-    return run(parser.parse_args(argv))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -18,3 +18,7 @@ class WorkspaceError(HpacError, ValueError):
 
 class ParameterError(HpacError, ValueError):
     """A hand parameter or a parameter file is missing, malformed or unphysical."""
+
+
+class EpisodeError(HpacError, RuntimeError):
+    """A call that does not fit the state of an environment: before reset, after the end, or after close."""

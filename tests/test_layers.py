@@ -12,34 +12,46 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hpac_gym"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# What a layer may import of this package, and from outside of it beside the standard library. The package's own
-# __init__.py, cli.py and its benchmark of speed stand above all of them.
+# What a layer may import of this package, and from outside of it beside the standard library. An engine's folder is a layer of
+# its own. The package's own __init__.py and its benchmark of speed stand above all of them; `hpac` is the command beside it.
+BELOW_TASKS = {"errors", "model", "body", "physics"}
+BELOW_ENVS = BELOW_TASKS | {"tasks"}
 LAYERS = {
     "errors": set(),
     "progress": set(),
     "output": {"errors"},
-    "command_line": {"errors"},
     "model": {"errors"},
-    "sim": {"errors", "model"},
-    "envs": {"errors", "model", "sim"},
-    "bridge": {"errors", "command_line", "model"},
-    "policies": {"errors", "output", "envs"},
-    "evaluation": {"errors", "output", "progress", "command_line", "model", "sim", "envs", "policies"},
-    "study": {"errors", "output", "progress", "model", "sim", "envs"},
+    "body": {"errors", "model"},
+    "physics": {"errors", "model", "body"},
+    "physics.pybullet": BELOW_TASKS,
+    "physics.mujoco": BELOW_TASKS,
+    "tasks": BELOW_TASKS,
+    "envs": BELOW_ENVS,
+    "bridge": {"errors", "model"},
+    "policies": {"errors", "output", *BELOW_ENVS, "envs"},
+    "evaluation": {"errors", "output", "progress", *BELOW_ENVS, "envs", "policies"},
+    "study": {"errors", "output", "progress", *BELOW_TASKS},
 }
 NEEDS = {
     "errors": set(),
     "progress": set(),
     "output": set(),
-    "command_line": set(),
     "model": {"numpy"},
-    "sim": {"numpy", "pybullet", "pybullet_data", "pybullet_utils"},
+    "body": {"numpy"},
+    "physics": {"numpy", "hpac"},
+    "physics.pybullet": {"numpy", "pybullet"},
+    "physics.mujoco": {"numpy", "mujoco"},
+    "tasks": {"numpy", "scipy", "gymnasium"},
     "envs": {"numpy", "gymnasium"},
-    "bridge": {"numpy", "serial"},
+    "bridge": {"numpy", "serial", "hpac"},
     "policies": {"numpy", "gymnasium"},
-    "evaluation": {"numpy", "gymnasium", "PIL"},
-    "study": {"numpy", "scipy", "matplotlib", "gymnasium"},
+    "evaluation": {"numpy", "gymnasium", "PIL", "hpac"},
+    "study": {"numpy", "scipy", "matplotlib", "hpac"},
 }
+ENGINES = {"physics.pybullet": "pybullet", "physics.mujoco": "mujoco"}
+CHOOSER = "hpac_gym.physics.simulation"
+"""The one module that imports an engine's folder, once it is asked for."""
+WORKSHOP = {"agents", "tools", "tests"}
 
 
 def module_name(path: Path) -> str:
@@ -48,11 +60,15 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports_of(path: Path) -> Iterator[str]:
-    """The dotted names that a module imports, relative ones resolved and submodules spelled out."""
+def imports_of(path: Path, lazy: bool = True) -> Iterator[str]:
+    """The dotted names that a module imports, relative ones resolved and submodules spelled out; with those in functions."""
     package = module_name(path).split(".")
     package = package if path.name == "__init__.py" else package[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inside = {node for f in ast.walk(tree) if isinstance(f, ast.FunctionDef | ast.AsyncFunctionDef) for node in ast.walk(f)}
+    for node in ast.walk(tree):
+        if node in inside and not lazy:
+            continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -67,7 +83,7 @@ def imports_of(path: Path) -> Iterator[str]:
 def layer_of(name: str) -> str | None:
     """The layer of a dotted name of this package; None for its root and its commands."""
     parts = name.split(".")
-    return parts[1] if len(parts) > 1 and parts[1] in LAYERS else None
+    return next((layer for layer in (".".join(parts[1:3]), *parts[1:2]) if layer in LAYERS), None)
 
 
 IN_LAYERS = [path for path in MODULES if layer_of(module_name(path))]
@@ -76,8 +92,10 @@ IN_LAYERS = [path for path in MODULES if layer_of(module_name(path))]
 @pytest.mark.parametrize("path", IN_LAYERS, ids=module_name)
 def test_a_module_imports_only_layers_below_its_own(path):
     layer = layer_of(module_name(path))
-    own = [name for name in imports_of(path) if name.split(".")[0] in {"hpac_gym", "agents", "tests"}]
+    own = [name for name in imports_of(path) if name.split(".")[0] in {"hpac_gym"} | WORKSHOP]
     upward = [name for name in own if layer_of(name) not in LAYERS[layer] | {layer}]
+    if module_name(path) == CHOOSER:
+        upward = [name for name in upward if layer_of(name) not in ENGINES]
     assert not upward, f"{module_name(path)} is in '{layer}' and imports {upward}"
 
 
@@ -88,18 +106,30 @@ def test_a_module_needs_only_what_its_layer_may(path):
     assert outside <= NEEDS[layer], f"{module_name(path)} is in '{layer}' and imports {sorted(outside - NEEDS[layer])}"
 
 
-def test_only_the_simulation_names_pybullet():
+@pytest.mark.parametrize(("folder", "engine"), ENGINES.items())
+def test_only_its_folder_names_an_engine(folder, engine):
     modules = [*MODULES, *(ROOT / "agents").rglob("*.py")]
-    named = {module_name(path) for path in modules if any("pybullet" in name for name in imports_of(path))}
-    assert {layer_of(name) for name in named} <= {"sim"}, named
+    named = {module_name(path) for path in modules if any(name.split(".")[0].startswith(engine) for name in imports_of(path))}
+    assert {layer_of(name) for name in named} <= {folder}, named
 
 
-def test_the_package_does_not_know_the_agents():
-    assert not [path for path in MODULES for name in imports_of(path) if name.split(".")[0] == "agents"]
+def test_one_module_imports_the_engines_and_only_once_it_is_asked():
+    path = ROOT.joinpath(*CHOOSER.split(".")).with_suffix(".py")
+    assert {layer_of(name) for name in imports_of(path)} >= set(ENGINES)
+    assert not {layer_of(name) for name in imports_of(path, lazy=False)} & set(ENGINES)
 
 
-@pytest.mark.parametrize("layer", ["model", "bridge"])
-def test_model_and_bridge_import_without_pybullet(layer):
+def test_the_command_imports_without_the_package():
+    """Nor anything else beside the standard library: the list of commands is there at once."""
+    assert {name.split(".")[0] for name in imports_of(ROOT / "hpac.py", lazy=False)} <= sys.stdlib_module_names
+
+
+def test_the_package_does_not_know_the_workshop():
+    assert not [path for path in MODULES for name in imports_of(path) if name.split(".")[0] in WORKSHOP]
+
+
+@pytest.mark.parametrize("layer", ["model", "body", "physics", "tasks", "envs", "bridge"])
+def test_what_names_no_engine_imports_without_one(layer):
     names = [module_name(path) for path in IN_LAYERS if layer_of(module_name(path)) == layer]
     assert names, f"hpac_gym.{layer} has no modules"
     script = f"""
@@ -107,7 +137,7 @@ import importlib, sys
 
 class Refuse:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0].startswith("pybullet"):
+        if name.split(".")[0] in {{"pybullet", "mujoco"}}:
             raise ImportError(f"{{name}} is refused")
 
 sys.meta_path.insert(0, Refuse())

@@ -47,7 +47,7 @@ def clean_python(wheel, tmp_path_factory) -> Path:
 
 def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names} == {"hpac_gym", "hpac_gym-0.1.0.dist-info"}
+    assert {name.split("/")[0] for name in names} == {"hpac.py", "hpac_gym", "hpac_gym-0.1.0.dist-info"}
     packed = {name for name in names if name.startswith("hpac_gym/")}
     source = {str(p.relative_to(ROOT)) for p in (ROOT / "hpac_gym").rglob("*") if p.suffix in {".py", ".toml"}}
     assets = {f"hpac_gym/{p.relative_to(ROOT)}" for p in (ROOT / "assets").rglob("*") if p.is_file()}
@@ -55,24 +55,48 @@ def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     assert source | assets <= packed
 
 
-def test_a_clean_environment_makes_the_task_from_the_wheel(clean_python, tmp_path):
-    script = """
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_a_clean_environment_makes_the_task_from_the_wheel(engine, clean_python, tmp_path):
+    script = f"""
 import importlib.util, json
 import gymnasium
-env = gymnasium.make("hpac_gym:HPAC-Grasp-v0")
+env = gymnasium.make("hpac_gym:HPAC-Grasp-v0", engine={engine!r})
 env.reset(seed=0)
 env.action_space.seed(0)
 reward = env.step(env.action_space.sample())[1]
 env.close()
 import hpac_gym
-print(json.dumps({"reward": float(reward), "package": hpac_gym.__file__,
-                  "agents": importlib.util.find_spec("agents") is not None}))
+absent = [name for name in ("agents", "tools") if importlib.util.find_spec(name) is None]
+print(json.dumps({{"reward": float(reward), "package": hpac_gym.__file__, "absent": absent}}))
 """
     seen = json.loads(run(clean_python, "-c", script, cwd=tmp_path).splitlines()[-1])
     package = Path(seen["package"]).parent
     assert package.is_relative_to(clean_python.parents[1])
     assert (package / "assets").is_dir()
-    assert seen["agents"] is False
+    assert seen["absent"] == ["agents", "tools"]
+
+
+def test_without_pybullet_everything_runs_on_mujoco_and_asking_for_pybullet_is_one_line(clean_python, tmp_path):
+    script = """
+import sys
+sys.modules["pybullet"] = None
+import gymnasium
+gymnasium.make("hpac_gym:HPAC-Grasp-v0").close()
+from hpac_gym.errors import HpacError
+try:
+    gymnasium.make("HPAC-Grasp-v0", engine="pybullet")
+except HpacError as error:
+    print(error)
+"""
+    (line,) = run(clean_python, "-c", script, cwd=tmp_path).splitlines()
+    assert "pybullet" in line
+    assert "engine='mujoco'" in line
+
+
+@pytest.mark.parametrize("module", ["hpac_gym.model", "hpac_gym.bridge", "hpac_gym.policies"])
+def test_model_bridge_and_policy_file_need_neither_scipy_nor_an_engine(module):
+    script = f"import sys, {module}; print(*{{'scipy', 'pybullet', 'mujoco', 'torch'}} & set(sys.modules))"
+    assert run(sys.executable, "-c", script, cwd=ROOT).strip() == ""
 
 
 def test_the_command_of_the_wheel_tells_its_usage(clean_python, tmp_path):

@@ -1,4 +1,4 @@
-"""The bridge's part of the `hpac` command: clear, estop, doctor, wiggle, safety, conform."""
+"""The bridge's commands of `hpac`: clear, conform, doctor, estop, safety, wiggle; and what `hpac posture` sends with."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
+from hpac import whole_number
 from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
 from hpac_gym.bridge.errors import LinkTimeout
 from hpac_gym.bridge.evidence import safety
@@ -20,7 +21,6 @@ from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.bridge.virtual_hand import VirtualHand, config_of
-from hpac_gym.command_line import whole_number
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, move_duration
 
@@ -29,38 +29,53 @@ _ESTOP_ATTEMPTS = 20
 PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this process) or `host` (the firmware as a process)"
 
 
-def add_commands(subparsers: argparse._SubParsersAction) -> None:
-    """Add the bridge's commands; each sets `func`, which takes the namespace and returns an exit status."""
-    parser = subparsers.add_parser("safety", help="measure the safety claims now, each beside a control that must fail")
+def add_safety(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac safety`."""
     parser.add_argument("--json", action="store_true", help="a list of claim, figure, limit, unit, tried, control, holds")
     parser.add_argument("--frames", type=whole_number(1), default=10_000_000, help="hostile frames (default: %(default)s)")
     parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions (default: %(default)s)")
     parser.add_argument("--sessions", type=whole_number(1), default=10_000, help="random sessions (default: %(default)s)")
-    parser.set_defaults(func=_safety)
+    parser.set_defaults(run=_safety)
 
-    parser = _talking(subparsers, "conform", "try every rule of docs/wire.md on a device: moves the hand a little, takes minutes")
+
+def add_conform(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac conform`."""
+    _add_hand(parser)
     parser.add_argument("--json", action="store_true", help="a list of rule, tried, holds, failure")
-    parser.set_defaults(func=_conform)
+    parser.set_defaults(run=_conform)
 
-    parser = _talking(subparsers, "wiggle", "move one servo at a time next to its name, to check wiring and order")
+
+def add_wiggle(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac wiggle`."""
+    _add_hand(parser)
     parser.add_argument("--servo", choices=SERVOS, action="append", help="only this one; can be given again")
     parser.add_argument("--angle", type=float, default=0.3, help="how far from rest [rad] (default: %(default)s)")
-    parser.set_defaults(func=_wiggle)
+    parser.set_defaults(run=_wiggle)
 
-    _talking(subparsers, "estop", "stop all pulses now and latch a fault").set_defaults(func=_estop)
-    _talking(subparsers, "clear", "leave a fault, or disarm: no motion, no pulses").set_defaults(func=_clear)
 
-    parser = _talking(subparsers, "doctor", "find hands, say what is wrong and the first step; touches nothing", required=False)
+def add_estop(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac estop`."""
+    _add_hand(parser)
+    parser.set_defaults(run=_estop)
+
+
+def add_clear(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac clear`."""
+    _add_hand(parser)
+    parser.set_defaults(run=_clear)
+
+
+def add_doctor(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac doctor`."""
+    _add_hand(parser, required=False)
     parser.add_argument("--json", action="store_true", help="a list of port, healthy, what, advice")
-    parser.set_defaults(func=_doctor)
+    parser.set_defaults(run=_doctor)
 
 
-def _talking(subparsers: argparse._SubParsersAction, name: str, text: str, required: bool = True) -> argparse.ArgumentParser:
-    """A command that talks to a hand."""
-    parser = subparsers.add_parser(name, help=text)
+def _add_hand(parser: argparse.ArgumentParser, required: bool = True) -> None:
+    """The arguments of every command that talks to a hand."""
     parser.add_argument("--port", required=required, help=PORT_HELP if required else f"look only here: {PORT_HELP}")
     parser.add_argument("--hand", metavar="FILE", help="hand parameters (TOML) of the firmware (default: nominal)")
-    return parser
 
 
 def connector(port: str, hand: Hand, stack: ExitStack) -> str | Callable[[], Transport]:
@@ -177,3 +192,29 @@ def _doctor(options: argparse.Namespace) -> int:
     else:
         print("\n".join(map(str, findings)))
     return 0 if any(finding.healthy for finding in findings) else 1
+
+
+def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
+    """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until Ctrl-C.
+
+    Args:
+        port: as the commands take it.
+        command: where the servos shall go.
+        hand: whose limits the firmware must have been built with.
+
+    Raises:
+        BridgeError: The port, the hand or the firmware does not do its part; the hand is then without pulses, or said not
+            to have confirmed it.
+    """
+    with ExitStack() as stack:
+        link = stack.enter_context(HandLink(connector(port, hand, stack), hand=hand))
+        link.arm()
+        rest = np.clip(np.zeros(len(SERVOS)), hand.servo_min, hand.servo_max)
+        link.move(ServoCommand(command.servo, max(command.duration, 1.1 * move_duration(rest, command.servo, hand))))
+        link.wait()
+        print("holding; Ctrl-C lets go", file=sys.stderr)
+        try:
+            while True:
+                link.sleep(1.0)
+        except KeyboardInterrupt:
+            return

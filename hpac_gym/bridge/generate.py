@@ -225,6 +225,16 @@ def wire_document(text: str, hand: Hand = HPAC) -> str:
     return head + _BEGIN + wire_tables(hand) + _END + rest.split(_END)[1]
 
 
+def generated(hand: Hand = HPAC) -> dict[Path, str]:
+    """Every generated file of the wire and what it must contain."""
+    return {
+        HEADER: protocol_header(hand),
+        DOCUMENT: wire_document(DOCUMENT.read_text(encoding="utf-8"), hand),
+        VECTORS: vectors_file(hand),
+        VECTORS_HEADER: vectors_header(hand),
+    }
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Write or check the generated files; the exit status tells whether they are up to date."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -232,9 +242,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--hand", help="hand parameter file (TOML) whose limits the firmware shall enforce")
     options = parser.parse_args(arguments)
     hand = load_hand(options.hand) if options.hand else HPAC
-    document = wire_document(DOCUMENT.read_text(encoding="utf-8"), hand)
-    wanted = {HEADER: protocol_header(hand), DOCUMENT: document}
-    wanted |= {VECTORS: vectors_file(hand), VECTORS_HEADER: vectors_header(hand)}
+    wanted = generated(hand)
     stale = [path for path, text in wanted.items() if not path.exists() or path.read_text(encoding="utf-8") != text]
     for path in stale:
         print(f"{path.name}: {'out of date, run python -m hpac_gym.bridge.generate' if options.check else 'written'}")

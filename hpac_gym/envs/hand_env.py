@@ -1,171 +1,147 @@
-"""The one environment class: action to servos to physics to observation. What is to be done is the task's business."""
+"""One hand as a Gymnasium environment: `Episodes` of a single world."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from os import PathLike
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn, SupportsIndex
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from hpac_gym.envs.errors import EpisodeError
-from hpac_gym.envs.link import Link
-from hpac_gym.envs.observation import Camera, CameraNoise, deployed_fields, one_hot, space_of, within
-from hpac_gym.envs.options import RENDER_MODES, Reward, hand_of, noise_of, require_options, setup_of
-from hpac_gym.envs.randomization import Randomization, changed_noise, changed_setup, randomization
-from hpac_gym.envs.report import report
-from hpac_gym.envs.task import Outcome, Task
-from hpac_gym.envs.views import Moment, Obs, Observation, view, view_target
-from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, action_from_synergy, elastic_joints_from_servo
-from hpac_gym.model.checks import as_array
-from hpac_gym.sim import Scene
-from hpac_gym.sim.world import refuse_copying
+from hpac_gym.envs.episodes import CONTROL_HZ, VIEW_TARGET, Episodes, Transmit
+from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
+from hpac_gym.errors import EpisodeError, ShapeError
+from hpac_gym.model import SERVOS, ServoCommand
+from hpac_gym.model.checks import Array, as_array
+from hpac_gym.physics.engine import SceneState, Viewpoint
+from hpac_gym.tasks.posture import Posture, goal_error
+from hpac_gym.tasks.task import RUNNING, Task
 
-CONTROL_HZ = 20
-"""Commands a second."""
+Observation = NDArray[np.float32] | dict[str, NDArray]
+ACTION_SPACE = Box(-1.0, 1.0, (len(SERVOS),), np.float32)
 
 
 class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """A hand on a scripted wrist; six actions a step, one `ServoCommand` each.
+    """A hand with a task; six actions a step, one `ServoCommand` each. The wrist is scripted by the task.
 
     Args:
         task: draws episodes, judges them and shapes the reward.
-        hand: the hand's parameters, or a hand file.
-        reward: "dense" for the task's terms, "sparse" for 1 on success and 0 otherwise.
         render_mode: None or "rgb_array".
-        noise: of the camera that sees the object.
-        obs: "deploy" for what the real hand has, "privileged" for a critic, "image" for a picture and the deployed vector.
-        randomize: what else differs between episodes: a preset of `hpac_gym.envs.randomization.PRESETS`, a
-            `Randomization`, or ranges by name; None is "nominal", which changes nothing.
-
-    Attributes:
-        transmit: what a command passes through on its way to the simulated servos: identity, unless a bridge puts the
-            wire and the firmware between. Observations keep to what was commanded.
+        transmit: what a command passes through on its way to the simulated servos, such as the wire and the firmware; None
+            leaves it as it is. Observations keep to what was commanded.
+        options: hand, reward, noise, obs, randomize, engine, body: `hpac_gym.envs.options.OPTIONS` says what
+            they mean.
 
     Raises:
-        ParameterError: An unknown reward, render mode, obs or randomize, or a bad hand file.
+        TypeError: An unknown option.
+        ParameterError: An unknown value, a bad hand file, or an engine that is not installed.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
-    __reduce_ex__ = refuse_copying
 
     def __init__(
-        self,
-        task: Task,
-        hand: Hand | str | PathLike[str] = HPAC,
-        reward: Reward = "dense",
-        render_mode: str | None = None,
-        noise: CameraNoise = CameraNoise(),
-        obs: Obs = "deploy",
-        randomize: Randomization | Mapping | str | None = None,
+        self, task: Task, render_mode: str | None = None, transmit: Transmit | None = None, **options: Any
     ) -> None:
-        require_options(reward, render_mode)
-        self.task, self.reward, self.render_mode = task, reward, render_mode
-        self.randomization = randomization(randomize)
-        self.hand = hand_of(hand)
-        fields = deployed_fields(task.timetable.phases, task.fields)
-        self._view, self._deployed = view(obs, fields, task.viewpoint), space_of(fields)
-        self.action_space = Box(-1.0, 1.0, (len(SERVOS),), np.float32)
-        self.observation_space = self._view.space
-        self.dt = 1.0 / CONTROL_HZ
-        self.transmit: Callable[[ServoCommand], ServoCommand] = lambda command: command
-        self._noise = noise_of(noise)
-        self._scene: Scene | None = Scene(visuals=render_mode is not None or obs == "image")
+        self.task, self.render_mode = task, render_mode
+        chosen = checked_options(render_mode=render_mode, **options)
+        self.hand, self.randomization, self.obs = chosen.hand, chosen.randomization, chosen.obs
+        self.action_space = ACTION_SPACE
+        self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit)
+        self.observation_space = self._episodes.observation_space
+        self.dt = self._episodes.dt
         self._running = False
 
+    def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
+        """Refuse copies, which would step and close the original's physics.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(f"a physics world cannot be copied or pickled: make a new {type(self).__name__}")
+
     @property
-    def scene(self) -> Scene:
-        """The physics below. For figures and tests; a policy must not look.
+    def episodes(self) -> Episodes:
+        """What runs below. For figures and tests; a policy must not look.
 
         Raises:
             EpisodeError: The environment is closed.
         """
-        if self._scene is None:
+        if self._episodes is None:
             raise EpisodeError("this environment is closed: make a new one")
-        return self._scene
+        return self._episodes
+
+    @property
+    def state(self) -> SceneState:
+        """The true state of the scene after the last step; arrays with a leading axis of one. A policy must not look."""
+        return self._begun().now.state
 
     @property
     def phase(self) -> str:
-        """What the wrist is doing: one of the task's `timetable.phases`."""
-        return self.task.timetable.phases[self._phase]
+        """What the wrist is doing: one of the task's `phases`."""
+        return self.task.phases[self._begun().now.phase[0]]
 
     @property
     def command(self) -> ServoCommand:
         """The last command that went to the servos: what a bridge sends to the real hand."""
-        return self._link.command
+        return self._begun().command
+
+    def _begun(self) -> Episodes:
+        if self.episodes.now is None:
+            raise EpisodeError("no episode is running: call reset() first")
+        return self.episodes
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Start an episode.
 
         Args:
             seed: of the environment's generator. Same seed, same episode, to the bit.
-            options: `{"setup": SceneSetup}` gives the episode instead of drawing it.
+            options: `{"setup": SceneSetup}` gives the episode instead of drawing it; for a task with goals `{"goal": posture}`,
+                shape (15,) [rad].
 
         Raises:
             ParameterError: Another option, or a setup that is none.
-            ShapeError: A setup with an array of the wrong shape, NaN or infinity.
+            ShapeError: A setup or goal with an array of the wrong shape, NaN or infinity.
+            WorkspaceError: A goal that leaves the bounds of the observation.
         """
         self._running = False
-        given = setup_of(options)
+        given = setup_of(options, self.task, self.hand)
         super().reset(seed=seed)
-        setup_rng, camera_rng = self.np_random.spawn(2)
-        setup = given or self.task.setup(setup_rng, self.hand)
-        drawn = self.randomization.draw(setup_rng)
-        setup = changed_setup(setup, drawn)
-        self.scene.reset(setup)
-        self.task.start(setup)
-        self._camera = Camera(setup.object, changed_noise(self._noise, drawn), camera_rng)
-        self._link = Link(self.hand, setup.synergy, self.dt, drawn, setup_rng)
-        self._last_action = action_from_synergy(setup.synergy, self.hand)
-        self._phase, self._running = 0, True
-        object_pos, rotation = self.scene.object_pose()
-        info = self._info(Outcome.RUNNING, {}, {})
-        return self._observe(object_pos, rotation, {}), info | {"randomized": {name: list(v) for name, v in drawn.items()}}
+        drawn = self.episodes.reset([0], [self.np_random], given)[0]
+        self._running = True
+        return self._observe(), self._info() | {"randomized": {name: list(value) for name, value in drawn.items()}}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out one action for one control period.
 
         Raises:
             ShapeError: `action` has the wrong shape.
-            WorkspaceError: `action` has NaN, or leaves −1…1.
+            WorkspaceError: `action` has NaN, or leaves −1…1: wrap in `gymnasium.wrappers.ClipAction`.
             EpisodeError: Before `reset`, after the end of an episode, or after `close`.
+            PhysicsError: The simulation failed.
         """
-        scene = self.scene
+        episodes = self.episodes
         if not self._running:
             raise EpisodeError("no episode is running: call reset() first")
         action = as_array(action, len(SERVOS), "action")
-        scene.advance(self._link.send(action, self.transmit), self.task.timetable.wrist_path)
+        if action.ndim != 1:
+            raise ShapeError(f"action must have shape ({len(SERVOS)},), not {action.shape}")
+        reward = float(episodes.step(action[None])[0])
+        self._running = bool(episodes.outcome[0] == RUNNING)
+        return self._observe(), reward, not self._running, False, self._info()
 
-        object_pos, rotation = scene.object_pose()
-        forces = scene.contact_forces()
-        outcome = self.task.judge(scene, object_pos, forces, self.dt)
-        terms = self.task.reward_terms(outcome, self._phase, object_pos, forces, action - self._last_action)
-        self._last_action = action.copy()  # the caller may write the next one over it
-        self._phase = self.task.timetable.phase(scene.time)
-        self._running = outcome is Outcome.RUNNING
-        reward = sum(terms.values()) if self.reward == "dense" else float(outcome is Outcome.SUCCESS)
-        info = self._info(outcome, terms, forces)
-        return self._observe(object_pos, rotation, forces), reward, not self._running, False, info
+    def _observe(self) -> Observation:
+        seen = self.episodes.observe()
+        return {name: part[0] for name, part in seen.items()} if isinstance(seen, dict) else seen[0]
 
-    def _observe(self, object_pos: NDArray, rotation: NDArray, forces: dict[str, float]) -> Observation:
-        servo, timetable = self._link.command.servo, self.task.timetable
-        parts = [
-            servo,
-            elastic_joints_from_servo(servo, self.hand),
-            *self._camera.look(object_pos, rotation),
-            -self.scene.hand_rotation[2],
-            one_hot(self._phase, len(timetable.phases)),
-            [self.scene.time / timetable.duration],
-            self.task.values(self.scene),
-        ]
-        moment = Moment(self.scene, forces, self.task.grip, self._last_action)
-        return self._view.see(within(self._deployed, np.concatenate(parts)), moment)
-
-    def _info(self, outcome: Outcome, terms: dict[str, float], forces: dict[str, float]) -> dict[str, Any]:
-        return report(self.scene, outcome, self.phase, terms, forces, self.task.grip)
+    def _info(self) -> dict[str, Any]:
+        episodes = self.episodes
+        info = {name: values.tolist()[0] for name, values in episodes.report().items()}
+        if not self.task.goal_terms:
+            info["reward_terms"] = {name: float(values[0]) for name, values in episodes.terms.items()} if episodes.terms else {}
+        if episodes.outcome[0] != RUNNING:
+            info["epsilon"] = episodes.quality(0)
+        return info
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, shape (360, 480, 3), or None without a render mode.
@@ -173,15 +149,41 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             EpisodeError: Before `reset`, or after `close`.
         """
-        scene = self.scene
+        episodes = self.episodes
         if self.render_mode is None:
             return None
-        if not hasattr(self, "_camera"):
+        if episodes.now is None:
             raise EpisodeError("nothing to render: call reset() first")
-        return self.task.viewpoint.picture(scene.world, view_target(scene))
+        return episodes.picture(0)
+
+    def picture(self, viewpoint: Viewpoint, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
+        """A picture from anywhere, with a point of the hand frame, shape (3,) [m], in the middle; needs a render mode."""
+        return self._begun().picture(0, viewpoint, centre)
 
     def close(self) -> None:
-        """Leave the physics client. Closing twice is no error."""
-        if self._scene is not None:
-            self._scene.close()
-        self._scene, self._running = None, False
+        """Free the physics. Closing twice is no error."""
+        if self._episodes is not None:
+            self._episodes.close()
+        self._episodes, self._running = None, False
+
+
+class PostureEnv(HandEnv):
+    """`HandEnv` with the functions that hindsight replay needs. Goals are joint angles, shape (..., 15) [rad]."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(Posture(), **options)
+
+    def compute_reward(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.float64]:
+        """The reward of postures against goals; `info` is not looked at."""
+        error = goal_error(achieved_goal, desired_goal)
+        if self.episodes.options.reward == "dense":
+            return -error.mean(axis=-1)
+        return -(error.max(axis=-1) > self.task.config.tolerance).astype(float)
+
+    def compute_terminated(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.bool_]:
+        """Whether postures end an episode: never, a posture that is reached is to be kept."""
+        return np.zeros(np.broadcast_shapes(np.shape(achieved_goal), np.shape(desired_goal))[:-1], dtype=bool)[()]
+
+    def compute_truncated(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.bool_]:
+        """Whether postures cut an episode short: never, that is the time limit's business."""
+        return self.compute_terminated(achieved_goal, desired_goal, info)

@@ -1,87 +1,136 @@
-"""The options that all environments have, checked in one place."""
+"""What a caller hands to an environment: the table that the documentation prints, and its check in one place."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from os import PathLike
-from typing import Any, Literal, get_args
+from typing import Any
 
-from hpac_gym.envs.observation import CameraNoise
+import numpy as np
+
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.envs.randomization import PRESETS, Randomization, randomization
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import Hand, load_hand
-from hpac_gym.model.checks import as_finite_vector
-from hpac_gym.sim import ObjectSpec, SceneSetup
+from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
+from hpac_gym.model.checks import as_bounded_array, as_finite_vector
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.settings import BODIES
+from hpac_gym.physics.simulation import ENGINES, default_engine
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
+from hpac_gym.tasks.task import Task
 
-Reward = Literal["dense", "sparse"]
 RENDER_MODES = ["rgb_array"]
+GRASP, PICK_PLACE, POSTURE = IDS = ("HPAC-Grasp-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0")
 _SETUP_ARRAYS = {"position": 3, "synergy": 6, "hand_quaternion": 4, "object_quaternion": 4, "target": 3}
 
 
-def require_options(reward: str, render_mode: str | None) -> None:
-    """Refuse what no environment has.
+@dataclass(frozen=True, slots=True)
+class Option:
+    """An argument of an environment's id."""
+
+    name: str
+    values: tuple[str | None, ...]
+    """What may be given by name."""
+    default: Any
+    meaning: str
+    others: str = ""
+    """What may be given beside `values`, in words."""
+    ids: tuple[str, ...] = IDS
+    """The ids that take it."""
+
+
+OPTIONS = (
+    Option("grasp", (None, *GRASPS), None, "a named grasp with its object; None draws a primitive in front of the open hand",
+           ids=(GRASP,)),
+    Option("variant", (NOMINAL, "large", "small", "heavy", "slippery", "shape"), NOMINAL, "of a named grasp's object",
+           ids=(GRASP,)),
+    Option("hand", (), HPAC, "the hand's parameters; `HPAC` is the hand of the paper, `hpac_gym.model.HPAC`, and a hand file is "
+           "what `hpac calibrate` writes", others="`hpac_gym.model.Hand`, path of a hand file"),
+    Option("obs", ("deploy", "privileged", "image"), "deploy", "what is observed: what the real hand has, for a critic also what "
+           "only a simulation knows, or a picture beside the deployed vector"),
+    Option("reward", ("dense", "sparse"), "dense", "the sum of the task's terms, or only whether the aim is reached"),
+    Option("randomize", (None, *PRESETS), None, "what else differs between episodes: a preset, or ranges by name; None is "
+           '"nominal", which changes nothing', others="`hpac_gym.envs.randomization.Randomization`, dictionary of ranges"),
+    Option("noise", (), CameraNoise(), "of the camera that sees the object, standard deviations: of each coordinate of the place "
+           "[m], of the rotation about each axis [rad], of the size, relative", others="`hpac_gym.tasks.cameras.CameraNoise`",
+           ids=(GRASP, PICK_PLACE)),
+    Option("engine", (None, *ENGINES), None, "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere"),
+    Option("body", tuple(BODIES), "twin", "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
+           "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo"),
+    Option("render_mode", (None, *RENDER_MODES), None, "whether `render()` gives pictures"),
+)  # fmt: skip
+"""Every argument of the ids, beside those of `gymnasium.make` itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """The checked options of an environment; `OPTIONS` says what they mean."""
+
+    hand: Hand
+    obs: str
+    reward: str
+    randomization: Randomization
+    noise: CameraNoise
+    engine: str
+    body: str
+    visuals: bool
+
+
+def checked_options(
+    hand: Hand | str | PathLike[str] = HPAC,
+    obs: str = "deploy",
+    reward: str = "dense",
+    randomize: Randomization | Mapping | str | None = None,
+    noise: CameraNoise = CameraNoise(),
+    engine: str | None = None,
+    body: str = "twin",
+    render_mode: str | None = None,
+) -> Options:
+    """The options of an environment, as `OPTIONS` has them.
 
     Raises:
-        ParameterError: An unknown reward or render mode.
+        ParameterError: A value that there is not, or a bad hand file.
     """
-    if reward not in get_args(Reward):
-        raise ParameterError(f"reward {reward!r} is neither 'dense' nor 'sparse'")
-    if render_mode not in (None, *RENDER_MODES):
-        raise ParameterError(f"render_mode {render_mode!r} is neither None nor 'rgb_array'")
-
-
-def hand_of(hand: Hand | str | PathLike[str]) -> Hand:
-    """The hand itself, or what its file holds.
-
-    Raises:
-        ParameterError: A bad hand file, or neither a hand nor a path.
-    """
-    if isinstance(hand, Hand):
-        return hand
-    if not isinstance(hand, str | PathLike):
+    given = {"obs": obs, "reward": reward, "engine": engine, "body": body, "render_mode": render_mode}
+    for option in OPTIONS:
+        if option.name in given and not (isinstance(given[option.name], str | None) and given[option.name] in option.values):
+            raise ParameterError(f"{option.name} {given[option.name]!r} is not one of {', '.join(map(str, option.values))}")
+    if not isinstance(hand, Hand | str | PathLike):
         raise ParameterError(f"hand {hand!r} is neither a Hand nor the path of a hand file")
-    return load_hand(hand)
-
-
-def noise_of(noise: CameraNoise) -> CameraNoise:
-    """The noise itself.
-
-    Raises:
-        ParameterError: It is none, or a standard deviation is negative or not finite.
-    """
     if not isinstance(noise, CameraNoise):
         raise ParameterError(f"noise {noise!r} is not a CameraNoise; CameraNoise(0.0, 0.0, 0.0) is no noise")
     if not all(0 <= deviation < math.inf for deviation in astuple(noise)):
         raise ParameterError(f"standard deviations of {noise} must be finite and at least 0")
-    return noise
+    known = hand if isinstance(hand, Hand) else load_hand(hand)
+    return Options(known, obs, reward, randomization(randomize), noise, engine or default_engine(), body, render_mode is not None)
 
 
-def reset_option(options: Mapping[str, Any] | None, name: str) -> Any:
-    """The only option that an environment's `reset` has, or None.
-
-    Raises:
-        ParameterError: Another option is given, or no mapping.
-    """
-    if not isinstance(options, Mapping | None) or set(options or {}) - {name}:
-        raise ParameterError(f"options {options!r} of reset must be None or {{{name!r}: ...}}")
-    return (options or {}).get(name)
-
-
-def setup_of(options: Mapping[str, Any] | None) -> SceneSetup | None:
+def setup_of(options: Mapping[str, Any] | None, task: Task, hand: Hand) -> SceneSetup | None:
     """The episode that the options of a `reset` give, or None.
 
     Raises:
-        ParameterError: Another option than "setup", or a setup that is none.
-        ShapeError: An array of the setup, or its yaw, has the wrong shape, NaN or infinity.
+        ParameterError: An option that the task does not have, or a setup that is none.
+        ShapeError: An array of the setup, its yaw, or a goal has the wrong shape, NaN or infinity.
+        WorkspaceError: A goal that leaves the bounds of the observation.
     """
-    setup = reset_option(options, "setup")
-    if setup is None:
+    name = "goal" if task.goal_terms else "setup"
+    if not isinstance(options, Mapping | None) or set(options or {}) - {name}:
+        raise ParameterError(f"options {options!r} of reset must be None or {{{name!r}: ...}}")
+    given = (options or {}).get(name)
+    if given is None:
         return None
-    if not (isinstance(setup, SceneSetup) and isinstance(setup.object, ObjectSpec)):
-        raise ParameterError(f"option 'setup' must be a SceneSetup with an ObjectSpec, not {setup!r}")
+    if task.goal_terms:
+        term, size = task.goal_terms[0], len(JOINTS)
+        low, high = np.full(size, term.low), np.full(size, term.high)
+        goal = as_bounded_array(as_finite_vector(given, size, "goal"), low, high, JOINTS, "goal", "rad")
+        return SceneSetup(None, hand=hand, goal=goal)
+    if not (isinstance(given, SceneSetup) and isinstance(given.object, ObjectSpec)):
+        raise ParameterError(f"option 'setup' must be a SceneSetup with an ObjectSpec, not {given!r}")
     for name, size in _SETUP_ARRAYS.items():
-        if getattr(setup, name) is not None:
-            as_finite_vector(getattr(setup, name), size, f"setup {name}")
-    as_finite_vector([setup.yaw], 1, "setup yaw")
-    return setup
+        if getattr(given, name) is not None:
+            as_finite_vector(getattr(given, name), size, f"setup {name}")
+    as_finite_vector([given.yaw], 1, "setup yaw")
+    return given

@@ -14,11 +14,12 @@ from zlib import crc32
 
 import numpy as np
 
-from hpac_gym.envs.observation import CameraNoise
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import DIGITS, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.sim import HandSettings, SceneSetup
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.settings import HandSettings
+from hpac_gym.tasks.task import setting
 
 Range = tuple[float, float]
 _SAME: Range = (1.0, 1.0)
@@ -37,30 +38,24 @@ class Randomization:
         ParameterError: A range that is no pair of numbers, not ordered, or leaves its bounds.
     """
 
-    tendon_stiffness: Range = _SAME
-    """Factor of EA and of the drive's stiffness, one for each digit; 0.5…1.3."""
-    slack: Range = _NONE
-    """Length that a driving tendon has too much, one for each digit; 0…3 mm [m]."""
-    joint_friction: Range = _NONE
-    """Coulomb friction of every joint; 0…0.02 N·m [N·m]."""
-    skin_friction: Range = _SAME
-    """Factor of the friction of the hand's skin; 0.3…2."""
-    object_friction: Range = _SAME
-    """Factor of the friction of the object's surface; 0.3…2."""
-    object_mass: Range = _SAME
-    """Factor of the object's mass; 0.2…5."""
-    object_position: Range = _NONE
-    """Offset of the object along y and along z of the hand frame, two draws; ±20 mm [m]."""
-    object_yaw: Range = _NONE
-    """Turn of the object about the vertical; ±π [rad]."""
-    sensor_noise: Range = _SAME
-    """Factor of `CameraNoise`; 0…10."""
-    servo_lag: Range = _NONE
-    """From a command to the servos' answer; 0…0.15 s [s]."""
-    dead_band: Range | None = None
-    """Error that a servo leaves alone, 0…0.1 rad, instead of `ServoSettings.dead_band` [rad]."""
-    dropped_frames: Range = _NONE
-    """Share of the commands that never arrive; 0…0.5."""
+    tendon_stiffness: Range = setting(
+        _SAME, "factor of EA and of the drive's stiffness, one for each digit", bounds=(0.5, 1.3), draws=len(DIGITS)
+    )
+    slack: Range = setting(
+        _NONE, "length that a driving tendon has too much, one for each digit [m]", bounds=(0.0, 3e-3), draws=len(DIGITS)
+    )
+    joint_friction: Range = setting(_NONE, "Coulomb friction of every joint [N·m]", bounds=(0.0, 0.02))
+    skin_friction: Range = setting(_SAME, "factor of the friction of the hand's skin", bounds=(0.3, 2.0))
+    object_friction: Range = setting(_SAME, "factor of the friction of the object's surface", bounds=(0.3, 2.0))
+    object_mass: Range = setting(_SAME, "factor of the object's mass", bounds=(0.2, 5.0))
+    object_position: Range = setting(
+        _NONE, "offset of the object along y and along z of the hand frame [m]", bounds=(-0.02, 0.02), draws=2
+    )
+    object_yaw: Range = setting(_NONE, "turn of the object about the vertical [rad]", bounds=(-np.pi, np.pi))
+    sensor_noise: Range = setting(_SAME, "factor of the camera's noise", bounds=(0.0, 10.0))
+    servo_lag: Range = setting(_NONE, "from a command to the servos' answer [s]", bounds=(0.0, 0.15))
+    dead_band: Range | None = setting(None, "error that a servo leaves alone; None is the servo's own [rad]", bounds=(0.0, 0.1))
+    dropped_frames: Range = setting(_NONE, "share of the commands that never arrive", bounds=(0.0, 0.5))
 
     def __post_init__(self) -> None:
         for name, (lowest, highest) in BOUNDS.items():
@@ -75,29 +70,13 @@ class Randomization:
     def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
         """The values of one episode, by name; what has its nominal value is left out."""
         nominal = Randomization()
-        wanted = [field.name for field in fields(self) if getattr(self, field.name) != getattr(nominal, field.name)]
-        return {name: stream(rng, name).uniform(*getattr(self, name), _DRAWS.get(name, 1)) for name in wanted}
+        wanted = [name for name in BOUNDS if getattr(self, name) != getattr(nominal, name)]
+        return {name: stream(rng, name).uniform(*getattr(self, name), _DRAWS[name]) for name in wanted}
 
 
-BOUNDS: Mapping[str, Range] = MappingProxyType(
-    {
-        "tendon_stiffness": (0.5, 1.3),
-        "slack": (0.0, 3e-3),
-        "joint_friction": (0.0, 0.02),
-        "skin_friction": (0.3, 2.0),
-        "object_friction": (0.3, 2.0),
-        "object_mass": (0.2, 5.0),
-        "object_position": (-0.02, 0.02),
-        "object_yaw": (-np.pi, np.pi),
-        "sensor_noise": (0.0, 10.0),
-        "servo_lag": (0.0, 0.15),
-        "dead_band": (0.0, 0.1),
-        "dropped_frames": (0.0, 0.5),
-    }
-)
+BOUNDS: Mapping[str, Range] = MappingProxyType({quantity.name: quantity.metadata["bounds"] for quantity in fields(Randomization)})
 """What a range may hold. The tendons' upper bound keeps the stiffest mode's ω dt where the integration is stable."""
-
-_DRAWS = {"tendon_stiffness": len(DIGITS), "slack": len(DIGITS), "object_position": 2}
+_DRAWS = {quantity.name: quantity.metadata.get("draws", 1) for quantity in fields(Randomization)}
 
 PRESETS: Mapping[str, Randomization] = MappingProxyType(
     {
@@ -193,6 +172,8 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
     if not values:
         return setup
     hand, settings = changed_mechanics(setup.hand, setup.hand_settings, values)
+    if setup.object is None:
+        return replace(setup, hand=hand, hand_settings=settings)
     spec = replace(
         setup.object,
         mass=setup.object.mass * _value(values, "object_mass", 1.0),
@@ -207,12 +188,6 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
         hand=hand,
         hand_settings=settings,
     )
-
-
-def changed_noise(noise: CameraNoise, values: Mapping[str, Array]) -> CameraNoise:
-    """Camera noise with the drawn factor."""
-    factor = _value(values, "sensor_noise", 1.0)
-    return CameraNoise(noise.position * factor, noise.angle * factor, noise.size * factor)
 
 
 def _value(values: Mapping[str, Array], name: str, nominal: float) -> float:

@@ -1,4 +1,4 @@
-"""The evaluation's part of the `hpac` command: grasps."""
+"""The evaluation's command of `hpac`: grasps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpac_gym.command_line import needing, whole_number
+from hpac import whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import writable_folder, write_text
@@ -28,9 +28,9 @@ success with its Wilson 95 % interval, hold force, drops by phase. Writes it wit
 sheet. A grasp is shown as the first episode left it that was a success, or the last one of all."""
 
 
-def add_commands(subparsers: argparse._SubParsersAction) -> None:
-    """Add the evaluation's command; it sets `func`, which takes the namespace and returns an exit status."""
-    parser = subparsers.add_parser("grasps", help="judge a policy at the sixteen named grasps", description=_ABOUT)
+def add_grasps(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac grasps`."""
+    parser.description = _ABOUT
     parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
     parser.add_argument("-n", "--episodes", type=whole_number(1), default=50, metavar="N",
                         help="of each policy at each grasp (default: %(default)s; 5 for a first look)")  # fmt: skip
@@ -44,15 +44,15 @@ def add_commands(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/grasps"), metavar="DIR",
                         help="where table and pictures go (default: %(default)s)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
-    parser.set_defaults(func=_grasps)
+    parser.set_defaults(run=_grasps)
 
 
 def _grasps(options: argparse.Namespace) -> int:
-    with needing("grasps"):  # and not above: the other commands, and the help of this one, need neither PyBullet nor Pillow
-        from hpac_gym.envs import GRASPS, NOMINAL
-        from hpac_gym.evaluation.grasps import TASK, benchmark, table
-        from hpac_gym.evaluation.pictures import portrait, write_pictures
-        from hpac_gym.policies.baselines import BASELINES
+    # Here and not above: the help of this command needs no engine and no Pillow.
+    from hpac_gym.envs import GRASPS, NOMINAL
+    from hpac_gym.evaluation.grasps import TASK, benchmark, table
+    from hpac_gym.evaluation.pictures import portrait, write_pictures
+    from hpac_gym.policies.baselines import BASELINES
 
     variant, names = options.variant or NOMINAL, list(dict.fromkeys(options.grasps or GRASPS))
     policies = list(dict.fromkeys([options.policy] if options.no_baseline else [options.policy, RANDOM]))

@@ -12,7 +12,6 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.envs import GRASPS, NOMINAL
-from hpac_gym.envs.grasp_data import named_grasp
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -20,6 +19,7 @@ from hpac_gym.evaluation.workers import shared
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
+from hpac_gym.tasks.grasp_data import named_grasp
 
 TASK = "HPAC-Grasp-v0"
 CHUNK = 5  # episodes that a worker does at a time

@@ -10,14 +10,14 @@ import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hpac_gym.envs.grasp_data import NOMINAL
 from hpac_gym.evaluation.grasps import TASK, run_trial
 from hpac_gym.model import POSTURES
 from hpac_gym.output import replacing
+from hpac_gym.physics.engine import Viewpoint
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.sim import Camera
+from hpac_gym.tasks.grasp_data import NOMINAL
 
-VIEW = Camera(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=-14.0)
+VIEW = Viewpoint(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=-14.0)
 VIEW_CENTRE = np.array([0.045, 0.0, 0.09])
 """In the hand frame [m]."""
 SHEET_COLUMNS = 4
@@ -46,9 +46,7 @@ def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Port
     """
     with gymnasium.make(TASK, grasp=grasp, variant=variant, render_mode="rgb_array") as env:  # else it has no colours
         trial = run_trial(env, load_policy(policy, env), seed)
-        scene = env.unwrapped.scene
-        middle = scene.palm_position + scene.hand_rotation @ VIEW_CENTRE
-        return Portrait(VIEW.picture(scene.world, middle), trial.success)
+        return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), trial.success)
 
 
 def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:

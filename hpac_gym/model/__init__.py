@@ -10,6 +10,7 @@ from hpac_gym.model.command import (
     servo_from_action,
     servo_from_joints,
     stream_command,
+    streamed_servo,
     synergy_from_action,
     synergy_from_joints,
 )
@@ -65,6 +66,7 @@ __all__ = [
     "servo_from_synergy",
     "spring_tension",
     "stream_command",
+    "streamed_servo",
     "synergy_from_action",
     "synergy_from_joints",
     "synergy_from_servo",

@@ -120,7 +120,8 @@ def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
-    synergy = joint_pos @ hand.synergy_projection.T
+    # One product a row: BLAS rounds a row of a larger product in another way, and n hands shall move as one does.
+    synergy = (joint_pos[..., None, :] @ hand.synergy_projection.T)[..., 0, :]
     np.maximum(synergy, hand.synergy_min, out=synergy)
     np.minimum(synergy, hand.synergy_max, out=synergy)
     return unchecked_servo_from_synergy(synergy, hand)
@@ -172,24 +173,38 @@ def _duration_of(travel: Array, hand: Hand) -> float:
     return float((np.abs(travel) / hand.servo_rate_limit).max())
 
 
-def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Hand = HPAC) -> ServoCommand:
-    """The part of a synchronised move that fits one control period.
+def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC) -> Array:
+    """How far the servos get within one control period on their straight way to a target.
 
-    A policy changes its mind every period, so each command goes only as far along the straight line to the
-    target as the rate limit lets it, and ends exactly when the next one starts.
+    A policy changes its mind every period, so each command goes only as far along the straight line to the target as the
+    rate limit lets it, and ends exactly when the next one starts.
 
     Args:
-        servo: where the servos were last commanded, shape (6,) [rad].
-        target: where they shall go, shape (6,) [rad].
-        period: control period [s].
+        servo: where the servos were last commanded, finite, shape (..., 6) [rad].
+        target: where they shall go, finite, shape (..., 6) [rad].
+        period: control period, positive [s].
+
+    Returns:
+        shape (..., 6) [rad].
+    """
+    travel = target - servo
+    duration = (np.abs(travel) / hand.servo_rate_limit).max(axis=-1, keepdims=True)
+    return servo + np.where(duration <= period, 1.0, period / np.maximum(duration, period)) * travel
+
+
+def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Hand = HPAC) -> ServoCommand:
+    """The part of a synchronised move that fits one control period: `streamed_servo` as a command.
 
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
         WorkspaceError: `period` is not finite and positive.
     """
     _require_duration(period)
-    servo = as_finite_vector(servo, len(SERVOS), "servo")
-    travel = as_finite_vector(target, len(SERVOS), "target") - servo
-    duration = _duration_of(travel, hand)
-    share = 1.0 if duration <= period else period / duration
-    return ServoCommand(servo + share * travel, period)
+    servo, target = as_finite_vector(servo, len(SERVOS), "servo"), as_finite_vector(target, len(SERVOS), "target")
+    return ServoCommand(streamed_servo(servo, target, period, hand), period)
+
+
+def minimum_jerk(share: ArrayLike) -> Array:
+    """Share of the way that a move of least jerk has gone after a share of its time: 10s³ − 15s⁴ + 6s⁵, any shape."""
+    share = np.asarray(share, dtype=float)
+    return share**3 * (10 - 15 * share + 6 * share**2)

@@ -13,7 +13,7 @@ from typing import Any
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.joints import DIGITS
-from hpac_gym.model.parameters import Digit, Hand
+from hpac_gym.model.parameters import Calibration, Digit, Friction, Hand
 
 SCHEMA = 1
 """Version of the hand file that this code reads."""
@@ -21,7 +21,8 @@ SCHEMA = 1
 _SCALARS = ("d1", "d2", "servo_radius", "spring_stiffness", "tendon_stiffness", "drive_stiffness", "tension_limit")
 _LISTS = ("joint_radius", "path_length")
 _CMC = ("cmc_gain", "cmc_stiffness", "cmc_torque_limit")
-_TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace")
+_FRICTION = ("joint", "tendon")
+_TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace", "calibration")
 
 
 def load_hand(path: str | PathLike[str]) -> Hand:
@@ -68,6 +69,9 @@ def hand_to_toml(hand: Hand) -> str:
         lines += [f"{key} = {list(getattr(digit, key))!r}" for key in _LISTS]
     lines += ["", "[workspace]"]
     lines += [f"{joint} = {list(bounds)!r}" for joint, bounds in hand.workspace.items()]
+    if hand.calibration != Calibration():
+        lines += ["", "[calibration]", f"servo_zero = {list(hand.calibration.servo_zero)!r}"]
+        lines += [f"{part}_friction = {[getattr(item, part) for item in hand.calibration.friction]!r}" for part in _FRICTION]
     return "\n".join(lines) + "\n"
 
 
@@ -87,7 +91,18 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
         rate_limit=_number(servo, "rate_limit"),
         **{name: _number(cmc, name) for name in _CMC},
         sources=_table(table, "sources"),
+        calibration=_calibration(_table(table, "calibration")) if "calibration" in table else Calibration(),
     )
+
+
+def _calibration(table: dict[str, Any]) -> Calibration:
+    columns = {part: f"{part}_friction" for part in _FRICTION}
+    _refuse_unknown(table, ("servo_zero", *columns.values()), "[calibration]")
+    numbers = {part: _numbers(table, key) for part, key in columns.items()}
+    for part, key in columns.items():
+        if len(numbers[part]) != len(DIGITS):
+            raise ParameterError(f"calibration: {key} must have {len(DIGITS)} entries, not {len(numbers[part])}")
+    return Calibration(_numbers(table, "servo_zero"), tuple(map(Friction, numbers["joint"], numbers["tendon"])))
 
 
 def _digit(name: str, table: dict[str, Any]) -> Digit:

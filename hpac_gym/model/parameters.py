@@ -16,7 +16,7 @@ import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.model.guides import unchecked_servo_from_synergy
+from hpac_gym.model.guides import chord_from_included, unchecked_servo_from_synergy
 from hpac_gym.model.joints import DIGITS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
 
 
@@ -87,7 +87,7 @@ class Digit:
     @property
     def rest_chord(self) -> float:
         """L₀, the distance between the two guides at full extension [m]. Eq. (3)."""
-        return float(np.sqrt(self.d1**2 + self.d2**2 - 2 * self.d1 * self.d2 * np.cos(self.alpha)))
+        return float(chord_from_included(self.d1**2 + self.d2**2, 2 * self.d1 * self.d2, self.alpha))
 
     @property
     def rigid_ratio(self) -> Array:
@@ -97,6 +97,19 @@ class Digit:
         """
         radius = np.array(self.joint_radius)
         return radius[0] / radius
+
+    @property
+    def segment_stiffness(self) -> Array:
+        """Stiffness of each coupling segment, root first: EA/L, and 2EA/L in a finger's first [N/m].
+
+        The factor two is an assumption of this project, which the paper does not print. The restoring cable pulls on every
+        joint, so the balance of torques makes the first segment carry twice the spring's tension T: 2T stretches it by
+        2TL/EA, where Eq. (11) says TL/EA. Only with 2EA/L there is Eq. (12) a static equilibrium. The thumb has one segment,
+        which carries T alone.
+        """
+        first = 2.0 if len(self.path_length) > 1 else 1.0
+        factor = np.where(np.arange(len(self.path_length)) == 0, first, 1.0)
+        return factor * self.tendon_stiffness / np.array(self.path_length)
 
     @property
     def compliance(self) -> Array:
@@ -113,6 +126,50 @@ class Digit:
     def elastic_ratio(self) -> Array:
         """M⁻¹A: joint angles per radian of the root joint, with the tendon's elasticity. Eqs. (12), (13)."""
         return np.linalg.solve(self.coupling_matrix, self.rigid_ratio)
+
+
+@dataclass(frozen=True, slots=True)
+class Friction:
+    """Dry friction of a digit's joints, against the motion.
+
+    A joint's friction torque is `joint` + `tendon` times the torque of the tendons that load it.
+
+    Raises:
+        ParameterError: A negative value, or guides that hold back all of the load.
+    """
+
+    joint: float = 0.0
+    """Of every joint's bearing [N·m]."""
+    tendon: float = 0.0
+    """Share of the tendons' load that each joint's guides hold back."""
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.joint < np.inf and 0 <= self.tendon < 1):
+            raise ParameterError(f"friction: joint = {self.joint} N m must be finite and not negative, "
+                                 f"tendon = {self.tendon} a share in [0, 1)")
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a sweep of one hand told beyond the numbers of the paper's model; all zero for a hand that was never swept.
+
+    The paper's maps, Eqs. (1)–(15), do not use it. `hpac_gym.model.settled` does.
+
+    Raises:
+        ParameterError: Wrong number of entries, or an angle that is not finite.
+    """
+
+    servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
+    """Where each servo's horn stands when it is commanded to 0 [rad]."""
+    friction: tuple[Friction, ...] = (Friction(),) * len(DIGITS)
+    """Of each digit."""
+
+    def __post_init__(self) -> None:
+        for name, length in (("servo_zero", len(SERVOS)), ("friction", len(DIGITS))):
+            if len(getattr(self, name)) != length:
+                raise ParameterError(f"calibration: {name} must have {length} entries, not {len(getattr(self, name))}")
+        if not np.isfinite(self.servo_zero).all():
+            raise ParameterError(f"calibration: servo_zero = {list(self.servo_zero)} rad must be finite")
 
 
 @dataclass(frozen=True)
@@ -140,6 +197,8 @@ class Hand:
     """Stall torque of servo 6 [N·m]."""
     sources: Mapping[str, str] = field(default_factory=dict, compare=False)
     """Where each number comes from, by field name."""
+    calibration: Calibration = Calibration()
+    """What a sweep told beyond the paper's model."""
 
     def __post_init__(self) -> None:
         for name, wanted in (("digits", DIGITS), ("workspace", JOINTS)):

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model.checks import Array, as_finite_array
 from hpac_gym.model.files import HPAC
-from hpac_gym.model.guides import unchecked_servo_from_synergy
+from hpac_gym.model.guides import included_from_chord, unchecked_servo_from_synergy
 from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand
 
@@ -44,7 +44,7 @@ def synergy_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
             f"the admissible range is [{hand.servo_min[column]:.6g}, {hand.servo_max[column]:.6g}] rad"
         )
     synergy = np.empty_like(servo)
-    synergy[..., :_CMC] = hand.guide_alpha - np.arccos(cosine)
+    synergy[..., :_CMC] = hand.guide_alpha - included_from_chord(hand.guide_sum, hand.guide_product, chord)
     synergy[..., _CMC] = hand.cmc_gain * servo[..., _CMC]
     return synergy
 

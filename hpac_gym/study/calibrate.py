@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, Hand, elastic_joints_from_servo, hand_to_toml, load_hand
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_joints_from_servo, hand_to_toml, load_hand
+from hpac_gym.model.checks import Array
+from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 from hpac_gym.output import write_text
 from hpac_gym.study import figures
-from hpac_gym.study.combinations import TYPICAL_FRICTION, values
-from hpac_gym.study.identification import SPREAD, Identification, identify, predicted_joints
-from hpac_gym.study.processing import without_drift
-from hpac_gym.study.record import PHASES, Sweep, joints_of_servo, read_sweep
+from hpac_gym.study.combinations import SweptDigit, values
+from hpac_gym.study.identification import HELD_OUT_EVERY, SPREAD, Identification, held_out_rows, identify
+from hpac_gym.study.judging import judged
+from hpac_gym.study.record import read_sweep
+from hpac_gym.study.samples import DigitSamples
 
 OUT = Path("runs/calibrate/hand.toml")
-_IDENTIFIED = ("d2", "alpha_deg", "servo_radius", "joint_radius", "path_length", "drive_stiffness", "cmc_gain")
+_IDENTIFIED = ("d2", "alpha_deg", "servo_radius", "joint_radius", "path_length", "drive_stiffness", "cmc_gain", "calibration")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -27,28 +30,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("record", type=Path, metavar="sweep.csv", help="the record; a joint without measurement may be left out")
     parser.add_argument("--out", type=Path, default=OUT, metavar="TOML", help="the hand file to write (%(default)s)")
     parser.add_argument("--base", type=Path, metavar="TOML", help="the hand's design (default: the nominal hand)")
-    parser.add_argument("--spread", type=float, default=SPREAD, metavar="S", help="relative spread about the design")
+    parser.add_argument("--spread", type=float, default=SPREAD, metavar="S", help="relative spread of the design (%(default)s)")
     parser.add_argument(
         "--radii-known", action="store_true", help="joint radii have the design's ratios to 0.1 %%, so that k_s L/EA can be told"
     )
     parser.add_argument("--report", type=Path, metavar="DIR", help="where report and figures go (default: beside the hand file)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
+    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Fit, write the hand file, the report and its figures."""
+    """Judge the record, fit, write the hand file, and report how well that file predicts the points that were held out."""
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record, allow_missing=True)
-    found = identify(record, base, arguments.spread, arguments.radii_known, shown=not arguments.json)
-    hand = named(found, base, arguments.record.name)
+    remarks = judged(record, base)
+    found = identify(record, base, arguments.spread, arguments.radii_known, hold_out=True, shown=not arguments.json)
+    write_text(arguments.out, hand_to_toml(named(found, base, arguments.record.name)))
+    written = load_hand(arguments.out)
+    errors = file_errors(found, written)
     folder = arguments.report or arguments.out.with_name(f"{arguments.out.stem}-report")
-    text = report(found, base, record)
+    result, text = summary(found, base, errors, remarks), report(found, base, errors, remarks)
     write_text(folder / "report.md", text)
-    write_text(folder / "report.json", json.dumps(summary(found, base, record), indent=2) + "\n")
-    figures.save(fit_figure(found, base, record), folder / "fit.png")
-    figures.save(estimate_figure(found, base), folder / "estimates.png")
-    write_text(arguments.out, hand_to_toml(hand))
-    print(json.dumps(summary(found, base, record)) if arguments.json else f"{text}\nwritten: {arguments.out}, {folder}")
+    write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
+    caption = f"{written.name}, {arguments.record.name}"
+    figures.save(fit_figure(found, base, written), folder / "fit.png", f"{caption}; points, every {HELD_OUT_EVERY}th held out")
+    figures.save(estimate_figure(found, base), folder / "estimates.png", f"{caption}; bars are 95 % intervals")
+    print(json.dumps(result) if arguments.json else f"{text}\nwritten: {arguments.out}, {folder}")
     return 0
 
 
@@ -57,92 +64,170 @@ def named(found: Identification, base: Hand, record: str) -> Hand:
     sources = {**base.sources, **dict.fromkeys(_IDENTIFIED, f"identified from {record}, about {base.name}")}
     for field in ("d1", "spring_stiffness", "tendon_stiffness"):
         sources[field] = f"of {base.name}: angles do not depend on it once the others are fitted"
+    if any(fit.samples.stops for fit in found.fits.values()):
+        sources["workspace"] = f"of {base.name}, up to the stops in {record}"
     return replace(found.hand, name=f"{base.name}, calibrated", sources=sources)
 
 
-def residual(found: Identification, record: Sweep) -> dict[str, np.ndarray]:
-    """Samples less the identified hand's prediction, by joint, in flexion at the sampling points [rad]."""
-    return {name: measured - predicted_joints(servo, found)[:, JOINT_INDEX[name]] for name, servo, measured in _samples(record)}
+# How good the written file is ---------------------------------------------------------
 
 
-def rms_deg(found: Identification, record: Sweep) -> dict[str, float]:
-    """Root mean square of `residual` by joint [°]."""
-    return {name: float(np.degrees(np.sqrt(np.mean(rest**2)))) for name, rest in residual(found, record).items()}
+@dataclass(frozen=True, slots=True)
+class FileError:
+    """How far the written file misses a joint at the points that were held out of its fit."""
+
+    mean_abs_deg: float
+    max_deg: float
+    papers_map_deg: float
+    """Mean absolute error of Eqs. (5), (12) with the file's numbers, without drive stretch, zero and friction."""
+    noise_deg: float
+    """Of one camera sample."""
+    points: int
 
 
-def _samples(record: Sweep):
-    corrected = without_drift(record)
-    held = (record.phase == PHASES.index("flexion")) & (record.point >= 0)
-    for servo in np.unique(record.swept[held]):
-        for joint in joints_of_servo(int(servo)):
-            rows = held & (record.swept == servo) & ~np.isnan(record.joint_pos[:, joint])
-            if rows.any():
-                yield JOINTS[joint], record.servo[rows], corrected.joint_pos[rows, joint]
+def residuals(found: Identification, hand: Hand) -> dict[str, tuple[DigitSamples, Array]]:
+    """Points less a hand's prediction, by joint: the digit's samples and the residuals (k,) [rad]."""
+    table = {}
+    for column, (name, digit) in enumerate(found.hand.digits.items()):
+        if name in found.fits:
+            samples = found.fits[name].samples
+            rest = samples.joint_pos - prediction(hand, column, samples)[:, [JOINT_INDEX[joint] for joint in digit.joints]]
+            for i, joint in enumerate(digit.joints):
+                if joint not in samples.missing:
+                    table[joint] = (samples, rest[:, i])
+    return {name: table[name] for name in JOINTS if name in table}
 
 
-def summary(found: Identification, base: Hand, record: Sweep) -> dict[str, object]:
+def prediction(hand: Hand, column: int, samples: DigitSamples) -> Array:
+    """Where a hand's joints rest at the points of one servo's sweep, shape (k, 15) [rad]."""
+    servo = np.zeros((len(samples.servo), len(SERVOS)))
+    servo[:, column] = samples.servo
+    angles = np.empty((len(samples.servo), len(JOINTS)))
+    for direction in (FLEXION, EXTENSION):
+        rows = samples.direction == direction
+        angles[rows] = settled_joints_from_servo(servo[rows], hand, direction)
+    return angles
+
+
+def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
+    """Errors at the held-out points, by joint."""
+    bare = replace(written, calibration=HPAC.calibration)
+    table = {}
+    for name, (samples, rest) in residuals(found, written).items():
+        column = written.servo_of_joint[JOINT_INDEX[name]]
+        joints = written.digits[list(written.digits)[column]].joints
+        rows = held_out_rows(samples) & ~np.isnan(rest)
+        if not rows.any():
+            continue
+        servo = np.zeros((len(rest), len(SERVOS)))
+        servo[:, column] = np.clip(samples.servo, written.servo_min[column], written.servo_max[column])
+        papers = samples.joint_pos[:, joints.index(name)] - elastic_joints_from_servo(servo, bare)[:, JOINT_INDEX[name]]
+        table[name] = FileError(
+            float(np.degrees(np.abs(rest[rows]).mean())),
+            float(np.degrees(np.abs(rest[rows]).max())),
+            float(np.degrees(np.abs(papers[rows]).mean())),
+            float(np.degrees(samples.noise[joints.index(name)])),
+            int(rows.sum()),
+        )
+    return table
+
+
+# The report -----------------------------------------------------------------------------
+
+
+def summary(found: Identification, base: Hand, errors: dict[str, FileError], remarks: list[str]) -> dict[str, object]:
     """Everything that the report says, for a program."""
     return {
         "base": base.name,
         "digits": {
             name: {
                 "estimates": {item.name: asdict(item) for item in fit.estimates},
-                "joint_friction_nm": fit.friction.joint,
-                "noise_deg": float(np.degrees(fit.noise)),
-                "samples": fit.samples,
-                "outliers": fit.outliers,
+                "friction": asdict(fit.swept.friction),
+                "servo_zero_deg": float(np.degrees(fit.swept.servo_zero)),
+                "misfit": fit.misfit,
+                "samples": fit.samples.samples,
+                "outliers": fit.samples.outliers,
+                "stops_rad": fit.samples.stops,
+                "points_at_stops": fit.samples.at_stops,
                 "not_told_apart": [list(group) for group in fit.confounded],
-                "missing": list(fit.missing),
+                "missing": list(fit.samples.missing),
             }
             for name, fit in found.fits.items()
         },
-        "cmc_gain": asdict(found.cmc_gain) if found.cmc_gain else None,
+        "cmc": {item.name: asdict(item) for item in found.cmc or ()},
         "kept": found.kept,
-        "rms_residual_deg": rms_deg(found, record),
+        "file_error": {name: asdict(error) for name, error in errors.items()},
+        "remarks": remarks,
     }
 
 
-def report(found: Identification, base: Hand, record: Sweep) -> str:
+def report(found: Identification, base: Hand, errors: dict[str, FileError], remarks: list[str]) -> str:
     """The report as Markdown."""
+    worst = max(errors.values(), key=lambda error: error.mean_abs_deg, default=None)
     lines = [f"# Calibration about {base.name}", ""]
-    rms = rms_deg(found, record)
-    for name, fit in found.fits.items():
-        design = values(base.digits[name], TYPICAL_FRICTION)
-        lines += [f"## {name}", "", "| combination | formula | design | found | 95 % interval | told by the data |"]
-        lines.append("|---|---|--:|--:|---|--:|")
-        for item, nominal in zip(fit.estimates, design, strict=True):
-            cells = (item.name, item.formula, f"{nominal:.4g}", f"{item.value:.4g}", f"{item.low:.4g} … {item.high:.4g}")
-            lines.append(f"| {' | '.join(cells)} | {item.told:.0%} |")
-        errors = ", ".join(f"{joint} {rms[joint]:.2f}°" for joint in base.digits[name].joints if joint in rms)
-        noise = f"noise of a sample {np.degrees(fit.noise):.2f}°; {fit.samples} samples, {fit.outliers} outliers"
-        lines += ["", f"RMS residual: {errors}; {noise}."]
-        lines += [f"Not measured: {', '.join(fit.missing)}."] if fit.missing else []
-        for first, *others in fit.confounded:
-            apart = f"; it cannot be told apart from {', '.join(others)}" if others else ""
-            lines.append(f"The record hardly tells {first}{apart}.")
+    if worst:
+        mean = np.mean([error.mean_abs_deg for error in errors.values()])
+        lines += [
+            f"The written file misses the points that were held out of its fit by {mean:.3f}° on average and "
+            f"{worst.mean_abs_deg:.3f}° at the worst joint.",
+            "",
+            "| joint | file, mean error [°] | largest | paper's map with the file's numbers | camera noise | points held out |",
+            "|---|--:|--:|--:|--:|--:|",
+        ]
+        for name, error in errors.items():
+            cells = (error.mean_abs_deg, error.max_deg, error.papers_map_deg, error.noise_deg)
+            lines.append(f"| {figures.label(name)} | {' | '.join(f'{cell:.3f}' for cell in cells)} | {error.points} |")
         lines.append("")
-    if found.cmc_gain:
-        gain = found.cmc_gain
-        lines += ["## thumb CMC", "", f"g_CMC = {gain.value:.4f}, 95 % interval {gain.low:.4f} … {gain.high:.4f}", ""]
+    for name, fit in found.fits.items():
+        lines += _digit_report(name, fit, base)
+    if found.cmc:
+        gain, zero = found.cmc
+        lines += ["## thumb CMC", "", f"g_CMC = {gain.value:.4f}, 95 % interval {gain.low:.4f} … {gain.high:.4f}."]
+        low, middle, high = np.degrees([zero.low, zero.value, zero.high])
+        lines += [f"Zero {middle:.2f}°, 95 % interval {low:.2f}° … {high:.2f}°.", ""]
     lines += [f"{name} keeps the design's numbers: {why}." for name, why in found.kept.items()]
-    return "\n".join(lines)
+    lines += [f"Remark: {remark}." for remark in remarks]
+    return "\n".join(lines) + "\n"
 
 
-def fit_figure(found: Identification, base: Hand, record: Sweep) -> Figure:
-    """Residuals of the samples against the design and against the identified hand, joint by joint."""
+def _digit_report(name: str, fit, base: Hand) -> list[str]:
+    design = values(SweptDigit(base.digits[name]))
+    lines = [f"## {name}", "", "| combination | formula | design | found | 95 % interval | told by the data |"]
+    lines.append("|---|---|--:|--:|---|--:|")
+    for item, nominal in zip(fit.estimates, design, strict=True):
+        cells = (item.name, item.formula, f"{nominal:.4g}", f"{item.value:.4g}", f"{item.low:.4g} … {item.high:.4g}")
+        lines.append(f"| {' | '.join(cells)} | {item.told:.0%} |")
+    samples = fit.samples
+    lines += ["", f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times as "
+              f"much about the fit as their samples explain."]  # fmt: skip
+    lines += [f"{joint} rests at a stop at {angle:.3f} rad; {samples.at_stops} points from there on are left out, and the file's "
+              f"workspace ends there." for joint, angle in samples.stops.items()]  # fmt: skip
+    lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
+    for first, *others in fit.confounded:
+        apart = f"; it cannot be told apart from {', '.join(others)}" if others else ""
+        lines.append(f"The record hardly tells {first}{apart}.")
+    return [*lines, ""]
+
+
+def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
+    """Residuals of the points against the design and against the written file, joint by joint; held-out points are rings."""
     figure = Figure(figsize=(13, 9), layout="constrained")
-    axes = figure.subplots(3, 5, sharey="row").flat
-    fitted = residual(found, record)
-    for axis, (name, servo, measured) in zip(axes, _samples(record), strict=False):
-        angle = np.degrees(servo[:, base.servo_of_joint[JOINT_INDEX[name]]])
-        design = measured - elastic_joints_from_servo(servo, base)[:, JOINT_INDEX[name]]
-        axis.plot(angle, np.degrees(design), ".", color=figures.RED, markersize=2, label="design")
-        axis.plot(angle, np.degrees(fitted[name]), ".", color=figures.GREEN, markersize=2, label="identified")
+    axes = list(figure.subplots(3, 5).flat)
+    designed = residuals(found, base)
+    table = residuals(found, written)
+    for axis, (name, (samples, rest)) in zip(axes, table.items(), strict=False):
+        angle, out = np.degrees(samples.servo), held_out_rows(samples)
+        axis.plot(angle, np.degrees(designed[name][1]), ".", color=figures.RED, markersize=4, label="design")
+        axis.plot(angle[~out], np.degrees(rest[~out]), ".", color=figures.GREEN, markersize=4, label="file, fitted points")
+        axis.plot(angle[out], np.degrees(rest[out]), "o", color=figures.GREEN, markersize=4, fillstyle="none",
+                  label="file, held-out points")  # fmt: skip
         axis.axhline(0.0, color=figures.GREY, linewidth=0.8)
         axis.set_title(figures.label(name), fontsize=9)
-    figure.supxlabel("servo angle [°]")
-    figure.supylabel("sample − prediction [°]")
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, markerscale=5)
+    for axis in axes[len(table) :]:
+        axis.set_axis_off()
+    figure.supxlabel("servo angle u [°]")
+    figure.supylabel("measured − predicted [°]")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
     return figure
 
 
@@ -151,16 +236,20 @@ def estimate_figure(found: Identification, base: Hand) -> Figure:
     figure = Figure(figsize=(3 * len(found.fits), 4), layout="constrained")
     axes = np.ravel(figure.subplots(1, len(found.fits), sharex=True, squeeze=False))
     for axis, (name, fit) in zip(axes, found.fits.items(), strict=True):
-        design = values(base.digits[name], TYPICAL_FRICTION)
-        for row, (item, nominal) in enumerate(zip(fit.estimates, design, strict=True)):
-            interval = np.array([item.low, item.high]) / nominal
+        design = values(SweptDigit(base.digits[name]))
+        shown = [(item, nominal) for item, nominal in zip(fit.estimates, design, strict=True) if item.name != "servo_zero"]
+        for row, (item, nominal) in enumerate(shown):
             alpha = 0.25 + 0.75 * item.told
-            axis.plot(interval, [row, row], color=figures.BLUE, linewidth=3, alpha=alpha)
+            axis.plot(np.array([item.low, item.high]) / nominal, [row, row], color=figures.BLUE, linewidth=3, alpha=alpha)
             axis.plot(item.value / nominal, row, "o", color=figures.BLUE, alpha=alpha)
-        axis.set_yticks(range(len(fit.estimates)), [item.name for item in fit.estimates], fontsize=8)
+        axis.set_yticks(range(len(shown)), [item.name for item, _ in shown], fontsize=8)
         axis.axvline(1.0, color=figures.GREY, linewidth=0.8)
         axis.set_xscale("log")
+        axis.set_xlim(0.2, 5.0)
+        axis.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
+        axis.minorticks_off()
         axis.invert_yaxis()
-        axis.set_title(name)
+        zero = np.degrees(fit.swept.servo_zero)
+        axis.set_title(f"{name}, servo zero {zero:+.2f}°", fontsize=9)
     figure.supxlabel("identified / design")
     return figure

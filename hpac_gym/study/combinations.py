@@ -1,4 +1,4 @@
-"""What a free-space sweep can say about a digit: dimensionless combinations of its parameters.
+"""What a free-space sweep can say about a digit: dimensionless combinations of its parameters, friction and the servo's zero.
 
 Angles carry no scale of length or force: multiply every length of a digit, or every stiffness and friction, by one factor and
 no angle changes. The combinations below are what is left. A hand is made from them by keeping the base hand's d₁, root radius,
@@ -14,10 +14,20 @@ import numpy as np
 
 from hpac_gym.model import Digit
 from hpac_gym.model.checks import Array
-from hpac_gym.study.statics import Friction
+from hpac_gym.model.parameters import Friction
 
-TYPICAL_FRICTION = 1e-3
-"""Joint friction that the search starts from [N·m]: a small ball bearing and its seal."""
+TYPICAL_FRICTION = Friction(joint=1e-3, tendon=0.03)
+"""Friction that the search starts from: small ball bearings with seals, a braided tendon in polymer guides."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweptDigit:
+    """A digit with what its servo and its joints add."""
+
+    digit: Digit
+    friction: Friction = TYPICAL_FRICTION
+    servo_zero: float = 0.0
+    """[rad]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,47 +36,51 @@ class Combination:
 
     name: str
     formula: str
-    spread: float
-    """Standard deviation of its logarithm for hands whose parameters each spread by one unit."""
+    spread: float | None
+    """Standard deviation of its logarithm for hands whose parameters each spread by one unit; None: known by its order alone."""
+    linear: bool = False
+    """The search runs in the number itself, on which the angles depend linearly, and not in its logarithm."""
 
 
 def combinations(digit: Digit) -> tuple[Combination, ...]:
     """The combinations of a digit, in the order of the vectors below."""
     parts = [joint.rpartition("_")[2] for joint in digit.joints]
     root = parts[0].upper()
-    found = [
+    return (
         Combination("hub", "r/d1", np.sqrt(2)),
         Combination("reach", "d2/d1", np.sqrt(2)),
         Combination("alpha", "alpha", 1.0),
-    ]
-    found += [Combination(f"{part}_ratio", f"R_{root}/R_{part.upper()}", np.sqrt(2)) for part in parts[1:]]
-    found += [
-        Combination(f"{part}_strain", f"k_s L_{before.upper()},{part.upper()}/EA", np.sqrt(3))
-        for before, part in pairwise(parts)
-    ]
-    found.append(Combination("drive_stretch", f"k_s R_{root}^2/(k_d d1^2)", np.sqrt(10)))
-    found.append(Combination("friction", f"f/(k_s R_{root}^2)", np.sqrt(6)))
-    return tuple(found)
+        *(Combination(f"{part}_ratio", f"R_{root}/R_{part.upper()}", np.sqrt(2)) for part in parts[1:]),
+        *(
+            Combination(f"{part}_strain", f"k_s L_{before.upper()},{part.upper()}/EA", np.sqrt(3))
+            for before, part in pairwise(parts)
+        ),
+        Combination("drive_stretch", f"k_s R_{root}^2/(k_d d1^2)", None, linear=True),
+        Combination("friction", f"f/(k_s R_{root}^2)", None),
+        Combination("tendon_friction", "share of the load", None),
+        Combination("servo_zero", "rad", None, linear=True),
+    )
 
 
-def values(digit: Digit, joint_friction: float) -> Array:
-    """The combinations' values for a digit; alpha and friction in rad, the others pure numbers."""
+def values(swept: SweptDigit) -> Array:
+    """The combinations' values for a digit; alpha, friction and zero in rad, the others pure numbers."""
+    digit, friction = swept.digit, swept.friction
     radius, path = np.array(digit.joint_radius), np.array(digit.path_length)
     unit = digit.spring_stiffness * radius[0] ** 2
     return np.concatenate([
         [digit.servo_radius / digit.d1, digit.d2 / digit.d1, digit.alpha],
         radius[0] / radius[1:],
         digit.spring_stiffness * path / digit.tendon_stiffness,
-        [unit / (digit.drive_stiffness * digit.d1**2), joint_friction / unit],
+        [unit / (digit.drive_stiffness * digit.d1**2), friction.joint / unit, friction.tendon, swept.servo_zero],
     ])  # fmt: skip
 
 
-def digit_with(base: Digit, wanted: Array) -> tuple[Digit, Friction]:
-    """A digit and a friction that have given values; d₁, root radius, k_s and EA are the base digit's."""
+def digit_with(base: Digit, wanted: Array) -> SweptDigit:
+    """A digit, friction and zero that have given values; d₁, root radius, k_s and EA are the base digit's."""
     count = len(base.path_length)
     hub, reach, alpha = wanted[:3]
     ratio, strain = wanted[3 : 3 + count], wanted[3 + count : 3 + 2 * count]
-    drive, friction = wanted[-2:]
+    drive, joint_friction, tendon_friction, zero = wanted[-4:]
     root = base.joint_radius[0]
     unit = base.spring_stiffness * root**2
     digit = replace(
@@ -78,4 +92,4 @@ def digit_with(base: Digit, wanted: Array) -> tuple[Digit, Friction]:
         path_length=tuple((strain * base.tendon_stiffness / base.spring_stiffness).tolist()),
         drive_stiffness=float(unit / (drive * base.d1**2)),
     )
-    return digit, Friction(float(friction * unit))
+    return SweptDigit(digit, Friction(float(joint_friction * unit), float(tendon_friction)), float(zero))

@@ -1,9 +1,9 @@
 """A hand's parameters from a sweep of it: bounded robust least squares, with what the data can and cannot tell.
 
-The unfiltered samples of a flexion are compared with the hand at rest in closed form (`statics`), drive stretch and friction
-included. Every digit is fitted on its own, in the logarithms of its `combinations`, about a base hand whose parameters are known
-to some spread; that prior decides where the data says nothing, and the report tells where it did. The line that the rest poses
-give for a joint's drift enters with the uncertainty that those poses leave.
+The points of a sweep are compared with the hand at rest in closed form (`hpac_gym.model.settled`): drive stretch, friction of
+either direction and the servo's zero included. Every digit is fitted on its own, in its `combinations`, about
+a base hand whose parameters are known to some spread; that prior decides where the data says nothing, and the report tells where
+it did. The line that the rest poses give for a joint's drift enters with the uncertainty that those poses leave.
 """
 
 from __future__ import annotations
@@ -14,33 +14,41 @@ import numpy as np
 from scipy import optimize
 
 from hpac_gym.errors import HpacError, ParameterError
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
+from hpac_gym.model import HPAC, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.model.settled import EXTENSION, FLEXION, settled_digit
 from hpac_gym.progress import progress
-from hpac_gym.study.combinations import TYPICAL_FRICTION, combinations, digit_with, values
-from hpac_gym.study.processing import without_drift
-from hpac_gym.study.record import PHASES, Sweep
-from hpac_gym.study.statics import Friction, settled_digit
+from hpac_gym.study.combinations import Combination, SweptDigit, combinations, digit_with, values
+from hpac_gym.study.record import Sweep
+from hpac_gym.study.samples import DigitSamples, digit_samples
 
 SPREAD = 0.15
 """Relative standard deviation of each parameter about the base hand."""
 RADIUS_SPREAD = 1e-3
 """The same of radius ratios that are known to be the design's: a workshop's tolerance."""
-FRICTION_SPREAD = 1.0
-"""The same of friction, of which nobody knows more than its order."""
-NOISE = np.deg2rad(0.1)
-"""Noise of a sample that the search starts from [rad]; it ends with the data's own."""
+ORDER_SPREAD = 1.0
+"""Of the logarithm of the frictions, of which nobody knows more than the order."""
+DRIVE_SPREAD = 1.0
+"""Standard deviation of the drive's stretch over the design's: the servo gives way too, and nobody prints by how much."""
+ZERO_SPREAD = np.deg2rad(1.0)
+"""Standard deviation of a servo's zero [rad]: a spline's tooth is some 15°, trimmed away to a degree or so."""
 LEAST_POINTS = 8
 """Sampling points below which a digit is not fitted."""
 LEAST_RANGE = 0.3
 """Share of the servo's range below which a digit is not fitted."""
 WORST_FIT = np.deg2rad(1.0)
 """A residual of this size [rad] means that the model does not describe the hand."""
+HELD_OUT_EVERY = 4
+"""One sampling point of so many judges the fit and is not part of it."""
 
-_OUTLIER = 3.0  # standard deviations, from where a sample pulls linearly
+_OUTLIER = 3.0  # standard deviations, from where a point pulls linearly
+_CONTRADICTION = 3.0  # standard deviations of the prior, from where known radii are not believed
 _BOUND = 4.0  # standard deviations of the prior
 _TIED = 0.5  # correlation of two estimates' errors, from where one cannot be told without the other
 _STRAIGHT = np.pi - 0.02  # rad, guides in line
+_NOTHING = 1e-7  # of a combination that the paper's model does not have
+_SCALINGS = 1  # rounds in which the deviations are scaled to the residuals, before the last fit
 
 
 class IdentificationError(HpacError, ValueError):
@@ -65,18 +73,13 @@ class Estimate:
 class DigitFit:
     """What a record says about one digit."""
 
-    digit: Digit
-    friction: Friction
+    swept: SweptDigit
     estimates: tuple[Estimate, ...]
-    noise: float
-    """Robust standard deviation of a sample about the fit [rad]."""
-    samples: int
-    outliers: int
-    """Samples beyond three standard deviations."""
+    samples: DigitSamples
+    misfit: float
+    """Scatter of the points about the fit, over what the samples' own scatter explains; 1 for a perfect model."""
     confounded: tuple[tuple[str, ...], ...]
     """What the data can hardly tell, each followed by what it cannot be told apart from."""
-    missing: tuple[str, ...]
-    """Joints without a measurement."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,30 +87,24 @@ class Identification:
     """What a record says about a hand."""
 
     hand: Hand
+    """With its `calibration`, and with a workspace that ends where stops were found."""
     fits: dict[str, DigitFit]
     """By digit name."""
     kept: dict[str, str]
     """Digits, and the CMC, that stay the base hand's, and why."""
-    cmc_gain: Estimate | None
-
-    @property
-    def friction(self) -> dict[str, Friction]:
-        """Friction of every digit that was fitted."""
-        return {name: fit.friction for name, fit in self.fits.items()}
-
-
-def predicted_joints(servo: Array, found: Identification) -> Array:
-    """Where the identified hand comes to rest in flexion, shapes (..., 6) to (..., 15) [rad]."""
-    joint_pos = np.empty((*servo.shape[:-1], len(JOINTS)))
-    for column, (name, digit) in enumerate(found.hand.digits.items()):
-        friction = found.fits[name].friction if name in found.fits else Friction()
-        joint_pos[..., [JOINT_INDEX[joint] for joint in digit.joints]] = settled_digit(servo[..., column], digit, friction)
-    joint_pos[..., JOINT_INDEX["thumb_cmc"]] = found.hand.cmc_gain * servo[..., -1]
-    return joint_pos
+    cmc: tuple[Estimate, Estimate] | None
+    """g_CMC and the zero of servo 6."""
 
 
 def identify(
-    record: Sweep, base: Hand = HPAC, spread: float = SPREAD, radii_known: bool = False, shown: bool = False
+    record: Sweep,
+    base: Hand = HPAC,
+    spread: float = SPREAD,
+    radii_known: bool = False,
+    hold_out: bool = False,
+    least_points: int = LEAST_POINTS,
+    papers_model: bool = False,
+    shown: bool = False,
 ) -> Identification:
     """The hand that a record shows.
 
@@ -117,6 +114,9 @@ def identify(
         spread: relative standard deviation of each parameter about the design.
         radii_known: the ratios of joint radii are the design's, to `RADIUS_SPREAD`; without that a free-space sweep
             cannot tell them from the elasticity.
+        hold_out: leave every fourth point out of the fit, for `held_out_rows` to judge it with.
+        least_points: sampling points that a digit needs.
+        papers_model: fit Eqs. (5), (7), (12), (13) alone: a rigid drive, no friction, no zero.
         shown: draw a progress bar.
 
     Raises:
@@ -127,179 +127,256 @@ def identify(
     fits, kept = {}, {}
     for servo, (name, digit) in progress(list(enumerate(base.digits.items())), "digits", shown):
         try:
-            fits[name] = _fit_digit(_samples(record, servo, digit.joints, base), digit, spread, radii_known)
+            samples = _enough(record, servo, digit.joints, base, least_points)
+            fit = _fit_digit(samples, digit, _Prior.about(digit, spread, radii_known, papers_model), hold_out)
+            if radii_known:
+                _check_radii(fit, digit, spread)
+            fits[name] = fit
         except IdentificationError as error:
             kept[name] = str(error)
     if not fits:
         raise IdentificationError("the record supports no fit: " + "; ".join(f"{name}: {why}" for name, why in kept.items()))
-    gain = None
+    cmc = None
     try:
-        gain = _fit_gain(_samples(record, len(SERVOS) - 1, ("thumb_cmc",), base), base.cmc_gain)
+        cmc = _fit_cmc(_enough(record, len(SERVOS) - 1, ("thumb_cmc",), base, least_points), base.cmc_gain, hold_out)
     except IdentificationError as error:
         kept["thumb_cmc"] = str(error)
-    digits = {name: fits[name].digit if name in fits else digit for name, digit in base.digits.items()}
-    try:
-        hand = replace(base, digits=digits, cmc_gain=gain.value if gain else base.cmc_gain)
-    except ParameterError as error:
-        raise IdentificationError(f"what the record shows is no hand: {error}") from None
-    return Identification(hand, fits, kept, gain)
+    return Identification(_identified_hand(base, fits, cmc), fits, kept, cmc)
 
 
-# The data of one digit ---------------------------------------------------------------
+def held_out_rows(samples: DigitSamples) -> np.ndarray:
+    """Which points judge the fit, shape (k,): every fourth sampling point, neither the first nor the last."""
+    return samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
 
 
-@dataclass(frozen=True, slots=True)
-class _Samples:
-    """Samples of one digit in flexion, drift taken out, and what that leaves uncertain."""
-
-    servo: Array
-    """Of the samples' points, shape (k,) [rad]."""
-    point: np.ndarray
-    """Index in `servo` of each sample, shape (n,)."""
-    joint_pos: Array
-    """Shape (n, joints) [rad]; NaN where there is none."""
-    line: Array
-    """Basis of a drift that the rest poses cannot exclude, each with unit variance for unit noise, shape (n, 2)."""
-    missing: tuple[str, ...]
-
-
-def _samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand) -> _Samples:
-    columns = [JOINT_INDEX[name] for name in joints]
-    corrected = without_drift(record)
-    held = (record.swept == servo) & (record.phase == PHASES.index("flexion")) & (record.point >= 0)
-    seen = ~np.isnan(record.joint_pos[:, columns])
-    rows = np.flatnonzero(held & seen.any(axis=1))
-    missing = tuple(name for name, any_seen in zip(joints, seen[held].any(axis=0) if held.any() else [False] * 9, strict=False)
-                    if not any_seen)  # fmt: skip
-    if not rows.size:
+def _enough(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand, least_points: int) -> DigitSamples:
+    samples = digit_samples(record, servo, joints, base)
+    if samples is None:
         raise IdentificationError(f"no measurement of {', '.join(joints)} while servo {SERVOS[servo]} sweeps")
-    angles, point = np.unique(np.round(record.servo[rows, servo], 9), return_inverse=True)
-    if len(angles) < LEAST_POINTS:
-        raise IdentificationError(f"{len(angles)} sampling points of servo {SERVOS[servo]}, fewer than {LEAST_POINTS}")
-    share = np.ptp(angles) / (base.servo_max[servo] - base.servo_min[servo])
+    count = len(np.unique(samples.point[samples.direction == FLEXION]))
+    if count < least_points:
+        at_stops = f" ({samples.at_stops} more are at stops)" if samples.at_stops else ""
+        raise IdentificationError(f"{count} sampling points of servo {SERVOS[servo]}{at_stops}, fewer than {least_points}")
+    share = np.ptp(samples.servo) / (base.servo_max[servo] - base.servo_min[servo])
     if share < LEAST_RANGE:
         raise IdentificationError(f"servo {SERVOS[servo]} sweeps {share:.0%} of its range, less than {LEAST_RANGE:.0%}")
-    return _Samples(angles, point.reshape(-1), corrected.joint_pos[np.ix_(rows, columns)], _open_line(record, rows), missing)
+    return samples
 
 
-def _open_line(record: Sweep, rows: np.ndarray) -> Array:
-    """What the rest poses leave open of a segment's drift line, shape (n, 2): offset and slope, decorrelated."""
-    line = np.zeros((len(rows), 2))
-    for segment in record.segments():
-        inside = np.isin(rows, segment)
-        rest = segment[record.phase[segment] == PHASES.index("rest")]
-        if not inside.any() or rest.size < 2:
+def _identified_hand(base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate, Estimate] | None) -> Hand:
+    digits, workspace = dict(base.digits), dict(base.workspace)
+    zero, friction = list(base.calibration.servo_zero), list(base.calibration.friction)
+    for column, name in enumerate(base.digits):
+        if name not in fits:
             continue
-        origin = record.time[rest].mean()
-        both_ends = record.time[rest[-1]] > record.time[rows[inside]].max()
-        time = record.time[rest] - origin
-        line[inside, 0] = 1 / np.sqrt(rest.size)
-        if both_ends:
-            line[inside, 1] = (record.time[rows[inside]] - origin) / np.sqrt((time**2).sum())
-    return line
+        fit = fits[name]
+        digits[name], friction[column], zero[column] = fit.swept.digit, fit.swept.friction, fit.swept.servo_zero
+        bounds = dict(fit.samples.stops)
+        if bounds:  # the driven joint ends where any joint of its digit does
+            reached = float(np.nanmax(fit.samples.joint_pos[:, 0])) if fit.samples.joint_pos.size else np.inf
+            bounds[digits[name].joints[0]] = min(bounds.get(digits[name].joints[0], np.inf), reached)
+        for joint, angle in bounds.items():
+            low, high = workspace[joint]
+            if low < angle < high:
+                workspace[joint] = (low, angle)
+    if cmc:
+        zero[-1] = cmc[1].value
+    try:
+        return replace(
+            base,
+            digits=digits,
+            workspace=workspace,
+            cmc_gain=cmc[0].value if cmc else base.cmc_gain,
+            calibration=Calibration(tuple(zero), tuple(friction)),
+        )
+    except ParameterError as error:
+        raise IdentificationError(f"what the record shows is no hand: {error}") from None
 
 
 # Least squares ---------------------------------------------------------------------------
 
 
-def _soft(scaled: Array, data: int) -> Array:
-    """SciPy's loss: samples beyond `_OUTLIER` pull linearly, the prior always quadratically."""
-    rho = np.stack([scaled, np.ones_like(scaled), np.zeros_like(scaled)])
-    root = np.sqrt(1 + scaled[:data] / _OUTLIER**2)
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """What is known of the combinations before the sweep: normal, in the logarithm of each, or in the number itself."""
+
+    known: tuple[Combination, ...]
+    centre: Array
+    sigma: Array
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def about(cls, base: Digit, spread: float, radii_known: bool, papers_model: bool) -> _Prior:
+        known = combinations(base)
+        linear = np.array([item.linear for item in known])
+        design = values(SweptDigit(base))
+        centre = np.where(linear, design, np.log(np.where(linear, 1.0, design)))
+        sigma = np.array([spread * item.spread if item.spread else ORDER_SPREAD for item in known])
+        names = [item.name for item in known]
+        zero, drive = names.index("servo_zero"), names.index("drive_stretch")
+        sigma[zero], sigma[drive] = ZERO_SPREAD, DRIVE_SPREAD * design[drive]
+        if radii_known:
+            sigma[[item.name.endswith("_ratio") for item in known]] = RADIUS_SPREAD
+        if papers_model:
+            left_out = [item.name in ("drive_stretch", "friction", "tendon_friction", "servo_zero") for item in known]
+            centre[left_out] = np.where(linear, _NOTHING, np.log(_NOTHING))[left_out]
+            sigma[left_out] = 0.1 * _NOTHING
+        lower, upper = centre - _BOUND * sigma, centre + _BOUND * sigma
+        lower[drive] = max(lower[drive], 0.1 * _NOTHING)  # a tendon that is as good as rigid
+        upper[names.index("alpha")] = min(upper[names.index("alpha")], np.log(_STRAIGHT))
+        upper[names.index("tendon_friction")] = min(upper[names.index("tendon_friction")], np.log(0.5))
+        return cls(known, centre, sigma, lower, upper)
+
+    def values(self, unknowns: Array) -> Array:
+        """The combinations' own values."""
+        linear = np.array([item.linear for item in self.known])
+        return np.where(linear, unknowns, np.exp(np.where(linear, 0.0, unknowns)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Least squares of one digit: unknowns are the combinations, then offset and slope of every joint's drift."""
+
+    samples: DigitSamples
+    base: Digit
+    prior: _Prior
+
+    @property
+    def seen(self) -> np.ndarray:
+        return ~np.isnan(self.samples.joint_pos)
+
+    def misfit(self, unknowns: Array) -> Array:
+        """Points less the prediction, what was not measured left out [rad]."""
+        count = len(self.prior.centre)
+        swept = digit_with(self.base, self.prior.values(unknowns[:count]))
+        drift = self.samples.line @ unknowns[count:].reshape(2, -1)
+        return (self.samples.joint_pos - predicted(self.samples, swept) - drift)[self.seen]
+
+    def rows(self, unknowns: Array, scale: float) -> Array:
+        """Misfit and prior, each over its standard deviation."""
+        count = len(self.prior.centre)
+        prior = (unknowns[:count] - self.prior.centre) / self.prior.sigma
+        drift = unknowns[count:].reshape(2, -1) / np.nanmax(self.samples.noise)
+        return np.concatenate([self.misfit(unknowns) / (scale * self.samples.deviation[self.seen]), prior, drift.ravel()])
+
+    def solve(self, start: Array, scale: float) -> optimize.OptimizeResult:
+        noise = float(np.nanmax(self.samples.noise))
+        free = np.full(len(start) - len(self.prior.centre), np.inf)
+        return optimize.least_squares(
+            self.rows,
+            start,
+            args=(scale,),
+            bounds=(np.concatenate([self.prior.lower, -free]), np.concatenate([self.prior.upper, free])),
+            x_scale=np.concatenate([self.prior.sigma, np.full(len(free), noise)]),
+            loss=lambda squares: soft_beyond_outliers(squares, int(self.seen.sum())),
+            method="trf",
+            ftol=1e-6,
+            xtol=1e-6,
+        )
+
+
+def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:
+    """Where a digit rests at the points of a sweep, each reached in its direction, shape (k, joints) [rad]."""
+    angles = np.empty_like(samples.joint_pos)
+    for direction in (FLEXION, EXTENSION):
+        rows = samples.direction == direction
+        if rows.any():
+            angles[rows] = settled_digit(samples.servo[rows] + swept.servo_zero, swept.digit, swept.friction, direction)
+    return angles
+
+
+def soft_beyond_outliers(squares: Array, data: int) -> Array:
+    """SciPy's loss: points beyond `_OUTLIER` deviations pull linearly, the prior, after the first `data`, quadratically."""
+    rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
+    root = np.sqrt(1 + squares[:data] / _OUTLIER**2)
     rho[0, :data] = 2 * _OUTLIER**2 * (root - 1)
     rho[1, :data] = 1 / root
     rho[2, :data] = -0.5 / (_OUTLIER**2 * root**3)
     return rho
 
 
-def _fit_digit(samples: _Samples, base: Digit, spread: float, radii_known: bool) -> DigitFit:
-    known = combinations(base)
-    centre = np.log(values(base, TYPICAL_FRICTION))
-    sigma = spread * np.array([item.spread for item in known])
-    sigma[-1] = FRICTION_SPREAD
-    if radii_known:
-        sigma[[item.name.endswith("_ratio") for item in known]] = RADIUS_SPREAD
-    lower, upper = centre - _BOUND * sigma, centre + _BOUND * sigma
-    alpha = [item.name for item in known].index("alpha")
-    upper[alpha] = min(upper[alpha], np.log(_STRAIGHT))
-    seen = ~np.isnan(samples.joint_pos)
-    count, joints = len(known), samples.joint_pos.shape[1]
-
-    def misfit(solution: Array) -> Array:
-        digit, friction = digit_with(base, np.exp(solution[:count]))
-        model = settled_digit(samples.servo, digit, friction)[samples.point]
-        drift = samples.line @ solution[count:].reshape(2, joints)
-        return (samples.joint_pos - model)[seen] - drift[seen]
-
-    def solve(start: Array, noise: float) -> optimize.OptimizeResult:
-        def rows(solution: Array) -> Array:
-            prior = (solution[:count] - centre) / sigma
-            return np.concatenate([misfit(solution) / noise, prior, solution[count:] / noise])
-
-        free = np.full(2 * joints, np.inf)
-        return optimize.least_squares(
-            rows,
-            start,
-            bounds=(np.concatenate([lower, -free]), np.concatenate([upper, free])),
-            x_scale=np.concatenate([sigma, np.full(2 * joints, noise)]),
-            loss=lambda scaled: _soft(scaled, int(seen.sum())),
-            method="trf",
-            ftol=1e-6,
-            xtol=1e-6,
-        )
-
-    noise, solution = NOISE, np.concatenate([centre, np.zeros(2 * joints)])
-    for _ in range(2):
-        result = solve(solution, noise)
-        solution = result.x
-        noise = max(1.4826 * float(np.median(np.abs(misfit(solution)))), 1e-6)
-    result = solve(solution, noise)
-    if noise > WORST_FIT:
+def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool) -> DigitFit:
+    fitted = samples.only(np.flatnonzero(~held_out_rows(samples))) if hold_out else samples
+    problem = _Problem(fitted, base, prior)
+    count = len(prior.centre)
+    solution, scale = np.concatenate([prior.centre, np.zeros(2 * fitted.joint_pos.shape[1])]), 1.0
+    for _ in range(_SCALINGS):
+        solution = problem.solve(solution, scale).x
+        misfit = problem.misfit(solution)
+        scale = max(1.4826 * float(np.median(np.abs(misfit / fitted.deviation[problem.seen]))), 1.0)
+    result = problem.solve(solution, scale)
+    worst = 1.4826 * float(np.median(np.abs(problem.misfit(result.x))))
+    if worst > WORST_FIT:
         raise IdentificationError(
-            f"the model misses the samples by {np.degrees(noise):.2g}°, more than {np.degrees(WORST_FIT):.2g}°"
+            f"the model misses the points by {np.degrees(worst):.2g}°, more than {np.degrees(WORST_FIT):.2g}°"
         )
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
-    digit, friction = digit_with(base, np.exp(result.x[:count]))
     return DigitFit(
-        digit=digit,
-        friction=friction,
-        estimates=_estimates(known, result.x[:count], covariance, sigma),
-        noise=noise,
-        samples=int(seen.sum()),
-        outliers=int((np.abs(misfit(result.x)) > _OUTLIER * noise).sum()),
-        confounded=_confounded([item.name for item in known], covariance, sigma),
-        missing=samples.missing,
+        digit_with(base, prior.values(result.x[:count])),
+        _estimates(prior, result.x[:count], covariance),
+        samples,
+        scale,
+        _confounded(prior, covariance),
     )
 
 
-def _estimates(known, solution: Array, covariance: Array, sigma: Array) -> tuple[Estimate, ...]:
+def _check_radii(fit: DigitFit, base: Digit, spread: float) -> None:
+    """Refuse known radii that would make the tendon's strain one that the design cannot have."""
+    prior = _Prior.about(base, spread, radii_known=True, papers_model=False)
+    for item, centre, sigma in zip(fit.estimates, prior.centre, prior.sigma, strict=True):
+        if item.name.endswith(("_strain", "_ratio")) and abs(np.log(item.value) - centre) > _CONTRADICTION * sigma:
+            factor = item.value / np.exp(centre)
+            message = f"the record contradicts --radii-known: {item.formula} would be {factor:.2f} times the design's"
+            raise IdentificationError(message)
+
+
+def _estimates(prior: _Prior, solution: Array, covariance: Array) -> tuple[Estimate, ...]:
     deviation = np.sqrt(np.diag(covariance))
-    told = 1 - np.minimum(deviation / sigma, 1.0)
+    told = 1 - np.minimum(deviation / prior.sigma, 1.0)
+    ends = (np.clip(solution + k * deviation, prior.lower, prior.upper) for k in (0.0, -1.96, 1.96))
+    value, low, high = map(prior.values, ends)
     return tuple(
-        Estimate(item.name, item.formula, *(float(np.exp(x + k * s)) for k in (0.0, -1.96, 1.96)), float(share))
-        for item, x, s, share in zip(known, solution, deviation, told, strict=True)
+        Estimate(item.name, item.formula, *map(float, numbers))
+        for item, *numbers in zip(prior.known, value, low, high, told, strict=True)
     )
 
 
-def _confounded(names: list[str], covariance: Array, sigma: Array) -> tuple[tuple[str, ...], ...]:
+def _confounded(prior: _Prior, covariance: Array) -> tuple[tuple[str, ...], ...]:
     """Each combination that keeps over half of its prior's uncertainty, and those whose errors go with its own."""
+    names = [item.name for item in prior.known]
     deviation = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(deviation, deviation))
     groups = []
-    for row in np.flatnonzero(deviation > 0.5 * sigma):
+    for row in np.flatnonzero(deviation > 0.5 * prior.sigma):
         partners = [name for name, part in zip(names, correlation[row], strict=True) if part > _TIED and name != names[row]]
         groups.append((names[row], *partners))
     return tuple(groups)
 
 
-def _fit_gain(samples: _Samples, base: float) -> Estimate:
-    seen = ~np.isnan(samples.joint_pos[:, 0])
-    servo, joint_pos, line = samples.servo[samples.point][seen], samples.joint_pos[seen, 0], samples.line[seen]
+def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estimate, Estimate]:
+    """Gain and zero of the directly driven joint."""
+    rows = ~np.isnan(samples.joint_pos[:, 0])
+    if hold_out:
+        rows &= ~held_out_rows(samples)
+    servo, joint_pos, deviation, line = (
+        item[rows] for item in (samples.servo, samples.joint_pos[:, 0], samples.deviation[:, 0], samples.line)
+    )
 
-    def rows(solution: Array) -> Array:
-        return np.concatenate([(joint_pos - solution[0] * servo - line @ solution[1:]) / NOISE, solution[1:] / NOISE])
+    def misfit(solution: Array) -> Array:
+        gain, zero = solution[:2]
+        data = (joint_pos - np.maximum(gain * (servo + zero), 0.0) - line @ solution[2:]) / deviation
+        return np.concatenate([data, [zero / ZERO_SPREAD], solution[2:] / samples.noise[0]])
 
-    result = optimize.least_squares(rows, [base, 0.0, 0.0], loss=lambda scaled: _soft(scaled, len(servo)))
-    deviation = float(np.sqrt(np.linalg.inv(result.jac.T @ result.jac)[0, 0]))
-    value = float(result.x[0])
-    return Estimate("cmc_gain", "g_CMC", value, value - 1.96 * deviation, value + 1.96 * deviation, 1.0)
+    result = optimize.least_squares(
+        misfit,
+        [base, 0.0, 0.0, 0.0],
+        x_scale=[1.0, ZERO_SPREAD, samples.noise[0], samples.noise[0]],
+        loss=lambda squares: soft_beyond_outliers(squares, len(servo)),
+    )
+    spread = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
+    pairs = (("cmc_gain", "g_CMC", np.inf), ("servo_zero", "rad", ZERO_SPREAD))
+    return tuple(
+        Estimate(name, formula, float(x), float(x - 1.96 * s), float(x + 1.96 * s), float(1 - min(s / prior, 1.0)))
+        for (name, formula, prior), x, s in zip(pairs, result.x, spread, strict=False)
+    )

@@ -12,11 +12,20 @@ import numpy as np
 from scipy import signal
 
 from hpac_gym.errors import WorkspaceError
+from hpac_gym.model import JOINTS
 from hpac_gym.model.checks import Array
 from hpac_gym.study.record import PHASES, RecordError, Sweep, joints_of_servo
 
 CUTOFF_HZ = 3.0
 """Cut-off of the low-pass. A point is held for half a second: much lower, and the steps beside it would smear into it."""
+MOST_MISSING = 0.2
+"""Share of a joint's samples in a segment that may be missing."""
+LONGEST_GAP = 6
+"""Sampling periods from one sample to the next, at most."""
+FAR = 6.0
+"""Robust standard deviations from which a sample of something that stands still is not one of it."""
+LEAST_NOISE = np.deg2rad(0.02)
+"""A camera is not taken to be better than this [rad]."""
 _REST = PHASES.index("rest")
 
 
@@ -33,33 +42,53 @@ class Points:
     servo: Array
     """u, shape (k, 6) [rad]."""
     joint_pos: Array
-    """q_meas, shape (k, 15) [rad]."""
+    """q_meas, shape (k, 15) [rad]; NaN where no sample of a point was measured."""
 
 
 def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
     """The record after the paper's processing, segment by segment.
 
+    A frame that was dropped and a joint that a frame lacks are bridged by a straight line for the filter, and are missing again
+    after it: they cost those samples only.
+
     Raises:
-        RecordError: A segment is not sampled evenly, or is too short to filter.
+        RecordError: A segment is not sampled evenly, lacks too many samples, or is too short to filter.
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
     """
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
         rate = sampling_rate(sweep.time[rows])
-        joint_pos[rows] = low_pass(np.unwrap(joint_pos[rows], axis=0), rate, cutoff_hz)
+        frame = np.round((sweep.time[rows] - sweep.time[rows[0]]) * rate).astype(int)
+        frames = np.arange(frame[-1] + 1)
+        for joint in range(joint_pos.shape[1]):
+            seen = ~np.isnan(joint_pos[rows, joint])
+            if not seen.any():
+                continue
+            missing = 1 - seen.sum() / len(frames)
+            if missing > MOST_MISSING:
+                raise RecordError(
+                    f"{missing:.0%} of the samples of {JOINTS[joint]} from {sweep.time[rows[0]]:g} s to "
+                    f"{sweep.time[rows[-1]]:g} s are missing, more than {MOST_MISSING:.0%}"
+                )
+            bridged = np.interp(frames, frame[seen], np.unwrap(joint_pos[rows[seen], joint]))
+            joint_pos[rows[seen], joint] = low_pass(bridged, rate, cutoff_hz)[frame[seen]]
     return without_drift(sweep.with_joint_pos(joint_pos))
 
 
 def sampling_rate(time: Array) -> float:
-    """Rate of even samples [Hz].
+    """Rate of even samples [Hz], of which some may be missing.
 
     Raises:
-        RecordError: A gap is off the median by more than 5 %.
+        RecordError: A gap is off a multiple of the median one by more than 5 % of it, or longer than `LONGEST_GAP` of them.
     """
     gaps = np.diff(time)
     period = float(np.median(gaps)) if gaps.size else 0.0
-    if period <= 0 or np.abs(gaps - period).max() > 0.05 * period:
-        raise RecordError(f"samples from {time[0]:g} s to {time[-1]:g} s are not evenly spaced; a filter needs them so")
+    steps = np.maximum(np.round(gaps / period), 1) if period > 0 else gaps
+    if period <= 0 or np.abs(gaps - steps * period).max() > 0.05 * period or steps.max() > LONGEST_GAP:
+        raise RecordError(
+            f"samples from {time[0]:g} s to {time[-1]:g} s are not evenly spaced with at most {LONGEST_GAP - 1} dropped in a "
+            f"row; a filter needs them so"
+        )
     return 1.0 / period
 
 
@@ -87,8 +116,8 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
 def without_drift(sweep: Sweep) -> Sweep:
     """The record less the camera's drift: the straight line in time through what the swept joints read at rest.
 
-    Uses the rest poses of a segment alone, where the swept joints are at zero. A segment that rests only at one end gets a
-    constant, one that never rests is left alone.
+    Uses the rest poses of a segment alone, where the swept joints are at zero; samples far from the others of a rest are left
+    out. A segment that rests only at one end gets a constant, one that never rests is left alone.
     """
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
@@ -98,13 +127,24 @@ def without_drift(sweep: Sweep) -> Sweep:
         time = sweep.time[rest] - sweep.time[rows[0]]
         moving = np.flatnonzero(sweep.phase[rows] != _REST)
         both_ends = moving.size and rest[0] < rows[moving[0]] and rest[-1] > rows[moving[-1]]
+        moving_from = rows[moving[0]] if moving.size else -1
         basis = np.vander(time, 2 if both_ends else 1)
         for joint in joints_of_servo(int(sweep.swept[rows[0]])):
-            seen = ~np.isnan(joint_pos[rest, joint])
+            seen = np.zeros(rest.size, dtype=bool)
+            for end in (rest < moving_from, rest > moving_from) if both_ends else (np.ones(rest.size, dtype=bool),):
+                seen[end] = near_median(joint_pos[rest[end], joint])
             if seen.sum() >= basis.shape[1]:
                 line = np.linalg.lstsq(basis[seen], joint_pos[rest[seen], joint], rcond=None)[0]
                 joint_pos[rows, joint] -= np.polyval(line, sweep.time[rows] - sweep.time[rows[0]])
     return sweep.with_joint_pos(joint_pos)
+
+
+def near_median(values: Array) -> np.ndarray:
+    """Which samples of something that stands still lie within `FAR` robust standard deviations of the median; NaN does not."""
+    if np.isnan(values).all():
+        return np.zeros(len(values), dtype=bool)
+    off = np.abs(values - np.nanmedian(values))
+    return off <= FAR * max(1.4826 * float(np.nanmedian(off)), LEAST_NOISE)
 
 
 def points(sweep: Sweep) -> Points:
@@ -120,7 +160,11 @@ def points(sweep: Sweep) -> Points:
     unique, group = np.unique(keys, axis=0, return_inverse=True)
     group = group.reshape(-1)
     count = np.bincount(group)[:, None]
-    servo, joint_pos = np.zeros((len(unique), 6)), np.zeros((len(unique), 15))
+    measured = sweep.joint_pos[held]
+    seen = ~np.isnan(measured)
+    servo, joint_pos, samples = np.zeros((len(unique), 6)), np.zeros((len(unique), 15)), np.zeros((len(unique), 15))
     np.add.at(servo, group, sweep.servo[held])
-    np.add.at(joint_pos, group, sweep.joint_pos[held])
-    return Points(unique[:, 0], unique[:, 1], unique[:, 2], servo / count, joint_pos / count)
+    np.add.at(joint_pos, group, np.where(seen, measured, 0.0))
+    np.add.at(samples, group, seen)
+    with np.errstate(invalid="ignore"):
+        return Points(unique[:, 0], unique[:, 1], unique[:, 2], servo / count, joint_pos / samples)

@@ -27,8 +27,6 @@ COLUMNS = (*LABELS, "time_s", *SERVO_COLUMNS, *JOINT_COLUMNS)
 
 ANGLE_LIMIT = np.pi
 """No servo or joint of the hand turns further [rad]: a larger number is in degrees."""
-STILL = 1e-4
-"""A joint that moves less than this [rad] while its servo sweeps does not move."""
 
 
 class RecordError(HpacError, ValueError):
@@ -116,11 +114,11 @@ def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Swe
 
     Args:
         path: the file.
-        allow_missing: take a joint column that is absent, or an empty cell in one, for "not measured".
+        allow_missing: take a joint column that is absent for "not measured". An empty cell in a joint column always is.
 
     Raises:
-        RecordError: The file cannot be read, lacks a column, or has a cell that is empty, NaN, not a number, in
-            degrees or unknown; time does not rise within a segment; or a joint stands still while its servo sweeps.
+        RecordError: The file cannot be read, lacks a column, or has a cell that is NaN, not a number, in degrees or
+            unknown; or time does not rise within a segment.
     """
     path = Path(path)
     try:
@@ -143,16 +141,16 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
     if len(cells) < 2:
         raise RecordError("no rows of data")
     columns, rows, numbers = [name.strip() for name in cells[0]], cells[1:], numbers[1:]
-    optional = set(JOINT_COLUMNS) if allow_missing else set()
     for name in COLUMNS:
-        if columns.count(name) != 1 and not (name in optional and name not in columns):
+        absent = allow_missing and name in JOINT_COLUMNS and name not in columns and f"{name[:-3]}deg" not in columns
+        if columns.count(name) != 1 and not absent:
             found = [column for column in columns if column.removesuffix("_deg") == name.removesuffix("_rad")]
             fault = "there twice" if name in columns else f"missing; {found[0]} is in degrees" if found else "missing"
             raise RecordError(f"column {name} is {fault}")
     for number, row in zip(numbers, rows, strict=True):
         if len(row) != len(columns):
             raise RecordError(f"row {number} has {len(row)} cells, the header {len(columns)}")
-    table = _Table({name: [row[i].strip() for row in rows] for i, name in enumerate(columns)}, numbers, optional)
+    table = _Table({name: [row[i].strip() for row in rows] for i, name in enumerate(columns)}, numbers)
     sweep = Sweep(
         trial=table.integers("trial"),
         swept=table.words("swept", SERVOS),
@@ -163,7 +161,6 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
         joint_pos=np.stack([table.angles(name) for name in JOINT_COLUMNS], axis=1),
     )
     _check_time(sweep, numbers)
-    _check_motion(sweep, numbers)
     return sweep
 
 
@@ -173,12 +170,11 @@ class _Table:
 
     cells: dict[str, list[str]]
     rows: list[int]
-    optional: set[str]
 
     def numbers(self, column: str) -> Array:
         values = np.full(len(self.rows), np.nan)
         for index, cell in enumerate(self.cells.get(column, [""] * len(self.rows))):
-            if not cell and column in self.optional:
+            if not cell and column in JOINT_COLUMNS:
                 continue
             try:
                 values[index] = float(cell)
@@ -219,21 +215,3 @@ def _check_time(sweep: Sweep, numbers: list[int]) -> None:
             row = rows[late[0] + 1]
             before, now = sweep.time[row - 1], sweep.time[row]
             raise RecordError(f"column time_s, row {numbers[row]}: {now:g} s does not follow {before:g} s")
-
-
-def _check_motion(sweep: Sweep, numbers: list[int]) -> None:
-    for rows in sweep.segments():
-        rows = rows[sweep.phase[rows] != PHASES.index("rest")]
-        servo = int(sweep.swept[rows[0]]) if rows.size else -1
-        if rows.size < 2 or np.ptp(sweep.servo[rows, servo]) < STILL:
-            continue
-        for joint in joints_of_servo(servo):
-            values = sweep.joint_pos[rows, joint]
-            seen = values[~np.isnan(values)]
-            if seen.size >= 2 and np.ptp(seen) < STILL:
-                raise RecordError(
-                    f"column {JOINT_COLUMNS[joint]}, rows {numbers[rows[0]]} to {numbers[rows[-1]]}: the joint stands still at "
-                    f"{seen[0]:g} rad while servo {SERVOS[servo]} sweeps {np.ptp(sweep.servo[rows, servo]):.3g} rad"
-                )
-
-

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 import os
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Digit, Hand
-from hpac_gym.sim import ServoSettings
-from hpac_gym.study.rig import HAND, JointCamera, Protocol, Rig
+from hpac_gym.study.bench import JointCamera, Protocol
+from hpac_gym.study.population import varied_hand
+from hpac_gym.study.rig import Rig, settings_of
 
 REFERENCE_FILE = Path(__file__).parent / "data" / "reference.toml"
 SCHEMA = 1
@@ -53,27 +53,8 @@ class Reference:
     """From the command to the servo's answer, in tracking [s]."""
 
 
-def varied_hand(hand: Hand, tolerance: Mapping[str, float], rng: np.random.Generator) -> Hand:
-    """A hand whose numbers are drawn about those of another, each digit's on its own.
-
-    Args:
-        hand: the centre.
-        tolerance: relative standard deviation by field name of `Digit`; what is not named stays.
-        rng: the draw.
-    """
-    digits = {}
-    for name, digit in hand.digits.items():
-        changed = {}
-        for field, sigma in tolerance.items():
-            value = getattr(digit, field)
-            factor = 1 + sigma * rng.standard_normal(np.shape(value))
-            changed[field] = tuple((factor * value).tolist()) if isinstance(value, tuple) else float(factor * value)
-        digits[name] = replace(digit, **changed)
-    return replace(hand, digits=digits)
-
-
-def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = HPAC) -> Reference:
-    """The reference hand that a TOML file describes, about the hand `base`.
+def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = HPAC, seed: int | None = None) -> Reference:
+    """The reference hand that a TOML file describes, about the hand `base`; `seed` draws another one than the file's.
 
     Raises:
         ParameterError: The file cannot be read, is not TOML, or lacks a number, or has one that is unknown or negative.
@@ -87,19 +68,16 @@ def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = H
     if table.get("schema") != SCHEMA:
         raise ParameterError(f"reference file {path}: schema {table.get('schema')!r} is not {SCHEMA}")
     _check(table, path)
+    seed = table["seed"] if seed is None else seed
     camera, protocol = table["camera"], dict(table["protocol"])
     cutoff_hz = protocol.pop("cutoff_hz")
     rig = Rig(
-        hand=varied_hand(base, table["tolerance"], np.random.default_rng(table["seed"])),
-        settings=replace(
-            HAND,
-            joint_friction=table["physics"]["joint_friction"],
-            servo=ServoSettings(dead_band=table["physics"]["dead_band"]),
-        ),
+        hand=varied_hand(base, table["tolerance"], np.random.default_rng(seed)),
+        settings=settings_of(**table["physics"]),
         camera=JointCamera(camera["rate_hz"], math.radians(camera["noise_deg"]), math.radians(camera["drift_deg_per_min"]) / 60),
         protocol=Protocol(**protocol),
     )
-    return Reference(rig, cutoff_hz, table["seed"], TrialSettings(**table["trials"]), table["tracking"]["servo_lag"])
+    return Reference(rig, cutoff_hz, seed, TrialSettings(**table["trials"]), table["tracking"]["servo_lag"])
 
 
 def _check(table: dict, path: str | os.PathLike[str]) -> None:

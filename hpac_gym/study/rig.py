@@ -5,37 +5,39 @@ The stand turns the hand so that the swept digit bends in a horizontal plane: it
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand, ServoCommand
+from hpac_gym.body.geometry import link_poses, load_geometry
+from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand, ServoCommand, servo_from_synergy, stream_command
 from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.settings import Damping, HandSettings, ServoSettings, WorldSettings
+from hpac_gym.physics.simulation import Simulation, default_engine, make_engine
 from hpac_gym.progress import progress
-from hpac_gym.sim import Damping, HandSettings, SimHand, World, WorldSettings
-from hpac_gym.sim.geometry import link_poses, load_geometry
+from hpac_gym.study.bench import CAMERA, PROTOCOL, JointCamera, Protocol, rest_pose
 from hpac_gym.study.record import PHASES, Sweep, concatenate
 
 _REST, _FLEXION, _EXTENSION = range(len(PHASES))
 
 
+CONTROL_HZ = 20.0
 WORLD = WorldSettings(physics_hz=640, error_reduction=0.2)
 """Finer than what ships, so that a hand with twice the tendon stiffness is integrated as well."""
 
 HAND = HandSettings(armature=(1e-3, 3e-4, 3e-4), damping=Damping(0.4, overrun=0.0))
 """At this rate a hand needs less armature to be integrated than what ships has."""
 
-THUMB_CLEAR = 1.2
-"""CMC angle at which the thumb can bend over its whole range and touches neither finger nor palm [rad]."""
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+"""Orientation of a hand whose fingers point upwards, quaternion xyzw."""
 
 
-def rest_pose(swept: str) -> Array:
-    """Servo angles from which a servo is swept: open, but the thumb clear of the index when it bends, shape (6,) [rad]."""
-    pose = np.zeros(len(SERVOS))
-    if swept == "thumb_mp":
-        pose[SERVO_INDEX["thumb_cmc"]] = THUMB_CLEAR
-    return pose
+def settings_of(joint_friction: float, dead_band: float, tendon_friction: float = 0.0, lag: float = 0.0) -> HandSettings:
+    """The rig's hand with friction [N·m, share of the load] and servos with a dead band [rad] and a lag [s]."""
+    servo = ServoSettings(dead_band=dead_band, lag=lag)
+    return replace(HAND, joint_friction=joint_friction, tendon_friction=tendon_friction, servo=servo)
 
 
 def upright(joint: str) -> Array:
@@ -49,59 +51,53 @@ def upright(joint: str) -> Array:
     return quaternion / np.linalg.norm(quaternion)
 
 
-@dataclass(frozen=True, slots=True)
-class JointCamera:
-    """What measures the joint angles: one sample a frame, with white noise and a slow drift.
+class HandOnStand:
+    """One simulated hand, held at its palm, that takes commands and lets its joints be measured.
 
-    Raises:
-        ParameterError: A rate that is not positive, a negative noise or drift.
+    Args:
+        hand: the model's parameters.
+        settings: what the simulation adds.
+        world: how it is integrated.
+        orientation: of the hand's frame in the world, quaternion xyzw.
+        visuals: whether pictures will be taken.
     """
 
-    rate_hz: float = 20.0
-    noise: float = np.deg2rad(0.1)
-    """Standard deviation of a sample [rad]."""
-    drift: float = np.deg2rad(0.2) / 60
-    """Standard deviation of the joints' drift rates [rad/s]."""
+    def __init__(
+        self,
+        hand: Hand,
+        settings: HandSettings,
+        world: WorldSettings,
+        orientation: tuple[float, float, float, float],
+        visuals: bool = False,
+    ) -> None:
+        self._setup = SceneSetup(None, hand=hand, hand_settings=settings, hand_quaternion=orientation)
+        self.simulation = Simulation(make_engine(default_engine(), 1, world, visuals))
 
-    def __post_init__(self) -> None:
-        if not (self.rate_hz > 0 and self.noise >= 0 and self.drift >= 0):
-            raise ParameterError(
-                f"camera: rate_hz = {self.rate_hz} Hz must be greater than 0, noise = {self.noise} rad and "
-                f"drift = {self.drift} rad/s not below it"
-            )
+    def reset(self, synergy: Array) -> None:
+        """Put the hand at rest at a synergy, shape (6,) [rad]."""
+        self.simulation.reset([0], [replace(self._setup, synergy=synergy)])
 
-    def seen(self, joint_pos: Array, time: Array, rng: np.random.Generator) -> Array:
-        """What the camera makes of true angles, shape (n, joints) [rad], at times (n,) [s]."""
-        drift = rng.normal(0.0, self.drift, joint_pos.shape[1]) * time[:, None]
-        return joint_pos + drift + rng.normal(0.0, self.noise, joint_pos.shape)
+    def command(self, command: ServoCommand) -> None:
+        """Start a move."""
+        self.simulation.command(command.servo[None], command.duration)
 
+    def step(self, seconds: float) -> None:
+        """Let time pass, in whole physics steps."""
+        self.simulation.rest(seconds)
 
-@dataclass(frozen=True, slots=True)
-class Protocol:
-    """How a servo is swept: rest, K points one after the other, back to rest.
+    @property
+    def commanded(self) -> Array:
+        """Where the servos are told to be now, shape (6,) [rad]."""
+        return self.simulation.servos.commanded[0]
 
-    Raises:
-        ParameterError: Fewer than two points, a hold that leaves no time to move, or a negative rest.
-    """
+    @property
+    def joint_pos(self) -> Array:
+        """True joint angles, shape (15,) [rad]."""
+        return self.simulation.state().joint_pos[0]
 
-    points: int = 31
-    """K, over the servo's admissible range, both ends included."""
-    seconds_per_point: float = 1.5
-    hold: float = 0.5
-    """The last part of a point, in which the servo stands still and the points are taken [s]."""
-    rest: float = 2.0
-    """Before and after, the digit laid against its stops [s]."""
-    both_directions: bool = False
-    """Take points on the way back too, at the same angles."""
-
-    def __post_init__(self) -> None:
-        if not (isinstance(self.points, int) and self.points >= 2):
-            raise ParameterError(f"protocol: points = {self.points!r} must be a whole number of at least 2")
-        if not (0 < self.hold < self.seconds_per_point and self.rest >= 0):
-            raise ParameterError(
-                f"protocol: hold = {self.hold} s must lie between 0 s and seconds_per_point = {self.seconds_per_point} s, "
-                f"and rest = {self.rest} s not be negative"
-            )
+    def close(self) -> None:
+        """Free the engine."""
+        self.simulation.engine.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,9 +106,11 @@ class Rig:
 
     hand: Hand = HPAC
     settings: HandSettings = HAND
-    camera: JointCamera = JointCamera()
-    protocol: Protocol = Protocol()
+    camera: JointCamera = CAMERA
+    protocol: Protocol = PROTOCOL
     world: WorldSettings = WORLD
+    servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
+    """Where each servo's horn stands when it is commanded to 0 [rad]; at rest the tendons are slack all the same."""
 
     def sweep(
         self, rng: np.random.Generator, trial: int = 0, servos: tuple[str, ...] = SERVOS, label: str = "", base: Hand = HPAC
@@ -128,13 +126,13 @@ class Rig:
         """
         parts = []
         for name in progress(servos, label, bool(label)):
-            with World(self.world) as world:
-                sim = SimHand(world, self.hand, self.settings, orientation=upright(name), visuals=False)
-                parts.append(self._segment(sim, SERVOS.index(name), trial, rng, base))
+            sim = HandOnStand(self.hand, self.settings, self.world, tuple(upright(name)))
+            parts.append(self._segment(sim, SERVOS.index(name), trial, rng, base))
+            sim.close()
         return concatenate(parts)
 
-    def _segment(self, sim: SimHand, swept: int, trial: int, rng: np.random.Generator, base: Hand) -> Sweep:
-        period = 1.0 / self.camera.rate_hz
+    def _segment(self, sim: HandOnStand, swept: int, trial: int, rng: np.random.Generator, base: Hand) -> Sweep:
+        period, zero = 1.0 / self.camera.rate_hz, np.array(self.servo_zero)
         labels, commanded, measured = [], [], []
 
         def rest() -> None:
@@ -145,14 +143,14 @@ class Rig:
             for _ in range(round(seconds / period)):
                 sim.step(period)
                 labels.append((phase, point))
-                commanded.append(sim.servos.commanded)
+                commanded.append(sim.commanded - zero * (phase != _REST))
                 measured.append(sim.joint_pos)
 
         def go_to(angle: float, phase: int, point: int) -> None:
             target = rest_pose(SERVOS[swept])
             target[swept] = angle
             moving = self.protocol.seconds_per_point - self.protocol.hold
-            sim.command(ServoCommand(target, moving))
+            sim.command(ServoCommand(target + zero, moving))
             record(moving, phase)
             record(self.protocol.hold, phase, point)
             labels[-1] = (phase, -1)  # so that the point's samples lie evenly about the middle of the hold
@@ -174,6 +172,46 @@ class Rig:
         phase, point = np.array(labels).T
         joint_pos = self.camera.seen(np.array(measured), time, rng)
         return Sweep(np.full(count, trial), np.full(count, swept), phase, point, time, np.array(commanded), joint_pos)
+
+    def stream(
+        self,
+        start: Array,
+        steps: int,
+        target: Callable[[int, Array], Array],
+        rng: np.random.Generator,
+        control_hz: float = CONTROL_HZ,
+    ) -> tuple[Array, Array]:
+        """Move the hand by a new servo target every control period, and watch it.
+
+        Args:
+            start: synergy in which the hand starts at rest, shape (6,) [rad].
+            steps: control periods.
+            target: gives the servo angles (6,) [rad] for the end of period k, from k and from what the camera saw of the joints
+                one period before it began, shape (15,) [rad].
+            rng: the camera's noise.
+            control_hz: control periods a second.
+
+        Returns:
+            Times (n,) [s] and what the camera saw (n, 15) [rad], four samples a period.
+        """
+        period, samples = 1 / control_hz, 4
+        seen = []
+        world = replace(self.world, collisions=False)  # all five digits move at once, and thumb and index would meet
+        sim = HandOnStand(self.hand, self.settings, world, UPRIGHT)
+        servo = servo_from_synergy(start)
+        sim.reset(start)
+        noise = rng.normal(0.0, self.camera.noise, (steps * samples, len(JOINTS)))
+        late = sim.joint_pos
+        for step in range(steps):
+            command = stream_command(servo, target(step, late), period)
+            late = seen[-1] if seen else late  # what the next period will know
+            servo = command.servo
+            sim.command(command)
+            for _ in range(samples):
+                sim.step(period / samples)
+                seen.append(sim.joint_pos + noise[len(seen)])
+        sim.close()
+        return period / samples * np.arange(1, len(seen) + 1), np.array(seen)
 
     def with_protocol(self, **changes: object) -> Rig:
         """The same rig with another protocol."""

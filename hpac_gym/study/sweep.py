@@ -15,11 +15,10 @@ from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
 from hpac_gym.output import write_text
 from hpac_gym.study import figures
 from hpac_gym.study.accuracy import Accuracy, accuracy, residuals, workspace
-from hpac_gym.study.population import Interval, mae_of_population
+from hpac_gym.study.judging import judged
 from hpac_gym.study.processing import CUTOFF_HZ, points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
 from hpac_gym.study.reference import REFERENCE_FILE, Reference, load_reference
-from hpac_gym.study.statics import Friction
 
 WORKSPACE_STREAM, EVALUATION_STREAM = 0, 1
 """Streams of the camera's noise: two separate sweeps."""
@@ -34,9 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--record", type=Path, metavar="CSV", help="evaluate this record, sweep nothing")
     parser.add_argument("--hand", type=Path, metavar="TOML", help="the model under test (default: the nominal hand)")
     parser.add_argument("--reference", type=Path, default=REFERENCE_FILE, metavar="TOML", help="the simulated hand and camera")
-    parser.add_argument("--population", type=int, default=200, metavar="N", help="built hands beside the reference (%(default)s)")
     parser.add_argument("--out", type=Path, default=folder, metavar="DIR", help="where results go (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+    parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -46,7 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     result: dict[str, object] = {"hand": hand.name}
     if arguments.record:
         record, cutoff_hz = read_sweep(arguments.record), CUTOFF_HZ
-        result["record"] = str(arguments.record)
+        result |= {"record": str(arguments.record), "remarks": judged(record, hand)}
+        caption, text = f"{arguments.record.name} against {hand.name}", ""
     else:
         reference = load_reference(arguments.reference)
         record, cutoff_hz = simulate(reference, EVALUATION_STREAM, "evaluation sweep" if shown else ""), reference.cutoff_hz
@@ -55,23 +55,17 @@ def run(arguments: argparse.Namespace) -> int:
         write_sweep(out / "workspace.csv", first)
         table = workspace(points(processed(first, cutoff_hz)))
         result |= {"seed": reference.seed, "workspace_rad": {name: list(bounds) for name, bounds in table.items()}}
-        write_text(out / "workspace.md", workspace_table(table, hand))
+        caption = f"reference hand, seed {reference.seed}, simulated, against {hand.name}"
+        text = workspace_table(table, hand)
+        write_text(out / "workspace.md", text)
     found = residuals(points(processed(record, cutoff_hz)), hand)
     errors = accuracy(found)
     result |= asdict(errors)
-    text = accuracy_table(errors)
-    if not arguments.record and arguments.population > 0:
-        friction = Friction(reference.rig.settings.joint_friction)
-        population = mae_of_population(arguments.population, reference.seed, HPAC, friction, shown=shown)
-        result["population_mae_deg"] = {
-            "hands": arguments.population,
-            **{kind: {name: asdict(value) for name, value in values.items()} for kind, values in population.items()},
-        }
-        text += f"\n\n{population_table(population, arguments.population)}"
-    figures.save(figures.residual_figure(found), out / "residuals.png")
-    figures.save(figures.mae_figure(errors), out / "mae.png")
+    text = "\n".join([accuracy_table(errors), *(f"\nRemark: {remark}." for remark in result.get("remarks", ())), "", text])
+    figures.save(figures.residual_figure(found), out / "residuals.png", caption)
+    figures.save(figures.mae_figure(errors), out / "mae.png", caption)
     write_text(out / "accuracy.csv", accuracy_csv(errors))
-    write_text(out / "accuracy.md", text + "\n")
+    write_text(out / "accuracy.md", accuracy_table(errors) + "\n")
     write_text(out / "sweep.json", json.dumps(result, indent=2) + "\n")
     print(json.dumps(result) if arguments.json else f"{text}\nwritten to {out}")
     return 0
@@ -91,17 +85,6 @@ def accuracy_table(errors: Accuracy) -> str:
     return "\n".join(lines)
 
 
-def population_table(population: dict[str, dict[str, Interval]], hands: int) -> str:
-    """Median and middle 95 % of the population's errors as a Markdown table."""
-    lines = [f"MAE [°] of {hands} built hands, median and the middle 95 %:", ""]
-    lines += ["| joint | uncompensated | compensated |", "|---|--:|--:|"]
-    for name in population["compensated"]:
-        values = (population[kind][name] for kind in ("uncompensated", "compensated"))
-        cells = (f"{value.median:.2f} [{value.low:.2f}, {value.high:.2f}]" for value in values)
-        lines.append(f"| {figures.label(name)} | {' | '.join(cells)} |")
-    return "\n".join(lines)
-
-
 def accuracy_csv(errors: Accuracy) -> str:
     """The errors for a spreadsheet, one joint a row."""
     text = io.StringIO()
@@ -115,10 +98,15 @@ def accuracy_csv(errors: Accuracy) -> str:
 
 
 def workspace_table(table: dict[str, tuple[float, float]], hand: Hand) -> str:
-    """Measured workspace in the form of Table I, beside the model's own [rad]."""
-    lines = ["| finger joint | label | measured [q_min, q_max] (rad) | Table I (rad) |", "|---|---|---|---|"]
+    """Measured workspace in the form of Table I, beside the paper's, with what the rigid map makes of Table I's driven joint."""
+    lines = ["| finger joint | label | measured [q_min, q_max] (rad) | Table I (rad) | short of Table I [°] | rigid map (rad) |"]
+    lines.append("|---|---|---|---|--:|--:|")
+    rigid = hand.synergy_max.take(hand.servo_of_joint) * hand.rigid_ratio
     for name, (low, high) in table.items():
         lower, upper = hand.workspace[name]
         measured = f"[{low + 0.0:.2f}, {high:.2f}]".replace("-0.00", "0.00")
-        lines.append(f"| {figures.label(name)} | q{JOINTS.index(name) + 1} | {measured} | [{lower:.2f}, {upper:.2f}] |")
+        lines.append(
+            f"| {figures.label(name)} | q{JOINTS.index(name) + 1} | {measured} | [{lower:.2f}, {upper:.2f}] | "
+            f"{np.degrees(upper - high):.1f} | {rigid[JOINTS.index(name)]:.3f} |"
+        )
     return "\n".join(lines) + "\n"

@@ -1,30 +1,33 @@
-"""Dynamic tracking: sine and minimum-jerk commands at several rates, with lag and error of every joint."""
+"""Dynamic tracking: sine and minimum-jerk commands at several rates, open loop and with the camera in the loop.
+
+The camera's loop is slow and late, so it does not chase the joints: it learns what the command lacks, a lag and an offset for
+either direction, and shifts the command by it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, joints_from_synergy, servo_from_synergy, stream_command
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, joints_from_synergy, servo_from_synergy
 from hpac_gym.model.checks import Array
+from hpac_gym.model.command import minimum_jerk
 from hpac_gym.progress import progress
-from hpac_gym.sim import SimHand, World
 from hpac_gym.study import figures
 from hpac_gym.study.accuracy import EVALUATED
+from hpac_gym.study.bench import THUMB_CLEAR
 from hpac_gym.study.intervals import Mean, mean_of
 from hpac_gym.study.reference import Reference
-from hpac_gym.study.rig import THUMB_CLEAR
+from hpac_gym.study.rig import CONTROL_HZ
 
-RATES_HZ = (0.25, 0.5, 1.0, 2.0)
-CONTROL_HZ = 20.0
-SAMPLE_HZ = 80.0
+RATES_HZ = (0.25, 0.5, 1.0)
 MIDDLE, AMPLITUDE = 0.5, 0.3
 """Of the driven joints' range."""
-WARM_UP = 1.0
-"""Periods before the error counts."""
+WARM_UP = 3.0
+"""Periods before the error counts, in which the camera's loop learns."""
 PERIODS = 3.0
 LONGEST_LAG = 0.3  # s, that is looked for
 
@@ -36,14 +39,13 @@ def sine(phase: Array) -> Array:
     return np.sin(2 * np.pi * phase)
 
 
-def minimum_jerk(phase: Array) -> Array:
-    """From −1 to 1 and back in one period, each half 10s³ − 15s⁴ + 6s⁵."""
+def back_and_forth(phase: Array) -> Array:
+    """From −1 to 1 and back in one period, each half a minimum jerk."""
     phase = np.asarray(phase) % 1.0
-    s = np.where(phase < 0.5, 2 * phase, 2 - 2 * phase)
-    return 2 * (10 * s**3 - 15 * s**4 + 6 * s**5) - 1
+    return 2 * minimum_jerk(np.where(phase < 0.5, 2 * phase, 2 - 2 * phase)) - 1
 
 
-PROFILES: dict[str, Profile] = {"sine": sine, "minimum_jerk": minimum_jerk}
+PROFILES: dict[str, Profile] = {"sine": sine, "minimum_jerk": back_and_forth}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,30 +68,79 @@ def synergy_of(profile: Profile, rate_hz: float, time: Array) -> Array:
     return synergy
 
 
-def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random.Generator) -> Track:
-    """Stream a profile to the reference hand at the control rate and watch it."""
+@dataclass(slots=True)
+class Observer:
+    """What the command lacks, learned from the camera: a lag, and for either direction an offset, of every digit.
+
+    A digit's error is that of its joints in units of its root joint, averaged. It is explained as offset − lag · rate by
+    normalised least mean squares; the lag is what all digits share.
+    """
+
+    lag: float = 0.0
+    """[s]"""
+    offset: Array = field(default_factory=lambda: np.zeros((2, 5)))
+    """Of each digit in flexion and in extension, shape (2, 5) [rad]."""
+    lag_gain: float = 0.05
+    offset_gain: float = 0.1
+    """Share of an error that one frame corrects."""
+
+    def update(self, error: Array, rate: Array) -> None:
+        """Learn from one frame.
+
+        Args:
+            error: of every digit, where it was seen less where it should have been, shape (5,) [rad].
+            rate: of the wanted course at that time, shape (5,) [rad/s].
+        """
+        flexing = (rate < 0).astype(int)
+        power = float((rate**2).mean())
+        if power > 1e-4:
+            self.lag = float(np.clip(self.lag - self.lag_gain * (error * rate).mean() / max(power, 0.05), 0.0, LONGEST_LAG))
+        self.offset[flexing, np.arange(len(error))] += self.offset_gain * error
+
+    def correction(self, rate: Array) -> Array:
+        """Offsets to take off the command for a course of given rates, shape (5,) [rad]."""
+        return self.offset[(rate < 0).astype(int), np.arange(len(rate))]
+
+
+def root_error(seen: Array, wanted: Array) -> Array:
+    """Error of every digit in units of its root joint, averaged over its joints, shapes (15,) to (5,) [rad]."""
+    error = (seen - wanted) / HPAC.elastic_ratio
+    return np.array([error[[JOINT_INDEX[name] for name in digit.joints]].mean() for digit in HPAC.digits.values()])
+
+
+def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random.Generator, closed: bool = False) -> Track:
+    """Stream a profile to the reference hand at the control rate and watch it.
+
+    Args:
+        reference: the hand, with its tendon friction and servo lag.
+        profile: over one period.
+        rate_hz: periods a second.
+        rng: the camera's noise.
+        closed: the camera's frame of the period before corrects the command.
+    """
     settings = replace(
         reference.rig.settings,
         tendon_friction=reference.trials.tendon_friction,
         servo=replace(reference.rig.settings.servo, lag=reference.servo_lag),
     )
-    control, sample = 1 / CONTROL_HZ, 1 / SAMPLE_HZ
+    period, observer = 1 / CONTROL_HZ, Observer()
+
+    def synergy(time: float) -> Array:
+        return synergy_of(profile, rate_hz, np.array(time))
+
+    def rate(time: float) -> Array:
+        return (synergy(time + 0.01) - synergy(time - 0.01))[:-1] / 0.02
+
+    def target(step: int, seen: Array) -> Array:
+        now, then = (step - 1) * period, (step + 1) * period
+        if closed and step > 1:
+            observer.update(root_error(seen, joints_from_synergy(synergy(now))), rate(now))
+        wanted = synergy(then + observer.lag)
+        wanted[:-1] -= observer.correction(rate(then + observer.lag))
+        return servo_from_synergy(np.clip(wanted, HPAC.synergy_min, HPAC.synergy_max))
+
     steps = int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
-    measured = []
-    with World(reference.rig.world) as world:
-        hand = SimHand(world, reference.rig.hand, settings, visuals=False)
-        servo = servo_from_synergy(synergy_of(profile, rate_hz, np.array(0.0)))
-        hand.reset(synergy_of(profile, rate_hz, np.array(0.0)))
-        for step in range(steps):
-            target = servo_from_synergy(synergy_of(profile, rate_hz, np.array((step + 1) * control)))
-            command = stream_command(servo, target, control)
-            servo = command.servo
-            hand.command(command)
-            for _ in range(round(SAMPLE_HZ / CONTROL_HZ)):
-                hand.step(sample)
-                measured.append(hand.joint_pos)
-    time = sample * np.arange(1, len(measured) + 1)
-    seen = np.array(measured) + rng.normal(0.0, reference.rig.camera.noise, (len(measured), len(JOINTS)))
+    time, seen = replace(reference.rig, settings=settings).stream(synergy(0.0), steps, target, rng)
     counts = time > WARM_UP / rate_hz
     return Track(time[counts], joints_from_synergy(synergy_of(profile, rate_hz, time[counts])), seen[counts])
 
@@ -115,6 +166,8 @@ class Tracked:
 
     profile: str
     rate_hz: float
+    closed: bool
+    """Whether the camera was in the loop."""
     lag_s: dict[str, Mean]
     """By joint, and `mean` over the joints."""
     rms_deg: dict[str, Mean]
@@ -124,7 +177,7 @@ class Tracked:
 def run_tracking(
     reference: Reference, count: int, seed: int, rates_hz: tuple[float, ...] = RATES_HZ, shown: bool = False
 ) -> list[Tracked]:
-    """Both profiles at every rate, several runs each.
+    """Both profiles at every rate, open loop and closed, several runs each.
 
     Args:
         reference: the hand, with its tendon friction and servo lag.
@@ -134,19 +187,20 @@ def run_tracking(
         shown: draw a progress bar.
     """
     found = []
-    for name, rate_hz in progress([(name, rate) for name in PROFILES for rate in rates_hz], "tracking", shown):
+    jobs = [(name, rate, closed) for name in PROFILES for rate in rates_hz for closed in (False, True)]
+    for name, rate_hz, closed in progress(jobs, "tracking", shown):
         lags, errors = {joint: [] for joint in EVALUATED}, {joint: [] for joint in EVALUATED}
         for run in range(count):
             rng = np.random.default_rng([seed, run])
             factor = max(1 + reference.trials.friction_spread * rng.standard_normal(), 0.0)
             trials = replace(reference.trials, tendon_friction=factor * reference.trials.tendon_friction)
-            seen = track(replace(reference, trials=trials), PROFILES[name], rate_hz, rng)
+            seen = track(replace(reference, trials=trials), PROFILES[name], rate_hz, rng, closed)
             for joint in EVALUATED:
                 column = JOINTS.index(joint)
                 lags[joint].append(lag(seen.time, seen.wanted[:, column], seen.measured[:, column]))
                 error = seen.measured[:, column] - seen.wanted[:, column]
                 errors[joint].append(np.degrees(np.sqrt(np.mean(error**2))))
-        found.append(Tracked(name, rate_hz, _means(lags), _means(errors)))
+        found.append(Tracked(name, rate_hz, closed, _means(lags), _means(errors)))
     return found
 
 
@@ -155,20 +209,21 @@ def _means(runs: dict[str, list[float]]) -> dict[str, Mean]:
 
 
 def tracking_figure(found: list[Tracked]) -> Figure:
-    """Lag and RMS error of the nine joints over the rate of the command."""
-    figure = Figure(figsize=(10, 7), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True, sharey="row")
-    for column, profile in enumerate(PROFILES):
-        runs = [item for item in found if item.profile == profile]
-        rates = [item.rate_hz for item in runs]
-        for joint in EVALUATED:
-            axes[0, column].plot(rates, [1e3 * item.lag_s[joint].mean for item in runs], "o-", label=figures.label(joint))
-            axes[1, column].plot(rates, [item.rms_deg[joint].mean for item in runs], "o-")
-        axes[0, column].set_title(profile.replace("_", " "))
-        axes[1, column].set_xlabel("rate of the command [Hz]")
-        axes[1, column].set_xscale("log", base=2)
-        axes[1, column].set_xticks(rates, [f"{rate:g}" for rate in rates])
-    axes[0, 0].set_ylabel("lag [ms]")
-    axes[1, 0].set_ylabel("RMS error [°]")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize=8)
+    """RMS error of the nine joints over the rate of the command, open loop and closed."""
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    axes = figure.subplots(1, len(PROFILES), sharey=True)
+    for axis, profile in zip(axes, PROFILES, strict=True):
+        for closed, color, name in ((False, figures.RED, "open loop"), (True, figures.GREEN, "camera in the loop, 20 Hz")):
+            runs = [item for item in found if item.profile == profile and item.closed == closed]
+            rates = [item.rate_hz for item in runs]
+            for joint in EVALUATED:
+                axis.plot(rates, [item.rms_deg[joint].mean for item in runs], "-", color=color, alpha=0.25)
+            axis.plot(rates, [item.rms_deg["mean"].mean for item in runs], "o-", color=color, linewidth=2, label=name)
+        axis.set_title(profile.replace("_", " "), fontsize=10)
+        axis.set_xlabel("rate of the command [Hz]")
+        axis.set_xscale("log", base=2)
+        axis.set_yscale("log")
+        axis.set_xticks(rates, [f"{rate:g}" for rate in rates])
+    axes[0].set_ylabel("RMS error [°], nine joints pale, mean bold")
+    axes[0].legend(frameon=False)
     return figure

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hpac_gym.command_line import run
+from hpac import run
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"

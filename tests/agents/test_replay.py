@@ -6,8 +6,8 @@ import pytest
 
 from agents.errors import RunError
 from agents.replay import PULSE_TOLERANCE, Report, main
+from hpac import run
 from hpac_gym.bridge import HostBoard
-from hpac_gym.command_line import run
 
 
 def replayed(out, *arguments: str) -> dict:

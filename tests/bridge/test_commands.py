@@ -17,14 +17,14 @@ from hpac_gym.bridge import (
     Reset,
     UnconfirmedWarning,
     VirtualHand,
+    commands,
     servo_from_pulses,
 )
-from hpac_gym.bridge.commands import add_commands
+from hpac_gym.bridge.commands import send_and_hold
 from hpac_gym.bridge.doctor import diagnose
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.protocol import MESSAGES
 from hpac_gym.bridge.virtual_hand import VirtualTransport, config_of, default_config
-from hpac_gym.cli import send_posture
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
 
@@ -45,11 +45,11 @@ def slower_hand(tmp_path):
     return hand, path
 
 
-def run(*words):
+def run(name, *words):
     parser = argparse.ArgumentParser()
-    add_commands(parser.add_subparsers(required=True))
+    getattr(commands, f"add_{name}")(parser)
     options = parser.parse_args(words)
-    return options.func(options)
+    return options.run(options)
 
 
 def test_wiggle_moves_each_servo_alone_next_to_its_name(capsys, monkeypatch):
@@ -242,10 +242,10 @@ def test_a_posture_is_sent_with_the_limits_of_its_own_hand(slower_hand, monkeypa
     virtual = VirtualHand(config=config_of(hand))
     monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: virtual)
     monkeypatch.setattr(HandLink, "sleep", interrupt_once_there(virtual, HandLink.sleep))
-    send_posture("virtual", ServoCommand(np.full(6, 0.5), 0.1), hand)
+    send_and_hold("virtual", ServoCommand(np.full(6, 0.5), 0.1), hand)
     assert not virtual.pulses().any()
     with pytest.raises(HandshakeError, match="limits"):
-        send_posture("virtual", ServoCommand(np.full(6, 0.5), 0.1), HPAC)
+        send_and_hold("virtual", ServoCommand(np.full(6, 0.5), 0.1), HPAC)
 
 
 def interrupt_once_there(virtual, sleep):

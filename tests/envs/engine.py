@@ -18,15 +18,14 @@ import numpy as np
 import pybullet
 
 from hpac_gym.model import DIGITS, JOINTS
-from hpac_gym.sim import SimHand
+from hpac_gym.physics.pybullet.hand import SimHand
 
 Vector = np.ndarray
 
 
 def sim_hand(env: gymnasium.Env) -> SimHand:
     """The simulated hand of an environment that has been reset."""
-    bare = env.unwrapped
-    return bare.scene.hand if hasattr(bare, "scene") else bare._body
+    return env.unwrapped.episodes.simulation.engine.scenes[0].hand
 
 
 class Bodies:

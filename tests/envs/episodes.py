@@ -1,14 +1,23 @@
 """Episodes from beginning to end."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from hpac_gym.sim import ObjectSpec, SceneSetup
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.tasks.terms import Layout
 
 EASY = SceneSetup(
     ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.8),
     np.array([0.048, 0.004, 0.112]), 0.0, np.array([0, 0, 0, 0, 0, 1.2]),
 )  # fmt: skip
 """A cylinder in a good place."""
+
+
+def a_setup(**change) -> SceneSetup:
+    """An easy cylinder, with some of its properties changed."""
+    return replace(EASY, object=replace(EASY.object, **change))
 
 
 def run(env, policy, setup=None, seed=0) -> tuple[list[dict], float]:
@@ -22,3 +31,8 @@ def run(env, policy, setup=None, seed=0) -> tuple[list[dict], float]:
         total += reward
         over = terminated or truncated
     return infos, total
+
+
+def part(observation: np.ndarray, terms, name: str) -> np.ndarray:
+    """The entries of a term in a vector that a table describes."""
+    return observation[..., Layout(terms, 1).slices[name]]

@@ -32,11 +32,12 @@ import gymnasium
 import numpy as np
 
 import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
-from hpac_gym.sim import ObjectSpec, SceneSetup
+from hpac_gym.physics.engine import SceneSetup
 from tests.envs.engine import Bodies, flick, told, watching_for_touch
 from tests.envs.stories import Story
 

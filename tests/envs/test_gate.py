@@ -12,12 +12,12 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from hpac_gym.envs import GRASPS
-from hpac_gym.envs.errors import EpisodeError
-from hpac_gym.envs.observation import CameraNoise
 from hpac_gym.envs.randomization import PRESETS, Randomization
-from hpac_gym.errors import ShapeError, WorkspaceError
+from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
-from tests.envs.engine import sim_hand
+from hpac_gym.physics.settings import HandSettings
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.posture import PostureConfig
 from tests.envs.fingerprints import (
     BATCHES,
     BY_NAME,
@@ -56,6 +56,11 @@ STOP_GIVES = 0.4
 
 every_id = pytest.mark.parametrize("name", IDS)
 every_option = pytest.mark.parametrize("options", OPTIONS, ids=lambda options: "-".join(map(str, options.values()))[:30])
+
+
+def hand_settings(env: gymnasium.Env) -> HandSettings:
+    """The settings of the simulated hand of an environment that has been reset."""
+    return env.unwrapped.episodes.setups[0].hand_settings
 
 
 @pytest.fixture
@@ -142,19 +147,17 @@ def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
 
 
 NUMBERS = {
-    "CONE_EDGES": "hpac_gym.envs.quality.CONE_EDGES",
-    "LENGTH_UNIT": "hpac_gym.envs.observation.LENGTH_UNIT",
-    "FORCE_UNIT": "hpac_gym.envs.views.FORCE_UNIT",
-    "SPEED_UNIT": "hpac_gym.envs.views.SPEED_UNIT",
-    "IMAGE_SIZE": "hpac_gym.envs.views.IMAGE_SIZE",
-    "posture FORCE_UNIT": "hpac_gym.envs.posture.FORCE_UNIT",
-    "posture IMAGE_SIZE": "hpac_gym.envs.posture.IMAGE_SIZE",
-    "TOLERANCE": "hpac_gym.envs.posture.TOLERANCE",
-    "MISSED_STEPS": "hpac_gym.envs.grip._MISSED_STEPS",
-    "MAX_SLIP": "hpac_gym.envs.grip.MAX_SLIP",
-    "FORCE_LIMIT": "hpac_gym.sim.wrist.FORCE_LIMIT",
-    "MAX_JOINT_SPEED": "hpac_gym.sim.hand.MAX_JOINT_SPEED",
-    "SPIN_DECAY": "hpac_gym.sim.objects.SPIN_DECAY",
+    "CONE_EDGES": "hpac_gym.tasks.quality.CONE_EDGES",
+    "LENGTH_UNIT": "hpac_gym.tasks.terms.LENGTH_UNIT",
+    "FORCE_UNIT": "hpac_gym.tasks.terms.FORCE_UNIT",
+    "SPEED_UNIT": "hpac_gym.tasks.terms.SPEED_UNIT",
+    "IMAGE_SIZE": "hpac_gym.envs.episodes.IMAGE_SIZE",
+    "TOLERANCE": "hpac_gym.tasks.posture.Posture.__init__.__defaults__",
+    "MISSED_STEPS": "hpac_gym.tasks.grip._MISSED_STEPS",
+    "MAX_SLIP": "hpac_gym.tasks.grip.MAX_SLIP",
+    "FORCE_LIMIT": "hpac_gym.physics.pybullet.hand.WRIST_FORCE",
+    "MAX_JOINT_SPEED": "hpac_gym.physics.pybullet.hand.MAX_JOINT_SPEED",
+    "SPIN_DECAY": "hpac_gym.physics.pybullet.objects.SPIN_DECAY",
 }
 """Where the numbers stand that the next test changes."""
 
@@ -172,9 +175,9 @@ NUMBERS = {
         ("HPAC-Grasp-v0/privileged/slips", "MAX_SLIP", 0.022),
         ("HPAC-PickPlace-v0/privileged/placed", "MISSED_STEPS", 2),
         ("HPAC-PickPlace-v0/privileged/jams", "FORCE_LIMIT", 150.0),
-        ("HPAC-Posture-v0/nominal/privileged", "posture FORCE_UNIT", 10.1),
-        ("HPAC-Posture-v0/image", "posture IMAGE_SIZE", 83),
-        ("HPAC-Posture-v0/sparse", "TOLERANCE", 0.06),
+        ("HPAC-Posture-v0/nominal/privileged", "FORCE_UNIT", 10.1),
+        ("HPAC-Posture-v0/image", "IMAGE_SIZE", 83),
+        ("HPAC-Posture-v0/sparse", "TOLERANCE", (PostureConfig(tolerance=0.06),)),
         ("HPAC-Posture-v0/privileged/flicked", "MAX_JOINT_SPEED", 25.0),
     ],
 )
@@ -277,11 +280,11 @@ def test_a_randomized_episode_is_its_seed_s_too(name, preset):
     with gymnasium.make(name, randomize=preset, obs="privileged") as env, gymnasium.make(name, randomize=preset) as other:
         first = trajectory(env, 5)
         trajectory(env, 6)
-        elsewhere = sim_hand(env).settings
+        elsewhere = hand_settings(env)
         np.testing.assert_array_equal(trajectory(env, 5), first)
         other.reset(seed=5)
-        assert sim_hand(env).settings == sim_hand(other).settings
-        assert sim_hand(env).settings != elsewhere or preset == "nominal"
+        assert hand_settings(env) == hand_settings(other)
+        assert hand_settings(env) != elsewhere or preset == "nominal"
 
 
 # Long random runs -----------------------------------------------------------------------------
@@ -310,12 +313,12 @@ def run_randomly(name: str, steps: int) -> None:
             assert np.isfinite(reward)
             assert env.observation_space.contains(observation)
             if step % 10 == 0:
-                joint_pos, joint_vel = sim_hand(env).joint_state()
+                state = env.unwrapped.state
+                joint_pos, joint_vel = state.joint_pos[0], state.joint_vel[0]
                 assert np.all(joint_pos > HPAC.joint_min - STOP_GIVES)
                 assert np.all(joint_pos < HPAC.joint_max + STOP_GIVES)
                 assert np.all(np.abs(joint_vel) < 200)
-                if hasattr(env.unwrapped, "scene"):
-                    assert np.all(np.abs(env.unwrapped.scene.object.pose()[0]) < 3.0)
+                assert np.all(np.abs(state.object_pos) < 3.0)
             if terminated or truncated:
                 env.reset()
             if step == steps // 3:
@@ -353,10 +356,10 @@ def test_a_bad_action_raises_and_moves_nothing(name, env, action, error):
     bare = env.unwrapped
     bare.reset(seed=0)
     bare.step(np.zeros(6, np.float32))
-    before = sim_hand(env).joint_pos
+    before = env.unwrapped.episodes.simulation.state().joint_pos
     with pytest.raises(error, match=SERVOS[2] if error is WorkspaceError else "shape"):
         bare.step(action)
-    np.testing.assert_array_equal(sim_hand(env).joint_pos, before)
+    np.testing.assert_array_equal(env.unwrapped.episodes.simulation.state().joint_pos, before)
     bare.step(np.zeros(6, np.float32))
 
 

@@ -2,29 +2,31 @@
 
 import copy
 import dataclasses
+import inspect
 import pickle
 from collections.abc import Callable
+from importlib.util import find_spec
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import data_equivalence
 
 import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import Grasp, HandEnv, PostureEnv
-from hpac_gym.envs.errors import EpisodeError
-from hpac_gym.envs.observation import CameraNoise
+from hpac_gym.envs.options import IDS, OPTIONS, checked_options
 from hpac_gym.envs.randomization import Randomization
-from hpac_gym.errors import HpacError, ParameterError, ShapeError, WorkspaceError
-from hpac_gym.sim import ObjectSpec, SceneSetup, World
+from hpac_gym.errors import EpisodeError, HpacError, ParameterError, ShapeError, WorkspaceError
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.tasks.cameras import CameraNoise
 from tests.envs.episodes import EASY
-from tests.envs.fingerprints import IDS
 
 MAKERS: dict[str, Callable[[], gymnasium.Env]] = {
     "HandEnv": lambda: HandEnv(Grasp()),
     "PostureEnv": PostureEnv,
     "made by its id": lambda: gymnasium.make("HPAC-Grasp-v0", grasp="rod"),
-    "World": World,
 }
 
 
@@ -32,6 +34,41 @@ MAKERS: dict[str, Callable[[], gymnasium.Env]] = {
 def env(request):
     with gymnasium.make(request.param) as made:
         yield made
+
+
+CHOICES = [option for option in OPTIONS if option.values and not option.others]
+
+
+@pytest.mark.parametrize("option", CHOICES, ids=lambda option: option.name)
+def test_an_option_takes_the_values_of_its_table_and_no_other(option):
+    """What needs an engine that is not there says so."""
+    given = {"grasp": "rod"} if option.name == "variant" else {}
+    for value in option.values:
+        if value != "light" and (value != "pybullet" or find_spec("pybullet")):
+            gymnasium.make(option.ids[0], **given, **{option.name: value}).close()
+    for wrong in ("nonsense", 3, ["nonsense"]):
+        with pytest.raises(HpacError, match=r"nonsense|3"):
+            gymnasium.make(option.ids[0], **given, **{option.name: wrong})
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
+    with gymnasium.make(name) as plain, gymnasium.make(name, **{o.name: o.default for o in OPTIONS if name in o.ids}) as given:
+        seen, expected = given.reset(seed=0)[0], plain.reset(seed=0)[0]
+        assert data_equivalence(seen, expected)
+    for other in ("task", "max_steps", "workers"):
+        with pytest.raises(TypeError, match=other):
+            gymnasium.make(name, **{other: None})
+    for option in OPTIONS:
+        if name not in option.ids:
+            with pytest.raises((TypeError, ParameterError), match=option.name):
+                gymnasium.make(name, **{option.name: CameraNoise(0, 0, 0) if option.name == "noise" else None})
+
+
+def test_the_defaults_of_the_table_are_those_of_the_check():
+    parameters = inspect.signature(checked_options).parameters
+    table = {option.name: option.default for option in OPTIONS if option.name not in ("grasp", "variant")}
+    assert {name: parameter.default for name, parameter in parameters.items()} == table
 
 
 @pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps], ids=["copy", "deepcopy", "pickle"])

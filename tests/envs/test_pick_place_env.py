@@ -1,14 +1,17 @@
 """HPAC-PickPlace-v0: the four phases, what counts as placed, and the target."""
 
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import HandEnv, PickPlace, ScriptedClosure, ScriptedPickPlace
-from hpac_gym.envs.observation import GRASP_CENTRE, LENGTH_UNIT
-from hpac_gym.envs.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
-from tests.envs.episodes import run
+from hpac_gym.errors import ParameterError
+from hpac_gym.tasks.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
+from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
+from tests.envs.episodes import part, run
 
 ID = "HPAC-PickPlace-v0"
 OPEN = np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
@@ -61,7 +64,7 @@ def test_the_four_phases_come_in_order(env):
     names = [info["phase"] for info in infos]
     assert sorted(names, key=PHASES.index) == names
     assert set(names) == set(PHASES)
-    assert len(infos) == round(PickPlaceTimetable().duration * 20)
+    assert len(infos) == round(PickPlaceTimetable().ends[-1] * 20)
 
 
 def test_an_open_hand_does_not_touch_the_object_on_its_way(env):
@@ -78,29 +81,30 @@ def test_success_is_an_object_that_stands_alone_at_its_target(env):
         infos, _ = run(env, ScriptedPickPlace(), seed=seed)
         if infos[-1]["is_success"]:
             break
-    scene = env.unwrapped.scene
+    state, setup = env.unwrapped.state, env.unwrapped.episodes.setups[0]
     assert infos[-1]["contact_force"] == 0.0
-    assert scene.on_target
-    centre = scene.object.pose()[0]
-    assert np.linalg.norm((centre - scene.target)[:2]) < PickPlaceConfig().tolerance
-    assert centre[2] == pytest.approx(scene.target[2], abs=2e-3)
+    assert state.on_target[0]
+    centre = state.object_pos[0] + setup.hand_rotation.T @ state.palm_offset[0]  # in the hand frame at the start
+    assert np.linalg.norm((centre - setup.target)[[0, 2]]) < PickPlaceConfig().tolerance
+    assert centre[1] == pytest.approx(setup.target[1], abs=2e-3)
 
 
 def test_the_target_in_the_observation_moves_with_the_wrist(env):
     observation, _ = env.reset(seed=1)
-    setup_target = observation[-3:] * LENGTH_UNIT + GRASP_CENTRE
-    scene = env.unwrapped.scene
-    np.testing.assert_allclose(scene.palm_position + scene.hand_rotation @ setup_target, scene.target, atol=1e-6)
+    terms, setup = env.unwrapped.task.terms, env.unwrapped.episodes.setups[0]
+    first = part(observation, terms, "target_pos") * LENGTH_UNIT + GRASP_CENTRE
+    np.testing.assert_allclose(first, setup.target, atol=1e-6)
     for _ in range(10):
         observation, *_ = env.step(OPEN)
-    now = observation[-3:] * LENGTH_UNIT + GRASP_CENTRE
-    np.testing.assert_allclose(scene.palm_position + scene.hand_rotation @ now, scene.target, atol=1e-6)
-    assert not np.allclose(now, setup_target, atol=0.01)
+    now = part(observation, terms, "target_pos") * LENGTH_UNIT + GRASP_CENTRE
+    way = setup.hand_rotation.T @ env.unwrapped.state.palm_offset[0]
+    np.testing.assert_allclose(now, setup.target - way, atol=1e-6)
+    assert not np.allclose(now, first, atol=0.01)
 
 
 def test_the_wrist_path_is_smooth_and_ends_where_it_should():
     table, dt = PickPlaceTimetable(carry=(0.05, 0.2, 0.01)), 1e-3
-    offsets = np.array([table.wrist_path(time) for time in np.arange(0, table.duration, dt)])
+    offsets = table.wrist_path(tuple(np.arange(0, table.ends[-1], dt).tolist()))
     assert np.abs(np.diff(offsets, 2, axis=0) / dt**2).max() < 5.0  # [m/s²]
     np.testing.assert_allclose(offsets[-1], [0.05, 0.2, 0.01 + table.clearance], atol=1e-6)
 
@@ -116,8 +120,8 @@ def test_reward_is_the_sum_of_its_named_terms(env):
             break
 
 
-def test_a_setup_without_a_target_is_refused():
-    task = PickPlace()
-    setup = task.setup(np.random.default_rng(0))
-    with pytest.raises(ValueError, match="target"):
-        task.start(type(setup)(setup.object, setup.position, setup.yaw, setup.synergy))
+def test_a_setup_without_a_target_is_refused(env):
+    env.reset(seed=0)
+    setup = replace(env.unwrapped.episodes.setups[0], target=None)
+    with pytest.raises(ParameterError, match=r"target, shape \(3,\) \[m\], not None"):
+        env.reset(options={"setup": setup})

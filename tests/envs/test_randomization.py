@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
-from hpac_gym.envs import Grasp, HandEnv, ScriptedClosure
+from hpac_gym.envs import Grasp, HandEnv, PostureEnv, ScriptedClosure
 from hpac_gym.envs.randomization import BOUNDS, PRESETS, Randomization, changed_setup, stream
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, ServoCommand
-from hpac_gym.sim import Servos, ServoSettings
+from hpac_gym.model import HPAC
 
 
 def setup_of(seed: int = 0):
@@ -44,13 +43,12 @@ def test_a_stream_does_not_depend_on_what_its_parent_has_drawn():
 
 
 def test_the_task_draws_the_same_episode_with_and_without_randomization():
-    plain, full = HandEnv(Grasp()), HandEnv(Grasp(), randomize="full")
-    plain.reset(seed=3)
-    full.reset(seed=3)
-    assert plain.scene.object.spec.half_extents == full.scene.object.spec.half_extents
-    assert plain.scene.object.spec.mass != full.scene.object.spec.mass
-    plain.close()
-    full.close()
+    with HandEnv(Grasp()) as plain, HandEnv(Grasp(), randomize="full") as full:
+        plain.reset(seed=3)
+        full.reset(seed=3)
+        one, other = plain.episodes.setups[0].object, full.episodes.setups[0].object
+    assert one.half_extents == other.half_extents
+    assert one.mass != other.mass
 
 
 @pytest.mark.parametrize("name", BOUNDS)
@@ -68,7 +66,7 @@ def test_each_quantity_alone_changes_the_trajectory_and_only_within_its_range(na
         action = policy.act(observation)
         observation, _, over, *_ = env.step(action)
         reference, _, plain_over, *_ = plain.step(action)
-        differs |= not np.array_equal(env.scene.hand.joint_pos, plain.scene.hand.joint_pos)
+        differs |= not np.array_equal(env.state.joint_pos, plain.state.joint_pos)
         differs |= not np.array_equal(observation, reference)
         if over or plain_over:
             break
@@ -97,37 +95,18 @@ def test_the_simulated_hand_has_what_was_drawn():
     assert changed.object.friction == pytest.approx(1.5 * setup.object.friction)
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.05, 0.15])
-def test_a_lagging_servo_answers_one_lag_later(lag):
-    dt, servos, prompt = 1 / 240, Servos(ServoSettings(lag=lag)), Servos()
-    late = round(lag / dt)
-    answers, expected = [], [np.zeros(6)] * late
-    for step in range(80):
-        if step % 12 == 0:
-            command = ServoCommand(np.full(6, 0.1 + 0.1 * (step % 24 == 0)), 0.05)
-            servos.command(command)
-            prompt.command(command)
-        servos.advance(dt)
-        prompt.advance(dt)
-        answers.append(servos.horn.copy())
-        expected.append(prompt.horn.copy())
-    np.testing.assert_array_equal(answers, expected[:80])
-
-
-def test_every_frame_that_is_dropped_leaves_the_servos_where_they_were():
-    env = HandEnv(Grasp(), randomize=Randomization(dropped_frames=(0.5, 0.5)))
-    env.reset(seed=0)
-    arrived, advance = [], env.scene.advance
-    env.scene.advance = lambda command, path: (arrived.append(command.servo), advance(command, path))
-    commanded = []
-    for step in range(40):
-        *_, over, _, _ = env.step(np.full(6, np.sin(step / 3), np.float32))
-        commanded.append(env.command.servo)
-        if over:
-            env.reset()
-    lost = [not np.array_equal(a, c) for a, c in zip(arrived, commanded, strict=True)]
-    assert 5 < sum(lost) < 35
-    env.close()
+def test_every_frame_that_is_dropped_leaves_the_servos_where_they_were(monkeypatch):
+    with PostureEnv(randomize=Randomization(dropped_frames=(0.5, 0.5))) as env:
+        env.reset(seed=0)
+        arrived, commanded, send = [], [], env.episodes.simulation.command
+        monkeypatch.setattr(env.episodes.simulation, "command", lambda servo, time: (arrived.append(servo[0]), send(servo, time)))
+        for step in range(40):
+            env.step(np.full(6, np.sin(step / 3), np.float32))
+            commanded.append(env.command.servo)
+    lost = [step for step in range(1, 40) if not np.array_equal(arrived[step], commanded[step])]
+    assert 5 < len(lost) < 35
+    for step in lost:
+        np.testing.assert_array_equal(arrived[step], arrived[step - 1])
 
 
 @pytest.mark.parametrize("wrong", ["wild", Randomization.__name__])
@@ -152,10 +131,9 @@ def test_the_physics_stays_stable_at_the_ends_of_every_range(corner):
     env.reset(seed=0, options={"setup": dataclasses.replace(setup_of(), position=np.array([0.2, 0.0, 0.3]))})
     for _ in range(22):
         env.step(np.array([0.2, 1, 1, 1, 1, 0.5], np.float32))
-    for _ in range(20):
-        env.scene.advance(env.command, env.task.timetable.wrist_path)
-    position, speed = env.scene.hand.joint_state()
-    assert np.all(position < HPAC.joint_max + 0.1)
-    assert np.all(position > HPAC.joint_min - 0.1)
-    assert np.all(np.abs(speed) < 0.5)
+    env.episodes.simulation.rest(1.0)
+    state = env.episodes.simulation.state()
+    assert np.all(state.joint_pos < HPAC.joint_max + 0.1)
+    assert np.all(state.joint_pos > HPAC.joint_min - 0.1)
+    assert np.all(np.abs(state.joint_vel) < 0.5)
     env.close()

@@ -1,26 +1,25 @@
 """The pages of docs/environments and docs/grasps.md say what the code does."""
 
+import importlib
+import math
 import re
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import data_equivalence
 
 import hpac_gym  # noqa: F401  registers the environments
-from hpac_gym.envs import Grasp, PickPlace, posture
-from hpac_gym.envs.arguments import arguments_of
-from hpac_gym.envs.observation import GRASP_CENTRE
-from hpac_gym.envs.randomization import BOUNDS, Randomization
-from hpac_gym.envs.tables import DOCS, PAGES, attribute_docs, episode_steps, filled, reward_list
-from hpac_gym.envs.task import Outcome
-from tests.envs.fingerprints import IDS
+from hpac_gym.envs import Grasp, PickPlace
+from hpac_gym.envs.options import GRASP, IDS, PICK_PLACE, POSTURE
+from hpac_gym.model import HPAC, servo_from_synergy
+from hpac_gym.tasks import posture
+from hpac_gym.tasks.grip import MAX_SLIP
+from hpac_gym.tasks.task import CONTROL_HZ
+from hpac_gym.tasks.terms import GRASP_CENTRE
+from tools.tables import DOCS, PAGES, filled
 
-ID_PAGES = {
-    "HPAC-Grasp-v0": "environments/grasp.md",
-    "HPAC-PickPlace-v0": "environments/pick_place.md",
-    "HPAC-Posture-v0": "environments/posture.md",
-}
+ID_PAGES = {GRASP: "environments/grasp.md", PICK_PLACE: "environments/pick_place.md", POSTURE: "environments/posture.md"}
+STEPS = {GRASP: 64, PICK_PLACE: 110, POSTURE: 40}
 PARTS = (
     "Description", "Action space", "Observation space", "Rewards", "Starting state", "Episode end", "Info", "Arguments",
     "Baselines", "Version history",
@@ -29,6 +28,11 @@ PARTS = (
 
 def text(page: str) -> str:
     return (DOCS / page).read_text(encoding="utf-8")
+
+
+def words(page: str) -> str:
+    """A page in one line."""
+    return " ".join(text(page).split())
 
 
 def cells(page: str, name: str) -> list[list[str]]:
@@ -53,32 +57,38 @@ def bounds(page: str, *names: str) -> tuple[list[float], list[float]]:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_is_what_the_command_writes(page):
-    assert filled(text(page), PAGES[page]) == text(page), "run: python -m hpac_gym.envs.tables"
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_no_table_is_left_out(page):
+    assert filled(text(page), PAGES[page]) == text(page), "run make generate"
     assert sorted(re.findall(r"<!-- ([\w-]+) -->", text(page))) == sorted(PAGES[page])
+    with pytest.raises(ValueError, match="the page needs"):
+        filled(text(page).replace("<!-- ", "<!- "), PAGES[page])
 
 
 def test_every_id_has_a_page_that_is_linked():
-    assert sorted(ID_PAGES) == IDS
+    assert sorted(ID_PAGES) == sorted(IDS)
     for name, page in ID_PAGES.items():
-        steps = episode_steps(name)
-        assert re.search(rf"\[`{name}`\]\({page.partition('/')[2]}\).* {steps} steps \|\n", text("environments/README.md"))
+        assert re.search(rf"\[`{name}`\]\({page.partition('/')[2]}\).* {STEPS[name]} steps \|\n", text("environments/README.md"))
 
 
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
 def test_a_page_has_the_parts_that_people_expect_in_their_order(name, page):
     assert text(page).startswith(f"# {name}\n\n![")
-    parts = [part for part in PARTS if part != "Baselines" or name != "HPAC-Posture-v0"]  # which no baseline plays
+    parts = [part for part in PARTS if part != "Baselines" or name != POSTURE]  # which no baseline plays
     assert re.findall(r"^## (.*)", text(page), re.MULTILINE) == parts
-    assert f"{episode_steps(name)} steps" in text(page).split("## Episode end")[1]
+    assert f"{STEPS[name]} steps" in text(page).split("## Episode end")[1]
+    assert ["length", f"{STEPS[name]} steps, {STEPS[name] / CONTROL_HZ:g} s"] in cells(page, "summary")
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_an_episode_is_as_long_as_its_page_says(name):
+    """Until the end of its timetable, or until the time limit."""
+    with gymnasium.make(name) as env:
+        limit = gymnasium.spec(name).max_episode_steps
+        assert (limit or round(env.unwrapped.task.duration * CONTROL_HZ)) == STEPS[name]
 
 
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
 def test_the_picture_is_drawn_by_the_command_below_it(name, page):
-    command = r"python -m hpac_gym\.evaluation\.film_strip (\S+) .* --out docs/(.*)"
+    command = r"python -m tools\.film_strip (\S+) .* --out docs/(.*)"
     shown, drawn_of, drawn = re.search(rf"!\[.*\]\(\.\./(.*)\)\n\n```\n{command}\n```", text(page)).groups()
     assert (drawn_of, drawn) == (name, shown)
 
@@ -93,79 +103,50 @@ def test_the_tables_have_the_bounds_of_the_spaces(name, page, tables):
 
 
 def test_the_goals_have_the_bounds_of_their_spaces():
-    with gymnasium.make("HPAC-Posture-v0") as env:
+    with gymnasium.make(POSTURE) as env:
         for goal in ("achieved_goal", "desired_goal"):
             space = env.observation_space[goal]
-            stated = bounds(ID_PAGES["HPAC-Posture-v0"], "goal")
-            np.testing.assert_array_equal([space.low, space.high], np.array(stated, np.float32))
+            np.testing.assert_array_equal([space.low, space.high], np.array(bounds(ID_PAGES[POSTURE], "goal"), np.float32))
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_an_id_takes_the_arguments_of_its_page_and_no_other(name):
-    rows = cells(ID_PAGES[name], "arguments")
-    described = {argument.name: argument for argument in arguments_of(name)}
-    assert [row[0].strip("`") for row in rows] == list(described)
-    assert all(all(row) for row in rows), "each has values, a default and a meaning"
-    with gymnasium.make(name, **{argument.name: argument.default for argument in described.values()}) as given:
-        with gymnasium.make(name) as default:
-            seen, expected = given.reset(seed=0)[0], default.reset(seed=0)[0]
-            assert data_equivalence(seen, expected)
-    everything = {key for other in IDS for key in (argument.name for argument in arguments_of(other))}
-    for other in everything - set(described) | {"task", "max_steps"}:
-        with pytest.raises(TypeError, match=other):
-            gymnasium.make(name, **{other: None})
+@pytest.mark.parametrize("page", PAGES)
+def test_every_name_of_the_package_on_a_page_is_there(page):
+    """Import paths that a reader may copy."""
+    for name in set(re.findall(r"`(hpac_gym(?:\.\w+)+)", text(page))):
+        parts = name.split(".")
+        for length in range(len(parts), 0, -1):
+            try:
+                found = importlib.import_module(".".join(parts[:length]))
+            except ImportError:
+                continue
+            for part in parts[length:]:
+                found = getattr(found, part)
+            break
+    for file in set(re.findall(r"`((?:hpac_gym|assets|tests|tools)/[\w/.]+)`", text(page))):
+        assert (DOCS.parent / file).exists(), file
 
 
-def numbers(task: type, term: str) -> list[float]:
-    """The numbers that the documentation of a task states for a term of its reward."""
-    (stated,) = re.findall(rf"^\* `{term}`(?:.*\n?)(?:  .*\n?)*", reward_list(task), re.MULTILINE)
-    return [float(number.replace("−", "-")) for number in re.findall(r"−?\d+(?:\.\d+)?", stated)]
-
-
-@pytest.mark.parametrize("kind", [Grasp, PickPlace])
-def test_the_rewards_have_the_numbers_that_are_stated(kind):
-    task, rng, still = kind(), np.random.default_rng(0), np.zeros(6)
-    setup = task.setup(rng)
-    task.start(setup)
-    # What `PickPlace.judge` finds of a lost object, of one that stands, and before the hand is lowered.
-    task._lost, task._standing, task._lowered = 1.0, True, False
-    phases = task.timetable.phases
-
-    def terms(phase="close", forces=(), change=still, outcome=Outcome.RUNNING):
-        far = setup.position + 1.0
-        return task.reward_terms(outcome, phases.index(phase), far, dict.fromkeys(forces, 1.0), change)
-
-    thumb, finger = terms(forces=["thumb"])["contact"], terms(forces=["index"])["contact"]
-    opposed = terms(forces=["thumb", "index"])["contact"] - thumb - finger
-    assert numbers(kind, "contact") == pytest.approx([thumb, finger, opposed])
-    assert numbers(kind, "push") == [terms()["push"]]
-    assert numbers(kind, "effort") == [terms(change=np.eye(6)[0])["effort"]]
-    assert numbers(kind, "outcome") == [terms(outcome=end)["outcome"] for end in (Outcome.SUCCESS, Outcome.FAILURE)]
-    task.grip.follow(setup.position, True, False, 0.05)
-    assert numbers(kind, "carry") == [terms("lift")["carry"]]
-    if kind is PickPlace:
-        touched, free = terms("place", ["thumb"])["place"], terms("place")["place"]
-        assert numbers(kind, "place") == [touched, free - touched]
-    assert set(re.findall(r"^\* `(\w+)`", reward_list(kind), re.MULTILINE)) == set(terms())
+@pytest.mark.parametrize("name", [GRASP, PICK_PLACE])
+def test_a_page_names_what_a_caller_may_have_to_import(name):
+    page = words(ID_PAGES[name])
+    for path in ("hpac_gym.physics.engine.SceneSetup", "hpac_gym.body.objects.ObjectSpec", "hpac_gym.tasks.cameras.CameraNoise"):
+        assert f"`{path}`" in page
 
 
 def test_what_is_written_by_hand_has_the_numbers_of_the_code():
+    grasp, place, goals = (words(ID_PAGES[name]) for name in (GRASP, PICK_PLACE, POSTURE))
     centre = f"({', '.join(f'{value:g}' for value in GRASP_CENTRE)}) m"
-    assert centre in text("environments/grasp.md")
-    assert centre in text("environments/pick_place.md")
-    assert f"lifts by {100 * Grasp().timetable.lift_height:g} cm" in text("environments/grasp.md")
-    assert f"{1e3 * PickPlace().timetable.clearance:g} mm above" in text("environments/pick_place.md")
-    page = " ".join(text("environments/posture.md").split())
+    assert centre in grasp
+    assert centre in place
+    assert f"lifts by {100 * Grasp().timetable.lift_height:g} cm" in grasp
+    assert f"{1e3 * MAX_SLIP:g} mm in the hand since" in grasp
+    assert f"{1e3 * PickPlace().timetable.clearance:g} mm above" in place
+    assert goals.count(f"no joint is farther than {posture.TOLERANCE:g} rad from its goal") == 2
     mp, cmc = posture.FREE_FINGERS_THUMB
-    assert f"farther than {posture.TOLERANCE:g} rad" in page
-    assert f"MCP beyond {posture.FREE_THUMB_FINGERS:g} rad" in page
-    assert f"MP below {mp:g} rad and its CMC below {cmc:g} rad" in page
-    assert f"noise of {np.rad2deg(posture.CAMERA_NOISE):g}° a joint" in page
-
-
-def test_every_quantity_has_a_text_and_bounds_that_it_states():
-    documents = attribute_docs(Randomization)
-    for name, (_, highest) in BOUNDS.items():
-        stated = documents[name]
-        assert re.search(r"\d|π", stated), name
-        assert any(f"{value:g}" in stated for value in (highest, 1e3 * highest)) or "π" in stated, name
+    assert f"MCP beyond {posture.FREE_THUMB_FINGERS:g} rad" in goals
+    assert f"MP below {mp:g} rad and its CMC below {cmc:g} rad" in goals
+    assert f"noise of {np.rad2deg(posture.CAMERA_NOISE):g}° a joint" in goals
+    fingers = servo_from_synergy(HPAC.synergy_max)[1:5] / HPAC.rate_limit
+    (steps,) = {math.ceil(CONTROL_HZ * seconds) for seconds in fingers}
+    for page in (grasp, place, goals, words("environments/README.md")):
+        assert f"rate limit of {HPAC.rate_limit:g} rad/s, all arriving together: a finger closes fully in {steps} steps" in page

@@ -44,6 +44,13 @@ def test_digit_gestures_1_to_8_are_all_there(digit):
     assert sum(angle == 0 for angle in of(f"digit_{digit}", "mcp").values()) == straight
 
 
+def test_no_two_postures_of_the_13_are_alike():
+    """The nearest two differ by more than 0.2 rad in some joint: `digit_3` and `oppose_index` once differed by 0.03."""
+    targets = [item.target_joint_pos for item in POSTURES.values() if item.kind != "grasp"]
+    apart = [np.abs(one - other).max() for number, one in enumerate(targets) for other in targets[:number]]
+    assert min(apart) > 0.2
+
+
 def test_panels_8_to_13_are_digit_gestures():
     assert all(item.name.startswith("digit_") for item in POSTURES.values() if 8 <= item.panel <= 13)
 

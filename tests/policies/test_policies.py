@@ -55,7 +55,7 @@ policy = LearnedPolicy.of(file)
 policy.reset(seed=0)
 action = policy.act([0.0] * file.actor.sizes[0])
 assert action.shape == (6,) and abs(action).max() <= 1
-assert not [name for name in sys.modules if name.startswith(("hpac_gym.sim", "hpac_gym.envs"))]
+assert not [name for name in sys.modules if name.startswith(("hpac_gym.physics", "hpac_gym.tasks", "hpac_gym.envs"))]
 """
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

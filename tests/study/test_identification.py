@@ -1,154 +1,32 @@
-"""Identification, proved on hidden hands: it predicts a held-out sweep, and its intervals hold the truth as often as they say."""
+"""Identification, proved on hidden hands in metal: the written file is near the truth, its intervals hold it as they say."""
 
-import argparse
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hpac_gym.model import HPAC, JOINT_INDEX, Hand, elastic_joints_from_servo, load_hand, servo_from_joints
+from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, elastic_joints_from_servo, load_hand, servo_from_joints
+from hpac_gym.model.parameters import Friction
+from hpac_gym.model.settled import EXTENSION, settled_digit, settled_joints_from_servo
 from hpac_gym.study import calibrate
-from hpac_gym.study.combinations import combinations, digit_with, values
-from hpac_gym.study.identification import IdentificationError, identify, predicted_joints
-from hpac_gym.study.processing import without_drift
-from hpac_gym.study.record import JOINT_COLUMNS, PHASES, Sweep, joints_of_servo, read_sweep, write_sweep
-from hpac_gym.study.reference import load_reference
-from hpac_gym.study.rig import JointCamera
-from hpac_gym.study.statics import Friction, settled_joints
-from hpac_gym.study.synthetic import synthetic_sweep
+from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
+from hpac_gym.study.combinations import SweptDigit, combinations, digit_with, values
+from hpac_gym.study.hidden import ERROR_MARK_DEG, HiddenSummary, run_hidden, run_hidden_in_physics, summarised, swept_digit
+from hpac_gym.study.identification import IdentificationError, identify
+from hpac_gym.study.population import Built
+from hpac_gym.study.quasistatic import Metal, hand_course
+from hpac_gym.study.record import JOINT_COLUMNS, PHASES, Sweep, concatenate, read_sweep, write_sweep
+from hpac_gym.study.samples import digit_samples
+from tests.study.options import parsed
 
-NOISE = np.deg2rad(0.1)
-DRAWN = (
-    *("d1", "d2", "alpha", "servo_radius", "joint_radius", "path_length"),
-    *("spring_stiffness", "tendon_stiffness", "drive_stiffness"),
-)
+SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 17)
+INDEX = [JOINT_INDEX[name] for name in HPAC.digits["index"].joints]
 
 
-def hidden_hand(rng: np.random.Generator) -> tuple[Hand, Friction]:
-    """Every parameter drawn evenly within ±15 % of the nominal hand's."""
-    digits = {}
-    for name, digit in HPAC.digits.items():
-        changed = {}
-        for field in DRAWN:
-            value = getattr(digit, field)
-            factor = 1 + rng.uniform(-0.15, 0.15, np.shape(value))
-            changed[field] = tuple((factor * value).tolist()) if isinstance(value, tuple) else float(factor * value)
-        digits[name] = replace(digit, **changed)
-    return replace(HPAC, digits=digits), Friction(1e-3 * (1 + rng.uniform(-0.15, 0.15)))
-
-
-def held_out_error(record: Sweep, found) -> float:
-    """RMS of a sweep's samples about the prediction, over the camera's noise."""
-    errors = []
-    for servo in np.unique(record.swept):
-        rows = (record.swept == servo) & (record.phase == PHASES.index("flexion")) & (record.point >= 0)
-        error = without_drift(record).joint_pos[rows] - predicted_joints(record.servo[rows], found)
-        errors.append(error[:, joints_of_servo(int(servo))].ravel())
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) / NOISE
-
-
-def coverage(draws: int, seed: int, servo: str = "index_mcp") -> tuple[dict[str, float], float]:
-    """Share of the draws whose 95 % interval holds the truth, by combination, and the worst held-out error."""
-    inside, worst = {}, 0.0
-    digit = servo.split("_")[0]
-    for draw in range(draws):
-        rng = np.random.default_rng([seed, draw])
-        hand, friction = hidden_hand(rng)
-        found = identify(synthetic_sweep(hand, friction, rng, servos=(servo,)))
-        truth = values(hand.digits[digit], friction.joint)
-        for item, true in zip(found.fits[digit].estimates, truth, strict=True):
-            inside.setdefault(item.name, []).append(item.low <= true <= item.high)
-        worst = max(worst, held_out_error(synthetic_sweep(hand, friction, rng, servos=(servo,)), found))
-    return {name: float(np.mean(hits)) for name, hits in inside.items()}, worst
-
-
-@pytest.fixture(scope="module")
-def hidden() -> tuple[Hand, Friction]:
-    return hidden_hand(np.random.default_rng(42))
-
-
-@pytest.fixture(scope="module")
-def record(hidden) -> Sweep:
-    return synthetic_sweep(*hidden, np.random.default_rng(1))
-
-
-@pytest.fixture(scope="module")
-def found(record):
-    return identify(record)
-
-
-def test_the_identified_hand_predicts_a_held_out_sweep(hidden, found):
-    """Within 1.3 times the camera's noise; the nominal hand is far off."""
-    held_out = synthetic_sweep(*hidden, np.random.default_rng(2))
-    assert held_out_error(held_out, found) < 1.3
-    servo = held_out.servo[held_out.phase == 1]
-    assert np.abs(settled_joints(servo, *hidden) - elastic_joints_from_servo(servo)).max() > np.deg2rad(3)
-
-
-def test_intervals_hold_the_truth_at_their_nominal_rate():
-    held, worst = coverage(20, seed=5)
-    assert min(held.values()) >= 0.85  # 17 of 20; the slow test takes 200
-    assert worst < 1.3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("servo", ["index_mcp", "thumb_mp"])
-def test_95_percent_intervals_hold_the_truth_in_90_percent_of_200_draws(servo):
-    held, worst = coverage(200, seed=9, servo=servo)
-    assert min(held.values()) >= 0.9, held
-    assert worst < 1.3
-
-
-def test_the_identified_hand_predicts_a_held_out_sweep_of_the_physics():
-    """Fitted to one PyBullet sweep of the reference hand's index, it predicts another within 1.3 times the camera's noise."""
-    rig = load_reference().rig.with_protocol(points=15, rest=1.0)
-    first, second = (rig.sweep(np.random.default_rng(seed), servos=("index_mcp",)) for seed in (0, 1))
-    assert held_out_error(second, identify(first)) < 1.3
-
-
-def test_what_the_data_tells_is_told_and_what_not_is_named(found):
-    for name, fit in found.fits.items():
-        told = {item.name: item.told for item in fit.estimates}
-        assert told["hub"] > 0.9, name
-        assert told["alpha"] > 0.9, name
-        ratio, strain = (("ip_ratio", "ip_strain") if name == "thumb" else ("dip_ratio", "dip_strain"))
-        assert told[strain] < 0.2
-        assert any(group[0] == strain and ratio in group for group in fit.confounded)
-
-
-def test_known_radii_let_the_elasticity_be_told():
-    rng = np.random.default_rng(3)
-    digit = HPAC.digits["index"]
-    softer = replace(digit, tendon_stiffness=0.85 * digit.tendon_stiffness)
-    hand = replace(HPAC, digits={**HPAC.digits, "index": softer})
-    sweep = synthetic_sweep(hand, Friction(1e-3), rng, servos=("index_mcp",))
-    fit = identify(sweep, radii_known=True).fits["index"]
-    found = {item.name: item for item in fit.estimates}
-    assert found["pip_strain"].told > 0.5
-    assert found["pip_strain"].low < values(softer, 1e-3)[5] < found["pip_strain"].high
-    assert not any(group[0] == "pip_strain" for group in fit.confounded)
-
-
-@pytest.mark.parametrize("name", HPAC.digits)
-def test_a_digit_comes_back_from_its_combinations(name):
-    digit = HPAC.digits[name]
-    again, friction = digit_with(digit, values(digit, 7e-4))
-    assert friction.joint == pytest.approx(7e-4)
-    assert values(again, friction.joint) == pytest.approx(values(digit, 7e-4))
-    assert len(combinations(digit)) == len(values(digit, 7e-4))
-
-
-def test_angles_depend_on_the_combinations_alone(hidden):
-    """A hidden hand and the one rebuilt from its combinations about the nominal hand rest at the same angles."""
-    hand, friction = hidden
-    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 9)
-    for name, digit in hand.digits.items():
-        rebuilt, rebuilt_friction = digit_with(HPAC.digits[name], values(digit, friction.joint))
-        other = replace(HPAC, digits={**HPAC.digits, name: rebuilt})
-        joints = [JOINT_INDEX[joint] for joint in digit.joints]
-        expected = settled_joints(servo, hand, friction)[:, joints]
-        assert settled_joints(servo, other, rebuilt_friction)[:, joints] == pytest.approx(expected, abs=1e-9)
+def truth_of(built: Built) -> np.ndarray:
+    """Where a hand in metal rests at `SERVO`, shape (17, 15) [rad]."""
+    return hand_course([built.hand], [built.metal], SERVO)[0]
 
 
 def spoiled(record: Sweep, **changes) -> Sweep:
@@ -158,30 +36,149 @@ def spoiled(record: Sweep, **changes) -> Sweep:
     return record.with_joint_pos(joint_pos)
 
 
+@pytest.fixture(scope="module")
+def found(record):
+    return identify(record)
+
+
+def test_the_identified_hand_is_within_a_tenth_of_a_degree_of_the_truth(hidden, found):
+    """Every joint; the nominal hand is degrees off."""
+    truth = truth_of(hidden)
+    assert np.degrees(np.abs(settled_joints_from_servo(SERVO, found.hand) - truth).max()) < 0.1
+    assert np.degrees(np.abs(elastic_joints_from_servo(SERVO) - truth).max()) > 2
+
+
+def test_zeros_are_found_in_a_flexion(hidden, found):
+    for column, fit in enumerate(found.fits.values()):
+        true = hidden.metal[column].servo_zero - hidden.metal[column].dead_band
+        assert found.hand.calibration.servo_zero[column] == fit.swept.servo_zero == pytest.approx(true, abs=np.deg2rad(0.25))
+
+
+def coverage(draws: int, seed: int) -> HiddenSummary:
+    return summarised(run_hidden(draws, seed, "laws of the fit"))
+
+
+def test_hidden_hands_meet_the_marks_and_their_intervals_hold_the_truth():
+    """±20 % stiffness, ±5 % geometry, zeros, frictions, stops, 2 % of outliers and of dropped frames; not the fit's solver."""
+    found = coverage(6, seed=11)
+    assert found.refused == found.stops_missed == 0
+    assert found.within == 1.0
+    assert min(found.coverage.values()) >= 0.8  # of 30 digits; the slow test takes 300
+
+
+@pytest.mark.slow
+def test_95_percent_intervals_hold_the_truth_in_90_percent_of_the_digits():
+    found = coverage(60, seed=12)
+    assert min(found.coverage.values()) >= 0.9, found.coverage
+    assert found.worst_deg < ERROR_MARK_DEG
+
+
+def test_other_laws_than_the_fits_are_still_met_within_the_marks():
+    found = summarised(run_hidden(4, 5, "other laws"))
+    assert found.refused == 0
+    assert found.within >= 0.95
+    assert not found.coverage
+
+
+@pytest.mark.slow
+def test_a_hidden_hand_in_the_physics_engine_meets_the_marks():
+    found = summarised(run_hidden_in_physics(1, 3))
+    assert found.refused == 0
+    assert found.within == 1.0
+
+
+def test_what_the_data_tells_is_told_and_what_not_is_named(found):
+    for name, fit in found.fits.items():
+        told = {item.name: item.told for item in fit.estimates}
+        assert min(told["hub"], told["alpha"], told["servo_zero"]) > 0.9, name
+        ratio, strain = (("ip_ratio", "ip_strain") if name == "thumb" else ("pip_ratio", "pip_strain"))
+        assert told[strain] < 0.2
+        assert any(group[0] == strain and ratio in group for group in fit.confounded)
+
+
+def test_known_radii_let_the_elasticity_be_told(nominal_record):
+    fit = identify(nominal_record, radii_known=True).fits["index"]
+    found = {item.name: item for item in fit.estimates}
+    assert found["pip_strain"].told > 0.5
+    assert found["pip_strain"].low < values(SweptDigit(HPAC.digits["index"]))[5] < found["pip_strain"].high
+
+
+def test_radii_that_are_not_what_was_said_are_told(nominal_record):
+    """A PIP ratio that is off by 3 % would need a strain that no tendon has."""
+    off = nominal_record.joint_pos.copy()
+    off[:, JOINT_INDEX["index_pip"]] *= 0.97
+    with pytest.raises(IdentificationError, match=r"index: the record contradicts --radii-known"):
+        identify(nominal_record.with_joint_pos(off)[nominal_record.swept == 1], radii_known=True)
+
+
+@pytest.mark.parametrize("name", HPAC.digits)
+def test_a_digit_comes_back_from_its_combinations(name):
+    swept = SweptDigit(HPAC.digits[name], Friction(7e-4, 0.05), 0.01)
+    again = digit_with(swept.digit, values(swept))
+    assert again.friction.joint == pytest.approx(7e-4)
+    assert values(again) == pytest.approx(values(swept))
+    assert len(combinations(swept.digit)) == len(values(swept))
+
+
+def test_angles_depend_on_the_combinations_alone(hidden):
+    """A hidden digit and the one rebuilt from its combinations about the nominal hand rest at the same angles."""
+    horn = np.linspace(0.05, 1.3, 9)
+    for column, name in enumerate(HPAC.digits):
+        swept = swept_digit(hidden, column)
+        one = digit_with(HPAC.digits[name], values(swept))
+        expected = settled_digit(horn, swept.digit, swept.friction)
+        assert settled_digit(horn, one.digit, one.friction) == pytest.approx(expected, abs=1e-9)
+
+
 def test_missing_joints_and_rows_still_give_a_fit(hidden, record):
     rng = np.random.default_rng(4)
     gone = spoiled(record, index_dip=(slice(None), np.nan), ring_mcp=(slice(None), np.nan))
     gone = spoiled(gone, middle_pip=(rng.random(len(record)) < 0.3, np.nan))
     found = identify(gone[rng.random(len(record)) < 0.8])
-    assert found.fits["index"].missing == ("index_dip",)
+    assert found.fits["index"].samples.missing == ("index_dip",)
     assert not found.kept
     told = {item.name: item.told for item in found.fits["index"].estimates}
     assert told["dip_ratio"] < 0.05 < 0.9 < told["pip_ratio"]
-    seen = spoiled(
-        synthetic_sweep(*hidden, rng), index_dip=(slice(None), 0.0), ring_mcp=(slice(None), 0.0)
-    )  # the joints without data are not predicted
-    rows = (seen.swept == 2) & (seen.phase == 1)
-    error = without_drift(seen).joint_pos[rows] - predicted_joints(seen.servo[rows], found)
-    assert np.sqrt((error[:, [JOINT_INDEX["middle_pip"], JOINT_INDEX["middle_mcp"]]] ** 2).mean()) < 1.3 * NOISE
+    error = np.abs(settled_joints_from_servo(SERVO, found.hand) - truth_of(hidden))
+    assert np.degrees(error[:, [JOINT_INDEX["middle_pip"], JOINT_INDEX["ring_dip"]]].max()) < 0.15
 
 
 def test_outliers_are_counted_and_hardly_move_the_fit(hidden, record):
     rng = np.random.default_rng(6)
-    hit = (rng.random(len(record)) < 0.03) & (record.phase == 1)
+    hit = (rng.random(len(record)) < 0.05) & (record.phase == 1)
     noisy = spoiled(record, index_pip=(hit, 0.1), index_dip=(np.roll(hit, 7) & (record.phase == 1), 1.4))
     found = identify(noisy)
-    assert found.fits["index"].outliers > 5
-    assert held_out_error(synthetic_sweep(*hidden, rng, servos=("index_mcp",)), found) < 1.3
+    assert found.fits["index"].samples.outliers > 5
+    assert np.degrees(np.abs(settled_joints_from_servo(SERVO, found.hand) - truth_of(hidden))[:, INDEX].max()) < 0.1
+
+
+def test_a_stop_is_found_left_out_and_written_into_the_workspace(nominal_record):
+    """The index DIP stops at 0.9 rad, the MCP goes on: one mechanism up to there, another one beyond."""
+    metal = (Metal(), Metal(stop=(9.0, 9.0, 0.9)), Metal(), Metal(), Metal())
+    stopped = metal_sweeps([Built(HPAC, metal)], 3, servos=("index_mcp",))[0]
+    found = identify(stopped)
+    samples = found.fits["index"].samples
+    assert samples.stops == {"index_dip": pytest.approx(0.9, abs=2e-3)}
+    assert samples.at_stops >= 8
+    assert found.hand.workspace["index_dip"][1] == pytest.approx(0.9, abs=2e-3)
+    reached = truth_of(Built(HPAC, metal))
+    free = reached[:, JOINT_INDEX["index_dip"]] < 0.9
+    assert np.degrees(np.abs(settled_joints_from_servo(SERVO, found.hand) - reached)[np.ix_(free, INDEX)].max()) < 0.12
+    assert found.hand.servo_max[1] == pytest.approx(SERVO[free, 1].max(), abs=0.12)
+    assert not identify(nominal_record).fits["index"].samples.stops
+
+
+def test_both_directions_tell_friction_that_one_cannot():
+    metal = (Metal(joint_friction=2e-3, tendon_friction=0.06),) * 5
+    built = [Built(HPAC, metal)]
+    protocols = (Protocol(both_directions=way) for way in (False, True))
+    one, both = (identify(metal_sweeps(built, 0, protocol=protocol, servos=("index_mcp",))[0]) for protocol in protocols)
+    told = [{item.name: item.told for item in found.fits["index"].estimates} for found in (one, both)]
+    assert told[1]["tendon_friction"] > 0.5 > told[0]["tendon_friction"]
+    assert both.hand.calibration.friction[1].joint == pytest.approx(2e-3, rel=0.3)
+    back = hand_course([HPAC], [metal], np.concatenate([SERVO, SERVO[::-1]]))[0][17:]
+    error = settled_joints_from_servo(SERVO[::-1], both.hand, EXTENSION) - back
+    assert np.degrees(np.abs(error[3:13, INDEX]).max()) < 0.15
 
 
 def test_a_digit_that_the_record_does_not_sweep_keeps_its_numbers_and_says_why(record):
@@ -189,7 +186,9 @@ def test_a_digit_that_the_record_does_not_sweep_keeps_its_numbers_and_says_why(r
     assert set(found.kept) == {"thumb", "middle", "ring", "pinky"}
     assert "while servo middle_mcp sweeps" in found.kept["middle"]
     assert found.hand.digits["middle"] == HPAC.digits["middle"]
-    assert found.cmc_gain.low < 1 < found.cmc_gain.high
+    gain, zero = found.cmc
+    assert gain.low < 1 < gain.high
+    assert zero.low < 0 < zero.high
 
 
 def test_a_record_that_supports_no_fit_is_told(record):
@@ -202,19 +201,13 @@ def test_a_record_that_supports_no_fit_is_told(record):
         identify(record.with_joint_pos(np.full_like(record.joint_pos, np.nan)))
     with pytest.raises(IdentificationError, match="spread"):
         identify(record, spread=0.0)
-    index = record[record.swept == 1]
-    scrambled = index.with_joint_pos(np.random.default_rng(0).permutation(index.joint_pos))
-    with pytest.raises(IdentificationError, match=r"misses the samples by .*°, more than 1°"):
-        identify(scrambled)
 
 
-def run(*words: str) -> int:
-    parser = argparse.ArgumentParser()
-    calibrate.add_arguments(parser)
-    return calibrate.run(parser.parse_args([str(word) for word in words]))
+def run(*words: object) -> int:
+    return calibrate.run(parsed(calibrate, *words))
 
 
-def test_the_command_writes_a_hand_that_drops_in(record, found, tmp_path, capsys):
+def test_the_command_writes_a_hand_that_drops_in_and_reports_that_files_error(hidden, record, tmp_path, capsys):
     write_sweep(tmp_path / "sweep.csv", record)
     out = tmp_path / "hand.toml"
     assert run(tmp_path / "sweep.csv", "--out", out, "--json") == 0
@@ -222,14 +215,41 @@ def test_the_command_writes_a_hand_that_drops_in(record, found, tmp_path, capsys
     assert set(printed["digits"]) == set(HPAC.digits)
     assert printed["digits"]["index"]["not_told_apart"]
     hand = load_hand(out)
-    for name, digit in hand.digits.items():
-        assert values(digit, 1e-3)[:-1] == pytest.approx(values(found.hand.digits[name], 1e-3)[:-1], rel=1e-3)
     assert hand.sources["d2"].startswith("identified from sweep.csv")
+    assert any(hand.calibration.servo_zero)
     servo = hand.servo_min + 0.5 * (hand.servo_max - hand.servo_min)
     assert servo_from_joints(elastic_joints_from_servo(servo, hand), hand) == pytest.approx(servo)
+    assert np.degrees(np.abs(settled_joints_from_servo(SERVO, hand) - truth_of(hidden))[:, :-1].mean()) < 0.05
+    for name, error in printed["file_error"].items():
+        assert error["points"] >= 7, name
+        assert error["mean_abs_deg"] < 0.1
+    assert max(error["papers_map_deg"] for error in printed["file_error"].values()) > 0.3
     report = tmp_path / "hand-report"
-    assert {path.name for path in report.iterdir()} == {"report.md", "report.json", "fit.png", "estimates.png"}
+    figures = {f"{stem}.{kind}" for stem in ("fit", "estimates") for kind in ("png", "svg")}
+    assert {path.name for path in report.iterdir()} == {"report.md", "report.json", *figures}
     assert "cannot be told apart from" in (report / "report.md").read_text()
+
+
+def test_the_reported_error_is_the_files_and_not_the_fits(record):
+    """A file that is tampered with after the fit is reported worse: the negative control of the error that is reported."""
+    found = identify(record, hold_out=True)
+    honest = calibrate.file_errors(found, found.hand)
+    off = replace(found.hand.digits["ring"], servo_radius=1.01 * found.hand.digits["ring"].servo_radius)
+    tampered = calibrate.file_errors(found, replace(found.hand, digits={**found.hand.digits, "ring": off}))
+    assert tampered["ring_pip"].mean_abs_deg > honest["ring_pip"].mean_abs_deg + 0.3
+    assert tampered["index_pip"] == honest["index_pip"]
+
+
+def test_held_out_points_are_no_part_of_the_fit(record):
+    """Other measurements at the held-out points leave the file as it is."""
+    found = []
+    for shifted in (None, 2, 1):
+        other = record.joint_pos.copy()
+        other[(record.phase == 1) & (record.point % 4 == shifted)] += 0.005
+        index = record.with_joint_pos(other)[record.swept == 1]
+        found.append(values(identify(index, hold_out=True).fits["index"].swept))
+    assert found[1] == pytest.approx(found[0], rel=1e-3)
+    assert found[2] != pytest.approx(found[0], rel=1e-3)
 
 
 def test_a_record_without_support_leaves_no_file(record, tmp_path):
@@ -251,10 +271,9 @@ def test_a_record_may_lack_a_joint_column(record, tmp_path):
     assert np.isnan(read_sweep(tmp_path / "sweep.csv", allow_missing=True).joint_pos[:, JOINT_INDEX["index_dip"]]).all()
 
 
-def test_a_camera_without_noise_gives_the_truth_of_what_can_be_told(hidden):
-    quiet = JointCamera(noise=np.deg2rad(0.001), drift=0.0)
-    found = identify(synthetic_sweep(*hidden, np.random.default_rng(0), camera=quiet, servos=("ring_mcp",)))
-    truth = values(hidden[0].digits["ring"], hidden[1].joint)
-    estimates = {item.name: (item.value, true) for item, true in zip(found.fits["ring"].estimates, truth, strict=True)}
-    for name in ("hub", "reach", "alpha"):
-        assert estimates[name][0] == pytest.approx(estimates[name][1], rel=6e-3)
+def test_several_trials_tell_more_than_one(hidden):
+    sweeps = [metal_sweeps([hidden], seed, JointCamera(), servos=("index_mcp",))[0] for seed in (1, 2)]
+    both = concatenate([sweeps[0], replace(sweeps[1], trial=sweeps[1].trial + 1)])
+    assert len(digit_samples(both, SERVOS.index("index_mcp"), HPAC.digits["index"].joints).servo) == 62
+    hubs = [identify(sweep).fits["index"].estimates[0] for sweep in (sweeps[0], both)]
+    assert hubs[1].high - hubs[1].low < hubs[0].high - hubs[0].low

@@ -54,6 +54,9 @@ def test_a_short_or_uneven_record_is_told():
         low_pass(np.zeros(20), RATE, 1.0)
     time = np.arange(50) / RATE
     assert sampling_rate(time) == pytest.approx(RATE)
+    assert sampling_rate(np.delete(time, [10, 20, 21])) == pytest.approx(RATE)
+    with pytest.raises(RecordError, match="at most 5 dropped in a row"):
+        sampling_rate(np.delete(time, np.arange(20, 27)))
     time[30:] += 0.01
     with pytest.raises(RecordError, match="not evenly spaced"):
         sampling_rate(time)
@@ -94,6 +97,43 @@ def test_rest_at_one_end_takes_an_offset_and_no_rest_takes_nothing():
     assert without_drift(first).joint_pos[:, 2] == pytest.approx(smooth_sweep()[:440], abs=1e-12)
     moving = sweep[sweep.phase == 1]
     assert (without_drift(moving).joint_pos == moving.joint_pos).all()
+
+
+def test_a_dropped_frame_and_an_empty_cell_cost_those_samples_only():
+    sweep = record(smooth_sweep())
+    holed = sweep.joint_pos.copy()
+    holed[[120, 121, 300], 2] = np.nan
+    kept = np.delete(np.arange(len(sweep)), [60, 200, 201, 350])
+    whole, seen = processed(sweep), processed(sweep.with_joint_pos(holed)[kept])
+    gone = np.isnan(seen.joint_pos[:, 2])
+    assert kept[gone].tolist() == [120, 121, 300]
+    assert seen.joint_pos[~gone, 2] == pytest.approx(whole.joint_pos[kept[~gone], 2], abs=2e-4)
+
+
+def test_a_joint_that_is_mostly_missing_is_told():
+    sweep = record(smooth_sweep())
+    sweep.joint_pos[100:400, 2] = np.nan
+    with pytest.raises(RecordError, match=r"34% of the samples of index_dip from .* are missing, more than 20%"):
+        processed(sweep)
+    sweep.joint_pos[:, 2] = np.nan
+    assert np.isnan(processed(sweep).joint_pos[:, 2]).all()
+
+
+def test_mistaken_markers_at_rest_do_not_move_the_drift_line():
+    sweep = record(smooth_sweep() + 0.01 + 1e-3 * np.sin(np.arange(880)))
+    spoiled = sweep.joint_pos.copy()
+    spoiled[[3, 17, 870], 2] = 1.5
+    corrected = without_drift(sweep.with_joint_pos(spoiled)).joint_pos
+    assert corrected[50:830, 2] == pytest.approx(smooth_sweep()[50:830], abs=2.5e-3)
+
+
+def test_points_leave_out_what_was_not_measured():
+    sweep = record(smooth_sweep())
+    sweep.point[100:105], sweep.point[200:203] = 0, 1
+    sweep.joint_pos[[100, 200, 201, 202], 2] = np.nan
+    found = points(sweep)
+    assert found.joint_pos[0, 2] == pytest.approx(smooth_sweep()[101:105].mean())
+    assert np.isnan(found.joint_pos[1, 2])
 
 
 def test_processing_leaves_its_record_alone():

@@ -146,6 +146,8 @@ static void the_rate_falls_with_heat(void)
     bench.hand.heat[4] = HPAC_HEAT_LIMIT / 100u * 90u;
     bench.hand.heat[2] = HPAC_HEAT_LIMIT / 100u * 85u;
     CHECK(hpac_motion_rate_permille(&bench.hand) == 625u); /* the hottest servo's */
+    bench.hand.heat[0] = HPAC_HEAT_LIMIT;
+    CHECK(hpac_motion_rate_permille(&bench.hand) == HPAC_LOAD_DERATE_TO_PERMILLE);
     CHECK(hpac_load_rate_permille(HPAC_HEAT_LIMIT) == HPAC_LOAD_DERATE_TO_PERMILLE);
     CHECK(hpac_load_rate_permille(UINT32_MAX) == HPAC_LOAD_DERATE_TO_PERMILLE);
     CHECK(hpac_load_percent(HPAC_HEAT_LIMIT) == 100u);

@@ -356,27 +356,29 @@ static void an_unsound_motion_is_a_fault(void)
 {
     enum { DURATION_MAX_US = (HPAC_MOVE_MAX_MS + HPAC_WATCHDOG_MAX_MS) * 1000, SPEED_MAX = 4000000 + 1000000 };
     for (int beyond = 0; beyond < 2; beyond++) {
-        for (int which = 0; which < 7; which++) {
+        for (int which = 0; which < 14; which++) {
             bench_t bench;
             bench_armed(&bench, HPAC_ACTION_HOLD);
             hpac_ramp_t *ramp = &bench.hand.ramp;
-            int32_t most = bench.config.servo[5].max_urad;
-            int32_t *fields[] = { &ramp->from[5], &ramp->from[5], &ramp->from_speed[5], &ramp->from_speed[5] };
+            int servo = which < 7 ? 0 : 5;
+            int kind = which % 7;
+            int32_t most = bench.config.servo[servo].max_urad;
+            int32_t *fields[] = { &ramp->from[servo], &ramp->from[servo], &ramp->from_speed[servo], &ramp->from_speed[servo] };
             const int32_t values[] = { most + beyond, -beyond, SPEED_MAX + beyond, -SPEED_MAX - beyond };
-            if (which < 4) {
-                *fields[which] = values[which];
-            } else if (which == 4) {
+            if (kind < 4) {
+                *fields[kind] = values[kind];
+            } else if (kind == 4) {
                 ramp->minimum_jerk = true;
                 ramp->duration_us = ramp->elapsed_us = DURATION_MAX_US + (uint32_t)beyond;
-            } else if (which == 5) { /* linear ones may take as long as they like */
+            } else if (kind == 5) { /* linear ones may take as long as they like */
                 ramp->duration_us = ramp->elapsed_us = DURATION_MAX_US + 1u;
             } else {
                 bench.hand.fault = beyond != 0 ? HPAC_FAULT_OVERLOAD : HPAC_FAULT_NONE;
             }
             bench_run(&bench, 1);
-            CHECK((bench.hand.fault == HPAC_FAULT_INTERNAL) == (beyond != 0 && which != 5));
-            CHECK(beyond == 0 || which == 5 || bench.fault_servo == HPAC_NO_SERVO);
-            CHECK(bench_silent(&bench) == (beyond != 0 && which != 5));
+            CHECK((bench.hand.fault == HPAC_FAULT_INTERNAL) == (beyond != 0 && kind != 5));
+            CHECK(beyond == 0 || kind == 5 || bench.fault_servo == HPAC_NO_SERVO);
+            CHECK(bench_silent(&bench) == (beyond != 0 && kind != 5));
         }
     }
 }

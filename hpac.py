@@ -1,0 +1,167 @@
+"""The `hpac` command: one table of commands, each loaded when it is asked for.
+
+This module stands beside the package and not inside of it, because `import hpac_gym` registers the environments and so loads
+Gymnasium and NumPy, which the list of commands can do without.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import NoReturn, TextIO
+
+USAGE_ERROR = 2
+INTERRUPTED = 130  # what a shell reports of a command ended by Ctrl-C
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One row of the table of commands."""
+
+    name: str
+    help: str
+    """In one line."""
+    target: str
+    """`module:function`; the function adds the command's arguments to a parser and sets its default `run`, which takes the
+    parsed arguments and returns the exit status."""
+    extra: str | None = None
+    """Optional dependencies of this project that the command needs."""
+
+
+COMMANDS = (
+    Command("agree", "run the same episodes on several engines and bodies", "hpac_gym.evaluation.agree:add_arguments"),
+    Command("bench", "measure the speed of the environments on both engines", "hpac_gym.bench:add_arguments"),
+    Command("calibrate", "fit the hand parameters to a record of a real hand", "hpac_gym.study.calibrate:add_arguments", "study"),
+    Command("clear", "leave a fault, or disarm: no motion, no pulses", "hpac_gym.bridge.commands:add_clear"),
+    Command("conform", "try every rule of docs/wire.md on a device", "hpac_gym.bridge.commands:add_conform"),
+    Command("doctor", "find hands, say what is wrong and the first step; touches nothing", "hpac_gym.bridge.commands:add_doctor"),
+    Command("estop", "stop all pulses now and latch a fault", "hpac_gym.bridge.commands:add_estop"),
+    Command("grasps", "judge a policy at the sixteen named grasps", "hpac_gym.evaluation.commands:add_grasps", "grasps"),
+    Command("physics", "hold every engine and body against the paper and statics", "hpac_gym.physics.conformance:add_arguments"),
+    Command("posture", "show, draw or send a gesture or grasp shape of the paper", "hpac:add_posture", "study"),
+    Command("safety", "measure the safety claims now, each beside its control", "hpac_gym.bridge.commands:add_safety"),
+    Command("study", "how far the compensation holds on hands as they are made", "hpac_gym.study.study:add_arguments", "study"),
+    Command("sweep", "the paper's experiment, or the same figures of a record", "hpac_gym.study.sweep:add_arguments", "study"),
+    Command("wiggle", "move one servo at a time next to its name", "hpac_gym.bridge.commands:add_wiggle"),
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that complains in one line without the usage, and does not hide that its help cannot be written."""
+
+    def _print_message(self, message: str, file: TextIO | None = None) -> None:
+        (file or sys.stderr).write(message)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(USAGE_ERROR, f"error: {message} (see {self.prog} --help)\n")
+
+
+def whole_number(at_least: int) -> Callable[[str], int]:
+    """A type of argument: a whole number of at least `at_least`."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = at_least - 1
+        if value < at_least:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least {at_least}")
+        return value
+
+    return parse
+
+
+def run(command: Callable[[], int]) -> int:
+    """Run a command and return its exit status.
+
+    An `HpacError`, or a standard output that takes no more, becomes one line and `USAGE_ERROR`; Ctrl-C becomes `INTERRUPTED`.
+    Any other exception is a bug and keeps its traceback.
+    """
+    if sys.stdout is None:
+        return _complain("cannot write to standard output: it is closed")
+    try:
+        try:
+            return command()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # whoever read the output has seen enough
+        _drop_output()
+        return 0
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except Exception as error:
+        from hpac_gym.errors import HpacError
+
+        if isinstance(error, HpacError):
+            return _complain(str(error))
+        # An error of any other file names that file.
+        if isinstance(error, OSError) and error.filename is None and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
+            _drop_output()
+            return _complain(f"cannot write to standard output: {error.strerror}")
+        raise
+
+
+def _complain(message: str) -> int:
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    return USAGE_ERROR
+
+
+def _drop_output() -> None:
+    """Send what is still buffered nowhere, or Python would try once more at its exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit status."""
+    return run(lambda: _main(sys.argv[1:] if argv is None else argv))
+
+
+def _main(argv: Sequence[str]) -> int:
+    parser = Parser(prog="hpac", description="The H-PAC tendon hand, from simulation to the servo.")
+    parser.add_argument("--version", action=_Version)
+    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    parsers = {row.name: subparsers.add_parser(row.name, help=row.help, description=row.help) for row in COMMANDS}
+    name = next((word for word in argv if not word.startswith("-")), None)
+    row = next((row for row in COMMANDS if row.name == name), None)
+    try:
+        if row is not None:
+            module, _, function = row.target.partition(":")
+            getattr(import_module(module), function)(parsers[row.name])
+        arguments = parser.parse_args(argv)
+        return arguments.run(arguments)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if row is None or row.extra is None or package in ("", "hpac_gym"):
+            raise
+        return _complain(f"this command needs more: pip install 'hpac_gym[{row.extra}]' (no module {package})")
+
+
+class _Version(argparse.Action):
+    """Looks the version up when it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, help="show the version and exit")
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import version
+
+        print(f"hpac_gym {version('hpac_gym')}")
+        parser.exit()
+
+
+def add_posture(parser: argparse.ArgumentParser) -> None:
+    """`hpac posture`: the study's command, with the bridge to send a posture over; neither of the two knows the other."""
+    from hpac_gym.bridge.commands import send_and_hold
+    from hpac_gym.study import posture
+
+    posture.add_arguments(parser, send_and_hold)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

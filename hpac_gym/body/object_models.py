@@ -1,0 +1,222 @@
+"""What the objects of the named grasps are made of: real measures and the solids that stand for them, as data.
+
+Nothing here knows a simulator. Real objects, their numbers and sources are in ``data/objects.toml``; what takes their place
+in the held-out variants of shape, and is nothing real, is in ``data/held_out_objects.toml``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from hpac_gym.body.geometry import rotation_about
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+
+REAL_FILE = Path(__file__).parent / "data" / "objects.toml"
+HELD_OUT_FILE = Path(__file__).parent / "data" / "held_out_objects.toml"
+STAVES = 16
+"""Flat pieces that a ring is made of, unless it says how many."""
+
+_AXES = {"x": rotation_about((0, 1, 0), math.pi / 2), "y": rotation_about((1, 0, 0), -math.pi / 2), "z": np.eye(3)}
+_FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
+_SOURCE_FIELDS = {"source", "published", "chosen"}
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A primitive body of one density; round ones have their axis along their own z."""
+
+    kind: Literal["box", "cylinder", "sphere", "capsule"]
+    mass: float
+    """[kg]"""
+    size: tuple[float, float, float]
+    """Of the box around it, along its own axes; a capsule's includes its round ends [m]."""
+    center: Array
+    """Shape (3,) [m]."""
+    rotation: Array
+    """From its own axes to the object's, shape (3, 3)."""
+    inner_radius: float = 0.0
+    """Of the hollow of a cylinder or sphere; only its inertia shows it [m]."""
+
+    @property
+    def radius(self) -> float:
+        """Of a round solid [m]."""
+        return self.size[0] / 2
+
+    @property
+    def inertia(self) -> Array:
+        """About its own centre, in the object's axes, shape (3, 3) [kg m²]."""
+        return self.rotation @ np.diag(_principal_inertia(self)) @ self.rotation.T
+
+    @property
+    def reach(self) -> Array:
+        """Half of its extent along each of the object's axes, shape (3,) [m]."""
+        half = np.array(self.size) / 2
+        if self.kind == "box":
+            return np.abs(self.rotation) @ half
+        if self.kind == "sphere":
+            return half
+        along = np.abs(self.rotation[:, 2])
+        if self.kind == "capsule":
+            return (half[2] - half[0]) * along + half[0]
+        return half[2] * along + half[0] * np.sqrt(np.maximum(1 - along**2, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectModel:
+    """One object: the measures of the real thing, and the solids that stand for it.
+
+    Raises:
+        ParameterError: The solids' masses do not add up to the object's, or their middle is not the origin.
+    """
+
+    name: str
+    about: str
+    size: tuple[float, float, float]
+    """Of the real thing [m]."""
+    mass: float
+    """Of the real thing [kg]."""
+    shape: str
+    """The nearest primitive: cylinder, box or sphere."""
+    color: tuple[float, ...]
+    solids: tuple[Solid, ...]
+    source: str = ""
+    """The publication that `published` is from; empty for what is nothing real."""
+    published: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    """Least and greatest size along x, y and z [m] and mass [kg], as far as the source prints them."""
+    chosen: str = ""
+    """Where the other numbers are from; empty if all are published."""
+
+    def __post_init__(self) -> None:
+        total = sum(solid.mass for solid in self.solids)
+        if not math.isclose(total, self.mass, rel_tol=1e-6):
+            raise ParameterError(f"solids of {self.name} weigh {total:.6g} kg, the object {self.mass:.6g} kg")
+        low, high = self.bounds
+        if np.abs(low + high).max() > 2e-4:
+            raise ParameterError(f"solids of {self.name} have their middle at {(low + high) / 2} m, not at the origin")
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper corner of the solids' bounding box, shapes (3,) [m]."""
+        low = np.min([solid.center - solid.reach for solid in self.solids], axis=0)
+        return low, np.max([solid.center + solid.reach for solid in self.solids], axis=0)
+
+    @property
+    def half_extents(self) -> tuple[float, float, float]:
+        """Half of the real thing's size; of a round thing its radius along both axes [m]."""
+        x, y, z = (side / 2 for side in self.size)
+        return x, y, z
+
+    @property
+    def center_of_mass(self) -> Array:
+        """Shape (3,) [m]."""
+        return sum(solid.mass * solid.center for solid in self.solids) / self.mass
+
+    @property
+    def inertia(self) -> Array:
+        """About the centre of mass, shape (3, 3) [kg m²]."""
+        total = np.zeros((3, 3))
+        for solid in self.solids:
+            offset = solid.center - self.center_of_mass
+            total += solid.inertia + solid.mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        return total
+
+
+def load_object_models() -> dict[str, ObjectModel]:
+    """Every object by its name: the real ones, then those that are held out.
+
+    Raises:
+        ParameterError: A field is missing or unknown, or an object does not add up.
+    """
+    real = object_models_from_toml(REAL_FILE.read_text(encoding="utf-8"), _FIELDS | _SOURCE_FIELDS)
+    return real | object_models_from_toml(HELD_OUT_FILE.read_text(encoding="utf-8"), _FIELDS)
+
+
+def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectModel]:
+    """The objects that a TOML text describes, each with exactly these fields.
+
+    Raises:
+        ParameterError: A field is missing or unknown, or an object does not add up.
+    """
+    return {name: _model(name, entry, fields) for name, entry in tomllib.loads(text).items()}
+
+
+def _model(name: str, entry: dict[str, Any], fields: set[str]) -> ObjectModel:
+    if set(entry) != fields:
+        raise ParameterError(f"object {name}: fields {', '.join(sorted(set(entry) ^ fields))} are missing or unknown")
+    try:
+        solids = tuple(part for solid in entry["solids"] for part in _parts(dict(solid)))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ParameterError(f"object {name}: bad solid: {error}") from None
+    published = {key: _interval(value) for key, value in entry.get("published", {}).items()}
+    if not published.keys() <= {"x", "y", "z", "mass"}:
+        raise ParameterError(f"object {name}: published has {', '.join(published)}, not x, y, z and mass alone")
+    plain = {key: entry[key] for key in fields - {"size", "color", "solids", "published"}}
+    return ObjectModel(
+        name, size=tuple(entry["size"]), color=tuple(entry["color"]), solids=solids,
+        published=MappingProxyType(published), **plain,
+    )  # fmt: skip
+
+
+def _interval(value: float | list[float]) -> tuple[float, float]:
+    low, high = value if isinstance(value, list) else (value, value)
+    return float(low), float(high)
+
+
+def _parts(solid: dict[str, Any]) -> Iterator[Solid]:
+    kind, mass = solid["kind"], solid["mass"]
+    center, axis = np.array(solid.get("center", (0.0, 0.0, 0.0))), _AXES[solid.get("axis", "z")]
+    if kind == "box":
+        yield Solid("box", mass, tuple(solid["size"]), center, rotation_about((0, 0, 1), solid.get("turn", 0.0)))
+    elif kind == "ring":
+        yield from _ring(solid, center, axis)
+    elif kind in ("cylinder", "sphere", "capsule"):
+        width = 2 * solid["radius"]
+        length = width if kind == "sphere" else solid["length"]
+        yield Solid(kind, mass, (width, width, length), center, axis, solid.get("inner_radius", 0.0))
+    else:
+        raise ValueError(f"kind {kind!r} is none of box, cylinder, sphere, capsule, ring")
+
+
+def _ring(solid: dict[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
+    """Staves around an axis; their middles lie on the circle between both radii, stretched along the ring's own y.
+
+    Few staves make a bar: six with radii at 1 : 0.268 have the inertia of a solid hexagonal one.
+    """
+    outer, inner, stretch = solid["radius"], solid["inner_radius"], solid.get("stretch", 1.0)
+    staves, turned = solid.get("staves", STAVES), rotation_about((0, 0, 1), solid.get("turn", 0.0))
+    wall, middle = outer - inner, (outer + inner) / 2
+    # A chord's middle lies inside of its arc: this puts it on the ellipse.
+    radii = np.array([middle, outer * stretch - wall / 2, 0.0]) / math.cos(math.pi / staves)
+    angles = [(index - 0.5) * 2 * math.pi / staves for index in range(staves + 1)]
+    corners = [turned @ (radii * (math.cos(angle), math.sin(angle), 0.0)) for angle in angles]
+    for start, end in itertools.pairwise(corners):
+        chord = end - start
+        turn = rotation_about((0, 0, 1), math.atan2(chord[1], chord[0]))
+        size = (float(np.linalg.norm(chord)) * outer / middle, wall, solid["length"])  # their outer edges meet
+        yield Solid("box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn)
+
+
+def _principal_inertia(solid: Solid) -> list[float]:
+    mass, (x, y, z), outer, inner = solid.mass, solid.size, solid.radius, solid.inner_radius
+    if solid.kind == "box":
+        return [mass / 12 * (y * y + z * z), mass / 12 * (x * x + z * z), mass / 12 * (x * x + y * y)]
+    if solid.kind == "sphere":
+        return [2 / 5 * mass * (outer**5 - inner**5) / (outer**3 - inner**3)] * 3
+    if solid.kind == "cylinder":
+        across = mass / 12 * (3 * (outer**2 + inner**2) + z * z)
+        return [across, across, mass / 2 * (outer**2 + inner**2)]
+    length = z - 2 * outer
+    tube = mass * length / (length + 4 / 3 * outer)
+    caps = mass - tube
+    across = tube * (length**2 / 12 + outer**2 / 4) + caps * (2 / 5 * outer**2 + length**2 / 4 + 3 / 8 * length * outer)
+    return [across, across, (tube / 2 + 2 / 5 * caps) * outer**2]

@@ -1,0 +1,224 @@
+"""Many hands as one Gymnasium vector environment: `Episodes` of n worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from hpac_gym.envs.episodes import CONTROL_HZ, Episodes
+from hpac_gym.envs.hand_env import ACTION_SPACE
+from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
+from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
+from hpac_gym.model import SERVOS
+from hpac_gym.model.checks import as_array
+from hpac_gym.tasks.task import RUNNING, Task
+
+
+class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
+    """n hands with a task, in one process. Each does, to the bit, what a `HandEnv` would do alone with the same seed.
+
+    Args:
+        task: draws episodes, judges them and shapes the reward.
+        num_envs: n.
+        autoreset_mode: when an environment whose episode is over begins a new one, as in Gymnasium's vector environments.
+        max_episode_steps: cuts episodes short; None leaves it to the task.
+        render_mode: None or "rgb_array".
+        options: those of `HandEnv`, without `transmit`.
+
+    Raises:
+        TypeError: An unknown option.
+        ParameterError: `num_envs` or `max_episode_steps` is below 1, or what `HandEnv` refuses.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
+
+    def __init__(
+        self,
+        task: Task,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        self._episodes: Episodes | None = None
+        if num_envs < 1:
+            raise ParameterError(f"num_envs = {num_envs} must be at least 1")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ParameterError(f"max_episode_steps = {max_episode_steps} must be at least 1")
+        if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:
+            raise ParameterError(f"autoreset_mode {autoreset_mode!r} is not one of {[mode.value for mode in AutoresetMode]}")
+        self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
+        self._mode, self._limit = AutoresetMode(autoreset_mode), max_episode_steps or np.inf
+        self.metadata = self.metadata | {"autoreset_mode": self._mode}
+        chosen = checked_options(render_mode=render_mode, **options)
+        self._hand = chosen.hand
+        self._episodes = Episodes(task, num_envs, chosen)
+        self.single_action_space, self.single_observation_space = ACTION_SPACE, self._episodes.observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
+        self._steps = np.zeros(num_envs, dtype=int)
+        self._over = np.ones(num_envs, dtype=bool)
+        self._everywhere, self._running = np.ones(num_envs, dtype=bool), False
+
+    @property
+    def episodes(self) -> Episodes:
+        """What runs below.
+
+        Raises:
+            EpisodeError: The environment is closed.
+        """
+        if self._episodes is None:
+            raise EpisodeError("this vector environment is closed: make a new one")
+        return self._episodes
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start episodes.
+
+        Args:
+            seed: one for each environment; a number counts upwards from the first.
+            options: those of `HandEnv.reset`, the same for all; and `reset_mask`, shape (n,), to start some alone.
+
+        Raises:
+            ParameterError: As many seeds as environments are wanted, a mask of another kind, or what `HandEnv.reset` refuses.
+        """
+        episodes = self.episodes
+        mask, options = self._mask(options)
+        seeds = [seed] * self.num_envs if seed is None else seed
+        seeds = [seed + place for place in range(self.num_envs)] if isinstance(seed, int | np.integer) else seeds
+        if len(seeds) != self.num_envs:
+            raise ParameterError(f"{len(seeds)} seeds were given for {self.num_envs} environments")
+        self._running = False
+        given = setup_of(options, self.task, self._hand)
+        worlds = np.flatnonzero(mask).tolist()
+        for world in worlds:
+            if seeds[world] is not None:
+                self._generators[world] = seeding.np_random(int(seeds[world]))[0]
+        drawn = self._restart(worlds, given)
+        infos: dict[str, Any] = {}
+        for world, values in zip(worlds, drawn, strict=True):
+            self._add_info(infos, self._first_info(world, values), world)
+        self._running = True
+        return episodes.observe(), infos
+
+    def _mask(self, options: dict[str, Any] | None) -> tuple[NDArray[np.bool_], dict[str, Any] | None]:
+        if not isinstance(options, dict) or "reset_mask" not in options:
+            return self._everywhere, options
+        mask = np.asarray(options["reset_mask"])
+        if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
+            raise ParameterError(f"reset_mask {mask!r} must be {self.num_envs} booleans, at least one of them True")
+        if not self._running and not mask.all():
+            raise ParameterError("reset_mask must be True everywhere: no episode is running yet")
+        return mask, {name: value for name, value in options.items() if name != "reset_mask"}
+
+    def _restart(self, worlds: list[int], given: Any = None) -> list[Any]:
+        drawn = self.episodes.reset(worlds, [self._generators[world] for world in worlds], given)
+        self._steps[worlds], self._over[worlds] = 0, False
+        return drawn
+
+    def step(self, actions: NDArray) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
+        """Carry out one action in every environment for one control period.
+
+        Raises:
+            ShapeError: The actions are not of shape (n, 6).
+            WorkspaceError: An action has NaN, or leaves −1…1.
+            EpisodeError: Before `reset`, after `close`, or without autoreset after the end of an episode.
+            PhysicsError: A world's simulation failed; the message names it.
+        """
+        episodes = self.episodes
+        if not self._running or (self._mode is AutoresetMode.DISABLED and self._over.any()):
+            raise EpisodeError("no episode is running in every environment: call reset() first")
+        actions = as_array(actions, len(SERVOS), "actions")
+        if actions.shape != self.action_space.shape:
+            raise ShapeError(f"actions must have shape {self.action_space.shape}, not {actions.shape}")
+        stale = self._over.copy()  # under NEXT_STEP these begin anew, and their action counts for nothing
+        rewards = self._advance(np.where(stale[:, None], 0.0, actions))
+        self._steps += 1
+        terminated = episodes.outcome != RUNNING
+        truncated = self._steps >= self._limit
+        for ended in (rewards, terminated, truncated):
+            ended[stale] = 0
+        self._over = terminated | truncated
+        infos = self._infos(~stale, terminated)
+        worlds = np.flatnonzero(stale).tolist()
+        if self._mode is AutoresetMode.SAME_STEP and self._over.any():
+            worlds = np.flatnonzero(self._over).tolist()
+            infos = self._finish(worlds, terminated)
+        for world, values in zip(worlds, self._restart(worlds) if worlds else [], strict=True):
+            self._add_info(infos, self._first_info(world, values), world)
+        return episodes.observe(), rewards, terminated, truncated, infos
+
+    def _advance(self, actions: NDArray) -> NDArray:
+        """One step of all episodes; an action that is refused is told with its environment."""
+        try:
+            return np.asarray(self.episodes.step(actions), dtype=float)
+        except WorkspaceError as error:
+            error.add_note(f"in environment {int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))}")
+            raise
+
+    # Infos -----------------------------------------------------------------------------------------------------------
+
+    def _infos(self, stepped: NDArray[np.bool_], terminated: NDArray[np.bool_]) -> dict[str, Any]:
+        """What `info` says of the environments that were stepped, as arrays with masks."""
+        infos = _masked(self.episodes.report(), stepped)
+        if not self.task.goal_terms:
+            terms = _masked(self.episodes.terms, stepped) if stepped.any() else {}
+            infos |= {"reward_terms": terms, "_reward_terms": stepped.copy()}
+        for world in np.flatnonzero(terminated):
+            self._add_info(infos, {"epsilon": self.episodes.quality(world)}, world)
+        return infos
+
+    def _finish(self, worlds: Iterable[int], terminated: NDArray[np.bool_]) -> dict[str, Any]:
+        """The infos of a step in which episodes end and begin at once."""
+        last, over = self.episodes.observe(), self._over
+        ended: dict[str, Any] = {}
+        for world in worlds:
+            seen = {name: part[world] for name, part in last.items()} if isinstance(last, dict) else last[world]
+            self._add_info(ended, {"final_obs": seen}, world)
+        ended |= {"final_info": self._infos(over.copy(), terminated), "_final_info": over.copy()}
+        return ended | self._infos(~over, np.zeros_like(terminated))
+
+    def _first_info(self, world: int, drawn: Any) -> dict[str, Any]:
+        info = {name: values.tolist()[world] for name, values in self.episodes.report().items()}
+        if not self.task.goal_terms:
+            info["reward_terms"] = {}
+        return info | {"randomized": {name: list(value) for name, value in drawn.items()}}
+
+    # The rest --------------------------------------------------------------------------------------------------------
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture of every environment, or None without a render mode.
+
+        Raises:
+            EpisodeError: Before `reset`, or after `close`.
+        """
+        episodes = self.episodes
+        if self.render_mode is None:
+            return None
+        if episodes.now is None:
+            raise EpisodeError("nothing to render: call reset() first")
+        return tuple(episodes.picture(world) for world in range(self.num_envs))
+
+    def close_extras(self, **_: Any) -> None:
+        """Free the physics; `close` calls this once."""
+        if self._episodes is not None:
+            self._episodes.close()
+        self._episodes = None
+
+
+def _masked(columns: dict[str, NDArray], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Arrays by name with their masks; where nothing is told they hold what an empty array holds."""
+    found: dict[str, Any] = {}
+    for name, values in columns.items():
+        empty = None if values.dtype == object else values.dtype.type(0)
+        found |= {name: np.where(mask, values, empty), f"_{name}": mask.copy()}
+    return found

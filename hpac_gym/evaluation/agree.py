@@ -1,0 +1,207 @@
+"""`hpac agree`: the same episodes on several engines and bodies, and how far their outcomes agree.
+
+The floor says what agreement can mean at all: an engine against itself, with the object moved by so little that nobody could
+see it. Contact amplifies every difference, so that single episodes part ways long before success rates do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hpac import whole_number
+from hpac_gym.errors import ParameterError
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
+from hpac_gym.evaluation.workers import shared
+from hpac_gym.progress import progress
+
+TASK = "HPAC-Grasp-v0"
+SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
+FLOOR = (1e-6, 1e-3)
+"""How far the object is moved along the palm's normal when an engine meets itself [m]."""
+CHUNK = 10
+"""Episodes that a worker does at a time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One way of simulating the episodes."""
+
+    engine: str
+    body: str
+    moved: float = 0.0
+    """The object's place is changed by this along the palm's normal [m]."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.engine}/{self.body}" + (f", object moved by {1e3 * self.moved:g} mm" if self.moved else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """How one episode ended, and what kind of object it had."""
+
+    success: bool
+    shape: str
+
+
+def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: str) -> list[Trial]:
+    """Episodes of one policy in one variant, in an environment of their own."""
+    from hpac_gym.evaluation.episode import control_steps
+    from hpac_gym.policies.loading import load_policy
+
+    with gymnasium.make(TASK, engine=variant.engine, body=variant.body, randomize=randomize) as env:
+        task, actor, trials = env.unwrapped.task, load_policy(policy, env), []
+        draw = task.setup
+
+        def moved(rng, hand):
+            setup = draw(rng, hand)
+            return replace(setup, position=setup.position + np.array([variant.moved, 0.0, 0.0]))
+
+        task.setup = moved
+        for seed in seeds:
+            *_, (_, info) = control_steps(env, actor, seed)
+            trials.append(Trial(bool(info["is_success"]), env.unwrapped.episodes.setups[0].object.shape))
+        return trials
+
+
+def compare(first: Sequence[Trial], second: Sequence[Trial]) -> dict[str, Any]:
+    """The second's success less the first's over the same episodes, with a 95 % interval, and the share that agree."""
+    pairs = list(zip(first, second, strict=True))
+    gained = sum(b.success and not a.success for a, b in pairs)
+    lost = sum(a.success and not b.success for a, b in pairs)
+    difference, low, high = paired_difference(gained, lost, len(pairs))
+    return {
+        "episodes": len(pairs),
+        "difference": difference,
+        "interval_95": [low, high],
+        "agree": 1 - (gained + lost) / len(pairs),
+    }
+
+
+def agreement(
+    policy: str, episodes: int, set_ups: Sequence[str] = SET_UPS, *,
+    seed_start: int = HELD_OUT_SEED, randomize: str = "nominal", workers: int = 1,
+) -> dict[str, Any]:  # fmt: skip
+    """Run the same episodes everywhere.
+
+    Args:
+        policy: scripted, random, or a policy file.
+        episodes: of each set-up.
+        set_ups: `engine/body`; the others are compared with the first one, and each with itself.
+        seed_start: seed of the first episode.
+        randomize: a preset of `hpac_gym.envs.randomization.PRESETS`.
+        workers: processes.
+
+    Raises:
+        ParameterError: A set-up that is no engine and body.
+        PolicyError: The policy cannot be loaded, or is of another environment.
+        WorkerError: A worker process was ended from outside.
+    """
+    plain = [_variant(name) for name in dict.fromkeys(set_ups)]
+    variants = plain + [replace(variant, moved=moved) for variant in plain for moved in FLOOR]
+    for variant in plain:
+        run_trials(policy, variant, (), randomize)  # a mistake ends here, not in a worker
+    seeds = range(seed_start, seed_start + episodes)
+    parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
+    jobs = [(policy, variant, part, randomize) for variant in variants for part in parts]
+    found: dict[Variant, list[Trial]] = {variant: [] for variant in variants}
+    shown = progress(jobs, "agree", sys.stderr.isatty())
+    for (_, variant, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
+        found[variant] += trials
+    reference = found[plain[0]]
+    shapes = sorted({trial.shape for trial in reference})
+    rows = []
+    for variant in plain:
+        trials = found[variant]
+        row = {"set_up": variant.name, "success": _rate(trials)}
+        row["by_shape"] = {shape: _rate([trial for trial in trials if trial.shape == shape]) for shape in shapes}
+        if variant is not plain[0]:
+            row["over"] = plain[0].name
+            row |= compare(reference, trials)
+            row["difference_by_shape"] = {
+                shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes
+            }
+        row["floor"] = {f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)]) for moved in FLOOR}
+        rows.append(row)
+    about = {"task": TASK, "policy": policy, "first_seed": seed_start, "episodes": episodes, "randomize": randomize}
+    return about | {"set_ups": rows}
+
+
+def _only(trials: Sequence[Trial], shape: str) -> list[Trial]:
+    return [trial for trial in trials if trial.shape == shape]
+
+
+def _variant(name: str) -> Variant:
+    engine, slash, body = name.partition("/")
+    if not (engine and slash and body):
+        raise ParameterError(f"set-up {name!r} must be an engine and a body, such as mujoco/light")
+    return Variant(engine, body)
+
+
+def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
+    wins = sum(trial.success for trial in trials)
+    return {"successes": wins, "episodes": len(trials), "interval_95": list(wilson_interval(wins, len(trials)))}
+
+
+def table(result: dict[str, Any]) -> str:
+    """The result as tables in Markdown."""
+    floors = [f"agrees with itself, object moved by {1e3 * moved:g} mm" for moved in FLOOR]
+    head = ["set-up", "success", "95 % interval", "difference", "95 % interval", "agree", *floors]
+    rows = [head, ["---"] * len(head)]
+    for row in result["set_ups"]:
+        rate, (low, high) = row["success"], row["success"]["interval_95"]
+        cells = [row["set_up"], f"{rate['successes'] / rate['episodes']:.1%}", f"{low:.1%} … {high:.1%}"]
+        if "difference" in row:
+            low, high = row["interval_95"]
+            cells += [f"{100 * row['difference']:+.1f}", f"{100 * low:+.1f} … {100 * high:+.1f}", f"{row['agree']:.1%}"]
+        else:
+            cells += ["–", "–", "–"]
+        rows.append([*cells, *(f"{found['agree']:.1%}" for found in row["floor"].values())])
+    by_shape = [["difference by object", *result["set_ups"][0]["by_shape"]]]
+    by_shape.append(["---"] * len(by_shape[0]))
+    for row in result["set_ups"]:
+        if "difference_by_shape" in row:
+            found = row["difference_by_shape"].values()
+            by_shape.append([row["set_up"], *(_interval(entry) for entry in found)])
+    return "\n\n".join("\n".join(f"| {' | '.join(cells)} |" for cells in part) for part in (rows, by_shape))
+
+
+def _interval(entry: dict[str, Any]) -> str:
+    low, high = entry["interval_95"]
+    return f"{100 * entry['difference']:+.1f} ({100 * low:+.1f} … {100 * high:+.1f}) of {entry['episodes']}"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
+    parser.add_argument("-n", "--episodes", type=whole_number(1), default=1200, metavar="N",
+                        help="of each set-up (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--set-ups", nargs="+", default=list(SET_UPS), metavar="ENGINE/BODY",
+                        help="the others are compared with the first (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--randomize", default="nominal", help="nominal, hand, link or full (default: %(default)s)")
+    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
+                        help="seed of the first episode (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, metavar="N",
+                        help="processes (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the tables")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    found = agreement(
+        options.policy, options.episodes, options.set_ups,
+        seed_start=options.seed_start, randomize=options.randomize, workers=options.workers,
+    )  # fmt: skip
+    print(json.dumps(found, indent=2) if options.json else table(found))
+    return 0

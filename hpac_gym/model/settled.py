@@ -1,0 +1,199 @@
+"""The hand at rest on its servos, in closed form: what Eqs. (12), (13) leave out, and the command that undoes it.
+
+The driving tendon's stretch, friction and the servos' zeros are here. All of a digit's angles and tensions are linear in the root
+joint's angle, so the servo angle is an explicit function of it. Free space, no gravity, a slow motion in one direction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array
+from hpac_gym.model.files import HPAC
+from hpac_gym.model.guides import chord_from_included, included_from_chord
+from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
+from hpac_gym.model.parameters import Calibration, Digit, Friction, Hand
+
+FLEXION, EXTENSION = 1.0, -1.0
+NO_FRICTION = Friction()
+_TINY = 1e-9  # where a folded digit has no arm left
+_ITERATIONS = 6  # of a contraction by less than 0.05 each
+_CMC = len(SERVOS) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class DigitStatics:
+    """A digit in equilibrium: what is linear in the root joint's angle q, as slope and offset.
+
+    Joints and the first tension run root first; angles q_i = slope_i q + offset_i.
+    """
+
+    slope: Array
+    """Shape (n,) [rad/rad]."""
+    offset: Array
+    """Shape (n,) [rad]."""
+    load_slope: float
+    """Torque on the root joint per radian, which the driving tendon has to balance [N·m/rad]."""
+    load_offset: float
+    """[N·m]."""
+
+
+def digit_statics(digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION) -> DigitStatics:
+    """Balance of torques of every joint but the root, and stretch of every coupling segment.
+
+    Unknowns are the other joints' angles, the segments' tensions and the spring's, all linear in the root joint's angle. Every
+    coupling segment is taut, with `Digit.segment_stiffness`.
+
+    Args:
+        digit: the tendon's numbers.
+        friction: what holds the joints back.
+        direction: `FLEXION` or `EXTENSION`, the motion that friction opposes.
+    """
+    radius, count = np.array(digit.joint_radius), len(digit.joints)
+    segments = count - 1
+    stiffness = digit.segment_stiffness
+    pull, lag = 1 - direction * friction.tendon, 1 + direction * friction.tendon
+
+    # x = [q_1 … q_(n−1), c_0 … c_(n−2), T]; matrix x = of_root q_0 + constant
+    size = 2 * segments + 1
+    matrix, of_root, constant = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    tension, spring = segments + np.arange(segments), size - 1
+    for joint in range(1, count):
+        row = joint - 1  # R (c_before pull − (c_after + T) lag) = direction · friction
+        matrix[row, tension[joint - 1]] = radius[joint] * pull
+        if joint < segments:
+            matrix[row, tension[joint]] = -radius[joint] * lag
+        matrix[row, spring] = -radius[joint] * lag
+        constant[row] = direction * friction.joint
+        row = segments + joint - 1  # c / K + R q − R_before q_before = 0
+        matrix[row, tension[joint - 1]] = 1 / stiffness[joint - 1]
+        matrix[row, joint - 1] = radius[joint]
+        if joint == 1:
+            of_root[row] = radius[0]
+        else:
+            matrix[row, joint - 2] = -radius[joint - 1]
+    matrix[spring, spring] = 1 / digit.spring_stiffness  # T / k_s − Σ R q = R_0 q_0
+    matrix[spring, :segments] = -radius[1:]
+    of_root[spring] = radius[0]
+    slope, offset = np.linalg.solve(matrix, np.stack([of_root, constant], axis=1)).T
+
+    share = lag / pull
+    return DigitStatics(
+        slope=np.concatenate([[1.0], slope[:segments]]),
+        offset=np.concatenate([[0.0], offset[:segments]]),
+        load_slope=float(radius[0] * share * (slope[tension[0]] + slope[spring])),
+        load_offset=float(radius[0] * share * (offset[tension[0]] + offset[spring]) + direction * friction.joint / pull),
+    )
+
+
+def settled_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
+    """Joint angles at which the hand comes to rest after a slow motion in one direction.
+
+    Args:
+        servo: commanded u, shape (..., 6) [rad].
+        hand: the parameters, `drive_stiffness` and `calibration` among them.
+        direction: `FLEXION` or `EXTENSION`.
+
+    Returns:
+        q, shape (..., 15) [rad]; a joint that friction keeps at its stop stays at 0.
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    servo = as_finite_array(servo, len(SERVOS), "servo") + hand.calibration.servo_zero
+    joint_pos = np.empty((*servo.shape[:-1], len(JOINTS)))
+    for column, digit in enumerate(hand.digits.values()):
+        settled = settled_digit(servo[..., column], digit, hand.calibration.friction[column], direction)
+        joint_pos[..., [JOINT_INDEX[name] for name in digit.joints]] = settled
+    joint_pos[..., JOINT_INDEX["thumb_cmc"]] = np.maximum(hand.cmc_gain * servo[..., _CMC], 0.0)
+    return joint_pos
+
+
+def settled_digit(horn: Array, digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION) -> Array:
+    """`settled_joints_from_servo` of one digit: angles of the servo's horn (...) to joint angles (..., n), root first."""
+    statics = digit_statics(digit, friction, direction)
+    guide_sum, guide_product = digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2
+    rest_chord = digit.rest_chord
+    slack_below = max(-statics.load_offset / statics.load_slope, 0.0)  # friction alone holds the spring there
+    stretch, root = np.zeros_like(horn), np.zeros_like(horn)
+    for _ in range(_ITERATIONS):
+        chord = rest_chord - np.maximum(digit.servo_radius * horn - stretch, 0.0)
+        root = digit.alpha - included_from_chord(guide_sum, guide_product, chord)
+        stretch = _drive_stretch(root, digit, statics)
+    root = np.maximum(root, slack_below)
+    return np.maximum(statics.slope * root[..., None] + statics.offset, 0.0)
+
+
+def _drive_stretch(root: Array, digit: Digit, statics: DigitStatics) -> Array:
+    """Stretch of the driving tendon [m] that holds the digit with its root joint at an angle [rad]."""
+    included = digit.alpha - root
+    chord = chord_from_included(digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2, included)
+    arm = np.maximum(digit.d1 * digit.d2 * np.sin(included), _TINY) / np.maximum(chord, _TINY)
+    tension = np.maximum(statics.load_slope * root + statics.load_offset, 0.0) / arm
+    return np.minimum(tension, digit.tension_limit) / digit.drive_stiffness
+
+
+def settled_synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
+    """Angles of the driven joints for which the hand, at rest, is nearest to a posture: least squares per digit.
+
+    The projection of Eq. (15), onto the postures in which `settled_joints_from_servo` says that this hand comes to rest. Not
+    limited: off the reachable postures a coordinate can pass Table I.
+
+    Args:
+        joint_pos: q_d, shape (..., 15) [rad].
+        hand: the identified hand.
+        direction: `FLEXION` or `EXTENSION`, in which the hand comes there.
+
+    Returns:
+        Shape (..., 6) [rad].
+
+    Raises:
+        ShapeError: Wrong shape, NaN or infinity.
+    """
+    joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
+    synergy = np.empty((*joint_pos.shape[:-1], len(SERVOS)))
+    for column, digit in enumerate(hand.digits.values()):
+        statics = digit_statics(digit, hand.calibration.friction[column], direction)
+        wanted = joint_pos[..., [JOINT_INDEX[name] for name in digit.joints]] - statics.offset
+        synergy[..., column] = wanted @ statics.slope / (statics.slope @ statics.slope)
+    synergy[..., _CMC] = joint_pos[..., JOINT_INDEX["thumb_cmc"]]
+    return synergy
+
+
+def settled_servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
+    """Servo angles that bring this hand to rest nearest to a posture: Eq. (15) with what a sweep of the hand told.
+
+    `servo_from_joints` takes the driving tendon as rigid, the servos' zeros as exact and the joints as free of friction. This
+    one adds the tendon's stretch, subtracts the zeros and allows for the friction of the direction in which the hand moves.
+
+    Args:
+        joint_pos: q̃, inside of Table I (see `clip_to_workspace`), shape (..., 15) [rad].
+        hand: the identified hand.
+        direction: `FLEXION` or `EXTENSION`, in which the hand comes there.
+
+    Returns:
+        u, shape (..., 6) [rad], within `hand.servo_min` and `hand.servo_max`.
+
+    Raises:
+        ShapeError: Wrong shape.
+        WorkspaceError: NaN, or a joint outside of Table I.
+    """
+    joint_pos = as_bounded_array(joint_pos, hand.joint_min, hand.joint_max, JOINTS, "joint_pos", "rad")
+    synergy = np.clip(settled_synergy_from_joints(joint_pos, hand, direction), hand.synergy_min, hand.synergy_max)
+    servo = np.empty_like(synergy)
+    for column, digit in enumerate(hand.digits.values()):
+        statics = digit_statics(digit, hand.calibration.friction[column], direction)
+        root = synergy[..., column]
+        chord = chord_from_included(digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2, digit.alpha - root)
+        wound = digit.rest_chord - chord + np.where(root > 0, _drive_stretch(root, digit, statics), 0.0)
+        servo[..., column] = wound / digit.servo_radius
+    servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
+    return np.clip(servo - hand.calibration.servo_zero, hand.servo_min, hand.servo_max)
+
+
+def with_friction(hand: Hand, friction: Friction) -> Hand:
+    """The hand with the same friction in every digit."""
+    return replace(hand, calibration=Calibration(hand.calibration.servo_zero, (friction,) * len(hand.digits)))

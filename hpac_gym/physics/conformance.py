@@ -1,0 +1,248 @@
+"""Measures an engine's hand against the paper and against statics: ``hpac physics``.
+
+One suite for every engine and body. It reads what every engine gives (`SceneState`, `Contacts`), and compares it with the
+model's equations, the tendon law in numpy and forward kinematics from the geometry; no engine judges itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from hpac import whole_number
+from hpac_gym.body.geometry import link_poses, load_geometry
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import (
+    FINGERS,
+    HPAC,
+    JOINT_INDEX,
+    SERVO_INDEX,
+    SERVOS,
+    joints_from_synergy,
+    servo_from_synergy,
+)
+from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup
+from hpac_gym.physics.mjcf import mass_matrix
+from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
+from hpac_gym.physics.simulation import Simulation, make_engine
+from hpac_gym.physics.tendons import Tendons
+
+Factory = Callable[[int, WorldSettings], Engine]
+"""Makes an engine of n worlds."""
+
+COMBINATIONS = (("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light"))
+"""Engines and bodies that ship."""
+_ROOTS = [JOINT_INDEX[name] for name in SERVOS]
+_GEOMETRY = load_geometry()
+_PALM_DOWN = (0.0, float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)))
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One measured figure and its mark: it holds if the value is at most the limit."""
+
+    name: str
+    value: float
+    limit: float
+    unit: str
+
+    @property
+    def holds(self) -> bool:
+        return bool(self.value <= self.limit)
+
+
+def free_space(
+    make: Factory, settings: HandSettings, world: WorldSettings, postures: int = 25, seed: int = 0
+) -> tuple[float, float, float]:
+    """Hands at random synergies without gravity, and passing through themselves so that all of the workspace is free space.
+
+    Returns:
+        Largest distance of PIP, DIP and IP from Eqs. (12), (13) of the simulated MCP and MP [rad]; largest distance of MCP, MP
+        and CMC from what was commanded [°]; largest joint speed that is left after eight seconds [rad/s].
+    """
+    rng = np.random.default_rng(seed)
+    synergy = HPAC.synergy_max * rng.uniform(0.03, 0.97, (postures, len(SERVOS)))
+    hands = _hands(make, postures, SceneSetup(None, hand_settings=settings), replace(world, gravity=0.0, collisions=False))
+    hands.command(servo_from_synergy(synergy), 0.4)
+    hands.rest(8.0)
+    state = hands.state()
+    hands.engine.close()
+    manifold = np.abs(state.joint_pos - joints_from_synergy(state.joint_pos[:, _ROOTS])).max()
+    command = np.degrees(np.abs(state.joint_pos[:, _ROOTS] - synergy).max())
+    return float(manifold), float(command), float(np.abs(state.joint_vel).max())
+
+
+def blocked_fingertip(make: Factory, settings: HandSettings, world: WorldSettings, finger: str) -> tuple[float, float]:
+    """A fingertip closes on a fixed frictionless ball.
+
+    Returns:
+        How far the contact torque Jᵀf is from the tendons' torque, of MCP, PIP and DIP, relative; and the largest joint speed
+        that is left [rad/s].
+    """
+    joints = [f"{finger}_{suffix}" for suffix in ("mcp", "pip", "dip")]
+    index = [JOINT_INDEX[name] for name in joints]
+    synergy = np.zeros(len(SERVOS))
+    synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.6
+    digit, ball = _GEOMETRY.digit(finger), 0.004
+    position, rotation = link_poses(digit, joints_from_synergy(synergy)[index])[-1]
+    centre = position + rotation @ [digit.phalanges[-1].capsule.radius + ball + 3e-4, 0.0, 0.012]
+    peg = ObjectSpec("sphere", (ball, ball, ball), mass=0.1, friction=1e-9)
+    setup = SceneSetup(peg, centre, synergy=synergy, hand_settings=settings, fixed=True)
+    hands = _hands(make, 1, setup, replace(world, gravity=0.0))
+    synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.9
+    hands.command(servo_from_synergy(synergy)[None], 0.4)
+    hands.rest(8.0)
+    state, contacts = hands.state(), hands.engine.contacts(0)
+    hands.engine.close()
+    law = Tendons(HPAC, np.eye(15), world.dt, settings.damping, settings.slack)
+    tendon, _ = law.torque(state.joint_pos[0], np.zeros(15), state.horn[0], np.zeros(len(SERVOS)))
+    torque = np.zeros(len(joints))
+    poses = link_poses(digit, state.joint_pos[0, index])
+    for point, normal, force, link in zip(contacts.point, contacts.normal, contacts.force, contacts.link, strict=True):
+        point = setup.hand_rotation.T @ (point - HAND_POSITION - state.palm_offset[0])
+        push = setup.hand_rotation.T @ (-force * normal)
+        for i, (origin, turn) in enumerate(poses[: joints.index(link.removesuffix("_link")) + 1]):
+            torque[i] += turn[:, 1] @ np.cross(point - origin, push)
+    share = np.abs(torque / np.array(tendon)[index] + 1).max()
+    return float(share), float(np.abs(state.joint_vel).max())
+
+
+def held_cylinder(make: Factory, settings: HandSettings, world: WorldSettings, seconds: float = 10.0) -> tuple[float, float]:
+    """A cylinder of 0.15 kg, 50 mm wide, is grasped on its post, lifted by 60 mm and held.
+
+    Returns:
+        How far it moves in the hand while it is held [m], infinite if it is lost; and the largest joint speed at the end [rad/s].
+    """
+    synergy = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
+    spec = ObjectSpec("cylinder", (0.025, 0.025, 0.06), mass=0.15, friction=0.8)
+    setup = SceneSetup(spec, np.array([0.042, 0.0, 0.105]), synergy=synergy, hand_settings=settings)
+    hands = _hands(make, 1, setup, world)
+    hands.command(servo_from_synergy(np.array([[0.9, *HPAC.synergy_max[1:5], 1.2]])), 0.8)
+    hands.rest(1.5)
+    share = np.linspace(0.0, 1.0, round(0.6 / world.dt) + 1)[1:]
+    path = np.zeros((1, round((0.6 + 0.5) / world.dt), 3))
+    path[0, :, 2] = 0.06
+    path[0, : len(share), 2] *= share**3 * (10 - 15 * share + 6 * share**2)
+    hands.advance(path)
+    start = hands.state()
+    hands.advance(np.broadcast_to(path[:, -1:], (1, round(seconds / world.dt), 3)))
+    end = hands.state()
+    hands.engine.close()
+    held = end.touching[0].any() and not end.supported[0] and np.linalg.norm(end.object_pos[0] - setup.position) < 0.06
+    creep = np.linalg.norm(end.object_pos[0] - start.object_pos[0])
+    return float(creep) if held else np.inf, float(np.abs(end.joint_vel).max())
+
+
+def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> float:
+    """How far the most drooping finger's MCP hangs with the palm down and all servos at rest [rad]."""
+    hands = _hands(make, 1, SceneSetup(None, hand_settings=settings, hand_quaternion=_PALM_DOWN), world)
+    hands.rest(4.0)
+    joints = hands.state().joint_pos[0]
+    hands.engine.close()
+    return float(max(joints[JOINT_INDEX[f"{finger}_mcp"]] for finger in FINGERS))
+
+
+def opposition_gap(make: Factory, settings: HandSettings, world: WorldSettings, finger: str) -> float:
+    """Distance between the pads of thumb and finger at the posture that opposes them, as the engine takes it up [m]."""
+    synergy = np.array(_GEOMETRY.opposition[finger])
+    hands = _hands(make, 1, SceneSetup(None, synergy=synergy, hand_settings=settings), replace(world, gravity=0.0))
+    joints = hands.state().joint_pos[0]
+    hands.engine.close()
+    pads = []
+    for name in ("thumb", finger):
+        digit = _GEOMETRY.digit(name)
+        position, rotation = link_poses(digit, joints[[JOINT_INDEX[phalanx.joint] for phalanx in digit.phalanges]])[-1]
+        pads.append(position + rotation @ digit.pad)
+    return float(np.linalg.norm(pads[0] - pads[1]))
+
+
+def stiffest_mode(settings: HandSettings, world: WorldSettings) -> float:
+    """Largest ω dt of the hand's tendons over the workspace; an engine with explicit torques needs it well below 2."""
+    inertia = mass_matrix(_GEOMETRY, settings.armature, HPAC.synergy_max / 2)
+    law = Tendons(HPAC, inertia, world.dt, settings.damping)
+    stiffness = [law.stiffness_matrix(share * HPAC.synergy_max) for share in np.linspace(0.0, 1.0, 11)]
+    return float(np.sqrt(max(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max() for matrix in stiffness)) * world.dt)
+
+
+def figures(make: Factory, body: str = "twin", world: WorldSettings = WorldSettings()) -> list[Figure]:
+    """All figures of an engine and a body, with the marks that they are held to.
+
+    Args:
+        make: makes the engine.
+        body: one of `BODIES`.
+        world: its rate is what is measured.
+    """
+    settings = BODIES[body]
+    manifold, command, free_speed = free_space(make, settings, world)
+    blocked, blocked_speed = np.max([blocked_fingertip(make, settings, world, finger) for finger in FINGERS], axis=0)
+    creep, held_speed = held_cylinder(make, settings, world)
+    speed = max(free_speed, blocked_speed, held_speed)
+    gap = max(opposition_gap(make, settings, world, finger) for finger in ("index", "middle", "ring"))
+    return [
+        Figure("free space: PIP, DIP, IP against Eqs. (12), (13)", manifold, 1e-3, "rad"),
+        Figure("free space: MCP, MP, CMC against the command", command, 0.3, "deg"),
+        Figure("blocked fingertip: contact torque against tendon torque", 100 * blocked, 1.0, "%"),
+        Figure("held cylinder, 0.15 kg: creep in 10 s", 1e3 * creep, 2.0, "mm"),
+        Figure("opposition: thumb to index, middle and ring", 1e3 * gap, 2.0, "mm"),
+        Figure("palm down, servos at rest: most drooping MCP", slack_droop(make, settings, world), 0.3, "rad"),
+        Figure("chatter: joint speed of hands at rest, free, blocked, holding", speed, 0.05, "rad/s"),
+    ]
+
+
+def _hands(make: Factory, n: int, setup: SceneSetup, world: WorldSettings) -> Simulation:
+    """n worlds at the start of the same setup."""
+    hands = Simulation(make(n, world))
+    hands.reset(range(n), [setup] * n)
+    return hands
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac physics`."""
+    parser.add_argument("--engine", choices=sorted({engine for engine, _ in COMBINATIONS}), help="this engine alone")
+    parser.add_argument("--body", choices=tuple(BODIES), help="this body alone")
+    parser.add_argument("--physics-hz", type=whole_number(1), default=WorldSettings().physics_hz, metavar="HZ",
+                        help="physics steps a second (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure every engine and body that is wanted and installed; status 1 where a mark is missed.
+
+    Raises:
+        ParameterError: None of them is installed.
+    """
+    world = WorldSettings(physics_hz=arguments.physics_hz)
+    wanted = [
+        (engine, body)
+        for engine, body in COMBINATIONS
+        if arguments.engine in (None, engine) and arguments.body in (None, body) and importlib.util.find_spec(engine)
+    ]
+    if not wanted:
+        raise ParameterError(
+            f"engine {arguments.engine or 'any'} with body {arguments.body or 'any'} is not installed, or not one of "
+            + ", ".join(f"{engine}/{body}" for engine, body in COMBINATIONS)
+        )
+    measured = {}
+    for engine, body in wanted:
+        found = figures(partial(make_engine, engine), body, world)
+        if engine == "pybullet":
+            found.append(Figure("stiffest tendon: omega dt", stiffest_mode(BODIES[body], world), 1.5, "1"))
+        measured[f"{engine}/{body}"] = found
+    if arguments.json:
+        found = {name: [{**asdict(figure), "holds": figure.holds} for figure in rows] for name, rows in measured.items()}
+        print(json.dumps(found, indent=2))
+    else:
+        for name, rows in measured.items():
+            print(name)
+            for figure in rows:
+                missed = "" if figure.holds else "  MISSED"
+                print(f"  {figure.name:<62} {figure.value:9.2g} {figure.unit:<5} mark {figure.limit:g}{missed}")
+    return 0 if all(figure.holds for rows in measured.values() for figure in rows) else 1

@@ -1,0 +1,236 @@
+"""The seam between tasks and physics: what an engine is given, and the arrays that it gives back.
+
+A control step is open-loop inside: servos and wrist never look at the physics. So an engine gets, for n worlds and the k
+physics steps of one control step, tables of servo angles and wrist offsets, and hands back one `SceneState` of arrays with a
+leading axis n. Nothing here knows an engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.body.objects import ObjectSpec, Support
+from hpac_gym.errors import HpacError
+from hpac_gym.model import DIGITS, HPAC, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.settings import HandSettings
+
+HAND_POSITION = np.array([0.0, 0.0, 0.25])
+"""Where the wrist starts in the world [m]."""
+HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
+"""Unless a setup says otherwise: fingers along the world's +x, palm facing +y, thumb up."""
+POST_HALF_WIDTH = 0.012
+"""Of the post that an object stands on unless its setup has a `Support` [m]."""
+TARGET_HALF_WIDTH = 0.05
+"""Of the post at a setup's target [m]."""
+SUPPORT_FRICTION = 0.8
+"""Of posts, walls and table; the object's multiplies it."""
+WRIST_FORCE = 200.0
+"""What the arm can push along each axis [N]."""
+MAX_JOINT_SPEED = 20.0
+"""Of a digit that snaps free of another one [rad/s]."""
+
+PARTS = ("palm", *DIGITS)
+"""The parts of the hand whose contacts with the object are told apart."""
+
+
+class PhysicsError(HpacError, RuntimeError):
+    """An engine could not go on: the message names the world and what failed in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSetup:
+    """What one episode starts with."""
+
+    object: ObjectSpec | None
+    """None for the hand alone, held at its palm: no object, no support, no table, no wrist."""
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    """Centre of the object in the hand frame, shape (3,) [m]."""
+    yaw: float = 0.0
+    """Turn of the object about the vertical [rad]."""
+    synergy: Array = field(default_factory=lambda: np.zeros(6))
+    """Hand at the start, shape (6,) [rad]."""
+    hand: Hand = HPAC
+    hand_settings: HandSettings = field(default_factory=HandSettings)
+    hand_quaternion: tuple[float, float, float, float] = HAND_QUATERNION
+    """Orientation of the hand's frame in the world, xyzw."""
+    object_quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    """Orientation of the object in the world before its yaw, xyzw."""
+    support: Support | None = None
+    """What the object stands on; None is a post that does not turn with it."""
+    target: Array | None = None
+    """Centre of the object where it shall stand later, on a post of its own, as `position`; None for nowhere."""
+    goal: Array | None = None
+    """Joint angles to reach, shape (15,) [rad], for a task that asks for a posture; physics does not look at it."""
+    fixed: bool = False
+    """Whether the object is held where it is for ever, without a support: an obstacle for measurements."""
+
+    @property
+    def hand_rotation(self) -> Array:
+        """Rotation of the hand's frame in the world, shape (3, 3)."""
+        return matrix_from_quaternion(self.hand_quaternion)
+
+    @property
+    def object_turn(self) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
+        """The object's orientation in the world, and its yaw alone, quaternions xyzw."""
+        (x, y, z, w), sine, cosine = self.object_quaternion, np.sin(self.yaw / 2), np.cos(self.yaw / 2)
+        turned = cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w, cosine * w - sine * z
+        return turned, (0.0, 0.0, sine, cosine)
+
+
+@dataclass(slots=True)
+class SceneState:
+    """All that tasks, observations and rewards read of n worlds. Arrays with a leading axis n."""
+
+    time: Array
+    """Since the episode began, shape (n,) [s]."""
+    joint_pos: Array
+    """True joint angles, shape (n, 15) [rad]."""
+    joint_vel: Array
+    """Shape (n, 15) [rad/s]."""
+    horn: Array
+    """Where the servos' horns are, shape (n, 6) [rad]; `Simulation` fills it in."""
+    tension: Array
+    """Of the driving tendons, shape (n, 5) [N]."""
+    palm_offset: Array
+    """How far the wrist is from where it started, along the world's axes, shape (n, 3) [m]."""
+    object_pos: Array
+    """Centre of the object in the hand frame, shape (n, 3) [m]."""
+    object_rotation: Array
+    """From the object's axes to the hand's, shape (n, 3, 3)."""
+    object_vel: Array
+    """Against the world, along the axes of the hand frame, shape (n, 3) [m/s]."""
+    object_spin: Array
+    """Against the world, along the axes of the hand frame, shape (n, 3) [rad/s]."""
+    touching: NDArray[np.bool_]
+    """Whether each of `PARTS` touches the object, shape (n, 6)."""
+    contact_force: Array
+    """Sum of the normal forces between each of `PARTS` and the object, shape (n, 6) [N]."""
+    supported: NDArray[np.bool_]
+    """Whether the object touches its support, the table or the target's post, shape (n,)."""
+    on_target: NDArray[np.bool_]
+    """Whether the object touches the target's post, shape (n,)."""
+
+    @classmethod
+    def empty(cls, n: int) -> SceneState:
+        """Zeros for n worlds."""
+        shapes = {"joint_pos": (15,), "joint_vel": (15,), "horn": (6,), "tension": (5,), "object_rotation": (3, 3),
+                  "touching": (6,), "contact_force": (6,), "time": (), "supported": (), "on_target": ()}  # fmt: skip
+        flags = ("touching", "supported", "on_target")
+        return cls(**{f.name: np.zeros((n, *shapes.get(f.name, (3,))), bool if f.name in flags else float) for f in fields(cls)})
+
+
+@dataclass(frozen=True, slots=True)
+class Contacts:
+    """Where the hand touches the object of one world, in the world's frame."""
+
+    point: Array
+    """On the object, shape (m, 3) [m]."""
+    normal: Array
+    """Unit vectors into the object, shape (m, 3)."""
+    force: Array
+    """Along the normals, shape (m,) [N]."""
+    link: tuple[str, ...]
+    """Of the hand: "palm", or "{joint}_link"."""
+    centre: Array
+    """Of the object, shape (3,) [m]."""
+    friction: float
+    """Coulomb coefficient between skin and object."""
+
+
+@dataclass(frozen=True, slots=True)
+class Viewpoint:
+    """Where a picture is taken from, and how large it is.
+
+    Raises:
+        ValueError: A size or distance that is not positive.
+    """
+
+    width: int = 480
+    """[px]"""
+    height: int = 360
+    """[px]"""
+    distance: float = 0.31
+    """From the target [m]."""
+    yaw_deg: float = 160.0
+    pitch_deg: float = -20.0
+    field_of_view_deg: float = 42.0
+    """Vertical."""
+
+    def __post_init__(self) -> None:
+        if not (self.width > 0 and self.height > 0 and self.distance > 0):
+            raise ValueError(f"picture of {self.width}×{self.height} px from {self.distance} m: all three must be positive")
+
+
+class Engine(Protocol):
+    """Physics of n worlds, each with one hand. The same setup and tables give the same bits, whatever was before and beside."""
+
+    num_worlds: int
+    dt: float
+    """Physics step [s]."""
+
+    def require(self, settings: HandSettings) -> None:
+        """Refuse a hand that this engine cannot simulate.
+
+        Raises:
+            ParameterError: It has something that the engine does not know.
+        """
+        ...
+
+    def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Set some of the worlds: hand at rest on its manifold, servos where they hold it there, object on its support."""
+        ...
+
+    def advance(self, servo: Array, servo_vel: Array, wrist: Array) -> None:
+        """Carry out k physics steps in every world.
+
+        Args:
+            servo: angles of the horns during each step, shape (n, k, 6) [rad].
+            servo_vel: their speeds, shape (n, k, 6) [rad/s].
+            wrist: offset of the palm from its start at the end of each step, along the world's axes, shape (n, k, 3) [m].
+
+        Raises:
+            PhysicsError: A world's simulation failed; the message names the world.
+        """
+        ...
+
+    def state(self) -> SceneState:
+        """What holds now in every world; arrays that no later call changes."""
+        ...
+
+    def contacts(self, world: int) -> Contacts:
+        """The contacts between hand and object of one world now."""
+        ...
+
+    def picture(self, world: int, viewpoint: Viewpoint, target: Array) -> NDArray[np.uint8]:
+        """RGB of one world with a point of the world, shape (3,) [m], in the middle; shape (height, width, 3)."""
+        ...
+
+    def save(self, world: int) -> Any:
+        """A snapshot of one world, from which `restore` goes on to the bit."""
+        ...
+
+    def restore(self, world: int, snapshot: Any) -> None:
+        """Put a world back to a snapshot of the same setup."""
+        ...
+
+    def close(self) -> None:
+        """Free what the engine holds. Closing twice is no error."""
+        ...
+
+
+def matrix_from_quaternion(quaternion: Sequence[float]) -> Array:
+    """The rotation matrix of a unit quaternion xyzw, shape (3, 3)."""
+    x, y, z, w = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )

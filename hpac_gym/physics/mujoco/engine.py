@@ -1,0 +1,219 @@
+"""Physics of n worlds in MuJoCo: one batch for the worlds of one layout, no Python between two physics steps."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import HAND_POSITION, Contacts, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.mujoco.camera import Camera
+from hpac_gym.physics.mujoco.group import FELT, Group
+from hpac_gym.physics.mujoco.model import Layout
+from hpac_gym.physics.settings import HandSettings, WorldSettings
+
+
+class MuJoCoEngine:
+    """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads share the worlds of a layout, and change no bit.
+
+    Args:
+        num_worlds: n.
+        settings: of every world.
+        visuals: draw what does not collide; without it a step is a little faster and the physics the same.
+        threads: to step with; None is one for each processor, but no more than worlds.
+
+    Raises:
+        ValueError: Fewer than one world or thread.
+    """
+
+    def __init__(
+        self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False, threads: int | None = None
+    ) -> None:
+        threads = max(min(num_worlds, _processors()), 1) if threads is None else threads
+        if not (num_worlds >= 1 and threads >= 1):
+            raise ValueError(f"{num_worlds} worlds on {threads} threads: both must be at least 1")
+        self.num_worlds, self.dt = num_worlds, settings.dt
+        self._options = num_worlds, settings, threads, visuals
+        self._camera: Camera | None = None
+        self._groups: dict[Layout, Group] = {}
+        self._group_of: list[Group | None] = [None] * num_worlds
+        self._members: dict[Group, NDArray[np.intp]] = {}
+        self._setups: list[SceneSetup | None] = [None] * num_worlds
+        self._steps = np.zeros(num_worlds, int)
+        self._to_hand = np.tile(np.eye(3), (num_worlds, 1, 1))
+        self._felt = np.zeros((num_worlds, FELT))
+
+    def require(self, settings: HandSettings) -> None:
+        """As `Engine.require`: friction by load is not known."""
+        friction = settings.tendon_friction
+        if friction:
+            raise ParameterError(
+                f'tendon_friction = {friction} must be 0 in MuJoCo, which knows no friction by load: use engine="pybullet"'
+            )
+
+    def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """As `Engine.reset`.
+
+        Raises:
+            ParameterError: A setup's hand has tendon friction.
+        """
+        jobs: dict[Group, list[tuple[int, SceneSetup]]] = {}
+        for world, setup in sorted(zip(worlds, setups, strict=True), key=lambda job: job[0]):
+            self.require(setup.hand_settings)
+            layout = Layout.of(setup)
+            if layout not in self._groups:
+                self._groups[layout] = Group(layout, *self._options)
+            jobs.setdefault(self._groups[layout], []).append((world, setup))
+        for group, entries in jobs.items():
+            for world, setup in entries:
+                self._group_of[world], self._setups[world] = group, setup
+                self._to_hand[world], self._steps[world] = setup.hand_rotation.T, 0
+            index = np.array([world for world, _ in entries])
+            group.start(index, [setup for _, setup in entries])
+            self._felt[index] = 0.0
+        owners = [self._groups[layout] for layout in self._groups]
+        rows = [np.array([world for world, owner in enumerate(self._group_of) if owner is group], int) for group in owners]
+        self._members = {group: members for group, members in zip(owners, rows, strict=True) if len(members)}
+
+    def advance(self, servo: Array, servo_vel: Array, wrist: Array) -> None:
+        """As `Engine.advance`."""
+        for group, worlds in self._members.items():
+            every = len(worlds) == self.num_worlds
+            tables = (servo, servo_vel, wrist) if every else (servo[worlds], servo_vel[worlds], wrist[worlds])
+            failed = group.advance(None if every else worlds, *tables)
+            if failed is not None:
+                world, reason = failed
+                place, time = f"world {world} of {self.num_worlds}", self._steps[world] * self.dt
+                raise PhysicsError(f"{place} failed after {time:.3f} s of its episode: MuJoCo says {reason}")
+            rows = slice(None) if every else worlds
+            self._felt[rows] = group.felt(rows)
+            self._steps[rows] += servo.shape[1]
+
+    def state(self) -> SceneState:
+        """As `Engine.state`."""
+        state = SceneState.empty(self.num_worlds)
+        state.time = self._steps * self.dt
+        for group, worlds in self._members.items():
+            rows = slice(None) if len(worlds) == self.num_worlds else worlds
+            at, qpos, qvel = group.at, group.qpos[rows], group.qvel[rows]
+            state.joint_pos[rows], state.joint_vel[rows] = qpos[:, at.joint], qvel[:, at.dof]
+            if group.layout.object is not None:
+                self._read_object(state, group, rows, qpos, qvel)
+        felt = self._felt.copy()
+        state.tension, touching, state.contact_force = felt[:, :5], felt[:, 5:11], felt[:, 11:17]
+        state.touching, state.on_target = touching > 0, felt[:, 18] > 0
+        state.supported = (felt[:, 17] > 0) | state.on_target
+        return state
+
+    def _read_object(self, state: SceneState, group: Group, rows: Any, qpos: Array, qvel: Array) -> None:
+        at, to_hand = group.at, self._to_hand[rows]
+        state.palm_offset[rows] = offset = qpos[:, at.wrist]
+        if group.layout.fixed:
+            place, quaternion = group.fields["body_pos"][rows, at.object_body], group.fields["body_quat"][rows, at.object_body]
+        else:
+            place, quaternion = qpos[:, at.object : at.object + 3], qpos[:, at.object + 3 : at.object + 7]
+        rotation = to_hand @ _matrices(quaternion)
+        state.object_pos[rows], state.object_rotation[rows] = _turn(to_hand, place - HAND_POSITION - offset), rotation
+        if not group.layout.fixed:
+            velocity = qvel[:, at.object_dof : at.object_dof + 6]
+            # MuJoCo gives a free body's spin along the body's own axes.
+            state.object_vel[rows], state.object_spin[rows] = _turn(to_hand, velocity[:, :3]), _turn(rotation, velocity[:, 3:])
+
+    def contacts(self, world: int) -> Contacts:
+        """As `Engine.contacts`."""
+        group, setup = self._group_of[world], self._setups[world]
+        model, data = self.single(world)
+        points, normals, forces, links, wrench = [], [], [], [], np.zeros(6)
+        item = group.at.object_body
+        for index, contact in enumerate(data.contact):
+            bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+            if item not in bodies:
+                continue
+            other = bodies[1 - bodies.index(item)]
+            name = model.body(other).name
+            if name != "palm" and not name.endswith("_link"):
+                continue
+            into = 1.0 if bodies[1] == item else -1.0  # the normal points from the first geom to the second
+            mujoco.mj_contactForce(model, data, index, wrench)
+            points.append(contact.pos + into * contact.frame[:3] * contact.dist / 2)
+            normals.append(into * contact.frame[:3])
+            forces.append(wrench[0])
+            links.append(name)
+        return Contacts(
+            np.array(points).reshape(-1, 3),
+            np.array(normals).reshape(-1, 3),
+            np.array(forces),
+            tuple(links),
+            data.body("object").xpos.copy(),
+            setup.hand_settings.contact_friction * setup.object.friction,
+        )
+
+    def single(self, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """One world's model and data, everything computed from its state."""
+        batch = self._group_of[world].batch
+        model, data = batch.get_model(world), batch.get_data(world)
+        mujoco.mj_forward(model, data)
+        return model, data
+
+    def picture(self, world: int, viewpoint: Viewpoint, target: Array) -> NDArray[np.uint8]:
+        """As `Engine.picture`.
+
+        Raises:
+            PhysicsError: There is no OpenGL to draw with.
+        """
+        model, data = self.single(world)
+        if self._camera is None:
+            self._camera = Camera(model)
+        return self._camera.picture(model, data, viewpoint, target)
+
+    def save(self, world: int) -> Any:
+        """As `Engine.save`."""
+        state = self._group_of[world].batch.state[world].copy()
+        return self._setups[world], int(self._steps[world]), self._felt[world].copy(), state
+
+    def restore(self, world: int, snapshot: Any) -> None:
+        """As `Engine.restore`.
+
+        Raises:
+            PhysicsError: The world is in another episode than the snapshot.
+        """
+        setup, steps, felt, state = snapshot
+        if setup is not self._setups[world]:
+            raise PhysicsError(f"world {world}: a snapshot can be restored only in the episode that it was taken in")
+        self._steps[world], self._felt[world] = steps, felt
+        self._group_of[world].batch.state[world] = state
+
+    def close(self) -> None:
+        """As `Engine.close`."""
+        if self._camera is not None:
+            self._camera.close()
+        self._camera = None
+        self._groups.clear()
+        self._members.clear()
+        self._group_of = [None] * self.num_worlds
+
+
+def _processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _turn(rotation: Array, vector: Array) -> Array:
+    """Rotations, shape (n, 3, 3), of vectors, shape (n, 3)."""
+    return (rotation @ vector[..., None])[..., 0]
+
+
+def _matrices(quaternion: Array) -> Array:
+    """Rotation matrices of unit quaternions wxyz, shapes (n, 4) and (n, 3, 3)."""
+    w, x, y, z = quaternion.T
+    rotation = np.empty((len(quaternion), 3, 3))
+    rotation[:, 0, 0], rotation[:, 0, 1], rotation[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+    rotation[:, 1, 0], rotation[:, 1, 1], rotation[:, 1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+    rotation[:, 2, 0], rotation[:, 2, 1], rotation[:, 2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+    return rotation

@@ -1,0 +1,297 @@
+"""Worlds of one layout: a `mujoco.batch.Batch`, and how a setup becomes one world's parameters and state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+from hpac_gym.model import DIGITS, JOINTS, SERVOS, Hand, joints_from_synergy, servo_from_synergy
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import HAND_POSITION, PARTS, SUPPORT_FRICTION, SceneSetup
+from hpac_gym.physics.mjcf import Mechanics, coupling_names
+from hpac_gym.physics.mujoco.model import (
+    COLORS,
+    FORCE_SIZE,
+    KINDS,
+    ROOTS,
+    SLOTS,
+    Layout,
+    build,
+    geom_size,
+    inertia_of,
+    nominal_inertia,
+    object_models,
+    quaternion_from_matrix,
+    solids_of,
+    support_boxes,
+)
+from hpac_gym.physics.settings import HandSettings, WorldSettings
+
+Index = NDArray[np.intp]
+
+FIELDS = (
+    *("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
+    *("geom_type", "geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb", "geom_friction", "geom_rgba"),
+    *("site_pos", "jnt_range", "dof_damping", "dof_frictionloss", "dof_armature"),
+    *("tendon_stiffness", "tendon_damping", "tendon_armature", "wrap_prm"),
+    *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+)
+"""Fields of the model that every world has its own values of."""
+FELT = len(DIGITS) + 2 * len(PARTS) + 2
+"""Numbers that `Group.felt` gives for a world."""
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """Indices into the arrays of a compiled model."""
+
+    joint: Index
+    """Positions of `JOINTS` in qpos."""
+    dof: Index
+    """Positions of `JOINTS` in qvel."""
+    hinge: Index
+    """Numbers of `JOINTS` among the model's joints."""
+    wrist: Index
+    """Positions of the three slides in qpos and qvel; empty for a hand alone."""
+    object: int
+    """Position of the object in qpos; −1 without one that can move."""
+    object_dof: int
+    """Position of the object in qvel; −1 without one that can move."""
+    object_body: int
+    """Number of the object's body; −1 without one."""
+    palm: int
+    """Number of the palm's body."""
+    hand_geoms: Index
+    object_geoms: Index
+    boxes: Index
+    """Geoms of posts and walls, then the table, then the target's post."""
+    guides: Index
+    """Sites of the drives' guides, fixed and moving, by digit, shape (5, 2)."""
+    couplings: Index
+    springs: Index
+    drives: Index
+    wraps: Index
+    """Positions of the fixed tendons' coefficients in wrap_prm, couplings first."""
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> Addresses:
+        """The indices of a model that `build` made."""
+
+        def geoms(prefix: str) -> list[int]:
+            return [index for index in range(model.ngeom) if model.geom(index).name.startswith(prefix)]
+
+        def tendons(names: Iterable[str]) -> Index:
+            return np.array([model.tendon(name).id for name in names])
+
+        bodies = [model.body(index).name for index in range(model.nbody)]
+        joints = [model.joint(index).name for index in range(model.njnt)]
+        hand = [index for index, name in enumerate(bodies) if name == "palm" or name.endswith("_link")]
+        hinge = np.array([joints.index(name) for name in JOINTS])
+        couplings, springs = tendons(coupling_names()), tendons(f"{digit}_spring" for digit in DIGITS)
+        movable = "object" in joints
+        return cls(
+            joint=model.jnt_qposadr[hinge],
+            dof=model.jnt_dofadr[hinge],
+            hinge=hinge,
+            wrist=np.array([index for index, name in enumerate(joints) if name.startswith("wrist")], dtype=int),
+            object=int(model.joint("object").qposadr[0]) if movable else -1,
+            object_dof=int(model.joint("object").dofadr[0]) if movable else -1,
+            object_body=bodies.index("object") if "object" in bodies else -1,
+            palm=bodies.index("palm"),
+            hand_geoms=np.flatnonzero(np.isin(model.geom_bodyid, hand)),
+            object_geoms=np.array(geoms("object_"), dtype=int),
+            boxes=np.array(geoms("support_") + geoms("table") + geoms("target"), dtype=int),
+            guides=np.array([[model.site(f"{digit}_{end}_guide").id for end in ("fixed", "moving")] for digit in DIGITS]),
+            couplings=couplings,
+            springs=springs,
+            drives=tendons(f"{digit}_drive" for digit in DIGITS),
+            wraps=np.array([model.tendon_adr[i] + k for i in (*couplings, *springs) for k in range(model.tendon_num[i])]),
+        )
+
+
+class Group:
+    """The worlds that share one layout. Row i of its batch belongs to world i, whether or not that world has the layout now.
+
+    Args:
+        layout: the parts of the scene.
+        num_worlds: of the engine.
+        settings: of the world.
+        threads: to step with.
+        visuals: draw what does not collide.
+    """
+
+    def __init__(self, layout: Layout, num_worlds: int, settings: WorldSettings, threads: int, visuals: bool) -> None:
+        self.layout = layout
+        self.model = build(layout, settings, visuals)
+        self.at = Addresses.of(self.model)
+        self.batch = Batch(self.model, num_worlds, threads)
+        self.fields = {name: self.batch.expand(name) for name in FIELDS}
+        self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self.force = self.batch.bind("actuator_force")
+        self.sensors = self.batch.bind("sensordata") if self.model.nsensor else np.zeros((num_worlds, 0))
+        self.lead = np.zeros((num_worlds, len(SERVOS)))
+        self.warnings = self.batch.warning[:, :, 1]  # how often; before it is what about
+        self.warned = self.warnings.copy()
+        self._hands: list[tuple[Hand, HandSettings] | None] = [None] * num_worlds
+
+    # Parameters ----------------------------------------------------------------
+
+    def set(self, world: int, setup: SceneSetup) -> None:
+        """Write the parameters of one world."""
+        hand, settings = setup.hand, setup.hand_settings
+        last = self._hands[world]
+        if last is None or not (last[0] is hand or last[0] == hand) or last[1] != settings:
+            self._set_hand(world, hand, settings)
+            self._hands[world] = hand, settings
+        fields, at = self.fields, self.at
+        x, y, z, w = setup.hand_quaternion
+        fields["body_quat"][world, at.palm] = w, x, y, z
+        if setup.object is not None:
+            self._set_object(world, setup)
+        if not self.layout.fixed and setup.object is not None:
+            self._set_supports(world, setup)
+
+    def _set_hand(self, world: int, hand: Hand, settings: HandSettings) -> None:
+        numbers, fields, at = Mechanics.of(hand, settings, nominal_inertia(settings.armature), ROOTS), self.fields, self.at
+        fields["site_pos"][world, at.guides] = numbers.guides
+        fields["jnt_range"][world, at.hinge] = np.stack([hand.joint_min, hand.joint_max], axis=1)
+        fields["dof_damping"][world, at.dof] = settings.damping.joint
+        fields["dof_frictionloss"][world, at.dof] = settings.joint_friction
+        fields["dof_armature"][world, at.dof[-1]] = settings.hub_inertia / hand.cmc_gain**2
+        fields["tendon_stiffness"][world, at.couplings] = numbers.coupling_stiffness
+        fields["tendon_damping"][world, at.couplings] = numbers.coupling_damping
+        fields["tendon_stiffness"][world, at.springs] = numbers.spring_stiffness
+        fields["tendon_armature"][world, at.drives] = numbers.hub_mass
+        rows = [*numbers.coupling, *numbers.spring]
+        fields["wrap_prm"][world, at.wraps] = np.concatenate([row[row != 0] for row in rows])
+        gain, bias, limits = (fields[f"actuator_{name}"][world] for name in ("gainprm", "biasprm", "forcerange"))
+        drives, brakes = slice(0, len(DIGITS)), slice(self.model.nu - len(DIGITS), self.model.nu)
+        stiffness, damping = numbers.drive_stiffness, numbers.drive_damping
+        gain[drives, 0] = -stiffness * numbers.radius
+        bias[drives, :3] = np.stack([stiffness * numbers.length, -stiffness, -damping], axis=1)
+        limits[drives, 0] = -numbers.tension_limit
+        gain[brakes, 0] = -settings.damping.overrun * damping * numbers.radius
+        bias[brakes, 2] = -settings.damping.overrun * damping
+        stiffness, damping, limit, share = numbers.cmc
+        gain[len(DIGITS), 0] = stiffness * share
+        bias[len(DIGITS), :3] = 0.0, -stiffness, -damping
+        limits[len(DIGITS)] = -limit, limit
+        # A damper works on the rate of the stretch, in which the servo's speed has a part.
+        self.lead[world, : len(DIGITS)] = numbers.drive_damping / numbers.drive_stiffness
+        self.lead[world, len(DIGITS)] = damping / stiffness
+        skin = settings.contact_friction
+        fields["geom_friction"][world, at.hand_geoms, 0] = skin * skin
+
+    def _set_object(self, world: int, setup: SceneSetup) -> None:
+        fields, at, spec = self.fields, self.at, setup.object
+        solids = solids_of(spec)
+        for geom, solid in zip(at.object_geoms, solids, strict=True):
+            size = geom_size(solid, spec.scale)
+            half = spec.scale * np.array(solid.size) / 2
+            fields["geom_type"][world, geom] = KINDS[solid.kind]
+            fields["geom_size"][world, geom] = size
+            fields["geom_pos"][world, geom] = spec.scale * solid.center
+            fields["geom_quat"][world, geom] = quaternion_from_matrix(solid.rotation)
+            fields["geom_aabb"][world, geom, 3:] = half
+            fields["geom_rbound"][world, geom] = {
+                "sphere": half[0], "capsule": half[2], "cylinder": np.hypot(half[0], half[2]), "box": np.linalg.norm(half)
+            }[solid.kind]  # fmt: skip
+        # The hand's skin and the support multiply the object's friction; MuJoCo takes the value of the higher priority.
+        fields["geom_friction"][world, at.object_geoms, 0] = setup.hand_settings.contact_friction * spec.friction
+        color = COLORS[spec.shape] if spec.model is None else object_models()[spec.model].color
+        fields["geom_rgba"][world, at.object_geoms] = color
+        centre, inertia = inertia_of(spec)
+        moments, turn = self._principal(inertia)
+        body = at.object_body
+        fields["body_mass"][world, body] = spec.mass
+        fields["body_inertia"][world, body] = moments
+        if turn is not None:
+            fields["body_ipos"][world, body] = centre
+            fields["body_iquat"][world, body] = turn
+        place, (x, y, z, w) = HAND_POSITION + setup.hand_rotation @ setup.position, setup.object_turn[0]
+        if self.layout.fixed:
+            fields["body_pos"][world, body], fields["body_quat"][world, body] = place, (w, x, y, z)
+
+    def _principal(self, inertia: Array) -> tuple[Array, Array | None]:
+        """Principal moments and axes; None for those of the object itself."""
+        if self.layout.object == "primitive":
+            return np.diag(inertia), None
+        moments, axes = np.linalg.eigh(inertia)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        return moments, quaternion_from_matrix(axes)
+
+    def _set_supports(self, world: int, setup: SceneSetup) -> None:
+        boxes, table, target, (x, y, z, w) = support_boxes(setup)
+        fields, ids = self.fields, self.at.boxes
+        for geom, (half, centre) in zip(ids, boxes, strict=False):
+            self._set_box(world, geom, half, centre)
+            fields["geom_quat"][world, geom] = w, x, y, z
+        fields["geom_pos"][world, ids[len(boxes)]] = table
+        if target is not None:
+            self._set_box(world, ids[-1], *target)
+        fields["geom_friction"][world, ids, 0] = SUPPORT_FRICTION * setup.object.friction
+
+    def _set_box(self, world: int, geom: int, half: Array, centre: Array) -> None:
+        fields = self.fields
+        fields["geom_size"][world, geom] = fields["geom_aabb"][world, geom, 3:] = half
+        fields["geom_rbound"][world, geom] = np.linalg.norm(half)
+        fields["geom_pos"][world, geom] = centre
+
+    # State ---------------------------------------------------------------------
+
+    def start(self, worlds: Index, setups: list[SceneSetup]) -> None:
+        """Put worlds, in ascending order, to the start of their setups."""
+        for world, setup in zip(worlds, setups, strict=True):
+            self.set(world, setup)
+        self.batch.set_const(worlds)
+        self.batch.reset(worlds, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        at, ctrl = self.at, self.batch.bind("ctrl")
+        for world, setup in zip(worlds, setups, strict=True):
+            self.qpos[world, at.joint] = joints_from_synergy(setup.synergy, setup.hand)
+            ctrl[world, : len(SERVOS)] = servo_from_synergy(setup.synergy, setup.hand)
+            if at.object >= 0:
+                place, (x, y, z, w) = HAND_POSITION + setup.hand_rotation @ setup.position, setup.object_turn[0]
+                self.qpos[world, at.object : at.object + 7] = *place, w, x, y, z
+        self.warned[worlds] = self.warnings[worlds]
+
+    def advance(
+        self, worlds: Index | None, servo: Array, servo_vel: Array, wrist: Array
+    ) -> tuple[int, str] | None:
+        """Step worlds, all of them if None, through tables of their servos and wrists; the first that failed, and why."""
+        n, steps, _ = servo.shape
+        control = np.empty((n, steps, self.model.nu))
+        lead = self.lead if worlds is None else self.lead[worlds]
+        control[..., : len(SERVOS)] = servo + lead[:, None] * servo_vel
+        control[..., len(SERVOS) : -len(DIGITS)] = wrist[..., : len(self.at.wrist)]
+        np.maximum(servo_vel[..., : len(DIGITS)], 0.0, out=control[..., -len(DIGITS) :])
+        handler = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(lambda text: None)  # without one MuJoCo writes a log file where the caller happens to be
+        try:
+            self.batch.rollout(steps, control, record=(), ids=worlds)
+        except SimulationError as error:
+            return int(error.ids[0]), self.batch.error(int(error.ids[0]))
+        finally:
+            mujoco.set_mju_user_warning(handler)
+        # A simulation that MuJoCo warns about stops in silence.
+        rose = self.warnings != self.warned
+        if not rose.any():
+            return None
+        world, kind = np.argwhere(rose)[0]
+        return int(world), mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_")
+
+    def felt(self, rows: Index | slice) -> Array:
+        """Tensions [N], numbers of contacts and normal forces [N] of `PARTS`, and numbers of contacts with support and target in
+        the last physics step, shape (m, FELT)."""
+        tension = -self.force[rows, : len(DIGITS)]
+        sensors, found = self.sensors[rows], np.zeros((len(tension), 2))
+        if not self.model.nsensor:
+            return np.concatenate([tension, np.zeros((len(tension), 2 * len(PARTS))), found], axis=1)
+        split = len(PARTS) * SLOTS * FORCE_SIZE
+        slots = sensors[:, :split].reshape(-1, len(PARTS), SLOTS, FORCE_SIZE)
+        found[:, : sensors.shape[1] - split] = sensors[:, split:]
+        return np.concatenate([tension, slots[:, :, 0, 0], slots[..., 1].sum(axis=2), found], axis=1)

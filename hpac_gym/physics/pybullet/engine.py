@@ -1,0 +1,141 @@
+"""The engine on PyBullet: explicit tendon torques at 120 Hz, a direct solver, one client for each world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import HAND_POSITION, PARTS, Contacts, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.pybullet.scene import Scene
+from hpac_gym.physics.settings import HandSettings, WorldSettings
+
+_PART = {name: index for index, name in enumerate(PARTS)}
+
+
+class PyBulletEngine:
+    """`hpac_gym.physics.engine.Engine` on PyBullet. Worlds are stepped one after the other: PyBullet keeps Python's lock.
+
+    Args:
+        num_worlds: n.
+        settings: of every world.
+        visuals: load what only a camera sees; without it a reset is faster and the physics the same.
+
+    Attributes:
+        scenes: one PyBullet world each, for tests.
+    """
+
+    def __init__(self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False) -> None:
+        self.num_worlds, self.dt = num_worlds, settings.dt
+        self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
+        self._setups: list[SceneSetup | None] = [None] * num_worlds
+        self._time = np.zeros(num_worlds)
+
+    def require(self, settings: HandSettings) -> None:
+        """As `Engine.require`: inertia at the servos' hubs is not known."""
+        if settings.hub_inertia:
+            raise ParameterError(
+                f"hub_inertia = {settings.hub_inertia} kg m² must be 0 kg m² in PyBullet, whose explicit torques need inertia on "
+                'the joints: body="light" needs engine="mujoco"'
+            )
+
+    def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """As `Engine.reset`."""
+        for setup in setups:
+            self.require(setup.hand_settings)
+        for world, setup in zip(worlds, setups, strict=True):
+            self.scenes[world].reset(setup)
+            self._setups[world], self._time[world] = setup, 0.0
+
+    def advance(self, servo: Array, servo_vel: Array, wrist: Array) -> None:
+        """As `Engine.advance`."""
+        for scene, *tables in zip(self.scenes, servo, servo_vel, wrist, strict=True):
+            scene.advance(*tables)
+        for _ in range(servo.shape[1]):
+            self._time += self.dt
+
+    def state(self) -> SceneState:
+        """As `Engine.state`.
+
+        Raises:
+            PhysicsError: A world's joints are not finite any more.
+        """
+        found = SceneState.empty(self.num_worlds)
+        found.time[:] = self._time
+        for world, scene in enumerate(self.scenes):
+            if self._setups[world] is not None:
+                self._read(found, world, scene)
+        if not np.isfinite(found.joint_pos).all():
+            bad = int(np.argmin(np.isfinite(found.joint_pos).all(axis=1)))
+            raise PhysicsError(f"world {bad} of {self.num_worlds}: joint angles {found.joint_pos[bad]} rad are not finite")
+        return found
+
+    def _read(self, found: SceneState, world: int, scene: Scene) -> None:
+        found.joint_pos[world], found.joint_vel[world] = scene.hand.joint_state()
+        found.tension[world] = scene.hand.tension
+        found.palm_offset[world] = offset = scene.hand.palm_offset
+        if scene.object is None:
+            return
+        position, quaternion = scene.object.pose()
+        to_hand = scene.to_hand
+        found.object_pos[world] = to_hand @ (position - HAND_POSITION - offset)
+        found.object_rotation[world] = to_hand @ np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+        linear, angular = pybullet.getBaseVelocity(scene.object.body, physicsClientId=scene.world.client)
+        found.object_vel[world], found.object_spin[world] = to_hand @ linear, to_hand @ angular
+        touching, force = found.touching[world], found.contact_force[world]
+        for contact in scene.contacts():
+            part = _PART[scene.hand.part_of_link[contact[3]]]
+            touching[part] = True
+            force[part] += contact[9]
+        found.supported[world] = any(map(scene.touches, scene.supports))
+        found.on_target[world] = scene.target_post is not None and scene.touches(scene.target_post)
+
+    def contacts(self, world: int) -> Contacts:
+        """As `Engine.contacts`."""
+        scene, setup = self.scenes[world], self._setups[world]
+        found = scene.contacts()
+        names = {index: name for name, index in scene.hand.link_index.items()} | {-1: "palm"}
+        return Contacts(
+            np.array([contact[6] for contact in found]).reshape(-1, 3),
+            -np.array([contact[7] for contact in found]).reshape(-1, 3),
+            np.array([contact[9] for contact in found]),
+            tuple(names[contact[3]] for contact in found),
+            scene.object.pose()[0],
+            setup.hand_settings.contact_friction * setup.object.friction,
+        )
+
+    def picture(self, world: int, viewpoint: Viewpoint, target: Array) -> NDArray[np.uint8]:
+        """As `Engine.picture`; PyBullet's software renderer needs no display."""
+        view = pybullet.computeViewMatrixFromYawPitchRoll(
+            list(target), viewpoint.distance, viewpoint.yaw_deg, viewpoint.pitch_deg, 0.0, 2
+        )
+        width, height = viewpoint.width, viewpoint.height
+        projection = pybullet.computeProjectionMatrixFOV(viewpoint.field_of_view_deg, width / height, 0.02, 3.0)
+        pixels = pybullet.getCameraImage(
+            width, height, view, projection, lightDirection=[0.5, 0.8, 1.0], shadow=1,
+            renderer=pybullet.ER_TINY_RENDERER, physicsClientId=self.scenes[world].world.client,
+        )[2]  # fmt: skip
+        return np.reshape(np.asarray(pixels, dtype=np.uint8), (height, width, 4))[:, :, :3]
+
+    def save(self, world: int) -> Any:
+        """As `Engine.save`."""
+        client = self.scenes[world].world.client
+        return pybullet.saveState(physicsClientId=client), self._time[world], self._setups[world]
+
+    def restore(self, world: int, snapshot: Any) -> None:
+        """As `Engine.restore`."""
+        saved, time, setup = snapshot
+        if setup is not self._setups[world]:
+            raise PhysicsError(f"world {world}: a snapshot can be restored in the episode that it was taken in alone")
+        self._time[world] = time
+        pybullet.restoreState(saved, physicsClientId=self.scenes[world].world.client)
+
+    def close(self) -> None:
+        """As `Engine.close`."""
+        for scene in self.scenes:
+            scene.world.close()

@@ -1,0 +1,179 @@
+"""The hand in PyBullet: six servos, tendons and springs move fifteen joints. No joint has a motor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+from numpy.typing import ArrayLike
+
+from hpac_gym.body.assets import asset_path
+from hpac_gym.model import DIGITS, FINGERS, JOINTS, Hand, joints_from_synergy
+from hpac_gym.model.checks import Array, as_finite_array
+from hpac_gym.physics.engine import HAND_POSITION, MAX_JOINT_SPEED, WRIST_FORCE
+from hpac_gym.physics.pybullet.world import World, quiet_output
+from hpac_gym.physics.settings import HandSettings
+from hpac_gym.physics.tendons import Tendons
+
+HAND_ALONE, HAND_ON_WRIST = "hpac_hand.urdf", "hpac_hand_on_wrist.urdf"
+_SLIDES = ("wrist_x", "wrist_y", "wrist_z")
+_PLACE = {"mcp": 0, "mp": 0, "cmc": 0, "pip": 1, "ip": 1, "dip": 2}
+"""Of a joint in its digit, by what kind of joint it is."""
+_OTHER, _FINGER = 1, 64
+"""Collision groups; 1 is Bullet's default, and 64 the first that it has no meaning for."""
+_LOAD_FLAGS = (
+    pybullet.URDF_USE_INERTIA_FROM_FILE
+    | pybullet.URDF_USE_SELF_COLLISION
+    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+)
+
+
+class SimHand:
+    """One hand in a `World`, at `HAND_POSITION`.
+
+    Args:
+        world: where it lives.
+        hand: the model's parameters.
+        settings: what the simulation adds.
+        urdf: `HAND_ALONE`, or `HAND_ON_WRIST` to have the palm hang on three slides.
+        orientation: of the hand's frame in the world, quaternion xyzw, shape (4,).
+        visuals: load what only a camera sees.
+    """
+
+    def __init__(
+        self, world: World, hand: Hand, settings: HandSettings, urdf: str, orientation: ArrayLike, visuals: bool
+    ) -> None:
+        self.world, self._client = world, world.client
+        self.body = pybullet.loadURDF(
+            str(asset_path(urdf)), list(HAND_POSITION), list(orientation), useFixedBase=True,
+            flags=_LOAD_FLAGS if visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES,
+            physicsClientId=self._client,
+        )  # fmt: skip
+        info = [pybullet.getJointInfo(self.body, i, self._client) for i in range(pybullet.getNumJoints(self.body, self._client))]
+        self.link_index = {entry[12].decode(): entry[0] for entry in info}
+        self.joint_index = {entry[1].decode(): entry[0] for entry in info}
+        self.part_of_link = {
+            index: next((digit for digit in DIGITS if name.startswith(digit)), "palm") for name, index in self.link_index.items()
+        } | {-1: "palm"}
+        self._joints = [self.joint_index[name] for name in JOINTS]
+        self._slides = [self.joint_index[name] for name in _SLIDES if name in self.joint_index]
+        self._rotation = np.reshape(pybullet.getMatrixFromQuaternion(list(orientation)), (3, 3))
+        self._axes = self._rotation.T.tolist()
+        self._add_armature(settings.armature)
+        self.collide(True)
+        self.configure(hand, settings)
+
+    def configure(self, hand: Hand, settings: HandSettings) -> None:
+        """Become another hand: everything but the armature, which a hand is loaded with, can change."""
+        self.hand, self.settings = hand, settings
+        for name, index in self.joint_index.items():
+            friction = settings.joint_friction if name in JOINTS else 0.0
+            pybullet.setJointMotorControl2(
+                self.body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0, force=friction, physicsClientId=self._client
+            )
+        for index in range(-1, len(self.joint_index)):
+            pybullet.changeDynamics(
+                self.body, index, linearDamping=0, angularDamping=0, jointDamping=0,
+                lateralFriction=settings.contact_friction, physicsClientId=self._client,
+            )  # fmt: skip
+        # Separate call: PyBullet silently ignores lateralFriction if maxJointVelocity is passed with it.
+        pybullet.changeDynamics(self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client)
+        self.tendons = Tendons(hand, self.inertia(), self.world.settings.dt, settings.damping, settings.slack)
+        self.tension = [0.0] * len(DIGITS)
+
+    def _add_armature(self, armatures: tuple[float, float, float]) -> None:
+        self.armature = armatures
+        for name, index in zip(JOINTS, self._joints, strict=True):
+            armature = armatures[_PLACE[name.split("_")[1]]]
+            inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2])
+            pybullet.changeDynamics(
+                self.body, index, localInertiaDiagonal=(inertia + armature).tolist(), physicsClientId=self._client
+            )
+
+    def collide(self, solid: bool) -> None:
+        """Let the hand touch things, or pass through everything. Fingers never reach each other and are not checked for it."""
+        solid = solid and self.world.settings.collisions
+        for name, index in self.link_index.items():
+            group = _FINGER if name.split("_")[0] in FINGERS else _OTHER
+            mask = ~_FINGER if group == _FINGER else -1
+            pybullet.setCollisionFilterGroupMask(self.body, index, group * solid, mask * solid, self._client)
+
+    def inertia(self) -> Array:
+        """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15, 15) [kg·m²]."""
+        posture = np.zeros(len(self.joint_index))
+        posture[self._joints] = joints_from_synergy(self.hand.synergy_max / 2, self.hand)
+        with quiet_output():  # it prints that a unit axis is not one, at the last bit
+            matrix = np.array(pybullet.calculateMassMatrix(self.body, posture.tolist(), physicsClientId=self._client))
+        return matrix[np.ix_(self._joints, self._joints)]
+
+    # State ---------------------------------------------------------------------
+
+    def reset(self, synergy: ArrayLike) -> None:
+        """Put the hand on its manifold and at rest, and the wrist at its start.
+
+        Args:
+            synergy: shape (6,) [rad].
+        """
+        synergy = as_finite_array(synergy, 6, "synergy")
+        for index, angle in zip(self._joints, joints_from_synergy(synergy, self.hand), strict=True):
+            pybullet.resetJointState(self.body, index, angle, 0.0, physicsClientId=self._client)
+        self.tension = [0.0] * len(DIGITS)
+        self._wrist: list[float] | None = None
+        for slide in self._slides:
+            pybullet.resetJointState(self.body, slide, 0.0, 0.0, physicsClientId=self._client)
+        self.move_wrist([0.0, 0.0, 0.0])
+
+    def joint_state(self) -> tuple[list[float], list[float]]:
+        """True joint angles [rad] and speeds [rad/s], 15 of each. The real hand cannot measure them."""
+        states = pybullet.getJointStates(self.body, self._joints, self._client)
+        return [state[0] for state in states], [state[1] for state in states]
+
+    @property
+    def palm_offset(self) -> Array:
+        """Where the palm is from its start, along the world's axes, shape (3,) [m]."""
+        if not self._slides:
+            return np.zeros(3)
+        states = pybullet.getJointStates(self.body, self._slides, self._client)
+        return self._rotation @ [state[0] for state in states]
+
+    # Motion --------------------------------------------------------------------
+
+    def move_wrist(self, offset: list[float]) -> None:
+        """Say where the palm shall be at the end of the next step; unless a force beyond `WRIST_FORCE` resists, it is.
+
+        Args:
+            offset: from the start, along the world's axes, 3 values [m].
+        """
+        if not self._slides or offset == self._wrist:  # the motors keep what they were told
+            return
+        self._wrist = offset
+        x, y, z = offset
+        pybullet.setJointMotorControlArray(
+            self.body,
+            self._slides,
+            pybullet.POSITION_CONTROL,
+            targetPositions=[a * x + b * y + c * z for a, b, c in self._axes],
+            targetVelocities=[0.0] * 3,
+            forces=[WRIST_FORCE] * 3,
+            positionGains=[1.0] * 3,
+            velocityGains=[1.0] * 3,
+            physicsClientId=self._client,
+        )
+
+    def apply_tendons(self, servo: list[float], servo_vel: list[float]) -> None:
+        """Put the tendons' torques on the joints, for the step to come.
+
+        Args:
+            servo: angles of the horns, 6 values [rad].
+            servo_vel: their speeds, 6 values [rad/s].
+        """
+        joint_pos, joint_vel = self.joint_state()
+        torque, self.tension = self.tendons.torque(joint_pos, joint_vel, servo, servo_vel)
+        if self.settings.tendon_friction:
+            friction = self.settings.joint_friction + self.settings.tendon_friction * self.tendons.load(joint_pos, self.tension)
+            pybullet.setJointMotorControlArray(
+                self.body, self._joints, pybullet.VELOCITY_CONTROL, targetVelocities=[0.0] * len(self._joints),
+                forces=friction.tolist(), physicsClientId=self._client,
+            )  # fmt: skip
+        pybullet.setJointMotorControlArray(
+            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=torque, physicsClientId=self._client
+        )

@@ -1,0 +1,144 @@
+"""Free objects and fixed boxes as PyBullet bodies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+from numpy.typing import ArrayLike
+
+from hpac_gym.body.assets import asset_path
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.pybullet.world import World
+
+SPIN_DECAY = 6.0
+"""Rate at which a named object loses its spin [1/s]. The direct solver knows no friction against twisting on a fingertip:
+without this, what two fingertips hold would swing for ever."""
+
+_COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
+
+
+class SimObject:
+    """One free body of an `ObjectSpec` in a `World`.
+
+    Args:
+        world: where it lives.
+        spec: what it is.
+        position: of its centre, shape (3,) [m].
+        orientation: quaternion xyzw, shape (4,).
+        visuals: load what only a camera sees.
+        fixed: it never moves.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        spec: ObjectSpec,
+        position: ArrayLike,
+        orientation: ArrayLike = (0, 0, 0, 1),
+        visuals: bool = True,
+        fixed: bool = False,
+    ) -> None:
+        self.spec, self._client = spec, world.client
+        place = list(position), list(orientation)
+        self.body = self._primitive(*place, visuals) if spec.model is None else self._model(spec.model, *place, visuals)
+        pybullet.changeDynamics(
+            self.body, -1, lateralFriction=spec.friction, linearDamping=0, angularDamping=0, physicsClientId=self._client
+        )
+        if fixed:
+            pybullet.changeDynamics(self.body, -1, mass=0.0, physicsClientId=self._client)
+
+    def _primitive(self, position: list[float], orientation: list[float], visuals: bool) -> int:
+        self._to_frame: tuple[Array, Array] | None = None
+        return pybullet.createMultiBody(
+            self.spec.mass,
+            _collision_shape(self.spec, self._client),
+            _visual_shape(self.spec, self._client) if visuals else -1,
+            position,
+            orientation,
+            physicsClientId=self._client,
+        )
+
+    def _model(self, name: str, position: list[float], orientation: list[float], visuals: bool) -> int:
+        # Without the second flag a cylinder becomes a hull of flat faces that stands 1 mm off the hand.
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
+        spec = self.spec
+        body = pybullet.loadURDF(
+            str(asset_path(f"objects/{name}.urdf")), position, orientation, globalScaling=spec.scale,
+            flags=flags if visuals else flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=self._client,
+        )  # fmt: skip
+        mass, _, inertia, middle, turn, *_ = pybullet.getDynamicsInfo(body, -1, self._client)
+        heavier = spec.mass / mass * spec.scale**2
+        pybullet.changeDynamics(
+            body, -1, mass=spec.mass, localInertiaDiagonal=[heavier * moment for moment in inertia], physicsClientId=self._client
+        )
+        # PyBullet reports the pose of the principal axes of inertia: this leads from there to the object's frame.
+        self._to_frame = pybullet.invertTransform(middle, turn)
+        return body
+
+    def lose_spin(self, dt: float) -> None:
+        """Slow a named object's rotation, once every physics step; PyBullet's own damping does not act on its base."""
+        if self.spec.model is not None:
+            _, spin = pybullet.getBaseVelocity(self.body, self._client)
+            kept = 1.0 - SPIN_DECAY * dt
+            pybullet.resetBaseVelocity(
+                self.body, angularVelocity=[kept * rate for rate in spin], physicsClientId=self._client
+            )
+
+    def pose(self) -> tuple[Array, Array]:
+        """Centre, shape (3,) [m], and orientation, quaternion xyzw, shape (4,), in the world."""
+        position, orientation = pybullet.getBasePositionAndOrientation(self.body, self._client)
+        if self._to_frame is not None:
+            position, orientation = pybullet.multiplyTransforms(position, orientation, *self._to_frame)
+        return np.array(position), np.array(orientation)
+
+
+def add_fixed_box(
+    world: World,
+    half_extents: ArrayLike,
+    position: ArrayLike,
+    color: ArrayLike | None,
+    friction: float,
+    orientation: ArrayLike = (0, 0, 0, 1),
+) -> int:
+    """A box that never moves, such as a table; without a colour no camera sees it. Returns its body."""
+    size, visual = list(half_extents), -1
+    if color is not None:
+        visual = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=size, rgbaColor=list(color), physicsClientId=world.client
+        )
+    body = pybullet.createMultiBody(
+        0,
+        pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=size, physicsClientId=world.client),
+        visual,
+        list(position),
+        list(orientation),
+        physicsClientId=world.client,
+    )
+    pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=world.client)
+    return body
+
+
+def _collision_shape(spec: ObjectSpec, client: int) -> int:
+    radius, _, half_height = spec.half_extents
+    if spec.shape == "box":
+        return pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=spec.half_extents, physicsClientId=client)
+    if spec.shape == "sphere":
+        return pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=radius, physicsClientId=client)
+    return pybullet.createCollisionShape(
+        pybullet.GEOM_CYLINDER, radius=radius, height=2 * half_height, physicsClientId=client
+    )
+
+
+def _visual_shape(spec: ObjectSpec, client: int) -> int:
+    radius, _, half_height = spec.half_extents
+    color = _COLORS[spec.shape]
+    if spec.shape == "box":
+        return pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=spec.half_extents, rgbaColor=color, physicsClientId=client
+        )
+    if spec.shape == "sphere":
+        return pybullet.createVisualShape(pybullet.GEOM_SPHERE, radius=radius, rgbaColor=color, physicsClientId=client)
+    return pybullet.createVisualShape(
+        pybullet.GEOM_CYLINDER, radius=radius, length=2 * half_height, rgbaColor=color, physicsClientId=client
+    )

@@ -1,0 +1,81 @@
+"""One PyBullet world: its client, its time step and its solver; and PyBullet's prints kept off the output."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from hpac_gym.physics.settings import WorldSettings
+
+
+@contextmanager
+def quiet_output() -> Iterator[None]:
+    """PyBullet prints from C straight to file descriptors 1 and 2, where a command's own lines go; this keeps it out.
+
+    Send what C code writes to standard output and error nowhere, for as long as the block runs; either may be closed."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        stream.flush()
+    while (sink := os.open(os.devnull, os.O_WRONLY)) <= 2:
+        pass  # it was closed; kept open like this, no file takes its number
+    saved = [(descriptor, os.dup(descriptor)) for descriptor in (1, 2)]
+    try:
+        for descriptor, _ in saved:
+            os.dup2(sink, descriptor)
+        yield
+    finally:
+        for descriptor, copy in saved:
+            os.dup2(copy, descriptor)
+            os.close(copy)
+        os.close(sink)
+
+
+with quiet_output():  # it greets whoever loads it
+    import pybullet
+
+
+class World:
+    """A physics client without a window. Close it when done, or use it as a context manager."""
+
+    def __init__(self, settings: WorldSettings = WorldSettings()) -> None:
+        self.settings = settings
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self.clear()
+
+    def clear(self) -> None:
+        """Remove every body. What is loaded next behaves, to the bit, as in a new world.
+
+        The simple broadphase keeps no tree whose shape depends on the past, and is the faster one for this few bodies.
+        """
+        iterations = self.settings.solver_iterations
+        solver = pybullet.CONSTRAINT_SOLVER_LCP_SI if iterations else pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG
+        pybullet.resetSimulation(pybullet.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=self.client)
+        with quiet_output():
+            pybullet.setPhysicsEngineParameter(
+                fixedTimeStep=self.settings.dt,
+                constraintSolverType=solver,
+                **({"numSolverIterations": iterations, "solverResidualThreshold": 0} if iterations else {}),
+                globalCFM=self.settings.constraint_softness,
+                erp=self.settings.error_reduction,
+                contactERP=self.settings.error_reduction,
+                deterministicOverlappingPairs=1,
+                physicsClientId=self.client,
+            )
+        pybullet.setGravity(0, 0, -self.settings.gravity, physicsClientId=self.client)
+
+    def step(self) -> None:
+        """Advance by one physics step."""
+        pybullet.stepSimulation(self.client)
+
+    def close(self) -> None:
+        """Disconnect. Closing twice is no error."""
+        if self.client >= 0:
+            pybullet.disconnect(self.client)
+            self.client = -1
+
+    def __enter__(self) -> World:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,126 @@
+"""Settings of the simulated hand and of the world around it, as data that every engine reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+GRAVITY = 9.81
+"""[m/s²]"""
+
+
+@dataclass(frozen=True, slots=True)
+class ServoSettings:
+    """What a servo's data sheet says.
+
+    Raises:
+        ValueError: A speed that is not positive, or a negative dead band or lag.
+    """
+
+    speed: float = 8.0
+    """No-load speed of the horn [rad/s]; chosen: 0.13 s/60°, a common hobby servo."""
+    dead_band: float = 2e-3
+    """Error that the servo leaves alone [rad]; chosen: 1.3 µs of pulse, a digital servo."""
+    lag: float = 0.0
+    """From the ramp to the servo's answer: transport, electronics, filtering [s]. In whole physics steps."""
+
+    def __post_init__(self) -> None:
+        if not (self.speed > 0 and self.dead_band >= 0 and self.lag >= 0):
+            raise ValueError(
+                f"servo speed {self.speed} rad/s must be positive, dead band {self.dead_band} rad and lag {self.lag} s at least 0"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Damping:
+    """How the tendons lose energy.
+
+    Raises:
+        ValueError: A negative value.
+    """
+
+    ratio: float = 0.3
+    """Damping ratio of each tendon with the inertia that it moves."""
+    joint: float = 5e-3
+    """Viscous friction of every joint [N·m·s/rad]."""
+    overrun: float = 1.0
+    """Share of its damping that a slack drive keeps against flexion faster than its servo's. The twin's armature stands for
+    servos, which stop where they are told: without this a finger would fly on with an inertia that is not its own."""
+
+    def __post_init__(self) -> None:
+        if not (self.ratio >= 0 and self.joint >= 0 and self.overrun >= 0):
+            raise ValueError(
+                f"damping ratio {self.ratio}, joint damping {self.joint} N m s/rad and overrun {self.overrun} must be at least 0"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class HandSettings:
+    """What the simulated hand has beyond the model's parameters."""
+
+    servo: ServoSettings = field(default_factory=ServoSettings)
+    damping: Damping = field(default_factory=Damping)
+    slack: tuple[float, ...] = (0.0,) * 5
+    """What each driving tendon has to wind up before it pulls, by digit [m]."""
+    joint_friction: float = 0.0
+    """Coulomb friction of every joint [N·m]."""
+    tendon_friction: float = 0.0
+    """Share of the tendons' load that every joint's guides hold back, on top of `joint_friction`."""
+    armature: tuple[float, float, float] = (3.2e-3, 1.2e-3, 3.6e-4)
+    """Inertia added about each MCP, MP and CMC, about each PIP and IP, and about each DIP [kg·m²]."""
+    hub_inertia: float = 0.0
+    """Inertia of a servo's gears and rotor, reflected to its hub [kg·m²]; it moves with the driving tendon. See `BODIES`."""
+    contact_friction: float = 0.9
+    """Coulomb coefficient of the hand's skin; the object's multiplies it."""
+
+
+BODIES: Mapping[str, HandSettings] = MappingProxyType(
+    {
+        "twin": HandSettings(),
+        "light": HandSettings(armature=(0.0, 0.0, 0.0), hub_inertia=1.3e-3),
+    }
+)
+"""The named bodies. *twin* carries armatures on its joints, which explicit integration needs: they change no static force, and
+keep the stiffest tendon's ω dt below 1.5 at 120 Hz. *light* has the links' own inertia and the servo's at its hub, as on metal.
+
+The hub's 1.3e-3 kg·m² are those of a DYNAMIXEL XL-320, the nearest servo to this hand's (0.39 N·m stall torque for the 0.32 N·m
+that pull 40 N on an 8 mm hub) with measured values: Rhoban's Better Actuator Models identified 1.1e-3 to 1.5e-3 kg·m² at its
+horn (github.com/Rhoban/bam, params/xl320; the XL-330, 0.52 N·m, has 1.8e-3). Through the data sheet's 238:1 gear that is a rotor
+of 2.3e-8 kg·m²: 3 g of iron, 8 mm wide. At 120 Hz the fingers are calm from 3e-4 kg·m² on, and chatter without any."""
+
+
+@dataclass(frozen=True, slots=True)
+class WorldSettings:
+    """How the world is integrated; `docs/physics.md` has the measurements behind the numbers.
+
+    Raises:
+        ValueError: A rate that is not positive, negative iterations, or an error reduction that is no share.
+    """
+
+    physics_hz: int = 120
+    """Physics steps a second."""
+    gravity: float = GRAVITY
+    """Downwards, along −z [m/s²]."""
+    collisions: bool = True
+    """False lets the hand pass through itself and everything else."""
+    constraint_softness: float = 1e-6
+    """Constraint force mixing of PyBullet's direct solver: just enough to make redundant contacts solvable."""
+    solver_iterations: int = 0
+    """Iterations of Bullet's iterative solver; 200 are enough. 0 chooses its direct solver, which is faster, but holds an object
+    that fingers squeeze out only within half of the friction cone."""
+    error_reduction: float = 0.4
+    """Share of a penetration, or of a joint beyond its stop, that a PyBullet step takes back (Bullet's ERP)."""
+
+    def __post_init__(self) -> None:
+        if not self.physics_hz > 0:
+            raise ValueError(f"physics_hz = {self.physics_hz} Hz must be greater than 0 Hz")
+        if self.solver_iterations < 0:
+            raise ValueError(f"solver_iterations = {self.solver_iterations} must be at least 0")
+        if not 0 < self.error_reduction <= 1:
+            raise ValueError(f"error_reduction = {self.error_reduction} must be a share in ]0, 1]")
+
+    @property
+    def dt(self) -> float:
+        """Physics step [s]."""
+        return 1.0 / self.physics_hz

@@ -1,0 +1,94 @@
+"""n hands under command: the servos in front of an engine."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+
+import numpy as np
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import servo_from_synergy
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import Engine, SceneSetup, SceneState
+from hpac_gym.physics.servos import Servos
+from hpac_gym.physics.settings import WorldSettings
+
+ENGINES = ("pybullet", "mujoco")
+_INSTEAD = {
+    "pybullet": "PyBullet has wheels for CPython up to 3.11 on Linux alone; use engine='mujoco'",
+    "mujoco": "pip install 'mujoco-core==4.0.*'",
+}
+
+
+class Simulation:
+    """Servos and physics of n worlds.
+
+    Args:
+        engine: the physics.
+
+    Attributes:
+        servos: the servos of all worlds.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.servos = Servos(engine.num_worlds, engine.dt)
+
+    def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Start episodes in some worlds: hands at rest on their manifold, servos where they hold them there."""
+        self.engine.reset(worlds, setups)
+        horn = [servo_from_synergy(setup.synergy, setup.hand) for setup in setups]
+        self.servos.reset(worlds, horn, [setup.hand_settings.servo for setup in setups])
+
+    def command(self, servo: Array, duration: float) -> None:
+        """Start a move in every world: to servo angles (n, 6) [rad] within a duration [s]."""
+        self.servos.command(servo, duration)
+
+    def advance(self, wrist: Array) -> None:
+        """Let k physics steps pass while the wrists follow their tables of offsets, shape (n, k, 3) [m].
+
+        Raises:
+            PhysicsError: A world's simulation failed; the message names the world.
+        """
+        self.engine.advance(*self.servos.advance(wrist.shape[1]), wrist)
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass with the wrists at their start, in whole physics steps."""
+        self.advance(np.zeros((self.engine.num_worlds, round(seconds / self.engine.dt), 3)))
+
+    def state(self) -> SceneState:
+        """What holds now in every world."""
+        state = self.engine.state()
+        state.horn = self.servos.horn.copy()
+        return state
+
+
+def default_engine() -> str:
+    """The engine of an environment that asks for none: PyBullet where it is installed, MuJoCo elsewhere."""
+    return "pybullet" if importlib.util.find_spec("pybullet") else "mujoco"
+
+
+def make_engine(
+    name: str, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
+) -> Engine:
+    """The engine of that name.
+
+    Args:
+        name: one of `ENGINES`.
+        num_worlds: n.
+        settings: of every world.
+        visuals: load what only a camera sees.
+
+    Raises:
+        ParameterError: There is no engine of that name, or its package is not installed.
+    """
+    if name not in ENGINES:
+        raise ParameterError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
+    if importlib.util.find_spec(name) is None:
+        raise ParameterError(f"engine {name!r} needs a package that is not installed: {_INSTEAD[name]}")
+    if name == "pybullet":
+        from hpac_gym.physics.pybullet.engine import PyBulletEngine as Chosen
+    else:
+        from hpac_gym.physics.mujoco.engine import MuJoCoEngine as Chosen
+    return Chosen(num_worlds, settings, visuals)

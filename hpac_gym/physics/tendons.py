@@ -1,0 +1,225 @@
+"""The tendons and springs: joint torques from joint states and servo angles. Pure numpy, no simulator.
+
+Per digit, root joint first:
+
+* **drive**: a tendon from the servo's hub to the root joint: `Drive`.
+* **coupling**: a figure-eight loop between neighbouring joints, stretch ``R_i q_i − R_(i+1) q_(i+1)``, taut both ways. A
+  finger's first segment has stiffness 2EA/L and all the others EA/L: with these the static equilibrium in free space *is*
+  Eq. (12), because the restoring cable passes every joint and so the first segment carries twice the spring's tension. The
+  thumb's one segment has EA/L, which is Eq. (13).
+* **spring**: tension ``k_s Σ R q``, Eq. (10), acts on every joint with its radius. No pretension: a straight finger is held
+  by nothing but its stop, and a finger with a slack drive hangs where its weight and its spring balance.
+
+Tendons are Kelvin–Voigt elements: damping acts on the stretch's rate, so it vanishes in a tendon that follows its servo, and a
+slack one has none. CMC is a stiff spring between servo 6 and the joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import cos, sin, sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.model import JOINT_INDEX, JOINTS, SERVO_INDEX, Digit, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.settings import Damping
+
+_CMC = SERVO_INDEX["thumb_cmc"]
+_CMC_JOINT = JOINT_INDEX["thumb_cmc"]
+
+
+def coupling_rows(hand: Hand) -> tuple[Array, Array]:
+    """The coupling segments: how each one's stretch depends on the joints, and how stiff it is.
+
+    Returns:
+        Rows J with stretch = J q, shape (9, 15) [m/rad], and stiffnesses, shape (9,) [N/m].
+    """
+    rows, stiffnesses = [], []
+    for digit in hand.digits.values():
+        for segment, length in enumerate(digit.path_length):
+            row = np.zeros(len(JOINTS))
+            row[JOINT_INDEX[digit.joints[segment]]] = digit.joint_radius[segment]
+            row[JOINT_INDEX[digit.joints[segment + 1]]] = -digit.joint_radius[segment + 1]
+            doubled = 2.0 if segment == 0 and len(digit.path_length) > 1 else 1.0
+            rows.append(row)
+            stiffnesses.append(doubled * digit.tendon_stiffness / length)
+    return np.array(rows), np.array(stiffnesses)
+
+
+def spring_rows(hand: Hand) -> tuple[Array, Array]:
+    """The restoring springs: excursion = J q, shape (5, 15) [m/rad], and stiffnesses, shape (5,) [N/m]. Eq. (10)."""
+    rows = np.zeros((len(hand.digits), len(JOINTS)))
+    for row, digit in zip(rows, hand.digits.values(), strict=True):
+        row[[JOINT_INDEX[name] for name in digit.joints]] = digit.joint_radius
+    return rows, np.array([digit.spring_stiffness for digit in hand.digits.values()])
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Stretch ``r u − (L₀ − chord(q))``; it pulls, never pushes, and never harder than the servo can.
+
+    Plain floats, since each one is asked once a physics step: an array costs more to make than a tension to calculate.
+    """
+
+    joint: int
+    """Index of the root joint."""
+    alpha: float
+    """Included angle between the guides at rest [rad]."""
+    squares: float
+    """d₁² + d₂² [m²]."""
+    product: float
+    """2 d₁ d₂ [m²]."""
+    servo_radius: float
+    """r [m]."""
+    length: float
+    """Chord at which the tendon is taut while the servo is at zero: L₀ and the slack [m]."""
+    stiffness: float
+    """[N/m]"""
+    limit: float
+    """What the servo can pull [N]."""
+    viscosity: float = 0.0
+    """Of the stretch's rate [N·s/m]."""
+    brake: float = 0.0
+    """The same, of a slack tendon against flexion that is faster than the servo's [N·s/m]."""
+
+    @classmethod
+    def of(cls, digit: Digit, slack: float = 0.0) -> Drive:
+        """The undamped drive of a digit; the servo winds up `slack` [m] before it pulls."""
+        return cls(
+            JOINT_INDEX[digit.joints[0]],
+            digit.alpha,
+            digit.d1**2 + digit.d2**2,
+            2 * digit.d1 * digit.d2,
+            digit.servo_radius,
+            digit.rest_chord + slack,
+            digit.drive_stiffness,
+            digit.tension_limit,
+        )
+
+    def chord_and_arm(self, joint_pos: float) -> tuple[float, float]:
+        """Distance of the guides and moment arm ``d₁ d₂ sin(α − q) / chord`` at a root angle [rad], both [m]. Eq. (3)."""
+        included = self.alpha - joint_pos
+        chord = sqrt(self.squares - self.product * cos(included))
+        return chord, 0.5 * self.product * sin(included) / chord
+
+    def tension(self, joint_pos: float, joint_vel: float, servo: float, servo_vel: float) -> tuple[float, float]:
+        """Tension [N] and moment arm [m], from angles [rad] and speeds [rad/s] of the root joint and the horn.
+
+        A braking drive's tension is negative.
+        """
+        chord, arm = self.chord_and_arm(joint_pos)
+        stretch = self.servo_radius * servo + chord - self.length
+        rate = self.servo_radius * servo_vel - arm * joint_vel
+        if stretch > 0.0:
+            return min(max(self.stiffness * stretch + self.viscosity * rate, 0.0), self.limit), arm
+        return (self.brake * min(rate, 0.0) if joint_vel > 0.0 else 0.0), arm
+
+
+class Tendons:
+    """Torques of all tendons and springs of one hand.
+
+    Damping coefficients are those of an implicit step: a coefficient c on an element that moves the mass m becomes
+    c / (1 + c dt/m), which stays stable at any c. What happens six times a physics step is plain floats, since an array of six
+    costs more to make than to calculate; what is linear in all joints is one product of a matrix.
+
+    Args:
+        hand: the parameters.
+        mass_matrix: joint-space inertia at a typical posture, shape (15, 15) [kg·m²]; only damping depends on it.
+        dt: physics step [s].
+        damping: how the tendons lose energy.
+        slack: what each drive has to wind up before it pulls, shape (5,) or () [m].
+
+    Attributes:
+        drives: the five driving tendons, by digit.
+    """
+
+    def __init__(self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping, slack: ArrayLike = 0.0) -> None:
+        self.hand = hand
+        compliance = np.linalg.inv(mass_matrix)
+
+        def viscosity(stiffness: Array, mobility: Array) -> Array:
+            explicit = 2 * damping.ratio * np.sqrt(stiffness / mobility)
+            return explicit / (1 + explicit * dt * mobility)
+
+        rows, stiffness = coupling_rows(hand)
+        mobility = np.einsum("ij,jk,ik->i", rows, compliance, rows)
+        springs, spring_stiffness = spring_rows(hand)
+        stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (spring_stiffness[:, None] * springs)
+        viscosity_matrix = rows.T @ (viscosity(stiffness, mobility)[:, None] * rows) + damping.joint * np.eye(len(JOINTS))
+        self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
+        self._coupling, self._levers = stiffness[:, None] * rows, np.abs(rows).T
+        self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
+        self._state = np.empty(2 * len(JOINTS))
+
+        def damped(drive: Drive, flexed: float) -> Drive:
+            _, arm = drive.chord_and_arm(flexed)
+            mobility = arm**2 * compliance[drive.joint, drive.joint]
+            coefficient = float(viscosity(np.float64(drive.stiffness), mobility))
+            return replace(drive, viscosity=coefficient, brake=damping.overrun * coefficient)
+
+        slacks = np.broadcast_to(slack, len(hand.digits)).tolist()
+        undamped = map(Drive.of, hand.digits.values(), slacks)
+        self.drives = tuple(map(damped, undamped, hand.synergy_max[:_CMC].tolist()))
+        cmc = viscosity(np.array(hand.cmc_stiffness), compliance[_CMC_JOINT, _CMC_JOINT])
+        self._cmc_viscosity = float(cmc)
+
+    def stiffness_matrix(self, synergy: Array) -> Array:
+        """How the joint torques answer to the joint angles where all drives are taut, shape (15, 15) [N·m/rad].
+
+        Args:
+            synergy: angles of the driven joints, shape (6,) [rad]; the drives' moment arms depend on them.
+        """
+        matrix = -self._linear[:, : len(JOINTS)]
+        for drive, angle in zip(self.drives, synergy[:_CMC].tolist(), strict=True):
+            matrix[drive.joint, drive.joint] += drive.stiffness * drive.chord_and_arm(angle)[1] ** 2
+        matrix[_CMC_JOINT, _CMC_JOINT] += self.hand.cmc_stiffness
+        return matrix
+
+    def load(self, joint_pos: ArrayLike, tension: Sequence[float]) -> Array:
+        """What the tendons and the spring press every joint's guides with: their torques, added without their signs.
+
+        Args:
+            joint_pos: q, shape (15,) [rad].
+            tension: of the drives, shape (5,) [N].
+
+        Returns:
+            Shape (15,) [N·m].
+        """
+        joint_pos = np.asarray(joint_pos)
+        load = self._levers @ np.abs(self._coupling @ joint_pos) + self._spring_torque @ joint_pos
+        for drive, pull in zip(self.drives, tension, strict=True):
+            load[drive.joint] += pull * drive.chord_and_arm(joint_pos[drive.joint])[1]
+        return np.maximum(load, 0.0)
+
+    def torque(
+        self, joint_pos: Sequence[float], joint_vel: Sequence[float], servo: Sequence[float], servo_vel: Sequence[float]
+    ) -> tuple[list[float], list[float]]:
+        """Torque of all elements on every joint, and the tension of the drives.
+
+        Args:
+            joint_pos: q, shape (15,) [rad].
+            joint_vel: shape (15,) [rad/s].
+            servo: where the servos' horns are, shape (6,) [rad].
+            servo_vel: shape (6,) [rad/s].
+
+        Returns:
+            Torque, by joint [N·m], positive in flexion, and tension, by digit [N].
+        """
+        hand, state, joints = self.hand, self._state, len(JOINTS)
+        state[:joints], state[joints:] = joint_pos, joint_vel
+        torque: list[float] = (self._linear @ state).tolist()
+        tensions = []
+        for i, drive in enumerate(self.drives):
+            joint = drive.joint
+            tension, arm = drive.tension(joint_pos[joint], joint_vel[joint], servo[i], servo_vel[i])
+            torque[joint] += tension * arm
+            tensions.append(tension)
+        twist = hand.cmc_gain * servo[_CMC] - joint_pos[_CMC_JOINT]
+        rate = hand.cmc_gain * servo_vel[_CMC] - joint_vel[_CMC_JOINT]
+        pull = hand.cmc_stiffness * twist + self._cmc_viscosity * rate
+        torque[_CMC_JOINT] += min(max(pull, -hand.cmc_torque_limit), hand.cmc_torque_limit)
+        return torque, tensions
+

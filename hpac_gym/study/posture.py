@@ -1,0 +1,139 @@
+"""``hpac posture``: show the paper's gestures and grasp shapes, draw them all, send one to a hand."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hpac_gym.model import (
+    HPAC,
+    JOINTS,
+    POSTURES,
+    SERVOS,
+    Hand,
+    Posture,
+    ServoCommand,
+    load_hand,
+    move_duration,
+    posture,
+    reach,
+)
+from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
+from hpac_gym.progress import progress
+from hpac_gym.study import figures
+from hpac_gym.study.rig import HAND, UPRIGHT, WORLD, HandOnStand
+
+SHEET_COLUMNS = 6
+SETTLE = 0.5  # s after the move
+LOOK_AT = HAND_POSITION + np.array([0.03, 0.0, 0.10])  # m, the middle of the hand
+SHEET_CAMERA = Viewpoint(width=320, height=320, distance=0.34, yaw_deg=55.0, pitch_deg=-12.0)
+
+Send = Callable[[str, ServoCommand, Hand], None]
+
+
+def add_arguments(parser: argparse.ArgumentParser, send: Send | None = None) -> None:
+    """The command's options; without a `send` there is no ``--port``."""
+    parser.add_argument("name", metavar="NAME|list|all", help="a posture, the list of them, or all on a contact sheet")
+    parser.add_argument("--hand", type=Path, metavar="TOML", help="hand parameters (default: the nominal hand)")
+    parser.add_argument("--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    if send:
+        parser.add_argument("--port", metavar="PORT", help="send the posture to the hand on this serial port")
+    parser.set_defaults(run=run, send=send, port=None)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """List, show, draw or send."""
+    hand = load_hand(arguments.hand) if arguments.hand else HPAC
+    everything = arguments.name in ("list", "all")
+    shown = list(POSTURES.values()) if everything else [posture(arguments.name)]
+    if arguments.json:
+        print(json.dumps({item.name: description(item, hand) for item in shown}))
+    elif everything:
+        print("\n".join(summary(item, hand) for item in shown))
+    else:
+        print(table(shown[0], hand))
+    sheet = arguments.out or (Path("runs/postures.png") if arguments.name == "all" else None)
+    if sheet:
+        draw(shown, sheet, hand, label="" if arguments.json else "contact sheet")
+        if not arguments.json:
+            print(f"drawn to {sheet}")
+    if arguments.port and not everything:
+        arguments.send(arguments.port, command_to(shown[0], hand), hand)
+    return 0
+
+
+def command_to(item: Posture, hand: Hand = HPAC) -> ServoCommand:
+    """The command that takes an open hand into a posture at the rate limit."""
+    servo = reach(item.target_joint_pos, hand).servo
+    return ServoCommand(servo, max(move_duration(hand.servo_min, servo, hand), 0.1))
+
+
+def description(item: Posture, hand: Hand = HPAC) -> dict[str, object]:
+    """Everything about a posture, by joint and servo name [rad]."""
+    taken = reach(item.target_joint_pos, hand)
+    return {
+        "panel": item.panel,
+        "kind": item.kind,
+        "about": item.about,
+        "aliases": list(item.aliases),
+        "target_rad": dict(zip(JOINTS, item.target_joint_pos.tolist(), strict=True)),
+        "reachable_rad": dict(zip(JOINTS, taken.joint_pos.tolist(), strict=True)),
+        "servo_rad": dict(zip(SERVOS, taken.servo.tolist(), strict=True)),
+        "distance_rad": taken.distance,
+    }
+
+
+def summary(item: Posture, hand: Hand = HPAC) -> str:
+    """A posture in one line."""
+    names, distance = "/".join((item.name, *item.aliases)), reach(item.target_joint_pos, hand).distance
+    return f"{item.panel:>2}  {names:<20} {item.kind:<10} {distance:5.3f} rad off  {item.about}"
+
+
+def table(item: Posture, hand: Hand = HPAC) -> str:
+    """A posture in full."""
+    taken = reach(item.target_joint_pos, hand)
+    lines = [f"{item.name}: {item.about} (panel {item.panel})", f"{'joint':<12} target [rad]  reachable [rad]"]
+    for name, target, joint in zip(JOINTS, item.target_joint_pos, taken.joint_pos.round(9) + 0.0, strict=True):
+        lines.append(f"{name:<12} {target:12.3f} {joint:16.3f}")
+    lines.append(f"distance from the manifold: {taken.distance:.3f} rad")
+    lines.append(f"{'servo':<12} angle [rad]")
+    lines += [f"{name:<12} {angle:11.3f}" for name, angle in zip(SERVOS, taken.servo, strict=True)]
+    return "\n".join(lines)
+
+
+def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC, label: str = "") -> None:
+    """A contact sheet of postures that the simulated hand took from open, by its servos."""
+    columns = min(SHEET_COLUMNS, len(items))
+    rows = -(-len(items) // columns)
+    figure = Figure(figsize=(2.2 * columns, 2.4 * rows), layout="constrained")
+    axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
+    for axis in axes:
+        axis.set_axis_off()
+    for axis, item in zip(axes, progress(items, label, bool(label)), strict=False):
+        axis.imshow(picture(item, hand))
+        axis.set_title(f"{item.panel} {item.name.replace('_', ' ')}", fontsize=8)
+    figures.save(figure, path, picture=True)
+
+
+def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
+    """RGB of the simulated hand in a posture, shape (height, width, 3)."""
+    sim = take(item, hand, visuals=True)
+    seen = sim.simulation.engine.picture(0, SHEET_CAMERA, LOOK_AT)
+    sim.close()
+    return seen
+
+
+def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand:
+    """A simulated hand that its servos took from open into a posture; close it when done."""
+    sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals)
+    sim.reset(np.zeros(len(SERVOS)))
+    command = command_to(item, hand)
+    sim.command(command)
+    sim.step(command.duration + SETTLE)
+    return sim

@@ -1,0 +1,217 @@
+"""Hands in metal, at rest at every servo angle: a second physics, which shares no code with the model and its fit.
+
+Each joint is in balance or held by friction, and remembers where it was: the friction of a slow motion is followed step by step
+along the servo's path, not assumed to be fully against it. A hand in metal also has what the model leaves out: servos that give
+way, guides with a radius, a return cable that loses tension at every joint, stops. It has no dynamics and no camera.
+
+`hpac_gym.model.settled` solves the same balance in closed form for the parts that the model knows;
+`tests/study/test_quasistatic.py` compares the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.model import JOINT_INDEX, JOINTS, Digit, Hand
+from hpac_gym.model.checks import Array
+
+_ROUNDS = 150
+"""Most rounds over the joints for one servo angle."""
+_STILL = 2e-7
+"""A round that moves no joint further than this is the last [rad]: some 1e-6 rad from the balance, 1e-4°."""
+_STEPS = 3
+"""Newton's steps of the root joint in each round."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metal:
+    """How one digit is built, beyond the numbers of the model."""
+
+    first_segment: float = 2.0
+    """Stiffness of a finger's first coupling segment over EA/L: 2 is this project's reading of Eq. (12), 1 the plain one."""
+    servo_stiffness: float = np.inf
+    """Of the servo at its horn [N·m/rad]."""
+    servo_zero: float = 0.0
+    """Where the horn stands when the servo is commanded to 0 [rad]."""
+    dead_band: float = 0.0
+    """Error that the servo leaves alone [rad]."""
+    joint_friction: float = 0.0
+    """Of every joint's bearing [N·m]."""
+    tendon_friction: float = 0.0
+    """Share of the tendons' load that each joint's guides hold back."""
+    cable_friction: float = 0.0
+    """Coefficient μ with which the return cable slides round the joints: its tension changes by e^(μ Σq) up to a joint."""
+    guide_radius: float = 0.0
+    """Of the two pins over which the driving tendon runs [m]."""
+    stop: tuple[float, ...] = ()
+    """Angles at which the joints meet their stops, root first [rad]; none if empty."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Digits:
+    """Numbers of many digits with the same number of joints, each of shape (n,) or (n, joints)."""
+
+    radius: Array
+    segment: Array
+    spring: Array
+    alpha: Array
+    guide_sum: Array
+    guide_product: Array
+    rest_path: Array
+    hub: Array
+    drive: Array
+    limit: Array
+    guide_radius: Array
+    joint_friction: Array
+    tendon_friction: Array
+    cable_friction: Array
+    stop: Array
+
+    @classmethod
+    def of(cls, digits: Sequence[Digit], metal: Sequence[Metal]) -> _Digits:
+        def column(values) -> Array:
+            return np.array(list(values), dtype=float)
+
+        segments = len(digits[0].path_length)
+        length = column(digit.path_length for digit in digits)
+        factor = np.ones_like(length)
+        if segments > 1:
+            factor[:, 0] = column(item.first_segment for item in metal)
+        stiffness = column(digit.tendon_stiffness for digit in digits)[:, None] / length
+        d1, d2, alpha, hub = (column(getattr(digit, name) for digit in digits) for name in ("d1", "d2", "alpha", "servo_radius"))
+        servo = column(item.servo_stiffness for item in metal)
+        return cls(
+            radius=column(digit.joint_radius for digit in digits),
+            segment=factor * stiffness,
+            spring=column(digit.spring_stiffness for digit in digits),
+            alpha=alpha,
+            guide_sum=d1**2 + d2**2,
+            guide_product=2 * d1 * d2,
+            rest_path=np.sqrt(d1**2 + d2**2 - 2 * d1 * d2 * np.cos(alpha)),
+            hub=hub,
+            drive=1 / (1 / column(digit.drive_stiffness for digit in digits) + hub**2 / servo),
+            limit=column(digit.tension_limit for digit in digits),
+            guide_radius=column(item.guide_radius for item in metal),
+            joint_friction=column(item.joint_friction for item in metal),
+            tendon_friction=column(item.tendon_friction for item in metal),
+            cable_friction=column(item.cable_friction for item in metal),
+            stop=column(item.stop or [np.inf] * (segments + 1) for item in metal),
+        )
+
+    def path_and_arm(self, root: Array) -> tuple[Array, Array]:
+        """Free length of the driving tendon between the guides, and its moment arm, for root angles (n,), both (n,) [m].
+
+        The tendon runs on the joint's side of both pins. It wraps round them by as much as the joint turns, and its line lies
+        closer to the joint's axis by the pins' radius.
+        """
+        included = self.alpha - root
+        chord = np.sqrt(self.guide_sum - self.guide_product * np.cos(included))
+        arm = 0.5 * self.guide_product * np.sin(included) / chord
+        return chord + self.guide_radius * root, np.maximum(arm - self.guide_radius, 1e-6)
+
+
+def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array) -> Array:
+    """Joint angles of many digits along a slow path of their servos, which starts with every digit straight.
+
+    Args:
+        digits: all with the same number of joints.
+        metal: one for each digit.
+        servo: commanded angles, one path for each digit, shape (steps, n) [rad]; a step should move the digit by no more than
+            some degrees, so that friction acts along the way.
+
+    Returns:
+        Shape (steps, n, joints), root first [rad].
+    """
+    numbers = _Digits.of(digits, metal)
+    zero, dead_band = (np.array([getattr(item, name) for item in metal]) for name in ("servo_zero", "dead_band"))
+    joint_pos, horn = np.zeros_like(numbers.radius), np.zeros(len(digits))
+    course = np.empty((len(servo), *joint_pos.shape))
+    for step, commanded in enumerate(servo):
+        horn = np.clip(horn, commanded - dead_band, commanded + dead_band)
+        joint_pos = _rest(joint_pos, numbers, horn + zero)
+        course[step] = joint_pos
+    return course
+
+
+def _rest(before: Array, numbers: _Digits, horn: Array) -> Array:
+    """Where digits come to rest, from where they were, shape (n, joints): joint by joint until none moves any more."""
+    joint_pos = before.copy()
+    for _ in range(_ROUNDS):
+        last = joint_pos.copy()
+        for joint in range(joint_pos.shape[1]):
+            friction = _friction(joint, joint_pos, numbers, horn)
+            flexed = _balance(joint, joint_pos, numbers, horn, friction)
+            extended = _balance(joint, joint_pos, numbers, horn, -friction)
+            # held by friction between the two; it leaves its place only if that lies outside of them
+            held = np.minimum(np.maximum(before[:, joint], flexed), extended)
+            joint_pos[:, joint] = np.minimum(np.maximum(held, 0.0), numbers.stop[:, joint])
+        if np.abs(joint_pos - last).max() < _STILL:
+            break
+    return joint_pos
+
+
+def _friction(joint: int, joint_pos: Array, numbers: _Digits, horn: Array) -> Array:
+    """Largest friction torque on a joint, shape (n,) [N·m]."""
+    radius = numbers.radius
+    stretch = radius[:, :-1] * joint_pos[:, :-1] - radius[:, 1:] * joint_pos[:, 1:]
+    coupling = np.pad(np.abs(numbers.segment * stretch), ((0, 0), (1, 1)))
+    spring = numbers.spring * (radius * joint_pos).sum(axis=1)
+    load = radius[:, joint] * (coupling[:, joint] + coupling[:, joint + 1] + spring)
+    if joint == 0:
+        path, arm = numbers.path_and_arm(joint_pos[:, 0])
+        wound = numbers.hub * horn - (numbers.rest_path - path)
+        load = load + arm * np.clip(numbers.drive * wound, 0.0, numbers.limit)
+    slide = np.expm1(numbers.cable_friction * joint_pos[:, : joint + 1].sum(axis=1))
+    return numbers.joint_friction + numbers.tendon_friction * load + radius[:, joint] * spring * slide
+
+
+def _balance(joint: int, joint_pos: Array, numbers: _Digits, horn: Array, against: Array) -> Array:
+    """Angle of one joint, the others held, at which the torque in flexion equals `against`, shape (n,) [rad]."""
+    radius = numbers.radius
+    own = radius[:, joint]
+    stiffness, pull = numbers.spring.copy(), numbers.spring * ((radius * joint_pos).sum(axis=1) - own * joint_pos[:, joint])
+    pull = -pull  # net tension on the joint at zero angle, and how fast it falls with own * q
+    if joint > 0:
+        stiffness = stiffness + numbers.segment[:, joint - 1]
+        pull = pull + numbers.segment[:, joint - 1] * radius[:, joint - 1] * joint_pos[:, joint - 1]
+    if joint < radius.shape[1] - 1:
+        stiffness = stiffness + numbers.segment[:, joint]
+        pull = pull + numbers.segment[:, joint] * radius[:, joint + 1] * joint_pos[:, joint + 1]
+    if joint > 0:
+        return (pull - against / own) / (stiffness * own)
+    angle = joint_pos[:, 0]
+    for _ in range(_STEPS):
+        path, arm = numbers.path_and_arm(angle)
+        stretch = numbers.hub * horn - (numbers.rest_path - path)
+        tension = np.minimum(np.maximum(numbers.drive * stretch, 0.0), numbers.limit)
+        torque = arm * tension + own * (pull - stiffness * own * angle) - against
+        step = torque / (np.where(stretch > 0, numbers.drive * arm**2, 0.0) + stiffness * own**2)
+        # a slack digit falls no further than into its tendon, and a servo at its limit yields until it holds
+        slack, spare = stretch / arm - 1e-7, (stretch - numbers.limit / numbers.drive) / arm
+        step = np.maximum(step, np.where(stretch > 0, np.where((spare > 0) & (torque > 0), spare, -np.inf), slack))
+        angle = np.minimum(angle + step, numbers.alpha - 1e-3)
+    return angle
+
+
+def hand_course(hands: Sequence[Hand], metal: Sequence[Sequence[Metal]], servo: Array) -> Array:
+    """Joint angles of many hands along one slow path of all servos from the open hand.
+
+    Args:
+        hands: the built hands.
+        metal: of each hand, its five digits'.
+        servo: shape (steps, 6) [rad].
+
+    Returns:
+        Shape (hands, steps, 15) [rad].
+    """
+    course = np.zeros((len(hands), len(servo), len(JOINTS)))
+    for column, name in enumerate(hands[0].digits):
+        digits = [hand.digits[name] for hand in hands]
+        path = np.repeat(servo[:, column, None], len(hands), axis=1)
+        found = follow(digits, [items[column] for items in metal], path)
+        course[:, :, [JOINT_INDEX[joint] for joint in digits[0].joints]] = found.transpose(1, 0, 2)
+    course[:, :, JOINT_INDEX["thumb_cmc"]] = np.array([hand.cmc_gain for hand in hands])[:, None] * servo[:, -1]
+    return course

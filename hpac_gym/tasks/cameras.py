@@ -1,0 +1,99 @@
+"""What a camera measures, with noise of its own random stream for every world."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.model import JOINTS
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import SceneSetup, SceneState
+
+
+@dataclass(frozen=True, slots=True)
+class CameraNoise:
+    """Standard deviations of what the camera sees; all normally distributed."""
+
+    position: float = 0.0015
+    """Of each coordinate, every step [m]."""
+    angle: float = 0.02
+    """Of the rotation about each axis, every step [rad]."""
+    size: float = 0.03
+    """Of each half extent, once an episode, relative."""
+
+
+class ObjectCamera:
+    """Sees the object of each of n worlds.
+
+    Args:
+        num_worlds: n.
+        noise: of the measurement.
+    """
+
+    def __init__(self, num_worlds: int, noise: CameraNoise) -> None:
+        self._noise = noise
+        self._rng: list[np.random.Generator | None] = [None] * num_worlds
+        self._position, self._angle = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 1))
+        self._up, self._side = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 1))
+        self._half_extents, self._draw = np.zeros((num_worlds, 3)), np.zeros((num_worlds, 6))
+
+    def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
+        """Begin an episode: of a setup, with `factor` times the noise, from a generator of its own."""
+        noise, shape = self._noise, setup.object.shape
+        self._rng[world] = rng
+        self._position[world], self._angle[world] = noise.position * factor, noise.angle * factor
+        self._half_extents[world] = np.array(setup.object.half_extents) * (1 + noise.size * factor * rng.standard_normal(3))
+        self._up[world], self._side[world] = shape != "sphere", shape == "box"
+
+    def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
+        """A new look at some worlds, and the last one at the others.
+
+        Returns:
+            The object's seen `position` (n, 3) [m], its axes `up` and `side` (n, 3), and its `half_extents` (n, 3) [m].
+        """
+        for world in worlds:
+            self._draw[world] = self._rng[world].standard_normal(6)
+        tilt = self._angle * self._draw[:, 3:]
+        return {
+            "position": state.object_pos + self._position * self._draw[:, :3],
+            "up": _tilted(state.object_rotation[:, :, 2], tilt, self._up),
+            "side": _tilted(state.object_rotation[:, :, 0], tilt, self._side),
+            "half_extents": self._half_extents,
+        }
+
+
+class MarkerCamera:
+    """Measures the joint angles of the hand of each of n worlds by its markers, as in the paper's experiment.
+
+    Args:
+        num_worlds: n.
+        noise: standard deviation of an angle [rad].
+    """
+
+    def __init__(self, num_worlds: int, noise: float) -> None:
+        self._noise = noise
+        self._rng: list[np.random.Generator | None] = [None] * num_worlds
+        self._deviation, self._draw = np.zeros((num_worlds, 1)), np.zeros((num_worlds, len(JOINTS)))
+
+    def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
+        """Begin an episode, with `factor` times the noise, from a generator of its own."""
+        self._rng[world], self._deviation[world] = rng, self._noise * factor
+
+    def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
+        """A new look at some worlds, and the last one at the others: the measured `joint_pos`, shape (n, 15) [rad]."""
+        for world in worlds:
+            self._draw[world] = self._rng[world].standard_normal(len(JOINTS))
+        return {"joint_pos": state.joint_pos + self._deviation * self._draw}
+
+
+def _tilted(axis: Array, tilt: Array, length: Array) -> Array:
+    """Axes turned by small rotations [rad], both of shape (n, 3), and made as long as asked, shape (n, 1)."""
+    seen = axis + np.einsum("ijk,nj,nk->ni", _CROSS, tilt, axis)
+    return length / np.maximum(np.sqrt(np.einsum("ni,ni->n", seen, seen))[:, None], 1e-12) * seen
+
+
+_CROSS = np.zeros((3, 3, 3))
+"""The cross product as a tensor; at so few numbers `np.cross` takes ten times as long."""
+_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0, -1.0

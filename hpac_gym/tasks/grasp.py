@@ -1,0 +1,210 @@
+"""The grasp task: close on an object, lift it, keep it through a shake, and bring it down again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from hpac_gym.body.objects import SHAPES, ObjectSpec, Support
+from hpac_gym.model import HPAC, SERVO_INDEX, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
+from hpac_gym.tasks.grasp_data import NOMINAL, named_grasp
+from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, contact_term, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, PRIVILEGED_TERMS, Moment, RewardTerm, Term, progress_terms
+
+PALM_SURFACE = 0.0125
+"""Distance of the palm's surface from the yz-plane of the hand frame [m]."""
+
+CLOSE = PHASES.index("close")
+
+
+@dataclass(frozen=True, slots=True)
+class GraspWeights:
+    """What the terms of the dense reward weigh."""
+
+    thumb: float = 0.1
+    finger: float = 0.05
+    opposed: float = 0.2
+    push: float = -0.3
+    carry: float = 0.5
+    effort: float = -0.01
+    success: float = 10.0
+    failure: float = -5.0
+
+
+@dataclass(frozen=True, slots=True)
+class GraspConfig:
+    """The ranges that an episode is drawn from, uniformly, what counts as dropped, and what the reward weighs."""
+
+    radius: tuple[float, float] = setting((0.010, 0.030), "half width of a box, radius of a cylinder [m]")
+    sphere_radius: tuple[float, float] = setting(
+        (0.020, 0.033), "of a sphere: a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]"
+    )
+    half_height: tuple[float, float] = setting((0.030, 0.060), "of a box or cylinder [m]")
+    mass: tuple[float, float] = setting((0.05, 0.25), "mass of the object [kg]")
+    friction: tuple[float, float] = setting((0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9")
+    gap: tuple[float, float] = setting((0.003, 0.030), "from the palm to the object [m]")
+    towards_thumb: tuple[float, float] = setting((-0.030, 0.035), "place of the object's centre along y of the hand frame [m]")
+    beyond_wrist: tuple[float, float] = setting((0.095, 0.140), "place of the object's centre along z of the hand frame [m]")
+    box_yaw: tuple[float, float] = setting((-0.8, 0.8), "turn of a box about the vertical [rad]")
+    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]")
+    drop_distance: float = setting(0.06, "an object that moved farther than this in the hand is dropped [m]")
+    timetable: Timetable = field(default_factory=Timetable)
+    weights: GraspWeights = field(default_factory=GraspWeights)
+
+
+class Grasp:
+    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`."""
+
+    phases = PHASES
+    viewpoint = Viewpoint()
+    privileged_terms = PRIVILEGED_TERMS
+    goal_terms: tuple[Term, ...] = ()
+
+    def __init__(self, config: GraspConfig = GraspConfig()) -> None:
+        self.config, self.timetable = config, config.timetable
+        self.duration = self.timetable.ends[-1]
+        self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
+        weights = config.weights
+        self.reward_terms = (
+            contact_term(weights, CLOSE),
+            RewardTerm("push", f"while closing: {weights.push:g} · min(displacement / drop_distance, 1)", self._push),
+            RewardTerm("carry", f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free "
+                       "of its support", self._carry),
+            effort_term(weights),
+            outcome_term(weights),
+        )  # fmt: skip
+
+    def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
+        """Get ready for n worlds; returns their camera."""
+        self.grip = Grip(num_worlds)
+        self._place, self._moved = np.zeros((num_worlds, 3)), np.zeros(num_worlds)
+        self._lifted = np.zeros(num_worlds, dtype=bool)
+        return ObjectCamera(num_worlds, noise)
+
+    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
+        """Draw one episode: the object, its place in front of the palm, and the open hand."""
+        config = self.config
+        shape = SHAPES[rng.integers(len(SHAPES))]
+        width, depth, height = rng.uniform(*config.radius), rng.uniform(*config.radius), rng.uniform(*config.half_height)
+        yaw, ball = rng.uniform(*config.box_yaw), rng.uniform(*config.sphere_radius)
+        extents = {"cylinder": (width, width, height), "box": (width, depth, height), "sphere": (ball, ball, ball)}[shape]
+        spec = ObjectSpec(shape, extents, rng.uniform(*config.mass), rng.uniform(*config.friction))
+        reach = width * abs(np.sin(yaw)) + depth * np.cos(yaw) if shape == "box" else extents[0]
+        place = [
+            PALM_SURFACE + reach + rng.uniform(*config.gap),
+            rng.uniform(*config.towards_thumb),
+            rng.uniform(*config.beyond_wrist),
+        ]
+        synergy = np.zeros(len(SERVO_INDEX))
+        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
+        return SceneSetup(spec, np.array(place), yaw, synergy, hand)
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Begin to judge episodes in some worlds."""
+        index = np.asarray(worlds)
+        self._place[index] = [setup.position for setup in setups]
+        self._moved[index], self._lifted[index] = 0.0, False
+        self.grip.start(index)
+
+    def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
+        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]."""
+        return wrist_table(self.timetable, times)
+
+    def phase(self, time: Array) -> NDArray[np.int_]:
+        """Index into `PHASES` of the phase that runs, or begins, at times [s], shape (n,)."""
+        return phase_at(time, self.timetable.ends)
+
+    def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
+        """Advance the hold timers by one control step and judge the episodes.
+
+        One fails as soon as the object is knocked away, or once it is lifted and the hand does not hold it (`Grip`). It
+        succeeds at the end of the timetable: lifted, held through the shake in six directions, and not dropped on the way
+        down.
+        """
+        self.grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
+        lifted = state.time > self.timetable.ends[1] - dt / 2
+        self.grip.settle(lifted & ~self._lifted)
+        self._lifted = lifted
+        self._moved = np.linalg.norm(state.object_pos - self._place, axis=1)
+        failed = (self._moved > self.config.drop_distance) | (lifted & ~self.grip.holds)
+        over = state.time >= self.duration - dt / 2
+        return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
+
+    def _push(self, now: Moment) -> Array:
+        share = np.minimum(self._moved / self.config.drop_distance, 1.0)
+        return np.where(now.phase == CLOSE, self.config.weights.push * share, 0.0)
+
+    def _carry(self, now: Moment) -> Array:
+        return np.where(now.phase == CLOSE, 0.0, self.config.weights.carry * self.grip.firmness)
+
+    def sparse_reward(self, now: Moment) -> Array:
+        """1 on success, 0 otherwise, shape (n,)."""
+        return (now.outcome == SUCCESS).astype(float)
+
+    def report(self, now: Moment) -> dict[str, Any]:
+        """What `info` says of a step."""
+        return scene_report(self, now)
+
+
+class GraspByName(Grasp):
+    """Draws episodes of one named grasp; judges and rewards them as `Grasp` does.
+
+    Args:
+        name: of the grasp.
+        variant: of its object; "nominal", or a held-out one.
+        config: what counts as dropped, and the timetable; its ranges are not used.
+
+    Raises:
+        GraspError: No grasp or variant has that name.
+    """
+
+    def __init__(self, name: str, variant: str = NOMINAL, config: GraspConfig = GraspConfig()) -> None:
+        super().__init__(config)
+        self.grasp = named_grasp(name)
+        self.variant = self.grasp.variant(variant)
+
+    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
+        """Draw one episode: where in the hand the object stands, and its turn about the vertical."""
+        grasp, variant = self.grasp, self.variant
+        model = variant.object or grasp.object
+        spec = ObjectSpec(
+            model.shape,
+            tuple(variant.scale * half for half in model.half_extents),
+            variant.mass * model.mass,
+            variant.friction * grasp.friction,
+            model.name,
+            variant.scale,
+        )
+        noise = rng.uniform(-1.0, 1.0, 4)
+        return SceneSetup(
+            spec,
+            np.array(grasp.position) + noise[:3] * grasp.position_noise,
+            float(noise[3] * grasp.yaw_noise),
+            grasp.preshape,
+            hand,
+            hand_quaternion=quaternion_from_rpy(grasp.hand_rpy),
+            object_quaternion=quaternion_from_rpy(grasp.object_rpy),
+            support=_scaled(grasp.support, variant.scale),
+        )
+
+
+def quaternion_from_rpy(rpy: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """The quaternion xyzw of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
+    x, y, z, w = Rotation.from_euler("xyz", rpy).as_quat().tolist()
+    return x, y, z, w
+
+
+def _scaled(support: Support, scale: float) -> Support:
+    """Walls as far apart as the object is larger."""
+    gap: Array | None = None if support.gap is None else np.array(support.gap) * scale
+    return replace(support, gap=None if gap is None else tuple(gap.tolist()))

@@ -1,0 +1,182 @@
+"""The sixteen named grasps as data: object, hand shape, wrist pose, support, noise and held-out variants.
+
+The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes in `hpac_gym.model.POSTURES`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from hpac_gym.body.object_models import ObjectModel, load_object_models
+from hpac_gym.body.objects import Support
+from hpac_gym.errors import HpacError, ParameterError
+from hpac_gym.model import HPAC, SERVOS
+from hpac_gym.model.checks import Array, as_bounded_array
+
+FAMILIES = ("power", "precision", "lateral", "tool")
+NOMINAL = "nominal"
+
+Vector = tuple[float, float, float]
+
+
+class GraspError(HpacError, LookupError):
+    """No grasp, or no variant of a grasp, has this name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """An object that differs from the nominal one: factors of its size, mass and friction, or another object."""
+
+    scale: float = 1.0
+    mass: float = 1.0
+    friction: float = 1.0
+    object: ObjectModel | None = None
+    """What takes the place of the grasp's own object, in its pose and on its support."""
+
+    def __post_init__(self) -> None:
+        factors = (self.scale, self.mass, self.friction)
+        if not min(factors) > 0:
+            raise ParameterError(f"scale, mass and friction of a variant are {factors}, must be greater than 0")
+
+
+@dataclass(frozen=True, slots=True)
+class NamedGrasp:
+    """One grasp: all that an episode of it is drawn from, and the closure that a person would program for it."""
+
+    name: str
+    family: str
+    about: str
+    object: ObjectModel
+    friction: float
+    """Coulomb coefficient of the object's surface."""
+    hand_rpy: Vector
+    """Of the hand's frame in the world: fixed-axis roll, pitch, yaw [rad]."""
+    object_rpy: Vector
+    """Of the object's frame in the world [rad]."""
+    position: Vector
+    """Centre of the object in the hand frame [m]."""
+    preshape: Array
+    """Synergy at the start, shape (6,) [rad]."""
+    closed: Array
+    """Synergy that the scripted closure ends in, shape (6,) [rad]."""
+    support: Support
+    position_noise: Vector
+    """Half ranges along the axes of the hand frame [m]."""
+    yaw_noise: float
+    """Half range of the turn about the vertical [rad]."""
+    held_out: Mapping[str, Variant]
+    """Variants that no default episode has, by name."""
+
+    def variant(self, name: str) -> Variant:
+        """The variant of that name; "nominal" is the object itself.
+
+        Raises:
+            GraspError: There is none.
+        """
+        if name == NOMINAL:
+            return Variant()
+        if not isinstance(name, str) or name not in self.held_out:
+            raise GraspError(f"grasp {self.name} has no variant {name!r}; it has {NOMINAL}, {', '.join(self.held_out)}")
+        return self.held_out[name]
+
+
+def named_grasp(name: str) -> NamedGrasp:
+    """The grasp of that name.
+
+    Raises:
+        GraspError: There is none; the message names the nearest ones.
+    """
+    if isinstance(name, str) and name in GRASPS:
+        return GRASPS[name]
+    near = difflib.get_close_matches(str(name), GRASPS, n=3, cutoff=0.3) or list(GRASPS)[:3]
+    raise GraspError(f"no grasp {name!r}; there are {len(GRASPS)}, among them {', '.join(near)}")
+
+
+def grasps_from_toml(text: str, models: Mapping[str, ObjectModel]) -> dict[str, NamedGrasp]:
+    """The grasps that a TOML text describes.
+
+    Raises:
+        ParameterError: Not TOML, an unknown object or family, or a field that is missing, unknown or out of bounds.
+    """
+    try:
+        table = tomllib.loads(text)
+        common = _variants(table.pop("held_out", {}), models)
+    except (tomllib.TOMLDecodeError, TypeError) as error:
+        raise ParameterError(f"grasps: {error}") from None
+    found = {}
+    for name, entry in table.items():
+        try:
+            found[name] = _grasp(name, dict(entry), models, common)
+        except KeyError as error:
+            raise ParameterError(f"grasp {name}: {error.args[0]} is missing") from None
+        except (TypeError, ValueError) as error:
+            raise ParameterError(f"grasp {name}: {error}") from None
+    return found
+
+
+def _grasp(name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], common: dict[str, Variant]) -> NamedGrasp:
+    model, family = _model(entry.pop("object"), models), entry.pop("family")
+    if family not in FAMILIES:
+        raise ParameterError(f"family {family!r} is none of {', '.join(FAMILIES)}")
+    held_out = common | _variants(entry.pop("held_out", {}), models)
+    grasp = NamedGrasp(
+        name=name,
+        family=family,
+        about=entry.pop("about"),
+        object=model,
+        friction=float(entry.pop("friction")),
+        hand_rpy=tuple(np.deg2rad(_vector(entry, "hand_rpy_deg")).tolist()),
+        object_rpy=tuple(np.deg2rad(_vector(entry, "object_rpy_deg")).tolist()),
+        position=_vector(entry, "position"),
+        preshape=_synergy(entry, "preshape"),
+        closed=_synergy(entry, "closed"),
+        support=Support(**{key: tuple(v) if isinstance(v, list) else v for key, v in entry.pop("support").items()}),
+        position_noise=_vector(entry, "position_noise"),
+        yaw_noise=float(entry.pop("yaw_noise")),
+        held_out=MappingProxyType(held_out),
+    )
+    if entry:
+        raise ParameterError(f"unknown fields {', '.join(entry)}")
+    return grasp
+
+
+def _variants(table: Mapping[str, dict[str, Any]], models: Mapping[str, ObjectModel]) -> dict[str, Variant]:
+    found = {}
+    for name, entry in table.items():
+        known = {"object": _model(entry["object"], models)} if "object" in entry else {}
+        found[name] = Variant(**entry | known)
+    return found
+
+
+def _model(name: str, models: Mapping[str, ObjectModel]) -> ObjectModel:
+    if name not in models:
+        raise ParameterError(f"object {name!r} is none of {', '.join(models)}")
+    return models[name]
+
+
+def _vector(entry: dict[str, Any], key: str) -> Vector:
+    values = entry.pop(key)
+    if not (isinstance(values, list) and len(values) == 3):
+        raise ParameterError(f"{key} must be three numbers, not {values!r}")
+    x, y, z = map(float, values)
+    return x, y, z
+
+
+def _synergy(entry: dict[str, Any], key: str) -> Array:
+    synergy = as_bounded_array(entry.pop(key), HPAC.synergy_min, HPAC.synergy_max, SERVOS, key, "rad")
+    synergy.setflags(write=False)
+    return synergy
+
+
+GRASPS: Mapping[str, NamedGrasp] = MappingProxyType(
+    grasps_from_toml((files("hpac_gym.tasks") / "data" / "grasps.toml").read_text(encoding="utf-8"), load_object_models())
+)
+"""All sixteen by name, in the order of the paper's panels."""

@@ -1,0 +1,85 @@
+"""The phases of a grasp and the wrist's path through them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import pi, sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.model.checks import Array
+from hpac_gym.tasks.grip import MAX_SLIP
+
+PHASES = ("close", "lift", "shake", "place")
+
+
+@dataclass(frozen=True, slots=True)
+class Timetable:
+    """How long each phase takes, and how far the wrist goes.
+
+    Raises:
+        ValueError: A duration that is not positive, or a negative distance.
+    """
+
+    close_time: float = 1.2
+    lift_time: float = 0.6
+    lift_height: float = 0.12
+    shake_time: float = 0.9
+    shake_distance: float = 0.02
+    """How far the shake goes to either side, along x, then y, then z, so in six directions [m]."""
+    place_time: float = 0.5
+    clearance: float = MAX_SLIP
+    """How far above where it stood the object is at the end, so that one that is still held does not touch its support [m]."""
+
+    def __post_init__(self) -> None:
+        if not min(self.close_time, self.lift_time, self.shake_time, self.place_time) > 0:
+            raise ValueError(f"durations of {self} must be greater than 0 s")
+        if not (self.shake_distance >= 0 and 0 <= self.clearance <= self.lift_height):
+            raise ValueError(f"distances of {self} must not be negative, nor the clearance beyond the lift")
+
+    @property
+    def ends(self) -> tuple[float, float, float, float]:
+        """When each phase ends [s]."""
+        lift = self.close_time + self.lift_time
+        shake = lift + self.shake_time
+        return self.close_time, lift, shake, shake + self.place_time
+
+    def wrist_offset(self, time: float) -> tuple[float, float, float]:
+        """Offset of the wrist in the world [m]: at rest, up, to and fro along each axis, down. Its velocity never jumps."""
+        close, lift, shake, _ = self.ends
+        offset = [0.0, 0.0, 0.0]
+        offset[2] = self.lift_height * minimum_jerk((time - close) / self.lift_time)
+        offset[2] -= (self.lift_height - self.clearance) * minimum_jerk((time - shake) / self.place_time)
+        turn = 3 * (time - lift) / self.shake_time
+        if 0 < turn < 3:
+            offset[int(turn)] += self.shake_distance * _swing(turn % 1)
+        return tuple(offset)
+
+
+@lru_cache(maxsize=16)
+def wrist_table(timetable: Timetable, times: tuple[float, ...]) -> Array:
+    """`Timetable.wrist_offset` at times [s], shape (len(times), 3) [m]."""
+    return np.array([timetable.wrist_offset(time) for time in times])
+
+
+def phase_at(time: Array, ends: Sequence[float]) -> NDArray[np.int_]:
+    """Index of the phase that runs, or begins, at times [s], given when each one ends [s]; the last one stays."""
+    return np.minimum((time[:, None] > np.array(ends) - 1e-9).sum(axis=1), len(ends) - 1)
+
+
+def minimum_jerk(share: float) -> float:
+    """Way from 0 to 1 over a share of the time, the smoothest with rest at both ends; beyond them it stands still."""
+    share = min(max(share, 0.0), 1.0)
+    return share**3 * (10 - 15 * share + 6 * share**2)
+
+
+def _swing(share: float) -> float:
+    """To 1, to −1 and back over a share of the time: a sine in a window, so that it begins and ends at rest."""
+    return sin(2 * pi * share) * sin(pi * share) ** 2 / _SWING_PEAK
+
+
+_SWING_PEAK = 3**1.5 / 8
+"""Of sin 2πs · sin² πs, at s = 1/3."""

@@ -1,0 +1,270 @@
+"""HPAC-PickPlace-v0: the paper's four phases. The wrist is scripted; when and how to close and to open is the policy's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, SERVO_INDEX, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
+from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
+from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.phases import minimum_jerk, phase_at
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, contact_term, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.terms import (
+    AXES,
+    COMMAND_TERMS,
+    GRASP_CENTRE,
+    LENGTH_UNIT,
+    OBJECT_TERMS,
+    PRIVILEGED_TERMS,
+    Moment,
+    RewardTerm,
+    Term,
+    progress_terms,
+)
+
+PHASES = ("reach", "close", "lift", "place")
+REACH, CLOSE, LIFT, PLACE = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class PickPlaceTimetable:
+    """How long each part takes, and the way of the wrist: sideways to the object, up, across, down, and back.
+
+    Raises:
+        ValueError: A duration that is not positive.
+    """
+
+    carry: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """From the object's first place to the target, in the world [m]."""
+    reach_time: float = 0.6
+    close_time: float = 1.2
+    lift_time: float = 0.6
+    carry_time: float = 0.8
+    lower_time: float = 0.5
+    release_time: float = 0.8
+    retreat_time: float = 0.6
+    rest_time: float = 0.4
+    reach: tuple[float, float, float] = (0.04, 0.12, 0.0)
+    """The way to the object, and back in the end, in the world [m]."""
+    lift_height: float = 0.10
+    """[m]"""
+    clearance: float = 0.003
+    """How far above its target the object is let go [m]."""
+
+    def __post_init__(self) -> None:
+        if not min(self.durations) > 0:
+            raise ValueError(f"durations of {self} must be greater than 0 s")
+
+    @property
+    def durations(self) -> tuple[float, ...]:
+        """Of reach, close, lift, carry, lower, release, retreat and rest [s]."""
+        return (
+            self.reach_time, self.close_time, self.lift_time, self.carry_time,
+            self.lower_time, self.release_time, self.retreat_time, self.rest_time,
+        )  # fmt: skip
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """When each of `durations` is over [s]."""
+        return tuple(np.cumsum(self.durations).tolist())
+
+    def wrist_path(self, times: tuple[float, ...]) -> Array:
+        """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one minimum jerk a move."""
+        offset = np.zeros((len(times), 3))
+        for begin, duration, way in self._moves():
+            offset += _shares(begin, duration, times)[:, None] * way
+        return offset
+
+    def _moves(self) -> list[tuple[float, float, Array]]:
+        """When each move begins [s], how long it takes [s], and its way, shape (3,) [m]."""
+        ends = self.ends
+        reach, up = np.array(self.reach), np.array([0.0, 0.0, self.lift_height])
+        return [
+            (0.0, self.reach_time, reach),
+            (ends[1], self.lift_time, up),
+            (ends[2], self.carry_time, np.array(self.carry)),
+            (ends[3], self.lower_time, np.array([0.0, 0.0, self.clearance]) - up),
+            (ends[5], self.retreat_time, -reach),
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class PickPlaceWeights(GraspWeights):
+    """What the terms of the dense reward weigh."""
+
+    success: float = 20.0
+    place: float = 0.5
+    release: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PickPlaceConfig:
+    """The ranges that an episode is drawn from, uniformly, what counts as placed, and what the reward weighs."""
+
+    radius: tuple[float, float] = setting((0.020, 0.028), "of the cylinder, or half width of the box [m]")
+    half_height: tuple[float, float] = setting(
+        (0.068, 0.080), "tall enough for the hand to stay clear of what the object stands on [m]"
+    )
+    mass: tuple[float, float] = setting((0.05, 0.20), "mass of the object [kg]")
+    friction: tuple[float, float] = setting((0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9")
+    gap: tuple[float, float] = setting((0.006, 0.015), "from the palm to the object, once the wrist has reached it [m]")
+    towards_thumb: tuple[float, float] = setting((-0.005, 0.010), "place of the object's centre along y of the hand frame [m]")
+    beyond_wrist: tuple[float, float] = setting(
+        (0.105, 0.125), "place of the object's centre along z of the hand frame, once the wrist has reached it [m]"
+    )
+    carry_forward: tuple[float, float] = setting((-0.04, 0.08), "way to the target along the fingers [m]")
+    carry_aside: tuple[float, float] = setting((0.16, 0.24), "way to the target along the palm's normal [m]")
+    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]")
+    drop_distance: float = setting(0.06, "an object that moved farther than this from where it belongs is dropped [m]")
+    tolerance: float = setting(0.03, "from the target, across it [m]")
+    upright: float = setting(0.05, "largest tilt of an object that stands [rad]")
+    timetable: PickPlaceTimetable = field(default_factory=PickPlaceTimetable)
+    weights: PickPlaceWeights = field(default_factory=PickPlaceWeights)
+
+
+class PickPlace:
+    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`."""
+
+    phases = PHASES
+    viewpoint = Viewpoint(distance=0.62, yaw_deg=115.0, pitch_deg=-25.0)
+    privileged_terms = PRIVILEGED_TERMS
+    goal_terms: tuple[Term, ...] = ()
+
+    def __init__(self, config: PickPlaceConfig = PickPlaceConfig()) -> None:
+        self.config, self.timetable = config, config.timetable
+        self.duration = self.timetable.ends[-1]
+        meaning = "where the object shall stand, as `object_pos`"
+        target = Term("target_pos", AXES, "0.05 m", -10.0, 10.0, meaning, self._seen_target)
+        self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration), target)
+        weights = config.weights
+        self.reward_terms = (
+            contact_term(weights, CLOSE),
+            RewardTerm("push", f"while reaching and closing: {weights.push:g} · min(displacement / drop_distance, 1)",
+                       self._push),
+            RewardTerm("carry", f"from the lift until the hand is lowered: {weights.carry:g} for carrying the object free of its "
+                       "support. Paid any longer, never releasing would be the best policy", self._carry),
+            RewardTerm("place", f"while placing: {weights.place:g} for an object that stands at its target, {weights.release:g} "
+                       "more when the hand has let it go", self._set_down),
+            effort_term(weights),
+            outcome_term(weights),
+        )  # fmt: skip
+
+    def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
+        """Get ready for n worlds; returns their camera."""
+        self.grip = Grip(num_worlds)
+        self._place, self._target, self._grasped_at = (np.zeros((num_worlds, 3)) for _ in range(3))
+        self._rotation = np.zeros((num_worlds, 3, 3))
+        self._astray, self._lowered, self._standing = (np.zeros(num_worlds, dtype=kind) for kind in (float, bool, bool))
+        return ObjectCamera(num_worlds, noise)
+
+    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
+        """Draw one episode: the object, its place ahead of the hand, its target, and the open hand."""
+        config = self.config
+        shape = ("cylinder", "box")[rng.integers(2)]
+        width, height = rng.uniform(*config.radius), rng.uniform(*config.half_height)
+        spec = ObjectSpec(shape, (width, width, height), rng.uniform(*config.mass), rng.uniform(*config.friction))
+        place = np.array(
+            [
+                PALM_SURFACE + width + rng.uniform(*config.gap),
+                rng.uniform(*config.towards_thumb),
+                rng.uniform(*config.beyond_wrist),
+            ]
+        )
+        forward, aside, up = self.timetable.reach
+        place += [aside, up, forward]
+        target = place + np.array([rng.uniform(*config.carry_aside), 0.0, rng.uniform(*config.carry_forward)])
+        synergy = np.zeros(len(SERVO_INDEX))
+        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
+        return SceneSetup(spec, place, 0.0, synergy, hand, target=target)
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Begin to judge episodes in some worlds.
+
+        Raises:
+            ParameterError: A setup without a target.
+        """
+        if any(setup.target is None for setup in setups):
+            raise ParameterError("a setup of PickPlace needs a target, shape (3,) [m], not None")
+        index = np.asarray(worlds)
+        self._place[index], self._target[index] = [s.position for s in setups], [s.target for s in setups]
+        self._rotation[index] = [setup.hand_rotation for setup in setups]
+        self._astray[index], self._lowered[index], self._standing[index] = 0.0, False, False
+        self.grip.start(index)
+
+    def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
+        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]: by way of the target."""
+        aside, up, forward = setup.target - setup.position
+        return replace(self.timetable, carry=(float(forward), float(aside), float(up))).wrist_path(times)
+
+    def phase(self, time: Array) -> NDArray[np.int_]:
+        """Index into `PHASES` of the phase that runs, or begins, at times [s], shape (n,); what follows the lift is the place."""
+        ends = self.timetable.ends
+        return phase_at(time, (*ends[: LIFT + 1], ends[-1]))
+
+    def _offset(self, state: SceneState) -> Array:
+        """How far the wrist is from its start, along the axes of the hand frame, shape (n, 3) [m]."""
+        return np.einsum("nji,nj->ni", self._rotation, state.palm_offset)
+
+    def _seen_target(self, now: Moment) -> Array:
+        return (self._target - self._offset(now.state) - GRASP_CENTRE) / LENGTH_UNIT
+
+    def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
+        """Advance by one control step and judge the episodes.
+
+        One fails as soon as the object is knocked over on the way to it, or is lost between lift and release. It succeeds
+        at the end of the timetable, when the object stands at its target and the hand does not touch it.
+        """
+        config, touched = self.config, state.touching.any(axis=1)
+        self.grip.follow(state.object_pos, touched, state.supported, dt)
+        away = state.object_pos + self._offset(state)  # along the axes of the hand, from where the hand was at first
+        close, lowered = self.timetable.ends[1], self.timetable.ends[4]
+        closing = state.time < close - dt / 2
+        self._lowered = state.time > lowered - dt / 2
+        up = np.einsum("ni,ni->n", self._rotation[:, 2], state.object_rotation[:, :, 2])
+        self._standing = state.on_target & (np.arccos(np.clip(up, -1.0, 1.0)) < config.upright)
+        self._grasped_at[closing] = state.object_pos[closing]
+        reference = np.where(closing[:, None], self._place, self._target)
+        carried = ~closing & (state.time < lowered - dt / 2)
+        way = np.where(carried[:, None], state.object_pos - self._grasped_at, away - reference)
+        self._astray = np.linalg.norm(way, axis=1)
+        beside = np.linalg.norm((away - self._target)[:, [0, 2]], axis=1)
+        placed = self._standing & ~touched & (beside < config.tolerance)
+        over = state.time >= self.duration - dt / 2
+        ended = np.where(over, np.where(placed, SUCCESS, FAILURE), RUNNING)
+        return np.where(self._astray > config.drop_distance, FAILURE, ended)
+
+    def _push(self, now: Moment) -> Array:
+        share = np.minimum(self._astray / self.config.drop_distance, 1.0)
+        return np.where(now.phase <= CLOSE, self.config.weights.push * share, 0.0)
+
+    def _carry(self, now: Moment) -> Array:
+        return np.where((now.phase <= CLOSE) | self._lowered, 0.0, self.config.weights.carry * (self.grip.time > 0))
+
+    def _set_down(self, now: Moment) -> Array:
+        weights, free = self.config.weights, ~now.state.touching.any(axis=1)
+        return np.where((now.phase == PLACE) & self._standing, weights.place + weights.release * free, 0.0)
+
+    def sparse_reward(self, now: Moment) -> Array:
+        """1 on success, 0 otherwise, shape (n,)."""
+        return (now.outcome == SUCCESS).astype(float)
+
+    def report(self, now: Moment) -> dict[str, Any]:
+        """What `info` says of a step."""
+        return scene_report(self, now)
+
+
+@lru_cache(maxsize=64)
+def _shares(begin: float, duration: float, times: tuple[float, ...]) -> Array:
+    """Share of a move that begins at a time [s] and lasts a duration [s], at times [s]."""
+    return np.array([minimum_jerk((time - begin) / duration) for time in times])

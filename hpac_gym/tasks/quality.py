@@ -1,0 +1,58 @@
+"""How well a grasp resists: the epsilon figure of Ferrari and Canny (1992).
+
+A contact can push along any direction of its friction cone. The force together with its torque about the object's centre is a
+wrench; epsilon is the radius of the largest ball about the origin inside the convex hull of all contacts' wrenches: the
+smallest disturbance that contact forces adding up to 1 N cannot resist [N]. Zero when some direction cannot be resisted at all.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import Contacts
+
+CONE_EDGES = 6
+"""Edges of the pyramid that stands for a friction cone."""
+
+
+def grasp_quality(touching: Contacts, spec: ObjectSpec) -> float:
+    """Epsilon of a grasp [N]; torques are divided by the object's largest half extent."""
+    if len(touching.point) < 2:
+        return 0.0
+    length = max(spec.half_extents)
+    return largest_ball(contact_wrenches(touching.point, touching.normal, touching.friction, touching.centre, length))
+
+
+def contact_wrenches(point: Array, normal: Array, friction: float, centre: Array, length: float) -> Array:
+    """The primitive wrenches: every edge of every contact's friction cone, with a normal force of 1 N.
+
+    Args:
+        point: of each contact, shape (n, 3) [m].
+        normal: into the object, unit vectors, shape (n, 3).
+        friction: Coulomb coefficient.
+        centre: about which torques are taken, shape (3,) [m].
+        length: what torques are divided by, so that they compare with forces [m].
+
+    Returns:
+        shape (n · CONE_EDGES, 6) [N].
+    """
+    helper = np.where(np.abs(normal[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(normal, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normal, first)
+    angle = 2 * np.pi * np.arange(CONE_EDGES)[:, None, None] / CONE_EDGES
+    force = normal + friction * (np.cos(angle) * first + np.sin(angle) * second)
+    torque = np.cross(point - centre, force) / length
+    return np.concatenate([force, torque], axis=-1).reshape(-1, 6)
+
+
+def largest_ball(points: Array) -> float:
+    """Radius of the largest ball about the origin inside the convex hull of points, shape (n, d); 0 if there is none."""
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):  # too few points, or flat ones
+        return 0.0
+    return max(0.0, float(-hull.equations[:, -1].max()))

@@ -1,0 +1,133 @@
+"""What is observed, deployed, privileged and as a picture, against the state of the simulation."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.envs import Grasp, HandEnv, ScriptedClosure
+from hpac_gym.envs.episodes import IMAGE_SIZE
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, elastic_joints_from_servo
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.grip import MAX_SLIP
+from hpac_gym.tasks.terms import FORCE_UNIT, GRASP_CENTRE, LENGTH_UNIT, SPEED_UNIT, Layout
+from tests.envs.episodes import EASY, a_setup, part
+
+ID = "HPAC-Grasp-v0"
+TERMS = Grasp().terms
+EVERYTHING = (*TERMS, *Grasp.privileged_terms)
+DEPLOYED = Layout(TERMS, 1).space.shape[0]
+STEADY = CameraNoise(position=0.0, angle=0.0, size=0.0)
+
+
+def episode(env, seed: int = 0):
+    """Every observation and state of one scripted episode, and its last info."""
+    policy, seen, over = ScriptedClosure(), [env.reset(seed=seed)[0]], False
+    states = [env.unwrapped.state]
+    policy.reset()
+    while not over:
+        observation, _, over, _, info = env.step(policy.act(seen[-1]))
+        seen.append(observation)
+        states.append(env.unwrapped.state)
+    return seen, states, info
+
+
+def test_the_deployed_vector_holds_what_its_table_says():
+    with HandEnv(Grasp(), noise=STEADY) as env:
+        observation, _ = env.reset(seed=0, options={"setup": EASY})
+        assert observation.shape == (DEPLOYED,)
+        place, extents = (EASY.position - GRASP_CENTRE) / LENGTH_UNIT, np.array(EASY.object.half_extents) / LENGTH_UNIT
+        np.testing.assert_allclose(part(observation, TERMS, "object_pos"), place, atol=1e-4)
+        np.testing.assert_allclose(part(observation, TERMS, "object_size"), extents, atol=1e-6)
+        np.testing.assert_allclose(part(observation, TERMS, "object_up"), [0, 1, 0], atol=1e-6)  # the hand's y axis points up
+        np.testing.assert_allclose(part(observation, TERMS, "down"), [0, -1, 0], atol=1e-6)
+        np.testing.assert_array_equal(part(observation, TERMS, "object_side"), 0)
+        np.testing.assert_array_equal(part(observation, TERMS, "object_shape"), [1, 0, 0])
+        np.testing.assert_array_equal(part(observation, TERMS, "phase"), [1, 0, 0, 0])
+        observation, *_ = env.step(np.zeros(6, np.float32))
+        servo = env.command.servo
+        np.testing.assert_allclose(part(observation, TERMS, "servo"), servo, atol=1e-6)
+        np.testing.assert_allclose(part(observation, TERMS, "joint_pos"), elastic_joints_from_servo(servo), atol=1e-6)
+        np.testing.assert_allclose(part(observation, TERMS, "progress"), 0.05 / env.task.duration, atol=1e-6)
+
+
+def test_the_deployed_vector_cannot_tell_mass_or_friction_before_contact():
+    with gymnasium.make(ID) as env:
+        light, _ = env.reset(seed=5, options={"setup": a_setup()})
+        heavy, _ = env.reset(seed=5, options={"setup": a_setup(mass=0.4, friction=0.4)})
+    np.testing.assert_array_equal(light, heavy)
+
+
+def test_the_seen_joints_are_predicted_and_not_measured():
+    """A blocked hand sees what it commanded: nothing in the deployed vector reads the simulated joints."""
+    with HandEnv(Grasp(), noise=STEADY) as env:
+        env.reset(seed=0, options={"setup": a_setup(mass=5.0, friction=1.0)})
+        for _ in range(20):
+            observation, *_ = env.step(np.array([0.5, 1, 1, 1, 1, 0.5], np.float32))
+        seen = part(observation, TERMS, "joint_pos")
+        assert np.abs(seen - env.state.joint_pos[0]).max() > 0.1
+        np.testing.assert_allclose(seen, elastic_joints_from_servo(env.command.servo), atol=1e-6)
+
+
+def test_all_three_show_the_same_episode_and_a_picture_changes_with_the_hand():
+    seen = {}
+    for obs in ("deploy", "privileged", "image"):
+        with HandEnv(Grasp(), obs=obs) as env:
+            seen[obs], *_ = episode(env)
+    for plain, more, picture in zip(*seen.values(), strict=True):
+        np.testing.assert_array_equal(plain, more[:DEPLOYED])
+        np.testing.assert_array_equal(plain, picture["deploy"])
+    first, last = seen["image"][0]["image"], seen["image"][-1]["image"]
+    assert first.shape == (IMAGE_SIZE, IMAGE_SIZE, 3)
+    assert first.dtype == np.uint8
+    assert first.std() > 10
+    assert np.abs(first.astype(int) - last).mean() > 2
+
+
+def test_the_privileged_part_is_the_state_of_the_simulation():
+    with HandEnv(Grasp(), obs="privileged") as env:
+        seen, states, _ = episode(env, seed=2)
+        setup = env.episodes.setups[0]
+    wanted = {
+        "true_joint_pos": lambda s: s.joint_pos, "true_joint_vel": lambda s: s.joint_vel / SPEED_UNIT, "horn": lambda s: s.horn,
+        "tension": lambda s: s.tension / FORCE_UNIT, "contact_force": lambda s: s.contact_force / FORCE_UNIT,
+        "true_object_pos": lambda s: (s.object_pos - GRASP_CENTRE) / LENGTH_UNIT, "object_vel": lambda s: s.object_vel,
+        "object_spin": lambda s: s.object_spin / SPEED_UNIT, "supported": lambda s: s.supported,
+        "true_object_up": lambda s: s.object_rotation[:, :, 2], "true_object_side": lambda s: s.object_rotation[:, :, 0],
+    }  # fmt: skip
+    bounds = {term.name: (term.low, term.high) for term in EVERYTHING}
+    for observation, state in zip(seen, states, strict=True):
+        for name, value in wanted.items():
+            expected = np.clip(np.ravel(value(state)), *bounds[name])
+            np.testing.assert_allclose(part(observation, EVERYTHING, name), expected, atol=1e-6, err_msg=name)
+    last = seen[-1]
+    assert part(last, EVERYTHING, "object_mass")[0] == pytest.approx(setup.object.mass)
+    assert part(last, EVERYTHING, "object_friction")[0] == pytest.approx(0.9 * setup.object.friction)
+    assert max(part(row, EVERYTHING, "tension").max() for row in seen) > 0
+    assert np.all(part(last, EVERYTHING, "horn") <= HPAC.servo_max + 1e-6)
+
+
+def test_an_unknown_view_is_named():
+    with pytest.raises(ParameterError, match="everything"):
+        gymnasium.make(ID, obs="everything")
+
+
+def test_slip_starts_when_the_hand_begins_to_carry_and_epsilon_comes_at_the_end():
+    ended = []
+    with HandEnv(Grasp()) as env:
+        policy = ScriptedClosure()
+        for seed in range(6):
+            observation, info = env.reset(seed=seed)
+            policy.reset()
+            over = False
+            while not over:
+                assert "epsilon" not in info
+                assert info["slip"] == 0.0 or info["hold_time"] > 0
+                observation, _, over, _, info = env.step(policy.act(observation))
+            ended.append(info)
+    held = [info for info in ended if info["is_success"]]
+    assert held
+    assert all(0 < info["slip"] < MAX_SLIP for info in held)
+    assert all(0 <= info["epsilon"] < 2 for info in ended)
+    assert any(info["epsilon"] > 0 for info in held)

@@ -1,0 +1,77 @@
+"""Every engine and body meets the same marks, and the suite sees a hand that does not."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import pytest
+
+from hpac import main
+from hpac_gym.model import HPAC
+from hpac_gym.physics import conformance
+from hpac_gym.physics.conformance import COMBINATIONS, figures, free_space, slack_droop, stiffest_mode
+from hpac_gym.physics.settings import BODIES, WorldSettings
+from hpac_gym.physics.simulation import make_engine
+
+WORLD = WorldSettings()
+
+
+@pytest.mark.parametrize(("engine", "body"), COMBINATIONS)
+def test_marks_are_met(engine, body):
+    missed = {figure.name: figure.value for figure in figures(partial(make_engine, engine), body) if not figure.holds}
+    assert not missed
+
+
+@pytest.mark.pybullet
+def test_bullets_iterative_solver_meets_the_marks_too():
+    iterative = WorldSettings(solver_iterations=200)
+    assert all(figure.holds for figure in figures(partial(make_engine, "pybullet"), "twin", iterative))
+
+
+def test_the_twin_is_fit_for_explicit_torques():
+    assert 1.0 < stiffest_mode(BODIES["twin"], WORLD) < 1.5
+    assert stiffest_mode(BODIES["light"], WORLD) > 5.0
+
+
+def test_light_fingers_without_their_servos_inertia_chatter():
+    """Negative control: what `hub_inertia` is there for."""
+    bare = replace(BODIES["light"], hub_inertia=0.0)
+    manifold, command, speed = free_space(partial(make_engine, "mujoco"), bare, WORLD, postures=8)
+    assert manifold > 1e-3
+    assert command > 0.3
+    assert speed > 0.05
+
+
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_another_hand_is_seen(engine, monkeypatch):
+    """Negative control: the couplings of the simulated hand are 10 % softer than those of the equations."""
+    soft = replace(HPAC, digits={n: replace(d, tendon_stiffness=0.9 * d.tendon_stiffness) for n, d in HPAC.digits.items()})
+    monkeypatch.setattr(conformance, "SceneSetup", partial(conformance.SceneSetup, hand=soft))
+    manifold, _, _ = free_space(partial(make_engine, engine), BODIES["twin"], WORLD, postures=4)
+    assert manifold > 1e-3
+
+
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_heavier_weight_droops_more(engine):
+    """Negative control: the fingers hang where weight and spring balance."""
+    make = partial(make_engine, engine)
+    droop = slack_droop(make, BODIES["twin"], WORLD)
+    assert slack_droop(make, BODIES["twin"], replace(WORLD, gravity=2 * WORLD.gravity)) > 1.5 * droop
+
+
+@pytest.mark.parametrize(("value", "status"), [(0.5, 0), (1.5, 1)])
+def test_the_command_prints_every_figure_and_fails_on_a_missed_mark(value, status, monkeypatch, capsys):
+    monkeypatch.setattr(conformance, "figures", lambda make, body, world: [conformance.Figure("gap", value, 1.0, "mm")])
+    assert main(["physics", "--engine", "mujoco"]) == status
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if not line.startswith(" ")] == ["mujoco/twin", "mujoco/light"]
+    assert all(("MISSED" in line) == (status == 1) for line in lines if line.startswith(" "))
+    assert main(["physics", "--engine", "mujoco", "--body", "light", "--json"]) == status
+    (figure,) = json.loads(capsys.readouterr().out)["mujoco/light"]
+    assert figure == {"name": "gap", "value": value, "limit": 1.0, "unit": "mm", "holds": status == 0}
+
+
+def test_a_combination_that_does_not_ship_is_one_line(capsys):
+    assert main(["physics", "--engine", "pybullet", "--body", "light"]) != 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "engine pybullet with body light is not installed, or not one of pybullet/twin" in line

@@ -1,0 +1,237 @@
+"""What tasks rely on in an engine: the same setup and tables give the same bits, whatever was before and beside."""
+
+import dataclasses
+import hashlib
+import importlib.util
+
+import numpy as np
+import pytest
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, JOINTS, servo_from_synergy
+from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsError, SceneSetup, SceneState
+from hpac_gym.physics.settings import HandSettings, ServoSettings
+from hpac_gym.physics.simulation import ENGINES, Simulation, default_engine, make_engine
+from hpac_gym.tasks.grasp import Grasp, GraspByName
+from hpac_gym.tasks.pick_place import PickPlace
+from hpac_gym.tasks.posture import Posture
+
+CLOSED = np.array([0.7, *HPAC.synergy_max[1:5], 1.2])
+NAMES = (None, "hook", "rod", "tweezers", "press")
+"""In which fingers and thumb touch each other, and several things touch at once; None is a primitive."""
+STEPS = 6
+"""Physics steps of a control step."""
+
+engines = pytest.mark.parametrize("name", ENGINES)
+
+
+def setup(grasp: str | None, seed: int) -> SceneSetup:
+    task = Grasp() if grasp is None else GraspByName(grasp)
+    return task.setup(np.random.default_rng(seed))
+
+
+class Closing:
+    """Random commands near a closing hand, and a wrist that lifts and shakes, of one world."""
+
+    def __init__(self, start: SceneSetup, seed: int) -> None:
+        self.start, self.seed, self.step = start, seed, 0
+        self.rng, self.digest = np.random.default_rng(seed), hashlib.sha256()
+
+    def servo(self) -> np.ndarray:
+        synergy = np.clip(CLOSED * min(1.0, self.step / 14) * self.rng.uniform(0.7, 1.0, 6), 0.0, HPAC.synergy_max)
+        return servo_from_synergy(synergy)
+
+    def wrist(self) -> np.ndarray:
+        times = np.arange(STEPS * self.step, STEPS * (self.step + 1)) / 120
+        self.step += 1
+        return Grasp().wrist_path(self.start, tuple(times.tolist()))
+
+    def take(self, state: SceneState, world: int) -> None:
+        for field in dataclasses.fields(state):
+            self.digest.update(getattr(state, field.name)[world].tobytes())
+
+
+def advance(simulation: Simulation, episodes: list[Closing]) -> None:
+    """One control step of every world."""
+    simulation.command(np.array([episode.servo() for episode in episodes]), 0.05)
+    simulation.advance(np.array([episode.wrist() for episode in episodes]))
+    state = simulation.state()
+    for world, episode in enumerate(episodes):
+        episode.take(state, world)
+
+
+def digest_alone(engine: str, start: SceneSetup, seed: int, steps: int) -> str:
+    """A hash over all states of one episode in a new engine of one world."""
+    simulation, episode = Simulation(make_engine(engine)), Closing(start, seed)
+    simulation.reset([0], [start])
+    for _ in range(steps):
+        advance(simulation, [episode])
+    simulation.engine.close()
+    return episode.digest.hexdigest()
+
+
+@engines
+@pytest.mark.parametrize("grasp", NAMES)
+def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, grasp):
+    """Three worlds whose episodes begin and end at different times, with visual shapes, against new engines of one world."""
+    simulation, rng = Simulation(make_engine(name, 3, visuals=True)), np.random.default_rng(0)
+    episodes, lengths, told = [None] * 3, [0] * 3, []
+
+    def begin(worlds: list[int]) -> None:
+        for world in worlds:
+            seed, other = int(rng.integers(1000)), NAMES[rng.integers(len(NAMES))] if world == 2 else grasp
+            episodes[world], lengths[world] = Closing(setup(other, seed), seed), int(rng.integers(5, 40))
+        simulation.reset(worlds, [episodes[world].start for world in worlds])
+
+    begin([2, 0, 1])
+    for _ in range(60):
+        advance(simulation, episodes)
+        over = [world for world in range(3) if episodes[world].step == lengths[world]]
+        told += [(episodes[world], lengths[world]) for world in over]
+        if over:
+            begin(over)
+    simulation.engine.close()
+    assert len(told) > 4
+    for episode, steps in told:
+        assert episode.digest.hexdigest() == digest_alone(name, episode.start, episode.seed, steps)
+
+
+@engines
+def test_the_tables_move_servos_and_wrist_and_the_hand_alone_stays_where_it_is(name):
+    engine = make_engine(name, 2)
+    engine.reset([0, 1], [setup(None, 0), Posture().setup(np.random.default_rng(0))])
+    wrist = np.linspace(0.0, 0.03, 30)[:, None] * [0.0, 0.5, 1.0]
+    servo = np.tile(servo_from_synergy([0, 0.3, 0, 0, 0, 1.2]), (2, 30, 1))
+    engine.advance(servo, np.zeros_like(servo), np.array([wrist, wrist]))
+    state = engine.state()
+    np.testing.assert_allclose(state.time, 30 * engine.dt)
+    np.testing.assert_allclose(state.palm_offset, [wrist[-1], np.zeros(3)], atol=1e-4)
+    assert (state.joint_pos[:, JOINTS.index("index_mcp")] > 0.1).all()
+    assert not state.touching[1].any()
+    assert state.supported.tolist() == [True, False]
+    engine.close()
+    engine.close()
+
+
+@engines
+def test_a_state_is_not_changed_by_what_comes_after_it(name):
+    simulation = Simulation(make_engine(name))
+    simulation.reset([0], [setup(None, 1)])
+    first = simulation.state()
+    kept = {field.name: getattr(first, field.name).copy() for field in dataclasses.fields(first)}
+    simulation.command(servo_from_synergy(CLOSED)[None], 0.4)
+    simulation.rest(0.5)
+    simulation.state()
+    for field, value in kept.items():
+        np.testing.assert_array_equal(getattr(first, field), value)
+    simulation.engine.close()
+
+
+@engines
+def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name):
+    """Of an object that a closing hand pushes, along the axes of the hand frame, over one physics step."""
+    simulation, start = Simulation(make_engine(name)), setup(None, 3)
+    simulation.reset([0], [start])
+    simulation.command(servo_from_synergy(CLOSED)[None], 0.4)
+    simulation.rest(0.5)
+    moved = turned = 0.0
+    for _ in range(60):
+        before = simulation.state()
+        simulation.rest(simulation.engine.dt)
+        after = simulation.state()
+        rate = (after.object_pos - before.object_pos)[0] / simulation.engine.dt
+        np.testing.assert_allclose(after.object_vel[0], rate, atol=2e-3)
+        turn = after.object_rotation[0] @ before.object_rotation[0].T
+        spin = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2 / simulation.engine.dt
+        np.testing.assert_allclose(after.object_spin[0], spin, atol=2e-2)
+        moved, turned = max(moved, np.abs(rate).max()), max(turned, np.abs(spin).max())
+    assert moved > 0.02
+    assert turned > 0.1
+    simulation.engine.close()
+
+
+@engines
+def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
+    simulation, start = Simulation(make_engine(name)), setup("large_cylinder", 0)
+    simulation.reset([0], [start])
+    simulation.command(servo_from_synergy(GraspByName("large_cylinder").grasp.closed)[None], 0.8)
+    simulation.rest(1.2)
+    state, contacts = simulation.state(), simulation.engine.contacts(0)
+    parts = [next((part for part in PARTS if link.startswith(part)), None) for link in contacts.link]
+    force = [contacts.force[[part == name for part in parts]].sum() for name in PARTS]
+    np.testing.assert_allclose(state.contact_force[0], force, rtol=1e-2)  # an engine may compute its contacts anew
+    assert (state.contact_force[0][~state.touching[0]] == 0.0).all()
+    assert state.touching[0].sum() >= 3
+    np.testing.assert_allclose(np.linalg.norm(contacts.normal, axis=1), 1.0)
+    np.testing.assert_allclose(contacts.centre, HAND_POSITION + start.hand_rotation @ state.object_pos[0], atol=1e-6)
+    inward = contacts.centre - contacts.point
+    inward[:, 2] = 0.0  # to the axis of the standing can
+    assert (np.einsum("ij,ij->i", inward, contacts.normal) > 0).all()
+    assert contacts.friction == pytest.approx(0.9 * start.object.friction)
+    simulation.engine.close()
+
+
+@engines
+def test_a_snapshot_goes_on_to_the_bit(name):
+    engine, start = make_engine(name), setup(None, 3)
+    engine.reset([0], [start])
+    servo = np.tile(servo_from_synergy(CLOSED * 0.6), (1, 40, 1))
+    still = np.zeros((1, 40, 3))
+    engine.advance(servo, np.zeros_like(servo), still)
+    saved, told = engine.save(0), []
+    for _ in range(2):
+        engine.advance(servo, np.zeros_like(servo), still)
+        told.append(engine.state())
+        engine.advance(1.2 * servo, np.zeros_like(servo), still + 0.01)
+        engine.restore(0, saved)
+    for field in dataclasses.fields(SceneState):
+        np.testing.assert_array_equal(*(getattr(state, field.name) for state in told), err_msg=field.name)
+    engine.reset([0], [setup(None, 4)])
+    with pytest.raises(PhysicsError, match="world 0"):
+        engine.restore(0, saved)
+    engine.close()
+
+
+@engines
+def test_a_failed_simulation_names_its_world(name):
+    engine = make_engine(name, 3)
+    engine.reset(range(3), [setup(None, seed) for seed in range(3)])
+    servo = np.zeros((3, STEPS, 6))
+    servo[1] = np.nan
+
+    def step() -> None:
+        engine.advance(servo, np.zeros_like(servo), np.zeros((3, STEPS, 3)))
+        engine.state()
+
+    with pytest.raises(PhysicsError, match="world 1"):
+        step()
+    engine.close()
+
+
+@engines
+def test_a_simulation_has_the_servos_of_each_world(name):
+    """A world whose servos are slow lags behind one whose servos are not."""
+    simulation, start = Simulation(make_engine(name, 2)), PickPlace().setup(np.random.default_rng(0))
+    slow = dataclasses.replace(start, hand_settings=HandSettings(servo=ServoSettings(speed=0.5)))
+    simulation.reset([0, 1], [start, slow])
+    np.testing.assert_allclose(simulation.state().horn, servo_from_synergy(start.synergy)[None].repeat(2, axis=0))
+    simulation.command(np.tile(HPAC.servo_max, (2, 1)), 0.05)
+    simulation.rest(0.2)
+    horn = simulation.state().horn
+    assert (horn[0, :5] > 1.2).all()
+    np.testing.assert_allclose(horn[1, :5], 0.1, atol=1e-9)
+    simulation.engine.close()
+
+
+def test_an_engine_is_asked_for_by_name():
+    assert default_engine() in ENGINES
+    with pytest.raises(ParameterError, match="engine 'newton' is not one of pybullet, mujoco"):
+        make_engine("newton")
+
+
+def test_an_engine_that_is_not_installed_says_what_to_do(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert default_engine() == "mujoco"
+    for name, advice in {"pybullet": "engine='mujoco'", "mujoco": "mujoco-core"}.items():
+        with pytest.raises(ParameterError, match=advice):
+            make_engine(name)

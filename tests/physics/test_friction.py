@@ -1,0 +1,98 @@
+"""A ball squeezed between two leaning plates: which engine and solver holds it as Coulomb's law says.
+
+The ball stays while the tangent of the lean is below the friction coefficient, however small its mass. Bullet's direct solver
+(Dantzig) computes the limit of every friction force from the normal forces that there would be without any friction. In a squeeze
+these are too small, so that it loses the ball at half of the cone. That is why PyBullet loses spheres that MuJoCo, and Bullet's
+own iterative solver, hold.
+"""
+
+import mujoco
+import numpy as np
+import pytest
+
+from hpac_gym.physics.mjcf import CONTACT, OPTION
+
+FRICTION, PUSH, MASS, RADIUS, STEPS = 0.5, 5.0, 0.06, 0.025, 120
+
+
+def held(moved: float) -> bool:
+    """Whether the ball has not left the plates after a second [m]."""
+    return moved < 0.05
+
+
+def mujoco_ball(lean: float) -> float:
+    """How far the ball moves in MuJoCo with the engine's contact settings [m]."""
+    plates, actuators = "", ""
+    for side in (-1, 1):
+        x, z = side * np.cos(lean), np.sin(lean)  # from the ball to the plate
+        place = f"{x * (RADIUS + 0.005)} 0 {z * (RADIUS + 0.005)}"
+        plates += (
+            f'<body pos="{place}" euler="0 {-side * lean} 0"><joint name="plate{side}" type="slide" axis="1 0 0"/>'
+            f'<geom type="box" size="0.005 0.05 0.05" mass="1"/></body>'
+        )
+        actuators += f'<motor joint="plate{side}" gear="{-side * PUSH}"/>'
+    contact = " ".join(f'{name}="{value}"' for name, value in CONTACT.items())
+    options = " ".join(f'{name}="{value}"' for name, value in OPTION.items())
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><compiler angle="radian"/><option gravity="0 0 0" {options}/>'
+        f'<default><geom friction="{FRICTION} 0.005 0.0001" {contact}/></default>'
+        f'<worldbody><body name="ball"><freejoint/><geom type="sphere" size="{RADIUS}" mass="{MASS}"/></body>{plates}</worldbody>'
+        f"<actuator>{actuators}</actuator></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    for _ in range(STEPS):
+        mujoco.mj_step(model, data)
+    return float(np.linalg.norm(data.body("ball").xpos))
+
+
+def bullet_ball(lean: float, solver: str) -> float:
+    """How far the ball moves in PyBullet with one of its solvers [m]."""
+    import pybullet
+
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setPhysicsEngineParameter(
+        fixedTimeStep=1 / 120, constraintSolverType=getattr(pybullet, f"CONSTRAINT_SOLVER_LCP_{solver}"), numSolverIterations=200,
+        solverResidualThreshold=0, globalCFM=1e-6, erp=0.4, contactERP=0.4, physicsClientId=client,
+    )  # fmt: skip
+    ball_shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client)
+    plate_shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.005, 0.05, 0.05], physicsClientId=client)
+    ball = pybullet.createMultiBody(MASS, ball_shape, basePosition=[0, 0, 0], physicsClientId=client)
+    pybullet.changeDynamics(ball, -1, lateralFriction=FRICTION, linearDamping=0, angularDamping=0, physicsClientId=client)
+    plates = []
+    for side in (-1, 1):
+        x, z = side * np.cos(lean), np.sin(lean)
+        plate = pybullet.createMultiBody(
+            0, linkMasses=[1.0], linkCollisionShapeIndices=[plate_shape], linkVisualShapeIndices=[-1],
+            linkPositions=[[x * (RADIUS + 0.005), 0, z * (RADIUS + 0.005)]],
+            linkOrientations=[pybullet.getQuaternionFromEuler([0, -side * lean, 0])], linkInertialFramePositions=[[0, 0, 0]],
+            linkInertialFrameOrientations=[[0, 0, 0, 1]], linkParentIndices=[0], linkJointTypes=[pybullet.JOINT_PRISMATIC],
+            linkJointAxis=[[1, 0, 0]], physicsClientId=client,
+        )  # fmt: skip
+        pybullet.setJointMotorControl2(plate, 0, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client)
+        pybullet.changeDynamics(plate, 0, lateralFriction=1.0, linearDamping=0, jointDamping=0, physicsClientId=client)
+        plates.append((plate, -side * PUSH))
+    for _ in range(STEPS):
+        for plate, push in plates:
+            pybullet.setJointMotorControl2(plate, 0, pybullet.TORQUE_CONTROL, force=push, physicsClientId=client)
+        pybullet.stepSimulation(physicsClientId=client)
+    position, _ = pybullet.getBasePositionAndOrientation(ball, physicsClientId=client)
+    pybullet.disconnect(client)
+    return float(np.linalg.norm(position))
+
+
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.8, 1.2, 1.6])
+def test_mujoco_holds_a_ball_within_the_friction_cone(share):
+    assert held(mujoco_ball(np.arctan(share * FRICTION))) == (share < 1.0)
+
+
+@pytest.mark.pybullet
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.8, 1.2, 1.6])
+def test_bullets_iterative_solver_holds_a_ball_within_the_friction_cone(share):
+    assert held(bullet_ball(np.arctan(share * FRICTION), "SI")) == (share < 1.0)
+
+
+@pytest.mark.pybullet
+@pytest.mark.parametrize("share", [0.2, 0.6, 0.8, 1.2, 1.6])
+def test_bullets_direct_solver_holds_it_within_half_of_the_cone(share):
+    assert held(bullet_ball(np.arctan(share * FRICTION), "DANTZIG")) == (share < 0.5)

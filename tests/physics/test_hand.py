@@ -1,0 +1,105 @@
+"""The hand in PyBullet: springs, friction and masses, and how it becomes another hand from episode to episode."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pybullet
+import pytest
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.pybullet.scene import Scene
+from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
+from hpac_gym.physics.simulation import Simulation, make_engine
+from hpac_gym.tasks.grasp import Grasp
+
+FREE = WorldSettings(gravity=0.0, collisions=False)
+
+
+@pytest.fixture
+def scene():
+    """A hand without weight that passes through everything."""
+    made = Scene(FREE, False)
+    made.reset(SceneSetup(None))
+    yield made
+    made.world.close()
+
+
+def settled(setup: SceneSetup, synergy: np.ndarray, seconds: float) -> np.ndarray:
+    """The joints some time after a command, in free space, shape (15,) [rad]."""
+    simulation = Simulation(make_engine("pybullet", settings=FREE))
+    simulation.reset([0], [setup])
+    simulation.command(servo_from_synergy(synergy)[None], 0.4)
+    simulation.rest(seconds)
+    joints = simulation.state().joint_pos[0]
+    simulation.engine.close()
+    return joints
+
+
+def test_the_hand_opens_by_its_springs():
+    assert np.degrees(settled(SceneSetup(None, synergy=0.9 * HPAC.synergy_max), np.zeros(6), 3.0)).max() < 0.5
+
+
+def test_joint_friction_holds_a_finger_that_is_let_go():
+    """10 mN·m of Coulomb friction in each joint stops it where the spring pulls less: 0.01/(k_s R ΣR q/q) = 0.3 rad."""
+    setup = SceneSetup(None, synergy=0.5 * HPAC.synergy_max, hand_settings=HandSettings(joint_friction=0.01))
+    left = np.degrees(settled(setup, np.zeros(6), 3.0)[JOINT_INDEX["index_mcp"]])
+    assert 5.0 < left < 17.0
+
+
+def test_no_joint_has_a_motor(scene):
+    """A pushed finger yields: with its drive slack only a spring holds it."""
+    hand, still = scene.hand, np.zeros((1, 6))
+    for _ in range(120):
+        link = hand.link_index["index_dip_link"]
+        pybullet.applyExternalForce(hand.body, link, (0.3, 0, 0), (0, 0, 0.02), pybullet.LINK_FRAME, hand.world.client)
+        scene.advance(still, still, np.zeros((1, 3)))
+    bent, _ = hand.joint_state()
+    assert bent[JOINT_INDEX["index_mcp"]] > 0.1
+    assert abs(bent[JOINT_INDEX["middle_mcp"]]) < 1e-3
+
+
+def test_every_link_has_the_friction_of_the_skin(scene):
+    scene.reset(SceneSetup(None, hand_settings=HandSettings(contact_friction=0.37)))
+    for link in scene.hand.link_index.values():
+        assert pybullet.getDynamicsInfo(scene.hand.body, link, scene.world.client)[1] == 0.37
+
+
+def test_fingers_do_not_reach_each_other(scene):
+    """Why nobody has to check whether they touch: over the workspace they stay millimetres apart."""
+    rng, nearest, hand = np.random.default_rng(0), np.inf, scene.hand
+    links = {finger: [index for name, index in hand.link_index.items() if name.startswith(finger)] for finger in FINGERS}
+    for _ in range(60):
+        share = rng.choice([0.0, 1.0, rng.uniform()], 6)
+        hand.reset(share * HPAC.synergy_max)
+        assert np.allclose(hand.joint_state()[0], joints_from_synergy(share * HPAC.synergy_max))
+        for one, other in itertools.combinations(FINGERS, 2):
+            for pair in itertools.product(links[one], links[other]):
+                near = pybullet.getClosestPoints(hand.body, hand.body, 0.02, *pair, physicsClientId=scene.world.client)
+                nearest = min([nearest, *(point[8] for point in near)])
+    assert 0.002 < nearest < 0.02
+
+
+def test_a_hand_becomes_another_one_and_is_loaded_anew_for_another_armature_or_after_many_episodes(scene, monkeypatch):
+    start = Grasp().setup(np.random.default_rng(0))
+    scene.reset(start)
+    first = scene.hand
+    scene.reset(dataclasses.replace(start, hand_settings=HandSettings(contact_friction=0.3)))
+    assert scene.hand is first
+    assert scene.hand.settings.contact_friction == 0.3
+    assert pybullet.getNumBodies(scene.world.client) == 4  # hand, object, post, table
+    scene.reset(dataclasses.replace(start, hand_settings=HandSettings(armature=(4e-3, 2e-3, 1e-3))))
+    assert scene.hand is not first
+    monkeypatch.setattr("hpac_gym.physics.pybullet.scene._EPISODES", 3)
+    hands = []
+    for _ in range(7):
+        scene.reset(start)
+        hands.append(scene.hand)
+    assert len({id(hand) for hand in hands}) == 3
+
+
+def test_the_light_body_is_refused_with_what_to_do_instead():
+    with pytest.raises(ParameterError, match=r'hub_inertia = 0.0013 kg m² must be 0 kg m².*engine="mujoco"'):
+        make_engine("pybullet").require(BODIES["light"])

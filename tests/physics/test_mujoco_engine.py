@@ -1,0 +1,358 @@
+"""The MuJoCo engine: same bits whatever is beside, scenes as they are asked for, failures that name their world."""
+
+import hashlib
+import subprocess
+import sys
+from dataclasses import fields, replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from hpac_gym.body.objects import ObjectSpec, Support
+from hpac_gym.envs import GRASPS, NOMINAL, grasp_task
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy
+from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.mujoco import camera
+from hpac_gym.physics.mujoco.engine import MuJoCoEngine
+from hpac_gym.physics.mujoco.model import object_models
+from hpac_gym.physics.settings import BODIES, WorldSettings
+
+OPPOSED = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
+CLOSED = np.array([0.8, *HPAC.synergy_max[1:5], 1.2])
+PLACE = np.array([0.042, 0.0, 0.105])
+TARGET = np.array([0.042, -0.12, 0.105])
+
+
+def primitive(shape: str = "cylinder", **change) -> SceneSetup:
+    half = {"cylinder": (0.025, 0.025, 0.06), "box": (0.02, 0.025, 0.05), "sphere": (0.028, 0.028, 0.028)}[shape]
+    return replace(SceneSetup(ObjectSpec(shape, half, 0.1, 0.8), PLACE, 0.2, OPPOSED), **change)
+
+
+def named(name: str, **change) -> SceneSetup:
+    model = object_models()[name]
+    half = tuple(1.1 * side for side in model.half_extents)
+    return replace(SceneSetup(ObjectSpec(model.shape, half, 1.2 * model.mass, 0.7, name, 1.1), PLACE, 0.0, OPPOSED), **change)
+
+
+def varied() -> list[SceneSetup]:
+    """Worlds of every layout, and hands of several kinds."""
+    soft = replace(HPAC, digits={n: replace(d, drive_stiffness=0.8 * d.drive_stiffness) for n, d in HPAC.digits.items()})
+    slack = replace(BODIES["twin"], slack=(1e-3, 0.0, 5e-4, 0.0, 0.0), joint_friction=2e-3, contact_friction=0.7)
+    return [
+        primitive("cylinder"),
+        primitive("box", hand=soft),
+        primitive("sphere", hand_settings=BODIES["light"]),
+        primitive("cylinder", hand_settings=slack, target=TARGET),
+        named("scissors"),
+        named("tennis_ball", position=np.array([0.06, 0.0, 0.13]), support=Support((0.03, 0.03), gap=(0.04, 0.04))),
+        SceneSetup(None),
+        primitive("sphere", fixed=True, target=TARGET),
+    ]
+
+
+def close(engine: MuJoCoEngine, steps: int = 24, start: int = 0) -> list[SceneState]:
+    """Close every hand while its wrist rises."""
+    states, n, substeps = [], engine.num_worlds, 6
+    for step in range(start, start + steps):
+        time = engine.dt * (step * substeps + np.arange(substeps + 1))
+        angles = servo_from_synergy(OPPOSED + np.minimum(time / 0.8, 1.0)[:, None] * (CLOSED - OPPOSED))
+        rise = np.zeros((substeps, 3))
+        rise[:, 2] = 0.02 * np.clip(time[1:] - 0.9, 0.0, None)
+        tables = angles[1:], np.diff(angles, axis=0) / engine.dt, rise
+        engine.advance(*(np.broadcast_to(table, (n, *table.shape)) for table in tables))
+        states.append(engine.state())
+    return states
+
+
+def wait(engine: MuJoCoEngine, seconds: float) -> None:
+    """Leave servos and wrists at zero angle and offset, but the thumb's CMC at its start."""
+    tables = [np.zeros((engine.num_worlds, round(seconds / engine.dt), width)) for width in (6, 6, 3)]
+    tables[0][:] = servo_from_synergy(OPPOSED)
+    engine.advance(*tables)
+
+
+def bits(states: list[SceneState], world: int) -> bytes:
+    return b"".join(np.ascontiguousarray(getattr(state, f.name)[world]).tobytes() for state in states for f in fields(SceneState))
+
+
+def alone(setup: SceneSetup) -> bytes:
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [setup])
+    first = engine.state()
+    return bits([first, *close(engine)], 0)
+
+
+# The same bits ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_worlds_do_not_feel_their_neighbours_place_or_threads(threads):
+    setups = varied()
+    engine = MuJoCoEngine(len(setups) + 3, threads=threads)
+    order = [*range(len(setups)), 0, 4, 2]
+    engine.reset(range(len(order)), [setups[i] for i in order])
+    first = engine.state()
+    states = [first, *close(engine)]
+    for world, index in enumerate(order):
+        assert bits(states, world) == alone(setups[index]), f"world {world}, setup {index}"
+
+
+def test_a_reset_forgets_what_was_before():
+    setups = varied()
+    engine = MuJoCoEngine(1)
+    for setup in (*setups, *reversed(setups)):
+        engine.reset([0], [setup])
+        first = engine.state()
+        assert bits([first, *close(engine)], 0) == alone(setup)
+
+
+def test_a_reset_of_some_worlds_leaves_the_others():
+    setups = varied()[:3]
+    engine = MuJoCoEngine(3)
+    engine.reset(range(3), setups)
+    first = engine.state()
+    states = [first, *close(engine, 10)]
+    engine.reset([1], [named("scissors")])
+    np.testing.assert_array_equal(engine.state().time == 0.0, [False, True, False])
+    states += close(engine, 14, start=10)
+    assert bits(states, 0) == alone(setups[0])
+    assert bits(states, 2) == alone(setups[2])
+
+
+def test_another_process_gives_the_same_bits():
+    code = (
+        "import sys; sys.path.insert(0, 'tests/physics'); import hashlib, test_mujoco_engine as t;"
+        "print(hashlib.sha256(b''.join(map(t.alone, t.varied()[:5]))).hexdigest())"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    assert out == hashlib.sha256(b"".join(map(alone, varied()[:5]))).hexdigest()
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_a_snapshot_goes_on_to_the_bit(index):
+    engine = MuJoCoEngine(2)
+    engine.reset([0, 1], [primitive("box"), varied()[index]])
+    close(engine, 12)
+    snapshot, seen = engine.save(1), bits([engine.state()], 1)
+    wanted = bits(close(engine, 6, start=12), 1)
+    engine.restore(1, snapshot)
+    assert bits([engine.state()], 1) == seen
+    assert bits(close(engine, 6, start=12), 1) == wanted
+
+
+def test_a_snapshot_of_another_episode_is_refused():
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [primitive()])
+    snapshot = engine.save(0)
+    engine.reset([0], [primitive()])
+    with pytest.raises(PhysicsError, match="world 0"):
+        engine.restore(0, snapshot)
+
+
+# Scenes as they are asked for -------------------------------------------------------------------------------------
+
+
+def test_a_hand_starts_at_rest_on_its_manifold():
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [primitive(synergy=0.2 * HPAC.synergy_max)])
+    state = engine.state()
+    np.testing.assert_array_equal(state.joint_pos[0], joints_from_synergy(0.2 * HPAC.synergy_max))
+    np.testing.assert_allclose(state.object_pos[0], PLACE, atol=1e-15)
+    assert not state.joint_vel.any()
+    assert not state.tension.any()
+    assert not state.supported.any()  # contacts are those of the last physics step, and there was none
+
+
+@pytest.mark.parametrize("index", [0, 1, 3, 5])
+def test_an_object_stands_still_on_its_support(index):
+    engine = MuJoCoEngine(1)
+    setup = varied()[index]
+    engine.reset([0], [setup])
+    wait(engine, 0.5)
+    state = engine.state()
+    assert np.linalg.norm(state.object_pos[0] - setup.position) < 1e-4
+    assert state.supported[0]
+    assert not state.touching.any()
+    assert not state.on_target[0]
+
+
+def test_the_objects_of_all_named_grasps_and_variants_stand_on_their_supports():
+    names = [(name, variant) for name, grasp in GRASPS.items() for variant in (NOMINAL, *grasp.held_out)]
+    setups = [grasp_task(*pair).setup(np.random.default_rng(0), HPAC) for pair in names]
+    engine, steps = MuJoCoEngine(len(setups)), 60
+    engine.reset(range(len(setups)), setups)
+    servo = np.array([servo_from_synergy(setup.synergy) for setup in setups])[:, None].repeat(steps, axis=1)
+    engine.advance(servo, np.zeros_like(servo), np.zeros((len(setups), steps, 3)))
+    state = engine.state()
+    moved = np.linalg.norm(state.object_pos - [setup.position for setup in setups], axis=1)
+    assert not [(name, distance) for name, distance in zip(names, moved, strict=True) if distance > 1.5e-3]
+    assert state.supported.all()
+
+
+def test_an_object_knows_its_target():
+    setup = primitive(target=TARGET)
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [replace(setup, position=setup.target)])
+    wait(engine, 0.25)
+    assert engine.state().on_target[0]
+    assert engine.state().supported[0]
+
+
+def test_frictions_multiply():
+    settings = replace(BODIES["twin"], contact_friction=0.5)
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [primitive(hand_settings=settings)])
+    found: dict[str, float] = {}
+    for step in range(24):
+        close(engine, 1, start=step)
+        model, data = engine.single(0)
+        for contact in data.contact:
+            names = {model.body(model.geom_bodyid[geom]).name for geom in contact.geom}
+            pair = ["hand" if name == "palm" or name.endswith("_link") else name for name in names]
+            assert found.setdefault(" and ".join(sorted(pair)), contact.friction[0]) == contact.friction[0]
+    assert found["hand and object"] == pytest.approx(0.5 * 0.8)
+    assert found["object and support"] == pytest.approx(0.8 * 0.8)
+    skin = engine.single(0)[0].geom("palm_0").friction[0]
+    assert skin == pytest.approx(0.5 * 0.5)
+
+
+def test_mass_and_inertia_of_named_objects_scale():
+    engine = MuJoCoEngine(1)
+    for name, wanted in object_models().items():
+        engine.reset([0], [named(name)])
+        model, data = engine.single(0)
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, full)
+        start = model.joint("object").dofadr[0]
+        centre, mass = 1.1 * wanted.center_of_mass, 1.2 * wanted.mass
+        about_origin = 1.2 * 1.1**2 * wanted.inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        np.testing.assert_allclose(full[start : start + 3, start : start + 3], mass * np.eye(3), atol=1e-12)
+        found = full[start + 3 : start + 6, start + 3 : start + 6]
+        np.testing.assert_allclose(found, about_origin, atol=1e-9 * np.trace(about_origin), err_msg=name)
+
+
+def test_a_dropped_object_falls_as_it_should():
+    """Free fall from above a distant table: position, velocity and spin in the frame of the hand."""
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [primitive(position=np.array([0.2, 0.1, 0.3]), synergy=np.zeros(6))])
+    still, path = np.zeros((1, 12, 6)), np.zeros((1, 12, 3))
+    path[0, :, 1] = np.linspace(0.0, 0.06, 12)
+    start = engine.state()
+    engine.reset([0], [primitive(position=np.array([0.2, 0.1, 0.3]), synergy=np.zeros(6))])
+    engine.advance(still, still, path)
+    state = engine.state()
+    np.testing.assert_allclose(state.palm_offset[0], path[0, -1], atol=1e-6)
+    moved = primitive().hand_rotation @ (state.object_pos[0] - start.object_pos[0]) + state.palm_offset[0]
+    np.testing.assert_allclose(moved, 0.0, atol=2e-3)
+    assert state.time[0] == pytest.approx(0.1)
+
+
+def test_the_wrist_keeps_to_its_path():
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [primitive()])
+    for state, step in zip(close(engine, 30), range(30), strict=True):
+        wanted = 0.02 * max((step + 1) * 0.05 - 0.9, 0.0)
+        np.testing.assert_allclose(state.palm_offset[0], [0.0, 0.0, wanted], atol=2e-6)
+
+
+def test_tensions_keep_to_their_limit_and_contacts_to_the_sum():
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [primitive()])
+    state = close(engine, 40)[-1]
+    assert 39.9 < state.tension[0].max() <= 40.0
+    assert state.touching[0, PARTS.index("thumb")]
+    found = engine.contacts(0)
+    total = dict.fromkeys(PARTS, 0.0)
+    for force, link in zip(found.force, found.link, strict=True):
+        total[link.split("_")[0]] += force
+    np.testing.assert_allclose(list(total.values()), state.contact_force[0], atol=1.0)
+    assert found.friction == pytest.approx(0.72)
+    radius = np.linalg.norm(((found.point - found.centre) @ primitive().hand_rotation)[:, [0, 2]], axis=1)
+    assert radius.max() < 0.07
+    assert ((found.centre - found.point) * found.normal).sum(axis=1).min() > 0.0
+
+
+def test_slack_delays_a_finger():
+    engine = MuJoCoEngine(2)
+    slack = replace(BODIES["twin"], slack=(0.0, 2e-3, 0.0, 0.0, 0.0))
+    engine.reset([0, 1], [SceneSetup(None), SceneSetup(None, hand_settings=slack)])
+    state = close(engine, 20)[-1]
+    index = JOINT_INDEX["index_mcp"]
+    assert state.joint_pos[0, index] - state.joint_pos[1, index] > 0.1
+    np.testing.assert_allclose(np.delete(state.joint_pos[0] - state.joint_pos[1], [2, 3, index]), 0.0, atol=1e-3)
+
+
+def test_weightless_worlds_without_collisions():
+    engine = MuJoCoEngine(1, WorldSettings(gravity=0.0, collisions=False))
+    engine.reset([0], [primitive()])
+    state = close(engine, 30)[-1]
+    assert not state.touching.any()
+    np.testing.assert_allclose(state.object_vel, 0.0, atol=1e-12)
+
+
+# Failures ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [np.nan, 1e200])
+def test_a_failed_simulation_names_its_world(bad, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    engine = MuJoCoEngine(3, threads=2)
+    engine.reset(range(3), varied()[:3])
+    tables = [np.zeros((3, 6, width)) for width in (6, 6, 3)]
+    tables[0][1, 3, 2] = bad
+    with pytest.raises(PhysicsError, match=r"world 1 of 3 failed after 0\.000 s"):
+        engine.advance(*tables)
+    engine.reset([1], [varied()[1]])
+    tables[0][:] = 0.0
+    engine.advance(*tables)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_setup_that_is_no_place_is_an_error():
+    engine = MuJoCoEngine(2)
+    engine.reset([0, 1], [primitive(), primitive(position=np.array([np.nan, 0.0, 0.0]))])
+    with pytest.raises(PhysicsError, match=r"world 1 of 2 failed after 0\.000 s of its episode: MuJoCo says BADQPOS"):
+        wait(engine, 0.05)
+
+
+def test_what_mujoco_cannot_do_is_refused():
+    with pytest.raises(ParameterError, match=r"tendon_friction = 0.1 must be 0"):
+        MuJoCoEngine(1).reset([0], [primitive(hand_settings=replace(BODIES["twin"], tendon_friction=0.1))])
+    for arguments in ({"num_worlds": 0}, {"num_worlds": 2, "threads": 0}):
+        with pytest.raises(ValueError, match="at least 1"):
+            MuJoCoEngine(**arguments)
+
+
+# Pictures ---------------------------------------------------------------------------------------------------------
+
+
+def test_pictures_show_their_world():
+    engine = MuJoCoEngine(2, visuals=True)
+    engine.reset([0, 1], [primitive("cylinder"), primitive("box")])
+    target = HAND_POSITION + primitive().hand_rotation @ [0.03, 0.0, 0.1]
+    views = [(0, 120), (1, 120), (0, 160)]
+    try:
+        pictures = [engine.picture(world, Viewpoint(width=width, height=90), target) for world, width in views]
+    except PhysicsError as error:
+        pytest.skip(f"no OpenGL here: {error}")
+    assert [picture.shape for picture in pictures] == [(90, 120, 3), (90, 120, 3), (90, 160, 3)]
+    assert all(picture.dtype == np.uint8 for picture in pictures)
+    blue, red = (picture[45, 60].astype(int) for picture in pictures[:2])
+    assert blue[2] > blue[0] + 40
+    assert red[0] > red[2] + 40
+    engine.close()
+    engine.close()
+
+
+def test_without_opengl_a_picture_is_one_clear_line(monkeypatch):
+    def broken() -> type:
+        raise AttributeError("'NoneType' object has no attribute\n'eglQueryDevicesEXT'")
+
+    monkeypatch.setattr(camera, "_gl_context", broken)
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [primitive()])
+    with pytest.raises(PhysicsError, match=r"no OpenGL for pictures \(AttributeError: .*\): install .*libegl1") as caught:
+        engine.picture(0, Viewpoint(), np.zeros(3))
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,172 @@
+"""The objects of the named grasps: their files against the data, and the data against what its sources print."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pybullet
+import pytest
+
+from hpac_gym.body.assets import asset_path
+from hpac_gym.body.object_models import ObjectModel, load_object_models, object_models_from_toml
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.envs.randomization import PRESETS, changed_setup
+from hpac_gym.errors import ParameterError
+from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
+from hpac_gym.physics.pybullet.scene import Scene
+from hpac_gym.physics.pybullet.world import World
+from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.tasks.grasp import GraspByName, quaternion_from_rpy
+from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
+
+MODELS = load_object_models()
+REAL = {name: model for name, model in MODELS.items() if model.source}
+MEASURES = {"x", "y", "z", "mass"}
+
+
+@pytest.mark.parametrize("model", REAL.values(), ids=list(REAL))
+def test_a_file_is_within_five_percent_of_what_the_source_prints(model: ObjectModel):
+    """Collision shapes and mass as the simulator loads them; every measure that is not published says where it is from."""
+    with World() as world:
+        item = SimObject(world, spec_of(model), (0, 0, 0))
+        found = dict(zip("xyz", extents(world, item), strict=True))
+        file = pybullet.loadURDF(str(asset_path(f"objects/{model.name}.urdf")), physicsClientId=world.client)
+        found["mass"] = pybullet.getDynamicsInfo(file, -1, world.client)[0]
+    for measure, (low, high) in model.published.items():
+        assert 0.95 * low <= found[measure] <= 1.05 * high, measure
+    assert bool(model.chosen) == (model.published.keys() < MEASURES)
+    assert model.published or model.source == "none found"
+
+
+def test_most_objects_have_all_their_measures_from_a_source():
+    assert len(REAL) == 16
+    assert sum(model.published.keys() == MEASURES for model in REAL.values()) >= 9
+    assert {name for name, model in REAL.items() if not model.published} == {"tweezers", "spray_can"}
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
+def test_solids_are_as_large_as_their_object(model: ObjectModel):
+    low, high = model.bounds
+    np.testing.assert_allclose(high - low, model.size, rtol=0.05)
+    x, y, z = model.size
+    assert model.shape == "box" or x == y
+    assert model.shape != "sphere" or x == z
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
+def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectModel):
+    scale, mass = 1.1, 1.3 * model.mass
+    spec = ObjectSpec(model.shape, tuple(scale * half for half in model.half_extents), mass, 0.5, model.name, scale)
+    with World() as world:
+        item = SimObject(world, spec, (0.1, 0.2, 0.3), quaternion_from_rpy((0.3, 0.2, 0.1)))
+        loaded = pybullet.getDynamicsInfo(item.body, -1, world.client)
+        assert loaded[0] == pytest.approx(mass)
+        assert loaded[1] == pytest.approx(0.5)
+        principal = np.linalg.eigvalsh(model.inertia) * 1.3 * scale**2
+        np.testing.assert_allclose(sorted(loaded[2]), principal, rtol=1e-5)
+        position, _ = item.pose()
+        np.testing.assert_allclose(position, (0.1, 0.2, 0.3), atol=1e-6)
+        np.testing.assert_allclose(extents(world, SimObject(world, spec, (0, 0, 0))), scale * np.array(model.size), rtol=0.05)
+
+
+def spec_of(model: ObjectModel) -> ObjectSpec:
+    return ObjectSpec(model.shape, model.half_extents, model.mass, 0.5, model.name)
+
+
+def extents(world: World, item: SimObject) -> list[float]:
+    """Of an object at the origin, along the world's axes [m]."""
+    return [reach(world, item, direction) + reach(world, item, -direction) for direction in np.eye(3)]
+
+
+def reach(world: World, item: SimObject, direction: np.ndarray) -> float:
+    """How far an object at the origin reaches, by its distance from a wall [m]."""
+    wall = add_fixed_box(world, (0.5, 0.5, 0.5), 0.8 * direction, (1, 1, 1, 1), 0.5)
+    found = pybullet.getClosestPoints(wall, item.body, 1.0, physicsClientId=world.client)
+    pybullet.removeBody(wall, physicsClientId=world.client)
+    return 0.3 - min(point[8] for point in found)
+
+
+def test_hollow_solids_have_the_inertia_of_shells():
+    ball, tube = MODELS["tennis_ball"], MODELS["relay_baton"]
+    radius, shell = 0.0335, 2 / 3 * ball.mass * 0.0335**2
+    assert 0.75 * shell < ball.inertia[0, 0] < shell
+    assert ball.inertia[0, 0] > 2 / 5 * ball.mass * radius**2
+    assert tube.inertia[2, 2] == pytest.approx(tube.mass * 0.0195**2, rel=0.01)
+
+
+def test_a_hexagonal_bar_has_the_inertia_of_a_solid_one():
+    puck, side = MODELS["hexagonal_puck"], 0.0340 * 2 / np.sqrt(3)
+    assert puck.inertia[2, 2] == pytest.approx(5 / 12 * puck.mass * side**2, rel=0.02)
+    assert puck.inertia[0, 0] == pytest.approx(puck.inertia[1, 1])
+
+
+OBJECT = """
+[block]
+about = "a block"
+source = "a catalogue"
+published = { x = 0.02, mass = [0.01, 0.02] }
+chosen = "the rest"
+size = [0.02, 0.02, 0.02]
+mass = 0.02
+shape = "box"
+color = [1, 1, 1, 1]
+solids = [{ kind = "box", mass = 0.02, size = [0.02, 0.02, 0.02] }]
+"""
+FIELDS = {"about", "source", "published", "chosen", "size", "mass", "shape", "color", "solids"}
+
+
+def test_an_object_file_reads_back():
+    block = object_models_from_toml(OBJECT, FIELDS)["block"]
+    assert block.published == {"x": (0.02, 0.02), "mass": (0.01, 0.02)}
+    assert block.chosen == "the rest"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('source = "a catalogue"\n', "", "fields source are missing or unknown"),
+        ("x = 0.02,", "width = 0.02,", "published has width, mass"),
+        ('kind = "box"', 'kind = "cone"', "bad solid: kind 'cone'"),
+        ("mass = 0.02\n", "mass = 0.03\n", "solids of block weigh 0.02 kg, the object 0.03 kg"),
+    ],
+)
+def test_a_bad_object_file_is_refused_by_name(old: str, new: str, message: str):
+    assert old in OBJECT
+    with pytest.raises(ParameterError, match=message):
+        object_models_from_toml(OBJECT.replace(old, new), FIELDS)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    made = Scene(WorldSettings(), False)
+    yield made
+    made.world.close()
+
+
+def overlap(scene: Scene, others: tuple[int, ...]) -> float:
+    """How deep the hand is inside of the object, or either of them inside of other bodies [m]."""
+    hand, item, client = scene.hand.body, scene.object.body, scene.world.client
+    pairs = [(hand, item), *((body, other) for body in (hand, item) for other in others)]
+    near = [point for pair in pairs for point in pybullet.getClosestPoints(*pair, 0.0, physicsClientId=client)]
+    return max((-point[8] for point in near), default=0.0)
+
+
+@pytest.mark.parametrize("variant", [NOMINAL, "large", "small", "shape"])
+@pytest.mark.parametrize("name", GRASPS)
+def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(name: str, variant: str, scene):
+    """The object may touch its support, and walls the object; nothing is deeper than 0.1 mm."""
+    task = GraspByName(name, variant)
+    grasp, middle = task.grasp, task.setup(np.random.default_rng(0))
+    for corner in itertools.product((-1, 1), repeat=4):
+        position = grasp.position + np.array(corner[:3]) * grasp.position_noise
+        scene.reset(dataclasses.replace(middle, position=position, yaw=corner[3] * grasp.yaw_noise))
+        assert overlap(scene, scene.supports) < 1e-4, f"at the corner {corner}"
+
+
+@pytest.mark.parametrize("name", GRASPS)
+def test_no_randomized_episode_starts_inside_of_the_hand(name: str, scene):
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        setup = GraspByName(name).setup(rng)
+        scene.reset(changed_setup(setup, PRESETS["full"].draw(rng)))
+        assert overlap(scene, ()) < 2e-4, f"with the seed {seed}"

@@ -1,0 +1,100 @@
+"""``hpac posture``: lists, shows, draws, sends; and in opposition the pads meet in the simulation."""
+
+import argparse
+import json
+
+import numpy as np
+import pytest
+
+from hpac_gym.body.geometry import link_poses, load_geometry
+from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture
+from hpac_gym.study import posture as posture_command
+
+GEOMETRY = load_geometry()
+
+
+def run(*words: str, send=None) -> int:
+    parser = argparse.ArgumentParser()
+    posture_command.add_arguments(parser, send)
+    arguments = parser.parse_args(words)
+    return arguments.run(arguments)
+
+
+def pad(digit: str, joint_pos: np.ndarray) -> np.ndarray:
+    """Where a digit's pad is in the hand's frame, from its joint angles, shape (3,) [m]."""
+    body = GEOMETRY.digit(digit)
+    angles = np.array([joint_pos[JOINT_INDEX[phalanx.joint]] for phalanx in body.phalanges])
+    position, rotation = link_poses(body, angles)[-1]
+    return position + rotation @ body.pad
+
+
+@pytest.mark.parametrize("finger", ["index", "middle", "ring"])
+def test_in_opposition_the_pads_are_within_2_mm_of_touching(finger):
+    """The servos take the open hand there; weight, stretch and contact included."""
+    sim = posture_command.take(posture(f"oppose_{finger}"))
+    joint_pos = sim.joint_pos
+    sim.close()
+    assert np.linalg.norm(pad("thumb", joint_pos) - pad(finger, joint_pos)) < 2e-3
+
+
+@pytest.mark.parametrize("finger", ["index", "middle", "ring"])
+def test_opposition_targets_are_those_of_the_body(finger):
+    """The posture file repeats the synergies of geometry.toml as joint angles; this compares the two."""
+    expected = joints_from_synergy(GEOMETRY.opposition[finger])
+    assert posture(f"oppose_{finger}").target_joint_pos == pytest.approx(expected, abs=6e-4)
+
+
+def test_list_names_every_posture_and_alias(capsys):
+    assert run("list") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(POSTURES)
+    assert any("open_palm/digit_5" in line for line in lines)
+
+
+def test_one_posture_shows_target_reach_distance_and_servos(capsys):
+    assert run("fist") == 0
+    text = capsys.readouterr().out
+    assert "index_dip           1.050" in text
+    assert "distance from the manifold: 0." in text
+    assert text.count("thumb_cmc") == 2
+    assert "-0.000" not in text
+
+
+def test_json_of_one_and_of_all(capsys):
+    assert run("digit_5", "--json") == 0
+    (found,) = json.loads(capsys.readouterr().out).values()
+    assert found["aliases"] == ["digit_5"]
+    assert found["distance_rad"] == pytest.approx(0, abs=1e-12)
+    assert run("list", "--json") == 0
+    assert list(json.loads(capsys.readouterr().out)) == list(POSTURES)
+
+
+def test_a_posture_is_sent_to_the_port_that_is_named():
+    sent = []
+    assert run("fist", "--port", "/dev/hand", send=lambda port, command, hand: sent.append((port, command))) == 0
+    ((port, command),) = sent
+    assert port == "/dev/hand"
+    assert command.servo == pytest.approx(posture_command.command_to(posture("fist")).servo)
+    assert command.duration == pytest.approx(max(command.servo - HPAC.servo_min) / HPAC.rate_limit)
+
+
+def test_without_a_bridge_there_is_no_port(capsys):
+    with pytest.raises(SystemExit) as caught:
+        run("fist", "--port", "/dev/hand")
+    assert caught.value.code == 2
+    assert "--port" in capsys.readouterr().err
+
+
+def test_a_posture_is_drawn(tmp_path, capsys):
+    assert run("call", "--out", str(tmp_path / "call.png")) == 0
+    assert (tmp_path / "call.png").read_bytes().startswith(b"\x89PNG")
+    open_hand, closed = (posture_command.picture(posture(name)).astype(int) for name in ("open_palm", "fist"))
+    assert np.abs(open_hand - closed).max() > 50
+    assert "drawn to" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_contact_sheet_shows_all(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("all") == 0
+    assert (tmp_path / "runs" / "postures.png").stat().st_size > 50_000

@@ -1,0 +1,232 @@
+"""Beyond the paper: hysteresis, repeatability, tracking and rivals measure what they say, on cases whose answer is known."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hpac_gym.model import HPAC, JOINTS
+from hpac_gym.model.parameters import Friction
+from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo, with_friction
+from hpac_gym.study import commanding, hidden, population, rivals, study, tracking, trials
+from hpac_gym.study.accuracy import EVALUATED
+from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
+from hpac_gym.study.intervals import mean_of
+from hpac_gym.study.population import Built
+from hpac_gym.study.processing import points
+from hpac_gym.study.quasistatic import Metal
+from hpac_gym.study.record import concatenate
+from hpac_gym.study.reference import load_reference
+from hpac_gym.study.trials import JointTrials
+from tests.study.options import parsed
+
+REFERENCE = load_reference()
+SERVO = np.linspace(0, 1, 11)
+
+
+def made_up_trials(width: float, spread: float, count: int = 40) -> JointTrials:
+    rng = np.random.default_rng(0)
+    flexion = SERVO + spread * rng.standard_normal((count, len(SERVO)))
+    return JointTrials(SERVO, flexion, SERVO + width + spread * rng.standard_normal((count, len(SERVO))))
+
+
+def test_width_and_spread_of_made_up_trials_come_back():
+    joints = {"index_dip": made_up_trials(width=0.02, spread=0.005)}
+    width, spread = trials.hysteresis_deg(joints)["index_dip"], trials.spread_deg(joints)["index_dip"]
+    assert width.low < np.degrees(0.02) < width.high
+    assert spread.low < np.degrees(0.005) < spread.high
+    assert width.high - width.low < 0.2 * width.mean
+
+
+def test_the_turning_points_do_not_count_for_the_width():
+    joint = made_up_trials(width=0.02, spread=0.0, count=2)
+    joint.extension[:, [0, -1]] = 9.0
+    assert trials.hysteresis_width(joint) == pytest.approx(0.02)
+
+
+def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_for():
+    """The index in PyBullet against the closed form's two branches, slowly and without noise.
+
+    No wider than that, and most of it: each time that a servo stops, the digit shakes a part of the hysteresis off.
+    """
+    quiet = replace(REFERENCE.rig, hand=HPAC, camera=JointCamera(noise=0.0, drift=0.0)).with_protocol(
+        points=12, seconds_per_point=3.0, rest=0.5, both_directions=True
+    )
+    settings = replace(REFERENCE.trials, tendon_friction=0.05, friction_spread=0.0, seat=0.0)
+    record = trials.run_trials(replace(REFERENCE, rig=quiet, trials=settings), 1, 0, servos=("index_mcp",))
+    friction = Friction(REFERENCE.rig.settings.joint_friction, 0.05)
+    for name, joint in trials.by_joint(record, REFERENCE.cutoff_hz).items():
+        servo = np.zeros((len(joint.servo), 6))
+        servo[:, 1] = joint.servo
+        column = JOINTS.index(name)
+        frictional = with_friction(HPAC, friction)
+        branches = [settled_joints_from_servo(servo, frictional, way)[None, :, column] for way in (FLEXION, EXTENSION)]
+        expected = float(trials.hysteresis_width(JointTrials(joint.servo, *branches))[0])
+        assert 0.5 * expected < float(trials.hysteresis_width(joint)[0]) < 1.1 * expected
+        assert expected > np.deg2rad(0.08)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.013, 0.05, 0.2])
+def test_lag_of_a_delayed_course_is_its_delay(delay):
+    time = np.arange(0, 6, 1 / 80)
+    wanted = np.sin(2 * np.pi * 0.5 * time)
+    measured = 0.1 + np.sin(2 * np.pi * 0.5 * (time - delay))
+    assert tracking.lag(time, wanted, measured) == pytest.approx(delay, abs=1e-3)
+
+
+def test_profiles_have_period_one_and_reach_both_ends():
+    phase = np.linspace(0, 1, 401)
+    for profile in tracking.PROFILES.values():
+        assert (profile(phase).min(), profile(phase).max()) == pytest.approx((-1, 1))
+        assert profile(phase + 1) == pytest.approx(profile(phase), abs=1e-12)
+    ends = np.array([0.0, 1e-4, 0.5 - 1e-4, 0.5])
+    assert np.diff(tracking.back_and_forth(ends))[[0, 2]] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_slow_profile_is_tracked_and_a_later_servo_lags_more():
+    found = {}
+    for late in (0.0, 0.05):
+        seen = tracking.track(replace(REFERENCE, servo_lag=late), tracking.sine, 0.5, np.random.default_rng(0))
+        column = JOINTS.index("index_dip")
+        found[late] = tracking.lag(seen.time, seen.wanted[:, column], seen.measured[:, column])
+        assert np.degrees(np.sqrt(np.mean((seen.measured - seen.wanted)[:, column] ** 2))) < 5
+    assert found[0.05] - found[0.0] == pytest.approx(0.05, abs=0.01)
+
+
+def test_the_camera_in_the_loop_halves_the_error_and_without_learning_it_does_not(monkeypatch):
+    def rms() -> float:
+        seen = tracking.track(REFERENCE, tracking.sine, 0.25, np.random.default_rng(0), closed=True)
+        columns = [JOINTS.index(name) for name in EVALUATED]
+        return float(np.degrees(np.sqrt(np.mean((seen.measured - seen.wanted)[:, columns] ** 2))))
+
+    closed = rms()
+    monkeypatch.setattr(tracking.Observer, "update", lambda self, error, rate: None)
+    assert closed < 0.5 * rms()
+
+
+def test_the_observer_takes_out_a_lag_and_an_offset_of_either_direction():
+    """Less than half of what lag and offsets make is left after some periods; without one of the gains more is."""
+
+    def left_over(**gains: float) -> float:
+        observer, errors = tracking.Observer(**gains), []
+        for speed in np.cos(np.arange(0, 60, 0.05)):
+            offset = 0.02 if speed >= 0 else -0.01
+            error = offset - observer.offset[int(speed < 0)] - (0.03 - observer.lag) * speed
+            errors.append(np.abs(error).mean())
+            observer.update(error, np.full(5, speed))
+        return float(np.mean(errors[-126:]))
+
+    untaught = left_over(lag_gain=0.0, offset_gain=0.0)
+    assert left_over() < 0.5 * untaught
+    assert left_over() < min(left_over(lag_gain=0.0), left_over(offset_gain=0.0))
+
+
+@pytest.fixture(scope="module")
+def race() -> rivals.Race:
+    return rivals.run_race(rivals.OTHER_METAL, 2, 0, samples=(4, 16))
+
+
+def test_more_samples_help_every_rival_that_can_bend(race):
+    for name in ("polynomial", "Gaussian process", "network"):
+        assert race.trained[name][16].mean < race.trained[name][4].mean
+
+
+def test_linear_scaling_stays_far_off_whatever_it_is_given(race):
+    """The cosine law is no line."""
+    assert race.trained["linear scaling"][16].mean > 10 * race.trained["`hpac calibrate`"][16].mean
+
+
+def test_four_points_are_enough_for_fitted_physics_even_where_its_laws_are_wrong(race):
+    fitted = race.trained["`hpac calibrate`"][4].mean
+    assert fitted < min(race.trained[name][4].mean for name in rivals.RIVALS)
+    assert fitted < min(value.mean for value in race.untrained.values())
+    assert race.winners()[4] == "`hpac calibrate`"
+
+
+@pytest.mark.parametrize("name", rivals.RIVALS)
+def test_every_rival_learns_a_line_from_noiseless_points(name):
+    joint_pos = SERVO[:, None] * np.array([0.8, 1.0])
+
+    def model(angle: np.ndarray) -> np.ndarray:
+        return angle[:, None] * np.array([0.7, 1.1])
+
+    predictor = rivals.RIVALS[name](SERVO, joint_pos, np.random.default_rng(0), model)
+    assert predictor(np.array([0.33, 0.77])) == pytest.approx(np.array([[0.264, 0.33], [0.616, 0.77]]), abs=2e-4)
+
+
+def test_a_mean_has_students_interval():
+    found = mean_of([1.0, 2.0, 3.0])
+    assert found.mean == 2.0
+    assert found.high - 2.0 == pytest.approx(4.302653 / np.sqrt(3))
+    assert np.isnan(mean_of([1.0]).low)
+
+
+@pytest.mark.slow
+def test_one_sweep_brings_all_nine_joints_within_the_goal_and_the_way_back_needs_its_friction():
+    maps = (*commanding.BEFORE_AND_AFTER, "… friction of flexion both ways")
+    rows = commanding.run_commanding(population.WORKSHOPS[study.COMMANDED], 3, 7, hidden.CAMERA, maps)
+    before, after, one_way = rows.values()
+    assert before.all_within_goal == before.all_within_goal_back == 0.0
+    assert after.all_within_goal == after.all_within_goal_back == 1.0
+    assert one_way.extension_worst.median > 5 * after.extension_worst.median
+
+
+def test_hands_of_a_workshop_are_drawn_one_by_one_and_spread_with_its_tolerance():
+    narrow, wide = (population.build(population.Workshop(population.geometry(size)), 3, 1) for size in (1e-3, 1e-2))
+    assert narrow[:2] == population.build(population.Workshop(population.geometry(1e-3)), 2, 1)
+    off = [abs(built[0].hand.digits["ring"].d2 / HPAC.digits["ring"].d2 - 1) for built in (narrow, wide)]
+    assert off[1] == pytest.approx(10 * off[0])
+    assert len({digit.d1 for digit in wide[0].hand.digits.values()}) == 5
+
+
+def test_a_population_tells_what_compensation_makes_worse():
+    """Made-up errors: of two hands with nine joints one joint is worse with compensation, and one hand is good."""
+    before, after = np.full((2, 9), 1.0), np.full((2, 9), 0.1)
+    after[1, 4] = 1.5
+    row = population.population_row(population.PopulationErrors(before, after, np.zeros((2, 5))))
+    assert row.made_worse == pytest.approx(1 / 18)
+    assert row.all_below == 0.5
+    assert row.worst_joint.median == pytest.approx(0.8)
+
+
+def command(tmp_path, capsys, *words: str) -> dict:
+    assert study.run(parsed(study, *words, "--quick", "--json", "--out", tmp_path)) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.slow
+def test_the_command_writes_table_numbers_and_figures_of_each_part(tmp_path, capsys):
+    assert set(command(tmp_path, capsys, "populations", "causes", "--hands", "2")) == {"populations", "causes"}
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == {"populations.md", "populations.json", "populations.png", "populations.svg", "causes.md", "causes.json"}
+    assert "2 hands in metal each, seed 0" in (tmp_path / "populations.svg").read_text()
+
+
+def test_an_unknown_part_is_told(tmp_path):
+    with pytest.raises(study.StudyError, match="speed: hpac study knows the parts populations, causes"):
+        study.run(parsed(study, "speed", "--out", tmp_path))
+
+
+@pytest.mark.slow
+def test_the_command_runs_every_part(tmp_path, capsys):
+    result = command(tmp_path, capsys, "--hands", "3")
+    assert set(result) == set(study.PARTS)
+    assert set(result["trials"]["hysteresis_width_deg"]) == set(JOINTS)
+    assert {(item["profile"], item["closed"]) for item in result["tracking"]} == {
+        (profile, closed) for profile in tracking.PROFILES for closed in (False, True)
+    }
+
+
+def test_trials_of_a_record_become_rows_joint_by_joint():
+    """Two trials, both directions: every joint of the swept servo has two rows of each, in the order of the points."""
+    plain = [Built(HPAC, (Metal(),) * 5)]
+    parts = [metal_sweeps(plain, seed, protocol=Protocol(both_directions=True), servos=("ring_mcp",))[0] for seed in (0, 1)]
+    record = concatenate([parts[0], replace(parts[1], trial=parts[1].trial + 1)])
+    joints = trials.by_joint_of_points(points(record))
+    assert set(joints) == {"ring_mcp", "ring_pip", "ring_dip"}
+    for joint in joints.values():
+        assert joint.flexion.shape == joint.extension.shape == (2, len(joint.servo))
+        assert (np.diff(joint.servo) > 0).all()
+        assert joint.flexion == pytest.approx(joint.extension, abs=0.03)  # the drift is not taken out
+        assert (joint.flexion[0] != joint.flexion[1]).any()

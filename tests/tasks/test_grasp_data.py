@@ -1,0 +1,132 @@
+"""The data of the sixteen named grasps: the paper's names, the held-out variants, and what a file of grasps may hold."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hpac_gym.body.geometry import rotation_from_rpy
+from hpac_gym.body.object_models import load_object_models
+from hpac_gym.body.objects import ObjectSpec, Support
+from hpac_gym.envs.options import OPTIONS
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, POSTURES
+from hpac_gym.physics.engine import matrix_from_quaternion
+from hpac_gym.tasks.grasp import GraspByName, quaternion_from_rpy
+from hpac_gym.tasks.grasp_data import FAMILIES, GRASPS, NOMINAL, grasps_from_toml
+
+NAMES = list(GRASPS)
+MODELS = load_object_models()
+
+
+def test_there_is_one_for_each_grasp_posture_of_the_paper():
+    assert [name for name, posture in POSTURES.items() if posture.kind == "grasp"] == NAMES
+    assert len(NAMES) == 16
+    assert {grasp.family for grasp in GRASPS.values()} == set(FAMILIES)
+
+
+def test_every_grasp_has_an_object_of_its_own_and_all_are_used():
+    used = [grasp.object for grasp in GRASPS.values()] + [grasp.variant("shape").object for grasp in GRASPS.values()]
+    assert sorted(model.name for model in used) == sorted(MODELS)
+
+
+def test_quaternions_are_those_of_the_matrices():
+    rpy = (0.4, -1.1, 2.3)
+    np.testing.assert_allclose(matrix_from_quaternion(quaternion_from_rpy(rpy)), rotation_from_rpy(rpy), atol=1e-12)
+
+
+def test_every_variant_is_one_of_the_options():
+    variants = {NOMINAL}.union(*(grasp.held_out for grasp in GRASPS.values()))
+    assert set(next(option for option in OPTIONS if option.name == "variant").values) == variants
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_closed_hand_is_within_reach_and_differs_from_the_open_one(name: str):
+    grasp = GRASPS[name]
+    assert np.all(grasp.closed <= HPAC.synergy_max + 1e-9)
+    assert np.abs(grasp.closed - grasp.preshape).max() > 0.1
+    assert not grasp.closed.flags.writeable
+
+
+def test_held_out_variants_change_what_they_name():
+    def drawn(variant: str) -> ObjectSpec:
+        return GraspByName("large_cylinder", variant).setup(np.random.default_rng(0)).object
+
+    spec = {variant: drawn(variant) for variant in (NOMINAL, "heavy", "large")}
+    assert spec["heavy"].mass == pytest.approx(1.5 * spec[NOMINAL].mass)
+    assert spec["heavy"].half_extents == spec[NOMINAL].half_extents
+    assert spec["large"].half_extents == pytest.approx(tuple(1.08 * half for half in spec[NOMINAL].half_extents))
+    assert all({"large", "small", "heavy", "slippery"} <= set(grasp.held_out) for grasp in GRASPS.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_held_out_shape_is_another_object_of_the_same_mass_and_friction(name: str):
+    nominal, shape = (GraspByName(name, variant).setup(np.random.default_rng(0)).object for variant in (NOMINAL, "shape"))
+    assert shape.model == GRASPS[name].variant("shape").object.name != nominal.model
+    assert shape.mass == pytest.approx(nominal.mass, rel=0.01)
+    assert shape.friction == nominal.friction
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_held_out_shape_is_drawn_only_when_asked_for(name: str):
+    own, held_out = GRASPS[name].object.name, GRASPS[name].variant("shape").object.name
+    others = [variant for variant in (NOMINAL, *GRASPS[name].held_out) if variant != "shape"]
+
+    def drawn(variant: str) -> set[str]:
+        task = GraspByName(name, variant)
+        return {task.setup(np.random.default_rng(seed)).object.model for seed in range(20)}
+
+    assert set.union(*map(drawn, others)) == {own}
+    assert drawn("shape") == {held_out}
+
+
+GOOD = """
+[held_out]
+large = { scale = 1.1 }
+
+[rod]
+family = "power"
+about = "a rod"
+object = "conduit"
+friction = 0.6
+hand_rpy_deg = [90, 0, 90]
+object_rpy_deg = [0, 0, 0]
+position = [0.03, 0.0, 0.1]
+preshape = [0, 0, 0, 0, 0, 1.2]
+closed = [0.9, 1.2, 1.2, 1.2, 1.2, 1.2]
+support = { half_width = [0.01, 0.01] }
+position_noise = [0.004, 0.01, 0.01]
+yaw_noise = 0.5
+"""
+
+
+def test_a_grasp_file_reads_back():
+    rod = grasps_from_toml(GOOD, MODELS)["rod"]
+    assert rod.object is MODELS["conduit"]
+    assert rod.hand_rpy == pytest.approx((math.pi / 2, 0, math.pi / 2))
+    assert rod.held_out["large"].scale == 1.1
+    assert rod.held_out["large"].object is None
+    assert rod.support == Support((0.01, 0.01))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[rod]", "[rod", "grasps: "),
+        ("scale = 1.1", "size = 1.1", "size"),
+        ("scale = 1.1", "scale = -1.1", "scale, mass and friction of a variant are"),
+        ("scale = 1.1", 'object = "club"', "object 'club' is none of"),
+        ('"conduit"', '"club"', "rod: object 'club'"),
+        ('"power"', '"magic"', "rod: family 'magic'"),
+        ('about = "a rod"\n', "", "rod: about is missing"),
+        ("yaw_noise = 0.5", "yaw_noise = 0.5\ncolour = 1", "rod: unknown fields colour"),
+        ("[0.03, 0.0, 0.1]", "[0.03, 0.0]", "rod: position must be three numbers"),
+        ("closed = [0.9", "closed = [9.0", "rod: closed thumb_mp = 9 rad"),
+        ("[0.01, 0.01] }", "[0.01, -0.01] }", "rod: .*greater than 0"),
+        ("half_width", "width", "rod: .*width"),
+    ],
+)
+def test_a_bad_grasp_file_is_refused_by_name(old: str, new: str, message: str):
+    assert old in GOOD
+    with pytest.raises(ParameterError, match=message):
+        grasps_from_toml(GOOD.replace(old, new), MODELS)

@@ -1,0 +1,182 @@
+"""Tasks as functions of arrays: many worlds at once are as many single ones, and every term does what its row says."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from hpac_gym.model import HPAC, elastic_joints_from_servo
+from hpac_gym.physics.engine import PARTS, SceneState
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
+from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
+from hpac_gym.tasks.posture import Posture
+from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, OUTCOMES, RUNNING, SUCCESS
+from hpac_gym.tasks.terms import Layout, Moment, Term
+
+TASKS = {"grasp": Grasp, "named": lambda: GraspByName("hook"), "place": PickPlace, "posture": Posture}
+DT = 1 / CONTROL_HZ
+WORLDS = 5
+
+
+class Story:
+    """States of one world that touch every branch of the tasks, in place of a simulation; `fate` says how it goes.
+
+    0: held to the end; 1: never touched; 2: dropped in the lift; 3: knocked away; 4: held, with gaps in the contact.
+    """
+
+    def __init__(self, task, fate: int) -> None:
+        self.rng, self.task, self.fate, self.step = np.random.default_rng(fate), task, fate, 0
+        self.setup = task.setup(self.rng, HPAC)
+        steps = np.arange(0, round(task.duration * CONTROL_HZ) + 1)
+        self.path = task.wrist_path(self.setup, tuple((steps * DT).tolist()))
+
+    def __call__(self) -> SceneState:
+        state, share = SceneState.empty(1), self.step * DT / self.task.duration
+        state.time[:] = self.step * DT
+        state.joint_pos[:], state.joint_vel[:] = self.rng.uniform(0, 1, (2, 15))
+        state.horn[:], state.tension[:] = self.rng.uniform(0, 1, 6), self.rng.uniform(0, 20, 5)
+        state.palm_offset[:] = offset = self.path[min(self.step, len(self.path) - 1)]
+        state.object_rotation[:] = self.setup.hand_rotation.T
+        state.object_vel[:], state.object_spin[:] = self.rng.uniform(-1, 1, (2, 3))
+        if self.setup.object is not None:
+            closed, late = share > 0.3, share > 0.85
+            held = closed and self.fate in (0, 2, 4) and not (self.fate == 2 and share > 0.6)
+            held = held and not (isinstance(self.task, PickPlace) and late)
+            state.touching[0, [1, 2]] = held and not (self.fate == 4 and self.step % 7 == 0)
+            state.contact_force[:] = np.where(state.touching, self.rng.uniform(1, 5, 6), 0.0)
+            state.supported[:] = not closed or (late and self.fate != 0)
+            state.on_target[:] = late and isinstance(self.task, PickPlace)
+            world_to_hand = self.setup.hand_rotation.T @ offset
+            grasped = self.setup.position - (self.setup.hand_rotation.T @ self.path[round(0.3 * (len(self.path) - 1))])
+            state.object_pos[:] = grasped + 0.001 * share if held else self.setup.position - world_to_hand
+            if isinstance(self.task, PickPlace) and late and self.fate in (0, 4):
+                state.object_pos[:] = self.setup.target - world_to_hand
+            if self.fate == 3 and share > 0.15:
+                state.object_pos[0, 0] += 0.2
+        self.step += 1
+        return state
+
+
+def joined(states: list[SceneState]) -> SceneState:
+    """One state of as many worlds."""
+    return SceneState(**{f.name: np.concatenate([getattr(state, f.name) for state in states]) for f in fields(SceneState)})
+
+
+class Played:
+    """A task that follows stories, and everything that it makes of them."""
+
+    def __init__(self, task, stories: list[Story]) -> None:
+        n = len(stories)
+        self.task, self.n = task, n
+        self.camera = task.prepare(n, CameraNoise())
+        self.layout = Layout((*task.terms, *task.privileged_terms), n)
+        self.goals = Layout(task.goal_terms, n) if task.goal_terms else None
+        self.servo = np.zeros((n, 6))
+        self.start(range(n), stories)
+
+    def start(self, worlds, stories: list[Story]) -> None:
+        setups = [story.setup for story in stories]
+        self.task.start(worlds, setups)
+        self.layout.start(worlds, setups)
+        for world, story in zip(worlds, stories, strict=True):
+            self.camera.start(world, story.setup, 1.0, np.random.default_rng(story.fate))
+
+    def step(self, state: SceneState) -> dict[str, np.ndarray]:
+        """All that a control step gives, each with a leading axis n."""
+        task, n = self.task, self.n
+        outcome, change = task.judge(state, DT), np.tile(np.linspace(-0.1, 0.2, 6), (n, 1))
+        predicted = elastic_joints_from_servo(self.servo)
+        seen = self.camera.look(state, range(n))
+        down = np.tile([0.0, -1.0, 0.0], (n, 1))
+        now = Moment(state, self.servo, predicted, down, task.phase(state.time), change, change, seen, task.grip, outcome)
+        if self.goals:
+            task.measure(self.goals.see(now), task.goal.astype(np.float32))
+        found = {"observation": self.layout.see(now), "judged": outcome, "phase": now.phase, "sparse": task.sparse_reward(now)}
+        paid = {term.name: term.value(now) for term in task.reward_terms}
+        return found | paid | {f"info {name}": value for name, value in task.report(now).items()}
+
+
+@pytest.mark.parametrize("make", TASKS.values(), ids=TASKS)
+def test_many_worlds_at_once_are_as_many_single_ones(make):
+    """To the bit, over whole episodes, with worlds that begin again while the others go on."""
+    stories = [Story(make(), fate) for fate in range(WORLDS)]
+    many, single = Played(make(), stories), [Played(make(), [story]) for story in stories]
+    seen = []
+    for step in range(round(make().duration * CONTROL_HZ)):
+        if step % 17 == 16:
+            world = step % WORLDS
+            stories[world] = Story(make(), world)
+            many.start([world], [stories[world]])
+            single[world].start([0], [stories[world]])
+        states = [story() for story in stories]
+        together = many.step(joined(states))
+        for world, (alone, state) in enumerate(zip(single, states, strict=True)):
+            for name, value in alone.step(state).items():
+                np.testing.assert_array_equal(together[name][world], value[0], err_msg=f"{name} of world {world} in step {step}")
+        seen.append(together)
+    assert len(np.unique([found["phase"] for found in seen])) == len(make().phases)
+
+
+def told(task) -> dict[str, np.ndarray]:
+    """All that a task makes of the five fates, with axes of steps and worlds."""
+    stories = [Story(task, fate) for fate in range(WORLDS)]
+    played = Played(task, stories)
+    steps = [played.step(joined([story() for story in stories])) for _ in range(round(task.duration * CONTROL_HZ) + 1)]
+    return {name: np.array([step[name] for step in steps]) for name in steps[0]}
+
+
+@pytest.mark.parametrize("kind", [Grasp, PickPlace])
+def test_the_fates_end_as_they_should(kind):
+    judged = told(kind())["judged"]
+    assert (judged[0] == RUNNING).all()
+    np.testing.assert_array_equal(judged[-1, [0, 1]], [SUCCESS, FAILURE])
+    failed = (judged == FAILURE).argmax(axis=0) / (len(judged) - 1)  # share of the episode
+    assert 0.6 <= failed[2] <= 0.63, "as soon as it is dropped"
+    assert 0.15 <= failed[3] <= 0.18, "as soon as it is knocked away"
+
+
+@pytest.mark.parametrize(("kind", "config"), [(Grasp, GraspConfig()), (PickPlace, PickPlaceConfig())], ids=["grasp", "place"])
+def test_a_weight_is_one_number_that_its_term_and_the_documentation_follow(kind, config):
+    usual, task = told(kind()), kind()
+    for weight in fields(config.weights):
+        other = kind(replace(config, weights=replace(config.weights, **{weight.name: 7.75})))
+        changed = told(other)
+        differs = [term.name for term in task.reward_terms if not np.array_equal(usual[term.name], changed[term.name])]
+        described = [term.name for term in other.reward_terms if "7.75" in term.meaning]
+        assert len(differs) == 1, f"{weight.name} acts on {differs}"
+        assert differs == described
+
+
+def test_what_the_dense_reward_pays_and_costs_in_numbers():
+    """The contact of thumb and index while closing, a full push, a firm hold, the effort of a change, the two ends."""
+    task = Grasp()
+    n = 4
+    task.prepare(n, CameraNoise())
+    setup = task.setup(np.random.default_rng(0))
+    task.start(range(n), [setup] * n)
+    state = SceneState.empty(n)
+    state.object_pos[:] = setup.position
+    state.object_pos[1, 2] += 0.5  # knocked away
+    state.touching[0, [PARTS.index("thumb"), PARTS.index("index")]] = True
+    state.touching[2:, 0] = True
+    state.time[2:] = 1.5
+    outcome = task.judge(state, DT)
+    nothing = np.zeros((n, 6))
+    phase = task.phase(state.time)
+    now = Moment(state, nothing, nothing, nothing, phase, nothing, np.eye(6)[:n], {}, task.grip, outcome)
+    paid = {term.name: term.value(now) for term in task.reward_terms}
+    np.testing.assert_allclose(paid["contact"], [0.35, 0.0, 0.0, 0.0])
+    np.testing.assert_allclose(paid["push"], [0.0, -0.3, 0.0, 0.0])
+    np.testing.assert_allclose(paid["carry"], [0.0, 0.0, 0.5, 0.5])
+    np.testing.assert_allclose(paid["effort"], -0.01)
+    np.testing.assert_allclose(paid["outcome"], [0.0, -5.0, 0.0, 0.0])
+    assert OUTCOMES[outcome[1]] == "failure"
+
+
+def test_an_observation_stays_within_its_bounds_and_keeps_the_rest_as_it_is():
+    fixed = Term("b", ("z",), "m", 0.0, 1.0, "", lambda setup: [setup], fixed=True)
+    layout = Layout((Term("a", ("x", "y"), "m", -1.0, 1.0, "", lambda now: now), fixed), 2)
+    layout.start([1], [0.75])
+    np.testing.assert_array_equal(layout.see(np.array([[0.25, 3.0], [-7.0, 0.5]])), [[0.25, 1.0, 0.0], [-1.0, 0.5, 0.75]])
+    assert layout.slices == {"a": slice(0, 2), "b": slice(2, 3)}

@@ -1,0 +1,196 @@
+"""The `hpac` command as a person types it: one line for a mistake, and an exit status that says what happened."""
+
+import argparse
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hpac import COMMANDS, INTERRUPTED, USAGE_ERROR, Parser, run, whole_number
+from hpac_gym.errors import WorkspaceError
+
+NAMES = [command.name for command in COMMANDS]
+HEAVY = {"numpy", "scipy", "matplotlib", "gymnasium", "pybullet", "mujoco", "torch"}
+FULL = Path("/dev/full")
+needs_full_device = pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
+
+
+def hpac(*words: str, **options) -> subprocess.CompletedProcess[str]:
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | options
+    return subprocess.run([sys.executable, "-m", "hpac", *words], text=True, timeout=600, **streams)
+
+
+def python(script: str, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, timeout=600)
+
+
+LISTS_MODULES = """
+import sys, hpac
+try:
+    hpac.main(sys.argv[1:])
+finally:
+    print(*sys.modules, file=sys.stderr)
+"""
+
+
+def heavy(done: subprocess.CompletedProcess[str]) -> set[str]:
+    """Which of the heavy packages a run of `LISTS_MODULES` loaded."""
+    return HEAVY & set(done.stderr.split())
+
+
+def test_the_list_of_commands_loads_no_heavy_package():
+    assert heavy(python(LISTS_MODULES, "--help")) == set()
+    assert heavy(python(LISTS_MODULES, "nonsense")) == set()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_help_of_a_command_loads_no_engine_and_no_learner(name):
+    done = python(LISTS_MODULES, name, "--help")
+    assert done.returncode == 0
+    assert f"usage: hpac {name}" in done.stdout
+    assert not heavy(done) & {"pybullet", "mujoco", "torch"}
+
+
+def test_the_heavy_packages_are_seen_where_they_are_loaded():
+    assert heavy(python(LISTS_MODULES, "posture", "list")) >= {"numpy", "gymnasium"}
+
+
+def test_help_lists_every_command_with_its_line():
+    said = " ".join(hpac("--help").stdout.split())
+    for command in COMMANDS:
+        assert f"{command.name} {command.help}" in said
+
+
+def test_the_version_is_that_of_the_package():
+    assert hpac("--version").stdout == "hpac_gym 0.1.0\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        ([], "COMMAND"),
+        (["nonsense"], "nonsense"),
+        (["wiggle", "--port", "/dev/no-such-port"], "/dev/no-such-port"),
+        (["posture", "nonsense"], "nonsense"),
+        (["posture", "list", "--hand", "/no/such/hand.toml"], "/no/such/hand.toml"),
+        (["calibrate", "/no/such/sweep.csv"], "sweep.csv"),
+        (["physics", "--engine", "pybullet", "--body", "light"], "pybullet with body light"),
+        (["bench", "--rounds", "0"], "'0' is not a whole number of at least 1"),
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(words, named):
+    done = hpac(*words)
+    assert (done.returncode, done.stdout) == (USAGE_ERROR, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert named in line
+
+
+def raising(error: BaseException):
+    def command() -> int:
+        raise error
+
+    return command
+
+
+def test_the_status_is_the_commands_own():
+    assert run(lambda: 0) == 0
+    assert run(lambda: 7) == 7
+
+
+def test_an_error_on_purpose_is_one_line_and_any_other_is_not_hidden(capsys):
+    assert run(raising(WorkspaceError("2 rad\n  above 1 rad"))) == USAGE_ERROR
+    assert capsys.readouterr().err == "error: 2 rad above 1 rad\n"
+    with pytest.raises(ValueError, match="a bug"):
+        run(raising(ValueError("a bug")))
+
+
+def test_ctrl_c_has_its_own_status(capsys):
+    assert run(raising(KeyboardInterrupt())) == INTERRUPTED
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+@needs_full_device
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("words", [["posture", "list"], ["--help"], ["grasps", "--help"], ["--version"]])
+def test_an_output_that_takes_no_more_is_one_line_and_status_2(words, unbuffered):
+    with FULL.open("w") as full:
+        done = hpac(*words, stdout=full, env=os.environ | {"PYTHONUNBUFFERED": unbuffered})
+    assert (done.returncode, done.stderr) == (USAGE_ERROR, "error: cannot write to standard output: No space left on device\n")
+
+
+SCRIPT = """
+import sys
+from hpac import run
+def command():
+    print({words!r} * {times}, flush={flush})
+    open({path!r}).close()
+    return 0
+sys.exit(run(command))
+"""
+
+
+@needs_full_device
+@pytest.mark.parametrize("times", [1, 100_000], ids=["short", "longer than any buffer"])
+@pytest.mark.parametrize("flush", [True, False])
+def test_a_full_standard_output_is_one_line(times, flush):
+    script = SCRIPT.format(words="word ", times=times, flush=flush, path=os.devnull)
+    with FULL.open("w") as full:
+        command = [sys.executable, "-c", script]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (USAGE_ERROR, "error: cannot write to standard output: No space left on device\n")
+
+
+def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
+    done = python(SCRIPT.format(words="word", times=1, flush=False, path="/no/such/file"))
+    assert done.returncode == 1
+    assert "FileNotFoundError" in done.stderr
+    assert done.stdout == "word\n"
+
+
+@pytest.mark.parametrize("words", ["posture list", "--help", "grasps --help"])
+def test_a_closed_output_is_one_line_and_status_2(words):
+    command = f"exec {sys.executable} -m hpac {words} >&-"
+    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=600)
+    assert (done.returncode, done.stderr) == (USAGE_ERROR, "error: cannot write to standard output: it is closed\n")
+
+
+def test_a_reader_that_leaves_early_is_no_error():
+    command = f"{sys.executable} -m hpac posture list | head -1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=600)
+    assert done.stdout.count("\n") == 1
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(("words", "package", "extra"), [
+    ("sweep", "matplotlib", "study"),
+    ("calibrate --record x.csv y", "matplotlib", "study"),
+    ("study --help", "matplotlib", "study"),
+    ("posture", "matplotlib", "study"),
+    ("grasps -n 1", "PIL", "grasps"),
+])  # fmt: skip
+def test_without_its_packages_a_command_says_what_it_needs(words, package, extra):
+    done = python(f"import sys, hpac; sys.modules[{package!r}] = None; sys.exit(hpac.main(sys.argv[1:]))", *words.split())
+    needs = f"error: this command needs more: pip install 'hpac_gym[{extra}]' (no module {package})\n"
+    assert (done.returncode, done.stderr) == (USAGE_ERROR, needs)
+
+
+def test_a_missing_module_of_this_package_is_a_bug_and_no_missing_extra():
+    script = "import sys, hpac; sys.modules['hpac_gym.study'] = None; sys.exit(hpac.main(['sweep']))"
+    assert "ModuleNotFoundError" in python(script).stderr
+
+
+def test_the_parser_complains_in_one_line(capsys):
+    with pytest.raises(SystemExit) as left:
+        Parser(prog="hpac some").parse_args(["--nonsense"])
+    assert left.value.code == USAGE_ERROR
+    assert capsys.readouterr().err == "error: unrecognized arguments: --nonsense (see hpac some --help)\n"
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "1.5", "many", ""])
+def test_what_is_no_whole_number_of_that_size_is_refused(text):
+    assert whole_number(1)("12") == 12
+    with pytest.raises(argparse.ArgumentTypeError, match=f"'{text}' is not a whole number of at least 1"):
+        whole_number(1)(text)

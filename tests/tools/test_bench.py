@@ -1,0 +1,41 @@
+"""The workshop's benchmark, and the marks that the model has to keep."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hpac_gym.model import HPAC, joints_from_synergy, servo_from_action, servo_from_joints
+from tools import bench
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr(bench, "ROUNDS", 1)
+
+
+def test_every_figure_stands_beside_a_bare_one(quick, capsys):
+    assert bench.main(["--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["unit"] for row in rows] == ["µs", "million/s", "ms"]
+    assert all(row["value"] > 0 and row["bare"] > 0 and row["ratio"] > 0 for row in rows)
+
+
+def test_a_figure_is_a_line(quick, capsys):
+    assert bench.main([]) == 0
+    assert [" bare " in line for line in capsys.readouterr().out.splitlines()] == [True] * 3
+
+
+def test_the_bare_maps_compute_the_same():
+    action = np.random.default_rng(1).uniform(-1, 1, (50, 6))
+    assert bench.bare_servo_from_action(action) == pytest.approx(servo_from_action(action), abs=1e-12)
+    posture = joints_from_synergy(HPAC.synergy_min + 0.5 * (action + 1) * (HPAC.synergy_max - HPAC.synergy_min))
+    assert bench.bare_servo_from_joints(posture) == pytest.approx(servo_from_joints(posture), abs=1e-12)
+
+
+@pytest.mark.slow
+def test_one_command_costs_at_most_25_us_and_a_batch_runs_at_2_million_postures_a_second():
+    """The best of some runs: what the machine's other work did not disturb."""
+    runs = [bench.model_rows() for _ in range(5)]
+    assert min(one.value for one, _ in runs) <= 25
+    assert max(batch.value for _, batch in runs) >= 2

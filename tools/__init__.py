@@ -1,0 +1,1 @@
+"""The workshop: generators, searches and benchmarks that are run from a checkout and are no part of the wheel."""

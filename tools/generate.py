@@ -1,0 +1,73 @@
+"""Write every generated file of the checkout: ``make generate``. ``--check`` compares and exits with status 1 when one is stale.
+
+Model files come from ``hpac_gym/body/data`` and the hand's parameters, the firmware's header, ``docs/wire.md`` and its test
+vectors from the protocol and the hand's parameters, the tables of ``docs/environments`` and ``docs/grasps.md`` from the tasks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from hpac_gym.body.geometry import load_geometry
+from hpac_gym.body.object_models import load_object_models
+from hpac_gym.body.object_urdf import object_urdf
+from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, hand_urdf
+from hpac_gym.bridge import generate as wire
+from hpac_gym.physics.mjcf import FILES, hand_mjcf
+from hpac_gym.physics.settings import BODIES
+from tools.tables import documents
+
+ROOT = Path(__file__).parents[1]
+_NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
+
+
+def generated() -> dict[Path, str]:
+    """Every generated file and what it must contain."""
+    urdf, mjcf, geometry = ROOT / "assets" / "urdf", ROOT / "assets" / "mjcf", load_geometry()
+    return {
+        urdf / HAND_URDF: hand_urdf(geometry),
+        urdf / HAND_ON_WRIST_URDF: hand_urdf(geometry, on_wrist=True),
+        **{urdf / "objects" / f"{name}.urdf": object_urdf(model) for name, model in load_object_models().items()},
+        **{mjcf / name: hand_mjcf(geometry, BODIES[body], on_wrist) for name, (body, on_wrist) in FILES.items()},
+        **wire.generated(),
+        **documents(),
+    }
+
+
+def is_stale(path: Path, text: str) -> bool:
+    """Whether a file is missing or says something else.
+
+    Numbers of a model file may differ after the eighth digit: the last digit of a sine differs between processors.
+    """
+    if not path.exists():
+        return True
+    committed = path.read_text(encoding="utf-8")
+    if committed == text:
+        return False
+    if path.suffix not in (".urdf", ".xml") or _NUMBER.sub("#", committed) != _NUMBER.sub("#", text):
+        return True
+    one, other = ([float(number) for number in _NUMBER.findall(version)] for version in (committed, text))
+    return not np.allclose(one, other, rtol=1e-8, atol=1e-14)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Write or check the files; the exit status says whether they were up to date."""
+    parser = argparse.ArgumentParser(prog="python -m tools.generate", description="Write every generated file.")
+    parser.add_argument("--check", action="store_true", help="compare, write nothing")
+    check = parser.parse_args(argv).check
+    stale = {path: text for path, text in generated().items() if is_stale(path, text)}
+    for path, text in stale.items():
+        print(f"{path.relative_to(ROOT)}: {'out of date, run make generate' if check else 'written'}")
+        if not check:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+    return 1 if check and stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

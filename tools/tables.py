@@ -1,0 +1,191 @@
+"""The tables of ``docs/environments`` and ``docs/grasps.md``, from the code; ``make generate`` writes them.
+
+A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hpac_gym.body.object_models import ObjectModel
+from hpac_gym.envs.options import GRASP, OPTIONS, PICK_PLACE, POSTURE, Option
+from hpac_gym.envs.randomization import PRESETS, Randomization
+from hpac_gym.model import HPAC, SERVOS
+from hpac_gym.tasks.grasp import Grasp
+from hpac_gym.tasks.grasp_data import GRASPS
+from hpac_gym.tasks.pick_place import PickPlace
+from hpac_gym.tasks.posture import Posture
+from hpac_gym.tasks.task import CONTROL_HZ, Task
+from hpac_gym.tasks.terms import Term
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows))
+
+
+def span(values: Any) -> str:
+    """A pair of numbers as a range, and a number as it is."""
+    return " … ".join(f"{value:g}" for value in values) if isinstance(values, tuple) else f"{values:g}"
+
+
+def summary_table(env_id: str, task: Task) -> str:
+    """What people look for first."""
+    rows = [["make", f'`gymnasium.make("hpac_gym:{env_id}")`']]
+    for obs in next(option for option in OPTIONS if option.name == "obs").values:
+        with gymnasium.make(env_id, obs=obs) as env:
+            if len(rows) == 1:
+                rows.append(["action space", f"`{env.action_space}`"])
+            rows.append([f'observation space, `obs="{obs}"`', f"`{space_in_words(env.observation_space)}`"])
+    return table(["", ""], [*rows, ["length", f"{round(task.duration * CONTROL_HZ)} steps, {task.duration:g} s"]])
+
+
+def space_in_words(space: gymnasium.Space) -> str:
+    """A space without the bounds of every entry."""
+    if isinstance(space, gymnasium.spaces.Dict):
+        return f"Dict({', '.join(f'{name}: {space_in_words(part)}' for name, part in space.items())})"
+    return f"Box({space.shape}, {space.dtype})"
+
+
+def option_table(env_id: str) -> str:
+    """The arguments of an id."""
+    taken = [option for option in OPTIONS if env_id in option.ids]
+    rows = [[f"`{option.name}`", values_of(option), shown(option.default), option.meaning] for option in taken]
+    return table(["argument", "values", "default", "meaning"], rows)
+
+
+def values_of(option: Option) -> str:
+    """What an option may be; the sixteen grasps have a page of their own."""
+    named = ["None", "[a name](../grasps.md)"] if option.name == "grasp" else list(map(shown, option.values))
+    return ", ".join([*named, *filter(None, [option.others])])
+
+
+def shown(value: Any) -> str:
+    """A value as a person would write it."""
+    if value is None or value is HPAC:
+        return "None" if value is None else "`HPAC`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value!r}`"
+
+
+def action_table() -> str:
+    """What the six numbers of an action mean."""
+    rows = [
+        [str(index), f"`{name}`", f"{HPAC.synergy_min[index]:.4g}", f"{HPAC.synergy_max[index]:.4g}"]
+        for index, name in enumerate(SERVOS)
+    ]
+    return table(["index", "joint that the servo drives", "at −1 [rad]", "at 1 [rad]"], rows)
+
+
+def term_table(terms: Sequence[Term], start: int = 0) -> str:
+    """A run of the observation vector."""
+    rows = []
+    for term in terms:
+        end = start + len(term.labels) - 1
+        index = str(start) if end == start else f"{start}–{end}"
+        rows.append([index, f"`{term.name}`", ", ".join(term.labels), term.unit, span((term.low, term.high)), term.meaning])
+        start = end + 1
+    return table(["index", "field", "entries", "unit", "bounds", "meaning"], rows)
+
+
+def reward_table(task: Task) -> str:
+    """The terms of the dense reward."""
+    return table(["term", "value"], [[f"`{term.name}`", term.meaning] for term in task.reward_terms])
+
+
+def config_table(task: Task) -> str:
+    """The settings that an episode is drawn from and judged by."""
+    described = [field for field in fields(task.config) if "meaning" in field.metadata]
+    rows = [[f"`{field.name}`", span(getattr(task.config, field.name)), field.metadata["meaning"]] for field in described]
+    return table(["name", "value", "meaning"], rows)
+
+
+def phase_list(task: Task) -> str:
+    """When each phase of a task begins."""
+    begins: dict[str, float] = {}
+    for step in range(round(task.duration * CONTROL_HZ)):
+        time = step / CONTROL_HZ
+        begins.setdefault(task.phases[int(task.phase(np.array([time]))[0])], time)
+    steps = [f"`{name}` from {begin:g} s" for name, begin in begins.items()]
+    return f"{', '.join(steps)}; the end is at {task.duration:g} s."
+
+
+def randomization_table() -> str:
+    """Every quantity, its bounds, and what the presets make of it."""
+    presets = {name: preset for name, preset in PRESETS.items() if name != "nominal"}
+    rows = []
+    for quantity in fields(Randomization):
+        given = [getattr(preset, quantity.name) for preset in presets.values()]
+        cells = ["–" if value == quantity.default else span(value) for value in given]
+        rows.append([f"`{quantity.name}`", quantity.metadata["meaning"], span(quantity.metadata["bounds"]), *cells])
+    return table(["name", "meaning", "bounds", *(f'"{name}"' for name in presets)], rows)
+
+
+def object_table() -> str:
+    """The object of every grasp, what its source prints of it, and what takes its place in the variant of shape."""
+    rows = []
+    for name, grasp in GRASPS.items():
+        shape = grasp.variant("shape").object
+        rows.append([f"`{name}`", *_measures(grasp.object), grasp.object.source, grasp.object.chosen, shape.about])
+    return table(["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'], rows)
+
+
+def _measures(model: ObjectModel) -> list[str]:
+    sides = (f"{1e3 * side:.3g}" for side in dict.fromkeys(model.size))
+    return [model.about, " × ".join(sides), f"{1e3 * model.mass:.3g}"]
+
+
+Makers = dict[str, Callable[[], str]]
+
+
+def task_tables(env_id: str, task: Task) -> Makers:
+    """The tables of an id's page."""
+    deployed = sum(len(term.labels) for term in task.terms)
+    makers: Makers = {
+        "summary": lambda: summary_table(env_id, task),
+        "action": action_table,
+        "observation": lambda: term_table(task.terms),
+        "privileged": lambda: term_table(task.privileged_terms, deployed),
+        "reward": lambda: reward_table(task),
+        "arguments": lambda: option_table(env_id),
+    }
+    if task.goal_terms:
+        return makers | {"goal": lambda: term_table(task.goal_terms)}
+    return makers | {"start": lambda: config_table(task), "phases": lambda: phase_list(task)}
+
+
+PAGES: dict[str, Makers] = {
+    "environments/README.md": {"randomization": randomization_table},
+    "environments/grasp.md": task_tables(GRASP, Grasp()),
+    "environments/pick_place.md": task_tables(PICK_PLACE, PickPlace()),
+    "environments/posture.md": task_tables(POSTURE, Posture()),
+    "grasps.md": {"objects": object_table},
+}
+"""Which tables every page in `DOCS` has, by their names."""
+
+
+def filled(page: str, tables: Makers) -> str:
+    """The page with every table as the code has it.
+
+    Raises:
+        ValueError: The page has no place for a table.
+    """
+    for name, make in tables.items():
+        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        if page.count(begin) != 1 or page.count(end) != 1:
+            raise ValueError(f"the page needs '{begin}' and '{end}' once")
+        before, rest = page.split(begin)
+        page = f"{before}{begin}\n{make()}\n{end}{rest.split(end)[1]}"
+    return page
+
+
+def documents() -> dict[Path, str]:
+    """Every page with its tables as the code has them."""
+    return {DOCS / name: filled((DOCS / name).read_text(encoding="utf-8"), tables) for name, tables in PAGES.items()}

@@ -1,0 +1,96 @@
+"""How well the thumb opposes each finger: ``python -m tools.thumb_search`` prints postures and distances.
+
+Run it after a change to the body and put the postures that it prints into ``hpac_gym/body/data/geometry.toml``. The search
+moves thumb MP, CMC and the finger's MCP; the other joints follow on the elastic manifold, so a posture found is one that six
+servos can take.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from hpac_gym.body.geometry import Array, Geometry, link_poses, load_geometry
+from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, SERVO_INDEX, SERVOS, joints_from_synergy
+
+CLEARANCE = 1e-4
+"""Distance that the search leaves between the two fingertips [m]."""
+_GAP_WEIGHT = 10.0  # touching counts more than touching in the middle of the pads
+_STARTS = ((0.6, 0.3, 0.6), (1.0, 0.4, 0.8), (1.4, 0.6, 0.8))
+_SAMPLES = np.linspace(0.0, 1.0, 101)[:, None]
+
+
+@dataclass(frozen=True, slots=True)
+class Opposition:
+    """One posture in which the thumb meets a finger."""
+
+    synergy: Array
+    """Shape (6,) [rad]."""
+    gap: float
+    """Between the surfaces of the two distal links, negative where they overlap [m]."""
+    pad_distance: float
+    """Between the two pads' centres [m]."""
+    pad_angle: float
+    """Between one pad's normal and the other's reversed [rad]."""
+
+
+def find_opposition(geometry: Geometry, finger: str) -> Opposition:
+    """The posture that brings the thumb's pad onto a finger's, the surfaces `CLEARANCE` apart: the best of a few starts."""
+    moved = [SERVO_INDEX[name] for name in ("thumb_cmc", "thumb_mp", f"{finger}_mcp")]
+    bounds = HPAC.synergy_min[moved], HPAC.synergy_max[moved]
+
+    def synergy_of(coordinates: Array) -> Array:
+        synergy = np.zeros(len(SERVOS))
+        synergy[moved] = coordinates
+        return synergy
+
+    def residual(coordinates: Array) -> Array:
+        offset, gap, _ = _contact(geometry, finger, synergy_of(coordinates))
+        return np.array([*offset, _GAP_WEIGHT * (gap - CLEARANCE)])
+
+    # Lengths are in metres and angles in radians: tolerances relative to a cost of about 1e-6 m² must be tight.
+    fits = [least_squares(residual, start, bounds=bounds, ftol=1e-12, xtol=1e-12, gtol=1e-15) for start in _STARTS]
+    synergy = synergy_of(min(fits, key=lambda fit: fit.cost).x)
+    offset, gap, angle = _contact(geometry, finger, synergy)
+    return Opposition(synergy, gap, float(np.linalg.norm(offset)), angle)
+
+
+def _contact(geometry: Geometry, finger: str, synergy: Array) -> tuple[Array, float, float]:
+    """Offset between the pads (3,) [m], gap between the distal links [m], angle between the pads' normals [rad]."""
+    angles = joints_from_synergy(synergy)
+    pads, normals, segments, reach = [], [], [], 0.0
+    for digit in (geometry.digit("thumb"), geometry.digit(finger)):
+        own = np.array([angles[JOINT_INDEX[phalanx.joint]] for phalanx in digit.phalanges])
+        position, rotation = link_poses(digit, own)[-1]
+        capsule = digit.phalanges[-1].capsule
+        pads.append(position + rotation @ digit.pad)
+        normals.append(rotation @ digit.pad_normal)
+        segments.append((position + rotation @ capsule.start, position + rotation @ capsule.end))
+        reach += capsule.radius
+    angle = np.arccos(np.clip(-normals[0] @ normals[1], -1.0, 1.0))
+    return pads[0] - pads[1], _segment_distance(*segments) - reach, float(angle)
+
+
+def _segment_distance(one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
+    """Distance of two segments [m]: the first one sampled, the second one exact."""
+    points = one[0] + _SAMPLES * (one[1] - one[0])
+    along = other[1] - other[0]
+    foot = np.clip((points - other[0]) @ along / (along @ along), 0.0, 1.0)
+    return float(np.linalg.norm(points - other[0] - foot[:, None] * along, axis=1).min())
+
+
+def main() -> None:
+    """Print the best posture for each finger."""
+    geometry = load_geometry()
+    for finger in FINGERS:
+        found = find_opposition(geometry, finger)
+        print(
+            f"{finger:6} = {np.round(found.synergy, 3).tolist()}  # gap {1e3 * found.gap:.2f} mm, "
+            f"pads {1e3 * found.pad_distance:.2f} mm apart, normals {np.degrees(found.pad_angle):.0f} deg"
+        )
+
+
+if __name__ == "__main__":
+    main()
