@@ -30,6 +30,12 @@ TARGET_HALF_WIDTH = 0.05
 """Of the post at a setup's target [m]."""
 SUPPORT_FRICTION = 0.8
 """Of posts, walls and table; the object's multiplies it."""
+TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
+"""Of the table [m]."""
+GREY, GREEN, WOOD = (0.55, 0.55, 0.58, 1.0), (0.45, 0.62, 0.48, 1.0), (0.78, 0.70, 0.58, 1.0)
+"""Colours of posts and walls, of the target's post and of the table, RGBA."""
+OBJECT_COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
+"""Colours of the primitive objects, RGBA."""
 WRIST_FORCE = 200.0
 """What the arm can push along each axis [N]."""
 MAX_JOINT_SPEED = 20.0

@@ -39,13 +39,12 @@ def coupling_rows(hand: Hand) -> tuple[Array, Array]:
     """
     rows, stiffnesses = [], []
     for digit in hand.digits.values():
-        for segment, length in enumerate(digit.path_length):
+        for segment, stiffness in enumerate(digit.segment_stiffness):
             row = np.zeros(len(JOINTS))
             row[JOINT_INDEX[digit.joints[segment]]] = digit.joint_radius[segment]
             row[JOINT_INDEX[digit.joints[segment + 1]]] = -digit.joint_radius[segment + 1]
-            doubled = 2.0 if segment == 0 and len(digit.path_length) > 1 else 1.0
             rows.append(row)
-            stiffnesses.append(doubled * digit.tendon_stiffness / length)
+            stiffnesses.append(stiffness)
     return np.array(rows), np.array(stiffnesses)
 
 

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from hpac_gym.model import DIGITS, JOINTS, SERVOS, Hand, joints_from_synergy, servo_from_synergy
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, PARTS, SUPPORT_FRICTION, SceneSetup
+from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PARTS, SUPPORT_FRICTION, SceneSetup
 from hpac_gym.physics.mjcf import Mechanics, coupling_names
 from hpac_gym.physics.mujoco.model import (
-    COLORS,
     FORCE_SIZE,
     KINDS,
     ROOTS,
@@ -203,7 +202,7 @@ class Group:
             }[solid.kind]  # fmt: skip
         # The hand's skin and the support multiply the object's friction; MuJoCo takes the value of the higher priority.
         fields["geom_friction"][world, at.object_geoms, 0] = setup.hand_settings.contact_friction * spec.friction
-        color = COLORS[spec.shape] if spec.model is None else object_models()[spec.model].color
+        color = OBJECT_COLORS[spec.shape] if spec.model is None else object_models()[spec.model].color
         fields["geom_rgba"][world, at.object_geoms] = color
         centre, inertia = inertia_of(spec)
         moments, turn = self._principal(inertia)

@@ -18,7 +18,18 @@ from hpac_gym.body.object_models import ObjectModel, Solid, load_object_models
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, PARTS, POST_HALF_WIDTH, TARGET_HALF_WIDTH, SceneSetup, matrix_from_quaternion
+from hpac_gym.physics.engine import (
+    GREEN,
+    GREY,
+    HAND_POSITION,
+    PARTS,
+    POST_HALF_WIDTH,
+    TABLE_HALF_EXTENTS,
+    TARGET_HALF_WIDTH,
+    WOOD,
+    SceneSetup,
+    matrix_from_quaternion,
+)
 from hpac_gym.physics.mjcf import hand_mjcf, mass_matrix, root_frames
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
@@ -33,9 +44,6 @@ BRAKES = 5
 WRIST_STIFFNESS = 1e7
 """Stiffness of the servos that carry the palm [N/m]: weight and shake move it by less than 1 µm. Their force has no limit:
 MuJoCo would apply one before a step, when so stiff a servo asks for thousands of newtons that it never exerts in the step."""
-TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
-GREY, GREEN, WOOD = (0.55, 0.55, 0.58, 1.0), (0.45, 0.62, 0.48, 1.0), (0.78, 0.70, 0.58, 1.0)
-COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
 KINDS = {
     "sphere": int(mujoco.mjtGeom.mjGEOM_SPHERE),
     "capsule": int(mujoco.mjtGeom.mjGEOM_CAPSULE),

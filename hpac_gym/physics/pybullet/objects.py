@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 from hpac_gym.body.assets import asset_path
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import OBJECT_COLORS
 from hpac_gym.physics.pybullet.world import World
 
 SPIN_DECAY = 6.0
 """Rate at which a named object loses its spin [1/s]. The direct solver knows no friction against twisting on a fingertip:
 without this, what two fingertips hold would swing for ever."""
 
-_COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
 
 
 class SimObject:
@@ -132,7 +132,7 @@ def _collision_shape(spec: ObjectSpec, client: int) -> int:
 
 def _visual_shape(spec: ObjectSpec, client: int) -> int:
     radius, _, half_height = spec.half_extents
-    color = _COLORS[spec.shape]
+    color = OBJECT_COLORS[spec.shape]
     if spec.shape == "box":
         return pybullet.createVisualShape(
             pybullet.GEOM_BOX, halfExtents=spec.half_extents, rgbaColor=color, physicsClientId=client

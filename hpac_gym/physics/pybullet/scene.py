@@ -7,7 +7,17 @@ import pybullet
 
 from hpac_gym.body.objects import Support
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, POST_HALF_WIDTH, SUPPORT_FRICTION, TARGET_HALF_WIDTH, SceneSetup
+from hpac_gym.physics.engine import (
+    GREEN,
+    GREY,
+    HAND_POSITION,
+    POST_HALF_WIDTH,
+    SUPPORT_FRICTION,
+    TABLE_HALF_EXTENTS,
+    TARGET_HALF_WIDTH,
+    WOOD,
+    SceneSetup,
+)
 from hpac_gym.physics.pybullet.hand import HAND_ALONE, HAND_ON_WRIST, SimHand
 from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
 from hpac_gym.physics.pybullet.world import World
@@ -15,7 +25,6 @@ from hpac_gym.physics.settings import WorldSettings
 
 _EPISODES = 200
 """Between two loadings of the hand."""
-_GREY, _GREEN, _WOOD = (0.55, 0.55, 0.58, 1.0), (0.45, 0.62, 0.48, 1.0), (0.78, 0.70, 0.58, 1.0)
 
 
 class Scene:
@@ -90,14 +99,14 @@ class Scene:
         floor = support.table_height
         below, turned = np.array([centre[0], centre[1], floor]), _matrix(turn)
         boxes = [
-            self._fixed_box(half_extents, below + turned @ place, _GREY, turn)
+            self._fixed_box(half_extents, below + turned @ place, GREY, turn)
             for half_extents, place in support.boxes(centre[2] - reach - floor)
         ]
-        table = self._fixed_box((0.35, 0.35, 0.01), (centre[0], centre[1], floor - 0.01), _WOOD)
+        table = self._fixed_box(TABLE_HALF_EXTENTS, (centre[0], centre[1], floor - 0.01), WOOD)
         self.supports = (*boxes, table)
         if setup.target is not None:
             x, y, z = HAND_POSITION + self.to_hand.T @ setup.target - [0.0, 0.0, reach]
-            self.target_post = self._fixed_box((TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2), (x, y, z / 2), _GREEN)
+            self.target_post = self._fixed_box((TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2), (x, y, z / 2), GREEN)
             self.supports = (*self.supports, self.target_post)
 
     def _fixed_box(self, half_extents, position, color, turn=(0.0, 0.0, 0.0, 1.0)) -> int:
