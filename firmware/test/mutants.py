@@ -1,7 +1,9 @@
 """Mutants: small faults made by rule in the firmware's sources, each of which the tests must notice.
 
-`make -C firmware mutants` makes them all over core and ESP32 port and prints the score; it takes tens of minutes.
-`--controls` tries the named faults below alone, in seconds: the negative controls of the tests themselves.
+`make -C firmware mutants` makes them all over core and ESP32 port and prints the score; it takes tens of minutes. What it has
+found stands in build/mutants.txt, and a run that was cut short goes on from there: a mutant that was noticed is not tried again
+while its source stays as it is, a survivor is. `--sample N` draws N of them. `--controls` tries the named faults below alone, in
+seconds: the negative controls of the tests themselves.
 
 Rules: delete a statement, flip a comparison, exchange `&&` and `||`, add one to a constant, swap two arguments. A mutant
 that compiles to the same object code is no mutant. The judges run in turn, the quickest first, until one notices: the unit
@@ -11,6 +13,8 @@ tests, the hostile host, the flipped bits (core) or the chips that are not there
 from __future__ import annotations
 
 import argparse
+import hashlib
+import random
 import re
 import subprocess
 import sys
@@ -18,6 +22,7 @@ import tempfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from math import sqrt
 from pathlib import Path
 from threading import Lock
 
@@ -37,7 +42,7 @@ VARIANTS = {
 
 EQUIVALENT = FIRMWARE / "test" / "mutants.txt"
 """Survivors that were looked at: one line each, `file: rule: code | reason`; `=` before it if nothing that the hand does
-differs. They are left out of the score, the others count against it."""
+differs. Those are not tried again and left out of the score, the others count against it."""
 
 
 @dataclass(frozen=True)
@@ -200,25 +205,45 @@ def _line(mutant: Mutant) -> str:
     return mutant.describe(mutant.source.read_text())
 
 
-def judge_all(workshops: list[Workshop], mutants: list[Mutant], jobs: int) -> int:
+def _key(mutant: Mutant) -> str:
+    """What a verdict holds for: the mutated source, to the letter."""
+    return hashlib.sha256((mutant.source.name + mutant.mutated(mutant.source.read_text())).encode()).hexdigest()[:20]
+
+
+def _judge_once(workshops: list[Workshop], mutant: Mutant, number: int, record: Path, noticed: dict[str, str]) -> str:
+    """A mutant's verdict, taken from the record or written into it."""
+    if _key(mutant) not in noticed:
+        verdict = judge_mutant(workshops, mutant, number)
+        if verdict == "":
+            print(f"survives: {_line(mutant)}", file=sys.stderr, flush=True)
+            return verdict
+        with record.open("a") as file:
+            file.write(f"{_key(mutant)} {verdict}\n")
+        return verdict
+    return noticed[_key(mutant)]
+
+
+def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share."""
+    share, square = hits / count, z * z / count
+    middle, half = share + square / 2, z * sqrt(share * (1 - share) / count + square / (4 * count))
+    return (middle - half) / (1 + square), (middle + half) / (1 + square)
+
+
+def judge_all(workshops: list[Workshop], mutants: list[Mutant], jobs: int, record: Path, sampled: bool) -> int:
     """Judge mutants and print the score and the survivors."""
-    known = {}
-    if EQUIVALENT.exists():
-        lines = [line for line in EQUIVALENT.read_text().splitlines() if line and not line.startswith("#")]
-        known = dict(line.rsplit(" | ", 1) for line in lines)
+    lines = [line for line in EQUIVALENT.read_text().splitlines() if line and not line.startswith("#")]
+    known = dict(line.rsplit(" | ", 1) for line in lines)
+    noticed_before = dict(line.split() for line in record.read_text().splitlines()) if record.exists() else {}
+    noticed_before |= {_key(mutant): "equivalent" for mutant in mutants if "= " + _line(mutant) in known}
     with ThreadPoolExecutor(jobs) as pool:
-        verdicts = []
-        for verdict in pool.map(lambda pair: judge_mutant(workshops, pair[1], pair[0]), enumerate(mutants)):
-            verdicts.append(verdict)
-            if verdict == "":
-                print(f"{len(verdicts)} of {len(mutants)}: {_line(mutants[len(verdicts) - 1])}", file=sys.stderr, flush=True)
+        pairs = enumerate(mutants)
+        verdicts = list(pool.map(lambda pair: _judge_once(workshops, pair[1], pair[0], record, noticed_before), pairs))
     tally: dict[str, Counter] = {}
     unlisted = 0
     for mutant, verdict in zip(mutants, verdicts, strict=True):
         line = _line(mutant)
-        if verdict == "" and "= " + line in known:
-            verdict = "equivalent"
-        elif verdict == "":
+        if verdict == "":
             unlisted += line not in known
             print(f"survived: {line}" + (f" | {known[line]}" if line in known else ""))
         tally.setdefault(mutant.source.name, Counter())[verdict or "survived"] += 1
@@ -232,7 +257,9 @@ def judge_all(workshops: list[Workshop], mutants: list[Mutant], jobs: int) -> in
         print(f"{name:20} {noticed + counts['survived']:8} {noticed:8} {counts['survived']:8} {equivalent:10}")
     noticed = sum(total[judge] for judge in (*JUDGES["plain"], *VARIANTS))
     share = 100 * noticed / (noticed + total["survived"])
-    print(f"mutants: {noticed} of {noticed + total['survived']} that change behaviour noticed, {share:.1f} % (mark: 95)")
+    low, high = wilson(noticed, noticed + total["survived"])
+    of = f", a sample: 95 % interval {100 * low:.1f} to {100 * high:.1f} %" if sampled else ""
+    print(f"mutants: {noticed} of {noticed + total['survived']} that change behaviour noticed, {share:.1f} % (mark: 95){of}")
     return 0 if share >= 95 and not unlisted else 1
 
 
@@ -266,6 +293,9 @@ def main() -> int:
     parser.add_argument(
         "--only", type=Path, help="judge only the mutants whose lines stand in this file, survivors of a run before say"
     )
+    parser.add_argument("--sample", type=int, help="so many of them, drawn at random")
+    parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
+    parser.add_argument("--record", type=Path, default=FIRMWARE / "build" / "mutants.txt", help="what was noticed before")
     parser.add_argument("files", nargs="*", help="mutate these files only, by name")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -283,7 +313,10 @@ def main() -> int:
         if options.only:
             wanted = options.only.read_text()
             mutants = [mutant for mutant in mutants if _line(mutant) in wanted]
-        return judge_all(workshops, mutants, options.jobs)
+        if options.sample is not None:
+            mutants = random.Random(options.seed).sample(mutants, min(options.sample, len(mutants)))
+        options.record.parent.mkdir(exist_ok=True)
+        return judge_all(workshops, mutants, options.jobs, options.record, options.sample is not None)
 
 
 if __name__ == "__main__":

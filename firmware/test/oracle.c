@@ -232,8 +232,14 @@ static double speed_of(const oracle_t *o, int i)
     return (v + 3 * (10 * d - 6 * v) * s * s + 4 * (8 * v - 15 * d) * pow(s, 3) + 5 * (6 * d - 3 * v) * pow(s, 4)) / seconds;
 }
 
+/* How far the way to rest may be behind [urad]. */
+static double late_doubt(const oracle_t *o) { return o->guard.table[0].rate * RELAX_PERMILLE * 1e-9 * (double)o->ramp.late_us; }
+
 /* How far the pose may be off [urad]: a motion that has ended is exact again, one that was stopped is not. */
-static double pose_doubt(const oracle_t *o) { return moving(o) || o->ramp.duration_us == 0 ? o->ramp.doubt : 0; }
+static double pose_doubt(const oracle_t *o)
+{
+    return late_doubt(o) + (moving(o) || o->ramp.duration_us == 0 ? o->ramp.doubt : 0);
+}
 
 static void stop(oracle_t *o)
 {
@@ -299,8 +305,10 @@ static void check(oracle_t *o, const char *what, long is, long must, long tolera
 
 static void detach(oracle_t *o)
 {
+    o->placed |= o->attached;
     o->attached = 0;
     o->starting = o->relaxing = o->repeatable = false;
+    o->due = 0;
     o->hold_left_us = 0;
 }
 
@@ -347,7 +355,7 @@ static void check_status(oracle_t *o, uint16_t seq)
         check(o, "moving", p[7], moving(o) || o->starting, 0);
     }
     for (int i = 0; i < ORACLE_SERVOS; i++) {
-        check(o, "servo angle", (int16_t)number(p + 8 + 2 * i, 2), lround(angle_of(o, i) / 100), 1 + (long)(o->ramp.doubt / 100));
+        check(o, "servo angle", (int16_t)number(p + 8 + 2 * i, 2), lround(angle_of(o, i) / 100), 1 + (long)((o->ramp.doubt + late_doubt(o)) / 100));
         check(o, "heat", p[20 + i], lround(floor(fmin(o->heat[i] / HEAT_LIMIT * 100, 255))), 1);
         share = fmin(share, rate_share(o->heat[i]));
     }
@@ -361,22 +369,68 @@ static void check_status(oracle_t *o, uint16_t seq)
     }
 }
 
-static void start_servos(oracle_t *o, int64_t step_us)
+/* Take over the angle that a standing servo's pulse shows, if it may be. True if it is known now. */
+static bool learn(oracle_t *o, int i)
 {
-    if (o->state != ARMED || !o->starting) {
+    const oracle_servo_t *s = &o->guard.table[i];
+    if (o->pulses == NULL || o->pulses[i] == 0u || o->ramp.duration_us != 0) {
+        return false;
+    }
+    double shown = s->centre + s->direction * (o->pulses[i] - s->centre_ns - s->trim_ns) / s->ns_per_rad * 1e6;
+    bool possible = fabs(shown - o->ramp.to[i]) <= URAD + o->ramp.doubt;
+    if (possible && fabs(shown - o->ramp.to[i]) > 2) { /* a pulse tells no more than that */
+        o->ramp.from[i] = o->ramp.to[i] = fabs(shown - s->rest) > 2 ? shown : s->rest;
+    }
+    return possible;
+}
+
+/* A servo is due. The moment follows from an angle, so it is known to a few microseconds only: the pulses tell whether the
+ * servo has begun. Of a call without pulses that is a guess, which the next pulses mend; the servo after it then starts in
+ * between what is possible. */
+static void watch_start(oracle_t *o)
+{
+    const int i = o->due - 1;
+    const oracle_servo_t *s = &o->guard.table[i];
+    const uint8_t bit = (uint8_t)(1u << i);
+    bool over = o->passed_us >= o->due_until_us || o->state != ARMED;
+    bool shown = o->pulses != NULL && o->pulses[i] != 0u;
+    bool begun = o->pulses != NULL ? shown || (over && o->state == ARMED) : 2 * o->passed_us >= o->due_from_us + o->due_until_us;
+    if (o->state != ARMED && o->pulses == NULL) {
+        return; /* it keeps what it had at the fault */
+    }
+    double slack = learn(o, i) ? 1 : (URAD + pose_doubt(o)) / START_SPEED;
+    bool placed = (o->placed & bit) != 0;
+    double takes = SETTLE_US + (placed ? fabs(angle_of(o, i) - s->rest) : s->max - s->min) / START_SPEED;
+    o->chance_us = o->pulses != NULL && !begun ? o->passed_us : o->chance_us;
+    o->start_from_us = o->chance_us + (int64_t)(takes - (placed ? slack : 0));
+    o->start_until_us = o->passed_us + (int64_t)(takes + (placed ? slack : 0));
+    o->attached = (uint8_t)(begun ? o->attached | bit : o->attached & ~bit);
+    if (shown || over) {
+        o->due = 0;
+        o->placed |= begun ? bit : 0u;
+    }
+    if (o->state != ARMED && o->attached == 0) {
+        detach(o);
+    } else if (o->relaxing) { /* with or without this servo */
+        int64_t elapsed_us = o->ramp.elapsed_us;
+        o->ramp.elapsed_us = 0;
+        go_to_rest(o);
+        o->ramp.elapsed_us = elapsed_us;
+    }
+}
+
+static void start_servos(oracle_t *o)
+{
+    if (o->state != ARMED || !o->starting || o->due != 0u || moving(o) || o->passed_us < o->start_from_us) {
         return;
     }
-    o->start_left_us = o->start_left_us > step_us ? o->start_left_us - step_us : 0;
-    if (o->start_left_us > 0 || moving(o)) {
-        return;
-    }
-    for (int i = 0; i < ORACLE_SERVOS; i++) {
+    for (uint8_t i = 0; i < ORACLE_SERVOS; i++) {
         if ((o->attached >> i & 1) == 0) {
-            const oracle_servo_t *s = &o->guard.table[i];
-            double travel = (o->placed >> i & 1) != 0 ? fabs(angle_of(o, i) - s->rest) : s->max - s->min;
-            o->start_left_us = (int64_t)(SETTLE_US + travel / START_SPEED);
-            o->attached |= (uint8_t)(1u << i);
-            o->placed |= (uint8_t)(1u << i);
+            o->due = (uint8_t)(i + 1u);
+            o->chance_us = o->passed_us;
+            o->due_from_us = o->start_from_us;
+            o->due_until_us = o->start_until_us;
+            watch_start(o);
             return;
         }
     }
@@ -387,13 +441,15 @@ static void start_servos(oracle_t *o, int64_t step_us)
         at_rest = at_rest && off < 0.5;
         nearly = nearly && off < 3;
     }
+    if (at_rest && o->passed_us < o->start_until_us) {
+        return; /* it may be done, or not yet */
+    }
     o->in_doubt = o->in_doubt || (nearly && !at_rest);
     o->starting = !at_rest || (o->in_doubt && o->ramp.late_us > 0 && o->ramp.elapsed_us < o->ramp.duration_us + o->ramp.late_us);
     if (!at_rest) {
         go_to_rest(o);
-        if (o->in_doubt) { /* with this call or with the next */
-            o->ramp.late_us = STEP_MAX_US;
-            o->ramp.doubt = o->guard.table[0].rate * RELAX_PERMILLE * 1e-9 * STEP_MAX_US;
+        if (o->in_doubt) { /* with this call or a later one */
+            o->ramp.late_us = STEP_MAX_US + o->start_until_us - o->start_from_us;
         }
     }
 }
@@ -443,11 +499,15 @@ static void advance(oracle_t *o, uint64_t now_us)
     if (!moving(o)) {
         o->behind_us = 0;
     }
+    o->passed_us += step;
     int64_t left = o->ramp.duration_us - o->ramp.elapsed_us;
-    int64_t start_in_us = o->start_left_us - step;
-    bool may_start = o->starting && o->start_left_us > 0 && start_in_us < DOUBT_US && start_in_us > -DOUBT_US;
+    bool may_start = o->passed_us >= o->start_from_us && o->passed_us < o->start_until_us;
     bool may_end = left < DOUBT_US && left > -DOUBT_US - step - o->ramp.late_us;
-    o->in_doubt = ((o->starting || o->relaxing) && o->ramp.duration_us > 0 && may_end) || may_start || (o->in_doubt && step < DOUBT_US);
+    o->in_doubt = ((o->starting || o->relaxing) && o->ramp.duration_us > 0 && may_end) || (o->starting && (may_start || o->due != 0u))
+                  || (o->in_doubt && step < DOUBT_US);
+    if (o->due != 0u) {
+        watch_start(o);
+    }
     if (o->estop_pressed && o->fault != BY_ESTOP) {
         enter_fault(o, BY_ESTOP, NOBODY);
     }
@@ -459,7 +519,7 @@ static void advance(oracle_t *o, uint64_t now_us)
     if (o->state == ARMED && o->supply_low_us >= SUPPLY_LOW_US) {
         enter_fault(o, BY_SUPPLY, NOBODY);
     }
-    start_servos(o, step);
+    start_servos(o);
     if (o->relaxing && !moving(o)) {
         detach(o);
     } else if (o->hold_left_us > 0) {
@@ -511,8 +571,7 @@ static verdict_t judge_arm(const oracle_t *o, const uint8_t *p)
 
 static void plan(const oracle_t *o, const uint8_t *p, bool minimum_jerk, oracle_ramp_t *ramp)
 {
-    ramp->minimum_jerk = minimum_jerk;
-    ramp->elapsed_us = 0;
+    *ramp = (oracle_ramp_t){ .minimum_jerk = minimum_jerk };
     ramp->duration_us = (int64_t)number(p + 4, 2) * 1000 + (o->behind_us < WATCHDOG_MAX_MS * 1000 ? o->behind_us : WATCHDOG_MAX_MS * 1000);
     /* speeds are computed to a few urad per move: the shorter the move before, the coarser */
     ramp->doubt = pose_doubt(o);
@@ -673,7 +732,7 @@ static void carry_out(oracle_t *o, const uint8_t *frame, uint32_t crc, bool repe
             o->arms++;
             o->state = ARMED;
             o->starting = true;
-            o->start_left_us = POWER_ON_US;
+            o->start_from_us = o->start_until_us = o->passed_us + POWER_ON_US;
         }
     } else if (type == MOVE && !repeat) {
         oracle_ramp_t ramp;
@@ -803,39 +862,57 @@ static void take_answers(oracle_t *o, const uint8_t *bytes, size_t length)
     }
 }
 
-/* In doubt about a moment, take over what the pulses show. */
-static void believe(oracle_t *o, const uint32_t *pulses)
+/* The way to rest may have begun a moment later than it has in here: take over how far the pulses have come. */
+static void watch_way_to_rest(oracle_t *o, const uint32_t *pulses)
 {
-    uint8_t attached = 0;
-    for (int i = 0; i < ORACLE_SERVOS; i++) {
-        attached |= (uint8_t)(pulses[i] != 0u ? 1u << i : 0u);
+    oracle_ramp_t *r = &o->ramp;
+    int far = 0;
+    for (int i = 1; i < ORACLE_SERVOS; i++) {
+        far = fabs(r->to[i] - r->from[i]) > fabs(r->to[far] - r->from[far]) ? i : far;
     }
-    if (!o->in_doubt || attached == o->attached) {
+    double way = r->to[far] - r->from[far];
+    if (r->late_us == 0 || !o->starting || pulses[far] == 0u || fabs(way) < URAD || r->doubt > 3 * URAD) {
         return;
     }
-    if (o->relaxing || (o->state == IN_FAULT && o->attached == 0u)) {
-        if (attached == 0u) {
-            o->ramp.elapsed_us = o->ramp.duration_us;
-            detach(o);
-        }
-        return; /* a moment later, it will */
+    double gone = (pulses[far] - pulse_of(&o->guard.table[far], r->from[far])) / o->guard.table[far].ns_per_rad * 1e6
+                  * o->guard.table[far].direction;
+    int64_t behind_us = r->elapsed_us - (int64_t)(gone / way * (double)r->duration_us);
+    bool begun = fabs(gone) > 2 * (URAD + r->doubt);
+    if (begun && behind_us > -DOUBT_US && behind_us < r->late_us + DOUBT_US) {
+        r->elapsed_us -= behind_us; /* known from now on */
+        r->late_us = 0;
+        r->doubt += URAD;
+    } else if (!begun && r->elapsed_us <= r->late_us) {
+        r->late_us -= r->elapsed_us;
+        r->elapsed_us = 0;
     }
-    if (o->state == ARMED && attached == o->attached * 2u + 1u) { /* started a moment earlier */
-        o->start_left_us = 0;
+}
+
+/* In doubt about the end of a relax, take over what the pulses show. */
+static void watch_end(oracle_t *o, const uint32_t *pulses)
+{
+    bool silent = true;
+    for (int i = 0; i < ORACLE_SERVOS; i++) {
+        silent = silent && pulses[i] == 0u;
+    }
+    if (o->in_doubt && silent && o->relaxing) {
         o->ramp.elapsed_us = o->ramp.duration_us;
-        start_servos(o, 0);
-    } else if (o->state == ARMED && o->attached == attached * 2u + 1u) { /* a moment later: with the next call */
-        o->attached = attached;
-        o->start_left_us = 1;
-    }
+        detach(o);
+    } /* or a moment later, it will */
 }
 
 static void check_pulses(oracle_t *o, const uint32_t *pulses)
 {
-    believe(o, pulses);
+    bool known = true;
+    for (int i = 0; i < ORACLE_SERVOS; i++) {
+        known = learn(o, i) && known;
+    }
+    o->ramp.doubt = known ? fmin(2, o->ramp.doubt) : o->ramp.doubt;
+    watch_end(o, pulses);
+    watch_way_to_rest(o, pulses);
     for (int i = 0; i < ORACLE_SERVOS; i++) {
         double must = (o->attached >> i & 1) != 0 ? pulse_of(&o->guard.table[i], angle_of(o, i)) : 0;
-        if (!(o->in_doubt && (pulses[i] == 0u) != (must == 0)) && fabs(pulses[i] - must) > (must == 0 ? 0 : NS + o->ramp.doubt)) {
+        if (!(o->in_doubt && (pulses[i] == 0u) != (must == 0)) && fabs(pulses[i] - must) > (must == 0 ? 0 : NS + o->ramp.doubt + late_doubt(o))) {
             say(&o->guard, "servo %d: a pulse of %lu ns, expected %.1f (state %u, fault %u)", i, (unsigned long)pulses[i], must, o->state,
                 o->fault);
         }
@@ -865,6 +942,7 @@ void oracle_start(oracle_t *o, const oracle_servo_t table[ORACLE_SERVOS], uint8_
 bool oracle_judge(oracle_t *o, uint64_t now_us, const uint8_t *bytes, size_t length, const uint8_t *answers,
                   size_t answers_length, const uint32_t *pulses)
 {
+    o->pulses = pulses;
     take_answers(o, answers, answers_length);
     if (o->state == IN_FAULT && !o->started) {
         const uint8_t *p = answered(o, FAULT, 0, 6); /* what a suspicious reset made */

@@ -51,7 +51,12 @@ typedef struct {
     uint8_t answers[24][64]; /* frames of this call, decoded; the first byte is the length */
     unsigned answers_heard, answers_expected;
     uint64_t now_us, heard_us, load_us, status_us;
-    int64_t status_period_us, step_us, behind_us, start_left_us, hold_left_us, supply_low_us;
+    int64_t status_period_us, step_us, behind_us, hold_left_us, supply_low_us;
+    int64_t passed_us;                      /* the time that motions have taken up */
+    int64_t start_from_us, start_until_us;  /* in it, when the next servo starts: between these */
+    int64_t due_from_us, due_until_us, chance_us; /* when it may have started first */
+    uint8_t due;            /* the servo that starts about now, counted from 1 */
+    const uint32_t *pulses; /* of this call, or NULL */
     double heat[ORACLE_SERVOS];    /* permille squared */
     double pose[ORACLE_SERVOS];    /* at the last tick, urad */
     double credit[ORACLE_SERVOS];  /* urad */

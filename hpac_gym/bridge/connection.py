@@ -106,6 +106,9 @@ class Connection:
         info: the hand's answer to HELLO.
         known: what the hand has said about its state.
         ended: whether the port is closed.
+        watchdog: how long the armed hand waits for a sign of life [s].
+        fed_at: when the last one was sent [s, the transport's clock].
+        busy_until: when the last move will have ended [s, the transport's clock].
     """
 
     def __init__(
@@ -126,7 +129,9 @@ class Connection:
         self._attempts = attempts
         self._owner = os.getpid()
         self.ended = False
-        interrupts.link_opened()
+        self.watchdog = math.inf
+        self.fed_at = self.busy_until = 0.0
+        interrupts.link_opened(self)
 
     def require_owner(self) -> None:
         """Refuse to talk in a fork's child.
@@ -222,7 +227,7 @@ class Connection:
                 self._statistics.bad_frames += self.exchange.splitter.rejected_frames
                 self._statistics.bad_bytes += self.exchange.splitter.rejected_bytes
                 self.known.forget()
-                interrupts.link_closed()
+                interrupts.link_closed(self)
             self.exchange.transport.close()
         already_ending = error is not None and not isinstance(error, Exception)
         if interrupt is not None and not already_ending:

@@ -109,12 +109,7 @@ def _servo_rows(hand: Hand) -> list[str]:
 
 def wire_tables(hand: Hand = HPAC) -> str:
     """The tables of docs/wire.md: messages with their fields, enums, constants, servo limits, test vectors."""
-    lines = ["| message | code | from | payload | bytes | meaning |", "| --- | --- | --- | --- | --- | --- |"]
-    for message in MESSAGES.values():
-        fields = ", ".join(f"`{_type_name(field)} {field.name}`" for field in message.fields) or "–"
-        source = "host" if message.from_host else "hand"
-        lines.append(f"| {message.name} | 0x{message.code:02x} | {source} | {fields} | {message.length} | {message.meaning} |")
-    lines.append("")
+    lines = [*_message_rows("message", MESSAGES), "", *_message_rows("planned", protocol.PLANNED), ""]
     for name, values in protocol.DESCRIPTION["enum"].items():
         lines += [f"| {name} | code | meaning |", "| --- | --- | --- |"]
         lines += [f"| {key} | {value} | {_comment('enum.' + name, key)} |" for key, value in values.items()]
@@ -134,6 +129,15 @@ def wire_tables(hand: Hand = HPAC) -> str:
     lines += ["| vector | verdict | on the wire |", "| --- | --- | --- |"]
     lines += [f"| {name} | {verdict} | `{wire.hex()}` |" for name, verdict, wire in vectors(hand)]
     return "\n".join(lines) + "\n"
+
+
+def _message_rows(title: str, messages: dict[str, protocol.Message]) -> list[str]:
+    lines = [f"| {title} | code | from | payload | bytes | meaning |", "| --- | --- | --- | --- | --- | --- |"]
+    for message in messages.values():
+        fields = ", ".join(f"`{_type_name(field)} {field.name}`" for field in message.fields) or "–"
+        source = "host" if message.from_host else "hand"
+        lines.append(f"| {message.name} | 0x{message.code:02x} | {source} | {fields} | {message.length} | {message.meaning} |")
+    return lines
 
 
 def _comment(table: str, key: str) -> str:
@@ -185,6 +189,7 @@ def vectors(hand: Hand = HPAC) -> list[tuple[str, str, bytes]]:
         ("longer than any frame", "overrun", _sealed(move + bytes(range(1, 64)))),
         ("payload one byte short", "length", _sealed(move[:-1])),
         ("unknown type", "type", _sealed(bytes([move[0], 0x70]) + move[2:])),
+        ("a planned LOAD", "type", _sealed(move[:1] + bytes([protocol.PLANNED["load"].code]) + move[2:5] + b"\x64\0")),
         ("unknown flag", "flags", _sealed(move[:4] + b"\x80" + move[5:])),
         ("another session", "session", _sealed(other_session)),
         ("a MOVE of version 3", "version", _sealed(bytes([3]) + move[1:])),

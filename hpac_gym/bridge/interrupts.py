@@ -9,6 +9,7 @@ from collections.abc import Callable
 from time import monotonic
 from types import CodeType, FrameType
 from typing import NoReturn
+from weakref import WeakSet
 
 _SAME_INTENT = 1.0
 """A second signal within this time of the first asks for the same thing [s]."""
@@ -23,7 +24,7 @@ class _Interrupts:
     """
 
     def __init__(self) -> None:
-        self._links = 0
+        self._links: WeakSet[object] = WeakSet()  # one that an interrupt lost while it was made drops out by itself
         self._raised_at = -_SAME_INTENT
         self._held: list[int] = []
         self._before: dict[int, object] = {}
@@ -35,9 +36,11 @@ class _Interrupts:
         self._closing.add(function.__code__)
         return function
 
-    def link_opened(self) -> None:
+    def link_opened(self, link: object) -> None:
         """Take the signals, with the first link. Only a program's main thread can."""
-        self._links += 1
+        if not self._links:
+            self._raised_at = -_SAME_INTENT
+        self._links.add(link)
         if threading.current_thread() is not threading.main_thread():
             return
         self._owner = os.getpid()
@@ -46,12 +49,12 @@ class _Interrupts:
             if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 self._before[number] = signal.signal(number, self._on_signal)
 
-    def link_closed(self) -> None:
+    def link_closed(self, link: object) -> None:
         """Give the signals back, with the last link."""
-        self._links -= 1
-        if self._links == 0:
+        self._links.discard(link)
+        if not self._links:
             self._raised_at = -_SAME_INTENT
-        if self._links == 0 and threading.current_thread() is threading.main_thread():
+        if not self._links and threading.current_thread() is threading.main_thread():
             for number, before in self._before.items():
                 if signal.getsignal(number) == self._on_signal:
                     signal.signal(number, before)

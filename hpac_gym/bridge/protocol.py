@@ -83,11 +83,21 @@ CONSTANTS: dict[str, int] = DESCRIPTION["constants"]
 PULSE: dict[str, int] = DESCRIPTION["pulse"]
 LOAD: dict[str, int] = DESCRIPTION["load"]
 
-MESSAGES = {
-    entry["name"]: Message(entry["name"], entry["code"], entry["from"] == "host", entry["meaning"], _read_fields(entry["fields"]))
-    for entry in DESCRIPTION["message"]
-}
+
+def _messages(table: str) -> dict[str, Message]:
+    return {
+        entry["name"]: Message(
+            entry["name"], entry["code"], entry["from"] == "host", entry["meaning"], _read_fields(entry["fields"])
+        )
+        for entry in DESCRIPTION[table]
+    }
+
+
+MESSAGES = _messages("message")
 """All messages by name."""
+
+PLANNED = _messages("planned")
+"""Messages that no firmware carries out yet; their codes are kept free."""
 
 MESSAGE_BY_CODE = {message.code: message for message in MESSAGES.values()}
 

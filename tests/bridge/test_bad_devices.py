@@ -136,28 +136,30 @@ def test_a_flood_of_junk_ends_in_a_handshake_error(junk):
         assert time.monotonic() - start < 3.0
 
 
-def test_a_device_that_dribbles_single_bytes_still_works():
-    hand = VirtualHand()
+class DribblingTransport(VirtualTransport):
+    """Takes and gives single bytes, half a millisecond apart."""
 
-    def serve(connection, stop):
-        connection.settimeout(0.01)
-        start = time.monotonic()
-        while not stop.is_set():
-            try:
-                data = connection.recv(64)
-            except TimeoutError:
-                data = b""
-            hand.now_us = int((time.monotonic() - start) * 1e6)
-            for byte in data:
-                hand.receive(bytes([byte]))
-            for byte in hand.transmit():
-                connection.sendall(bytes([byte]))
-                time.sleep(5e-4)
+    def __init__(self, hand):
+        super().__init__(hand)
+        self._hand, self._heard = hand, b""
 
-    with Server(serve) as server, HandLink(server.port, timeout=3.0) as link:
+    def write(self, data):
+        for byte in data:
+            super().write(bytes([byte]))
+            self._heard += self._hand.run(5e-4)
+
+    def read(self, timeout):
+        self._heard += super().read(5e-4 if self._heard else timeout)
+        said, self._heard = self._heard[:1], self._heard[1:]
+        return said
+
+
+def test_a_device_that_dribbles_single_bytes_still_works(virtual_hand):
+    with HandLink(lambda: DribblingTransport(virtual_hand), timeout=3.0) as link:
         link.arm()
         link.move(ServoCommand(np.full(6, 0.2), 0.4))
         assert link.wait().state == "armed"
+        np.testing.assert_allclose(link.status().servo, 0.2, atol=1e-4)
 
 
 def test_a_connection_that_closes_is_a_port_error():

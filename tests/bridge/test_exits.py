@@ -212,8 +212,11 @@ def run_against(board, body, *signals, whole=None):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     assert process.stdout.readline().strip() == "armed"
+    process.send_signal(signal.SIGSTOP)  # so that all the signals find it in the session, however busy the machine is
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
     for number in signals:
         process.send_signal(number)
+    process.send_signal(signal.SIGCONT)
     _, complaint = process.communicate(timeout=20)
     return process.returncode, complaint
 
@@ -403,16 +406,20 @@ def test_estop_from_a_signal_handler_ends_the_interrupted_call(host_board):
     with HandLink(host_board.connect) as link:
         before = signal.signal(signal.SIGALRM, lambda *_: link.estop())
         try:
-            for delay in np.linspace(0.001, 0.05, 8):
+            told = 0
+            for delay in np.linspace(0.002, 0.05, 8):
                 if link.state == "fault":
                     link.clear()
                 link.arm(Action.hold)
                 signal.setitimer(signal.ITIMER_REAL, delay)
-                with pytest.raises(StoppedError, match=r"stopped by estop\(\)"):
-                    while True:
+                try:
+                    while link.state != "fault":
                         link.status()
+                except StoppedError as error:
+                    told += "stopped by estop()" in str(error)
                 assert link.state == "fault"
                 assert not host_board.pulses().any()
+            assert told >= 4, "an e-stop between two calls interrupts none of them, but most come during one"
         finally:
             signal.signal(signal.SIGALRM, before)
 

@@ -16,7 +16,7 @@ COMPLAINTS = {
     "short": "a frame of 4 bytes",
     "overrun": f"to {FRAME_MAX}",
     "length": "17 bytes of payload",
-    "type": "unknown message type 0x70",
+    "type": "unknown message type 0x(70|08)",
 }
 """What `decode` says to a frame that no hand takes. Flags and sessions are not the codec's business."""
 

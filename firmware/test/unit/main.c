@@ -25,6 +25,7 @@ int main(void)
     test_moves();
     test_malformed();
     test_vectors();
+    test_oracle();
     printf("firmware unit tests: %d checks, %d failed\n", checks, failures);
     return failures == 0 && checks > 0 ? 0 : 1;
 }

@@ -113,6 +113,21 @@ static void a_full_queue_drops_whole_answers(void)
     CHECK(bench.hand.count.refused == UINT16_MAX);
 }
 
+/* An ACK takes 16 bytes: 32 of them fill the queue to its last byte. */
+static void the_queue_can_be_filled_to_its_last_byte(void)
+{
+    bench_t bench;
+    uint8_t wire[64];
+    uint8_t said[HPAC_TX_CAPACITY];
+    bench_start(&bench);
+    for (int i = 0; i <= (int)HPAC_TX_CAPACITY / 16; i++) {
+        size_t length = bench_frame(wire, HPAC_VERSION, HPAC_ESTOP + 0x60u, 0x101, 0, NULL, 0);
+        hpac_hand_receive(&bench.hand, &bench.config, bench.now_us, wire, length);
+        CHECK(bench.hand.count.dropped == (i < (int)HPAC_TX_CAPACITY / 16 ? 0u : 1u));
+    }
+    CHECK(hpac_hand_transmit(&bench.hand, said, sizeof said) == HPAC_TX_CAPACITY);
+}
+
 static void each_type_has_its_flags_and_no_others(void)
 {
     static const uint8_t allowed[] = { 0, 0, 0, 3, 2, 0xff, 0, 0 };
@@ -132,6 +147,7 @@ void test_malformed(void)
 {
     each_type_has_its_flags_and_no_others();
     a_full_queue_drops_whole_answers();
+    the_queue_can_be_filled_to_its_last_byte();
     for (size_t i = 0; i < sizeof rows / sizeof rows[0]; i++) {
         for (way_t way = WHOLE; way < WAYS; way++) {
             uint8_t wire[128];

@@ -119,6 +119,23 @@ static void a_repeated_frame_is_acknowledged_and_not_carried_out_again(void)
     CHECK(memcmp(&running, &bench.hand.ramp, sizeof running) == 0);
 }
 
+/* Two moves of one number whose CRCs differ in their lowest byte alone: the second is no repeat of the first. */
+static void a_repeat_is_known_by_its_whole_crc(void)
+{
+    static const int16_t first[HPAC_SERVOS] = { 100, 200, 300, 400, 1000, 1000 };
+    static const int16_t second[HPAC_SERVOS] = { 100, 200, 300, 400, 93, 2223 };
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench.seq = 0x6fff;
+    CHECK(bench_move(&bench, 0, 1000, first) == HPAC_REASON_OK);
+    uint32_t crc = bench.hand.last_move_crc;
+    bench.seq = 0x6fff;
+    CHECK(bench_move(&bench, 0, 1000, second) == HPAC_REASON_STALE);
+    bench.hand.last_seq = bench.seq = 0x6fff; /* the second alone would do */
+    CHECK(bench_move(&bench, 0, 1000, second) == HPAC_REASON_OK);
+    CHECK(crc != bench.hand.last_move_crc && crc >> 8 == bench.hand.last_move_crc >> 8);
+}
+
 static void a_move_pre_empts_from_the_present_pose_and_speed(void)
 {
     static const int16_t back[HPAC_SERVOS] = { 3000, 3000, 3000, 3000, 3000, 3000 };
@@ -202,8 +219,86 @@ static void a_stream_of_short_moves_keeps_the_rate(void)
     CHECK(before >= 4 * elapsed_us);
 }
 
+static void a_move_may_start_at_either_limit(void)
+{
+    for (int upper = 0; upper < 2; upper++) {
+        bench_t bench;
+        int32_t limit[HPAC_SERVOS];
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        for (int i = 0; i < HPAC_SERVOS; i++) {
+            limit[i] = upper != 0 ? bench.config.servo[i].max_urad : bench.config.servo[i].min_urad;
+        }
+        hpac_motion_stand(&bench.hand, limit);
+        CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+        hpac_motion_stand(&bench.hand, limit);
+        CHECK(bench_move(&bench, HPAC_FLAG_MINIMUM_JERK, 1000, half) == HPAC_REASON_OK);
+    }
+}
+
+/* Frames alone, without an output in between, bring a motion on by one late tick's time at the most. */
+static void frames_without_an_output_are_no_way_round(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+    for (int i = 0; i < 5; i++) {
+        bench.now_us += 30000;
+        hpac_hand_receive(&bench.hand, &bench.config, bench.now_us, NULL, 0);
+        CHECK(bench.hand.ramp.elapsed_us == HPAC_STEP_MAX_MS * 1000u);
+    }
+}
+
+/* The rate credit to the last nanoradian: how full it gets, and how far below nothing roundings may bring it. */
+static void the_rate_credit_is_exact(void)
+{
+    const int32_t most_nrad = 4000 * HPAC_TIME_TOLERANCE_US + 1000 * HPAC_ANGLE_TOLERANCE_URAD; /* at 4 rad/s */
+    const int32_t step_nrad = 4040 * 1000 * HPAC_STEP_MAX_MS;
+    const struct {
+        int32_t credit_nrad, way_urad;
+        uint32_t step_us;
+        bool holds;
+    } cases[] = {
+        { -16000, 0, 0, true },
+        { -16001, 0, 0, false },
+        { most_nrad, most_nrad / 1000 + 16, 0, true },
+        { most_nrad + 1000, most_nrad / 1000 + 17, 0, false },
+        { most_nrad, (most_nrad + step_nrad) / 1000 + 16, HPAC_STEP_MAX_MS * 1000, true },
+        { most_nrad, (most_nrad + step_nrad) / 1000 + 17, HPAC_STEP_MAX_MS * 1000 + 999, false }, /* no more than a step's time */
+    };
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench.hand.credit_nrad[3] == most_nrad);
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        unsigned servo = HPAC_NO_SERVO;
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        bench.hand.credit_nrad[3] = cases[i].credit_nrad;
+        bench.hand.step_us = cases[i].step_us;
+        bench.hand.ramp.to[3] = cases[i].way_urad;
+        CHECK(hpac_motion_output(&bench.hand, &servo) == cases[i].holds);
+        CHECK(cases[i].holds || servo == 3u);
+    }
+}
+
+/* What late ticks have held back prolongs a move by the longest watchdog's period at the most. */
+static void a_move_is_prolonged_within_bounds(void)
+{
+    static const uint32_t behind_us[] = { 1999999, 2000500, 2001000, 4000000 };
+    for (int i = 0; i < 4; i++) {
+        bench_t bench;
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        CHECK(bench_move(&bench, 0, 300, half) == HPAC_REASON_OK);
+        bench.hand.behind_us = behind_us[i];
+        CHECK(bench_move(&bench, 0, 300, half) == HPAC_REASON_OK);
+        CHECK(bench.hand.ramp.duration_us == 300000u + (behind_us[i] < 2000000u ? behind_us[i] : 2000000u));
+    }
+}
+
 void test_moves(void)
 {
+    a_move_may_start_at_either_limit();
+    frames_without_an_output_are_no_way_round();
+    the_rate_credit_is_exact();
+    a_move_is_prolonged_within_bounds();
     a_late_tick_is_no_jump();
     a_stream_of_short_moves_keeps_the_rate();
     all_servos_arrive_together();
@@ -213,6 +308,7 @@ void test_moves(void)
     durations_are_bounded();
     sequence_numbers_only_go_forward();
     a_repeated_frame_is_acknowledged_and_not_carried_out_again();
+    a_repeat_is_known_by_its_whole_crc();
     a_move_pre_empts_from_the_present_pose_and_speed();
     an_overshoot_past_a_limit_is_refused();
     flags_are_checked();

@@ -40,6 +40,8 @@ static void ends_are_exact(void)
         CHECK(hpac_ramp_moving(&ramp));
         hpac_ramp_advance(&ramp, 1000u);
         CHECK(!hpac_ramp_moving(&ramp) && ramp.elapsed_us == ramp.duration_us);
+        hpac_ramp_advance(&ramp, 1000u);
+        CHECK(ramp.elapsed_us == ramp.duration_us);
     }
 }
 

@@ -15,6 +15,11 @@ static void pulses_follow_the_table(void)
     hpac_servo_t servo = config.servo[5];
     CHECK(hpac_servo_pulse(&servo, servo.centre_urad) == 1500000u);
     CHECK(hpac_servo_pulse(&servo, servo.centre_urad + 100000) == 1563662u);
+    for (int32_t urad = 1; urad < 100; urad++) { /* to the nearest nanosecond, halves away from the centre */
+        uint32_t ns = ((uint32_t)urad * 636620u + 500000u) / 1000000u;
+        CHECK(hpac_servo_pulse(&servo, servo.centre_urad + urad) == 1500000u + ns);
+        CHECK(hpac_servo_pulse(&servo, servo.centre_urad - urad) == 1500000u - ns);
+    }
     servo.trim_ns = -20000;
     CHECK(hpac_servo_pulse(&servo, servo.centre_urad) == 1480000u);
     servo.direction = -1;
@@ -131,6 +136,20 @@ static void heat_rises_to_the_square_of_the_effort(void)
         heat = hpac_load_step(heat, 0);
     }
     CHECK(hpac_load_percent(heat) == 0u);
+}
+
+/* Shares are cut to whole permille, and an angle counts from rest. */
+static void effort_follows_the_angle(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(hpac_motion_effort(&bench.hand, 5) == HPAC_LOAD_IDLE_PERMILLE);
+    bench.hand.ramp.to[5] = 1569999; /* of 1.57 rad: 999 permille, 599.4 of effort */
+    CHECK(hpac_motion_effort(&bench.hand, 5) == HPAC_LOAD_IDLE_PERMILLE + 599u);
+    bench.hand.ramp.to[5] = 1570000;
+    CHECK(hpac_motion_effort(&bench.hand, 5) == HPAC_LOAD_IDLE_PERMILLE + HPAC_LOAD_HOLD_PERMILLE);
+    bench.hand.attached = 0x1f;
+    CHECK(hpac_motion_effort(&bench.hand, 5) == 0u);
 }
 
 static void the_rate_falls_with_heat(void)
@@ -291,6 +310,7 @@ void test_servo_and_load(void)
     bounds_of_a_table_are_exact();
     an_unusable_table_never_gets_pulses();
     heat_rises_to_the_square_of_the_effort();
+    effort_follows_the_angle();
     the_rate_falls_with_heat();
     a_closed_hand_is_derated_then_relaxes();
 }

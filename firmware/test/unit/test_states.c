@@ -84,6 +84,55 @@ static void arming_takes_up_the_last_pose_and_goes_to_rest_slowly(void)
     CHECK(bench.pulses[0] == hpac_servo_pulse(&bench.config.servo[0], 0));
 }
 
+/* One servo away from rest is enough: arming waits until it is there, too. */
+static void arming_brings_each_servo_to_rest(void)
+{
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        hpac_memory_t memory = { .pose = { 0 } };
+        bench_t bench;
+        memory.pose[i] = 500000;
+        bench_start(&bench);
+        hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_SOFTWARE, 2, &memory);
+        bench_run(&bench, 1);
+        CHECK(bench_send(&bench, HPAC_HELLO, 0, NULL, 0) == -1);
+        CHECK(bench_arm(&bench, HPAC_ACTION_RELAX, 0) == HPAC_REASON_OK);
+        for (int j = 0; j < 300 && bench.hand.starting; j++) {
+            bench_run(&bench, 10);
+            bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0);
+        }
+        CHECK(!bench.hand.starting && hpac_motion_angle(&bench.hand, (unsigned)i) == 0);
+    }
+}
+
+static void the_first_pulse_comes_no_microsecond_early(void)
+{
+    bench_t bench;
+    bench_idle(&bench);
+    CHECK(bench_arm(&bench, HPAC_ACTION_RELAX, 0) == HPAC_REASON_OK);
+    bench.now_us += 20000;
+    bench_feed(&bench, NULL, 0);
+    bench.now_us += 20000;
+    bench_feed(&bench, NULL, 0);
+    bench.now_us += 9999;
+    bench_feed(&bench, NULL, 0);
+    CHECK(bench_silent(&bench));
+    bench.now_us += 1;
+    bench_feed(&bench, NULL, 0);
+    CHECK(bench.pulses[0] != 0u);
+}
+
+/* The time that a servo is given to its first pulse follows from its way to the microsecond. */
+static void the_time_to_a_first_pulse_is_exact(void)
+{
+    bench_t bench;
+    bench_start(&bench);
+    bench.hand.placed = 0x1f;
+    CHECK(hpac_motion_start_us(&bench.hand, 5) == 60000u + 314000u); /* 1.57 rad at 5 rad/s */
+    CHECK(hpac_motion_start_us(&bench.hand, 4) == 60000u);
+    bench.hand.ramp.to[4] = 1000000;
+    CHECK(hpac_motion_start_us(&bench.hand, 4) == 60000u + 200000u);
+}
+
 static void silence_trips_the_watchdog_and_latches(hpac_action_t action)
 {
     bench_t bench;
@@ -432,6 +481,9 @@ void test_states(void)
     nothing_moves_before_the_handshake();
     arming_is_checked_and_staggered();
     arming_takes_up_the_last_pose_and_goes_to_rest_slowly();
+    arming_brings_each_servo_to_rest();
+    the_first_pulse_comes_no_microsecond_early();
+    the_time_to_a_first_pulse_is_exact();
     silence_trips_the_watchdog_and_latches(HPAC_ACTION_HOLD);
     silence_trips_the_watchdog_and_latches(HPAC_ACTION_RELAX);
     silence_trips_the_watchdog_and_latches(HPAC_ACTION_DETACH);

@@ -8,5 +8,6 @@ void test_states(void);
 void test_moves(void);
 void test_malformed(void);
 void test_vectors(void);
+void test_oracle(void);
 
 #endif

@@ -145,7 +145,7 @@ class Forgiving(JudgedHand):
         return _rewritten(data, self._mend, mend=True)
 
     def _mend(self, body: bytearray) -> bytes:
-        if body[1] == wire.HELLO:
+        if body[1] == wire.HELLO and len(body) == 9:
             self.session = bytes(body[5:9])
         elif body[1] in (wire.ARM, wire.MOVE, wire.HEARTBEAT, wire.CLEAR):
             body[5:9] = self.session

@@ -17,7 +17,7 @@
 #include "pins.h"
 #include "soc/soc_caps.h"
 
-#define ROOM 100
+#define ROOM 61 /* a byte less than the longest answer takes */
 
 void app_main(void);
 
@@ -36,6 +36,10 @@ void fake_boot(esp_reset_reason_t reset, void (*every_ms)(int ms), int ms)
     fake.reset = reset;
     fake.now_us = 300000; /* the boot loader took its time */
     fake.adc_raw = 4095 * 6000 / SUPPLY_FULL_SCALE_MV;
+    for (int pin = 0; pin < 64; pin++) {
+        bool grounded = pin == ESTOP_PIN || (SERVOS_ON_PCA9685 && pin == PCA9685_OE_PIN);
+        fake.level[pin] = !grounded; /* an output's register holds what does most harm; the button is closed to ground */
+    }
     fake.tx_pin = fake.rx_pin = fake.adc_channel = -1;
     fake.i2c[0x00] = 0x11; /* as the PCA9685 wakes up: asleep, divider 30, everything off */
     fake.i2c[0xfe] = 0x1e;
@@ -92,7 +96,7 @@ int64_t esp_timer_get_time(void) { return fake.now_us; }
 /* Time passes here alone; at each start of a period the duties that were handed over reach the pins. */
 void vTaskDelay(uint32_t ticks)
 {
-    for (uint32_t i = 0; i < ticks * 1000u; i++) {
+    for (uint32_t i = ms_passed == 0 ? 800u : 0u; i < ticks * 1000u; i++) { /* up to the next tick, which may come soon */
         fake.now_us++;
         if (fake.hz != 0u && (fake.now_us - fake.period_start_us) % (1000000 / (int64_t)fake.hz) == 0) {
             for (int c = 0; c < HPAC_SERVOS; c++) {
@@ -135,6 +139,7 @@ esp_err_t esp_task_wdt_reset(void)
 
 esp_err_t gpio_set_level(gpio_num_t pin, uint32_t level)
 {
+    fake.level_us[pin] = fake.level[pin] != level ? fake.now_us : fake.level_us[pin];
     fake.level[pin] = level;
     return fine(level <= 1u);
 }
@@ -186,15 +191,15 @@ esp_err_t adc_oneshot_read(adc_oneshot_unit_handle_t unit, adc_channel_t channel
 
 esp_err_t uart_driver_install(int port, int rx_bytes, int tx_bytes, int queue_length, void *queue, int flags)
 {
-    (void)queue_length;
-    (void)flags;
-    return fine(port == UART_NUM_0 && rx_bytes > 128 && tx_bytes > 128 && queue == NULL);
+    fake.uart_installed = true;
+    return fine(port == UART_NUM_0 && rx_bytes > 128 && tx_bytes > 128 && queue_length == 0 && queue == NULL && flags == 0);
 }
 
 esp_err_t uart_param_config(int port, const uart_config_t *config)
 {
     bool plain = config->data_bits == UART_DATA_8_BITS && config->parity == UART_PARITY_DISABLE
                  && config->stop_bits == UART_STOP_BITS_1 && config->flow_ctrl == UART_HW_FLOWCTRL_DISABLE;
+    fake.uart_set = true;
     return fine(port == UART_NUM_0 && plain && config->baud_rate == HPAC_BAUD && config->source_clk == UART_SCLK_DEFAULT);
 }
 
@@ -208,6 +213,7 @@ esp_err_t uart_set_pin(int port, int tx, int rx, int rts, int cts)
 static int receive(void *buffer, uint32_t length)
 {
     size_t taken = to_receive_length < length ? to_receive_length : length;
+    memset(buffer, 0x55, length); /* a driver may leave anything in what it does not fill */
     memcpy(buffer, to_receive, taken);
     to_receive_length -= taken;
     memmove(to_receive, to_receive + taken, to_receive_length);
@@ -224,7 +230,7 @@ static int send(const void *bytes, size_t length)
 
 int uart_read_bytes(int port, void *buffer, uint32_t length, uint32_t ticks)
 {
-    fine(port == UART_NUM_0 && ticks == 0u);
+    fine(port == UART_NUM_0 && ticks == 0u && fake.uart_installed && fake.uart_set);
     return fake.rx_pin < 0 ? 0 : receive(buffer, length);
 }
 
@@ -265,33 +271,33 @@ esp_err_t ledc_timer_config(const ledc_timer_config_t *config)
     fake.bits = (unsigned)config->duty_resolution;
     fake.hz = config->freq_hz;
     bool clocked = config->clk_cfg == (SOC_LEDC_SUPPORT_APB_CLOCK ? LEDC_USE_APB_CLK : LEDC_USE_PLL_DIV_CLK);
-    return fine(config->freq_hz == 50u && clocked && fake.bits <= SOC_LEDC_TIMER_BIT_WIDTH && config->timer_num == LEDC_TIMER_0);
+    return fine(config->speed_mode == LEDC_LOW_SPEED_MODE && config->freq_hz == 50u && clocked && fake.bits <= SOC_LEDC_TIMER_BIT_WIDTH && config->timer_num == LEDC_TIMER_0);
 }
 
 esp_err_t ledc_channel_config(const ledc_channel_config_t *config)
 {
     fake.channels[config->channel].pin = config->gpio_num;
-    return fine(config->duty == 0u && config->hpoint == 0 && config->timer_sel == LEDC_TIMER_0);
+    fake.channels[config->channel].configured = fake.hz != 0u;
+    return fine(config->speed_mode == LEDC_LOW_SPEED_MODE && config->duty == 0u && config->hpoint == 0 && config->timer_sel == LEDC_TIMER_0);
 }
 
 esp_err_t ledc_timer_rst(ledc_mode_t mode, ledc_timer_t timer)
 {
-    (void)mode;
     fake.period_start_us = fake.now_us;
-    return fine(timer == LEDC_TIMER_0);
+    return fine(mode == LEDC_LOW_SPEED_MODE && timer == LEDC_TIMER_0);
 }
 
 esp_err_t ledc_set_duty(ledc_mode_t mode, ledc_channel_t channel, uint32_t duty)
 {
-    (void)mode;
     fake.channels[channel].set = duty;
-    return fine(duty < (1u << fake.bits));
+    return fine(mode == LEDC_LOW_SPEED_MODE && duty < (1u << fake.bits) && fake.channels[channel].configured && fake.period_start_us != 0);
 }
 
 esp_err_t ledc_update_duty(ledc_mode_t mode, ledc_channel_t channel)
 {
-    (void)mode;
+    fine(mode == LEDC_LOW_SPEED_MODE);
     fake.channels[channel].pending = fake.channels[channel].set;
+    fake.writes += channel == HPAC_SERVOS - 1;
     return ESP_OK;
 }
 
@@ -300,19 +306,21 @@ esp_err_t ledc_update_duty(ledc_mode_t mode, ledc_channel_t channel)
 esp_err_t i2c_new_master_bus(const i2c_master_bus_config_t *config, i2c_master_bus_handle_t *bus)
 {
     *bus = (i2c_master_bus_handle_t)&fake;
-    return fine(config->sda_io_num == PCA9685_SDA_PIN && config->scl_io_num == PCA9685_SCL_PIN);
+    return fine(config->i2c_port == -1 && config->sda_io_num == PCA9685_SDA_PIN && config->scl_io_num == PCA9685_SCL_PIN
+                && config->clk_source == I2C_CLK_SRC_DEFAULT && config->glitch_ignore_cnt == 7 && config->flags.enable_internal_pullup);
 }
 
 esp_err_t i2c_master_bus_add_device(i2c_master_bus_handle_t bus, const i2c_device_config_t *config, i2c_master_dev_handle_t *device)
 {
     *device = (i2c_master_dev_handle_t)&fake;
-    return fine(bus != NULL && config->device_address == PCA9685_ADDRESS && config->scl_speed_hz <= 1000000u);
+    return fine(bus != NULL && config->device_address == PCA9685_ADDRESS
+                && config->dev_addr_length == I2C_ADDR_BIT_LEN_7 && config->scl_speed_hz == 400000u);
 }
 
 static esp_err_t transfer(int timeout_ms)
 {
-    fine(timeout_ms > 0 && timeout_ms <= 10);
-    fake.i2c_transfers++;
+    fine(timeout_ms > 0 && timeout_ms <= 5); /* three attempts within a period */
+    fake.writes++;
     if (fake.i2c_faults > 0) {
         fake.i2c_faults--;
         fake.now_us += 1000 * timeout_ms;
@@ -325,7 +333,7 @@ static uint8_t next_register(uint8_t at) { return (uint8_t)((fake.i2c[0x00] & 0x
 
 esp_err_t i2c_master_transmit(i2c_master_dev_handle_t device, const uint8_t *bytes, size_t length, int timeout_ms)
 {
-    (void)device;
+    fine(device != NULL);
     if (transfer(timeout_ms) != ESP_OK) {
         return ESP_FAIL;
     }
@@ -348,8 +356,7 @@ esp_err_t i2c_master_transmit(i2c_master_dev_handle_t device, const uint8_t *byt
 esp_err_t i2c_master_transmit_receive(i2c_master_dev_handle_t device, const uint8_t *bytes, size_t length, uint8_t *back,
                                       size_t back_length, int timeout_ms)
 {
-    (void)device;
-    fine(length == 1u);
+    fine(device != NULL && length == 1u);
     if (transfer(timeout_ms) != ESP_OK) {
         return ESP_FAIL;
     }

@@ -12,6 +12,7 @@
 typedef struct {
     uint32_t set, pending, output; /* duty: as set, as handed over, as it leaves the pin since the last period's start */
     int pin;
+    bool configured;
     int64_t changed_us; /* when the output last changed */
 } fake_channel_t;
 
@@ -20,22 +21,23 @@ typedef struct {
     unsigned bits;
     uint32_t hz;
     fake_channel_t channels[HPAC_SERVOS];
+    unsigned writes; /* of all six duties, or transfers over I2C */
     esp_reset_reason_t reset;
     uint32_t watchdog_ms;
     int64_t fed_us, longest_unfed_us;
     bool watched;
     int errors; /* failed ESP_ERROR_CHECKs, and calls that the real chip would refuse or that would wait */
     uint32_t level[64];
+    int64_t level_us[64]; /* when it last changed */
     bool output[64], pulled_up[64], input[64];
     uint64_t glitches;  /* pins that drove a high level the moment they became outputs */
     int tx_pin, rx_pin; /* of UART0; -1: not routed, deaf */
-    bool usb;
+    bool usb, uart_installed, uart_set;
     int adc_channel, adc_raw;
     bool adc_broken;
     uint8_t i2c[256];      /* the PCA9685's registers */
     int i2c_faults;        /* so many transfers from now on fail */
     int i2c_flips;         /* so many writes from now on arrive with one bit wrong */
-    unsigned i2c_transfers;
     uint8_t sent[4096];
     size_t sent_length;
 } fake_t;

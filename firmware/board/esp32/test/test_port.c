@@ -26,7 +26,7 @@ static void check(bool holds, const char *what, int line)
 
 static const int32_t trims[HPAC_SERVOS] = { SERVO_TRIMS_NS };
 static const int32_t directions[HPAC_SERVOS] = { SERVO_DIRECTIONS };
-static const int16_t target[HPAC_SERVOS] = { 500, 900, 1300, 1700, 2100, 2500 };
+static const int16_t target[HPAC_SERVOS] = { 500, 1900, 3300, 4700, 6100, 7500 };
 
 /* --- a host --- */
 
@@ -161,7 +161,55 @@ static void whole_session(int ms)
     }
     CHECK(ms < 3102 || !powered());
     CHECK(ms < 3122 || silent()); /* heard within 1 ms, and the next period starts within 20 ms */
-    CHECK(!SERVOS_ON_PCA9685 || ms < 3102 || silent()); /* OE does not wait for a period */
+    CHECK(!SERVOS_ON_PCA9685 || ms < 3102 || (silent() && fake.level[PCA9685_OE_PIN] == 1u)); /* OE does not wait for a period */
+}
+
+/* The e-stop comes when one servo alone has pulses, at any time within a period. */
+static int estop_ms;
+
+static void one_servo_is_stopped(int ms)
+{
+    open_session(ms);
+    CHECK(ms != estop_ms || (fake_pulse_ns(0) > 0 && fake_pulse_ns(1) == 0));
+    for (int i = 1; ms == estop_ms && SERVOS_ON_PCA9685 && i < HPAC_SERVOS; i++) {
+        CHECK(fake.i2c[0x09 + 4 * i] == 0x10u); /* full off: on and off at the same count would be anybody's guess */
+    }
+    if (ms == estop_ms) {
+        say(HPAC_ESTOP, NULL, 0);
+    }
+    CHECK(ms < estop_ms + 22 || silent());
+}
+
+static void a_frame_comes_byte_by_byte(int ms)
+{
+    static uint8_t wire[128];
+    static size_t length;
+    uint8_t nonce[4] = { 1, 2, 3, 4 };
+    length = ms == 1 ? oracle_encode(wire, HPAC_VERSION, HPAC_HELLO, 1, 0, nonce, sizeof nonce) : length;
+    if (ms >= 5 && ms < 5 + (int)length) {
+        fake_receive(&wire[ms - 5], 1);
+    }
+    CHECK(ms != 40 || heard(HPAC_DEVICE_HELLO) != NULL);
+}
+
+/* Outputs are written once a period, with and without pulses, and nothing is taken for a frame that was not sent. */
+static void once_a_period(int ms)
+{
+    static unsigned writes;
+    open_session(ms);
+    if (ms == 200 || ms == 3300) {
+        writes = fake.writes;
+    } else if (ms == 1200 || ms == 4300) {
+        CHECK(fake.writes - writes <= (SERVOS_ON_PCA9685 ? 4u : 1u) * 51u && fake.writes - writes >= 49u);
+    } else if (ms == 3200) {
+        say(HPAC_CLEAR, NULL, HPAC_CLEAR_LENGTH);
+    } else if (ms == 4310) {
+        ask_status();
+    } else if (ms == 4315) {
+        CHECK(status_of(HPAC_DEVICE_STATUS_AT_BAD_FRAME, 2) == 0u && status_of(HPAC_DEVICE_STATUS_AT_BAD_CRC, 2) == 0u);
+        CHECK(status_of(HPAC_DEVICE_STATUS_AT_OVERRUN, 2) == 0u && status_of(HPAC_DEVICE_STATUS_AT_REFUSED, 2) == 0u);
+        CHECK(silent() && !powered());
+    }
 }
 
 static void stays_silent(int ms)
@@ -278,11 +326,28 @@ static void the_supply(int ms)
     }
 }
 
+static void the_supply_is_gone(int ms) /* 0 V: not to be mistaken for a supply that is not measured */
+{
+    a_session_with_pins(ms);
+    if (ms == 3110) {
+        fake.adc_raw = 0;
+    } else if (ms == 3155) {
+        CHECK(silent() && !powered());
+        ask_status();
+    } else if (ms == 3158) {
+        CHECK(status_of(HPAC_DEVICE_STATUS_AT_FAULT, 1) == HPAC_FAULT_SUPPLY && status_of(HPAC_DEVICE_STATUS_AT_SUPPLY_MV, 2) == 1u);
+    }
+}
+
 static void the_adc_breaks(int ms)
 {
     a_session_with_pins(ms);
     fake.adc_broken = ms >= 3110;
     CHECK(ms < 3155 || (silent() && !powered()));
+    if (ms == 3155) {
+        ask_status();
+    }
+    CHECK(ms != 3158 || status_of(HPAC_DEVICE_STATUS_AT_SUPPLY_MV, 2) == 1u);
 }
 
 static bool forbidden(int pin)
@@ -310,7 +375,7 @@ static void pins_are_free_and_different(void)
     int count = 2;
     for (int i = 0; i < (SERVOS_ON_PCA9685 ? 3 : 6); i++) {
         used[count++] = SERVOS_ON_PCA9685 ? bus[i] : servos[i];
-        CHECK(SERVOS_ON_PCA9685 || fake.channels[i].pin == servos[i]);
+        CHECK(SERVOS_ON_PCA9685 || (fake.channels[i].pin == servos[i] && fake.output[servos[i]]));
     }
     for (int i = 0; i < count; i++) {
         CHECK(!forbidden(used[i]));
@@ -327,6 +392,31 @@ static void bus_dies(int ms)
     open_session(ms);
     fake.i2c_faults = ms >= 2700 ? 1000 : 0;
     CHECK(ms < 2745 || (silent() && !powered()));
+    CHECK(ms < 2700 || !silent() || !powered()); /* the supply goes with the pulses, not a moment later */
+}
+
+/* Three attempts, of which the first asks and then sets up: three failures in a row are overcome, four are not. */
+static int bus_failures;
+
+static void bus_fails_for_so_long(int ms)
+{
+    open_session(ms);
+    if (ms == 2700) {
+        fake.i2c_faults = bus_failures;
+    }
+    CHECK(ms < 2800 || powered() == (bus_failures == 3));
+}
+
+static void an_estop_does_not_wait_for_the_bus(int ms)
+{
+    static int64_t stopped_us;
+    open_session(ms);
+    if (ms == 2700) {
+        say(HPAC_ESTOP, NULL, 0);
+        fake.i2c_faults = 1000;
+        stopped_us = fake.now_us;
+    }
+    CHECK(ms != 2710 || (silent() && !powered() && fake.level_us[PCA9685_OE_PIN] - stopped_us < 1000));
 }
 
 static void bus_stumbles(int ms)
@@ -352,6 +442,14 @@ static void chip_loses_its_supply(int ms)
     CHECK(ms != 3100 || abs((int)(angle_at_pin(3) - target[3] * 100)) <= (int)(half_a_step_urad() + 2.0));
 }
 
+static void chip_falls_asleep(int ms)
+{
+    open_session(ms);
+    fake.i2c[0x00] = ms == 2900 ? 0x11 : fake.i2c[0x00];
+    CHECK(ms != 3100 || fake.i2c[0x00] == 0x20);
+    CHECK(ms != 3100 || abs((int)(angle_at_pin(3) - target[3] * 100)) <= (int)(half_a_step_urad() + 2.0));
+}
+
 static void clock_stays_wrong(int ms) /* a divider that cannot be set: every pulse would be as wrong */
 {
     open_session(ms);
@@ -363,8 +461,13 @@ static void clock_stays_wrong(int ms) /* a divider that cannot be set: every pul
 static void the_bus_and_its_faults(void)
 {
     fake_boot(ESP_RST_POWERON, bus_dies, 2900);
+    fake_boot(ESP_RST_POWERON, an_estop_does_not_wait_for_the_bus, 2900);
+    for (bus_failures = 3; bus_failures < 5; bus_failures++) {
+        fake_boot(ESP_RST_POWERON, bus_fails_for_so_long, 2900);
+    }
     fake_boot(ESP_RST_POWERON, bus_stumbles, 3200);
     fake_boot(ESP_RST_POWERON, chip_loses_its_supply, 3200);
+    fake_boot(ESP_RST_POWERON, chip_falls_asleep, 3200);
     fake_boot(ESP_RST_POWERON, clock_stays_wrong, 2900);
 }
 #else
@@ -375,10 +478,16 @@ int main(void)
 {
     fake_boot(ESP_RST_POWERON, whole_session, 3200);
     CHECK(fake.errors == 0);
+    CHECK(servo_output_step_ns() == (SERVOS_ON_PCA9685 ? 4881u : (20000000u >> fake.bits) + 1u));
     CHECK(fake.watched && fake.watchdog_ms > 0u && fake.watchdog_ms <= 100u);
     CHECK(fake.longest_unfed_us < (int64_t)fake.watchdog_ms * 1000 / 4);
-    CHECK((fake.glitches & ~(SERVOS_ON_PCA9685 ? 1ull << PCA9685_OE_PIN : 0ull)) == 0u); /* OE is high when it becomes one */
+    CHECK(fake.glitches == (SERVOS_ON_PCA9685 ? 1ull << PCA9685_OE_PIN : 0ull)); /* OE must be high when it becomes an output */
     pins_are_free_and_different();
+    for (estop_ms = 110; estop_ms < 130; estop_ms++) {
+        fake_boot(ESP_RST_POWERON, one_servo_is_stopped, 160);
+    }
+    fake_boot(ESP_RST_POWERON, once_a_period, 4320);
+    fake_boot(ESP_RST_POWERON, a_frame_comes_byte_by_byte, 50);
     the_bus_and_its_faults();
     fake_boot(ESP_RST_BROWNOUT, stays_silent, 300);
     fake_boot(ESP_RST_TASK_WDT, stays_silent, 300);
@@ -391,6 +500,7 @@ int main(void)
     }
     if (SUPPLY_ADC_CHANNEL != NO_PIN) {
         fake_boot(ESP_RST_POWERON, the_supply, 3200);
+        fake_boot(ESP_RST_POWERON, the_supply_is_gone, 3200);
         fake_boot(ESP_RST_POWERON, the_adc_breaks, 3200);
     }
     CHECK(fake.errors == 0);

@@ -1,7 +1,7 @@
 #pragma once
 #include <stdint.h>
 #include "esp_err.h"
-typedef enum { LEDC_LOW_SPEED_MODE } ledc_mode_t;
+typedef enum { LEDC_HIGH_SPEED_MODE, LEDC_LOW_SPEED_MODE } ledc_mode_t;
 typedef enum { LEDC_TIMER_0 } ledc_timer_t;
 typedef enum { LEDC_CHANNEL_0 } ledc_channel_t;
 typedef enum { LEDC_TIMER_14_BIT = 14, LEDC_TIMER_20_BIT = 20 } ledc_timer_bit_t;

@@ -1,0 +1,264 @@
+"""How often and when a link speaks: repeats, heartbeats, last words, counters; all in virtual time."""
+
+import dataclasses
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from hpac_gym.bridge import (
+    Action,
+    HandLink,
+    HandshakeError,
+    LinkTimeout,
+    RejectedError,
+    StoppedError,
+    UnconfirmedWarning,
+    connection,
+)
+from hpac_gym.bridge.connection import Turns
+from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
+from hpac_gym.bridge.exchange import Exchange, LinkStatistics
+from hpac_gym.bridge.frame import decode
+from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK
+from hpac_gym.bridge.reports import KnownState
+from hpac_gym.bridge.virtual_hand import VirtualTransport
+from hpac_gym.model import ServoCommand
+
+
+class Overheard(VirtualTransport):
+    """Notes when which frame is written; a deaf one takes it no further."""
+
+    def __init__(self, hand, deaf=False):
+        super().__init__(hand)
+        self.deaf, self.frames = deaf, []
+
+    def write(self, data):
+        self.frames.append((self.now(), decode(data[1:-1])))
+        if not self.deaf:
+            super().write(data)
+
+    def of(self, name):
+        return [(time, frame) for time, frame in self.frames if frame.name == name]
+
+
+@pytest.fixture
+def overheard(virtual_hand):
+    return Overheard(virtual_hand)
+
+
+@pytest.fixture
+def talking(overheard):
+    with HandLink(lambda: overheard) as link:
+        yield link
+
+
+def gaps(said):
+    return np.diff([time for time, _ in said])
+
+
+def test_a_handshake_is_tried_every_tenth_of_a_second_for_three(virtual_hand):
+    deaf = Overheard(virtual_hand, deaf=True)
+    with pytest.raises(HandshakeError, match="within 3 s") as caught:
+        HandLink(lambda: deaf).connect()
+    hellos = deaf.of("hello")
+    assert len(hellos) == 30 + 3
+    np.testing.assert_allclose(gaps(hellos[:30]), 0.1, atol=0.002)
+    assert len({frame.fields["nonce"] for _, frame in hellos}) == 1
+    assert hellos[0][1].fields["nonce"] != 0
+    assert len(deaf.of("clear")) == 3
+    assert "(sent HELLO × 3, CLEAR × 3: no answer)" in caught.value.__notes__[0]
+
+
+def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overheard):
+    talking.arm()
+    overheard.deaf = True
+    with pytest.raises(LinkTimeout, match=r"no answer to heartbeat: 3 times, 0.1 s each"):
+        talking.heartbeat()
+    said = overheard.of("heartbeat")[-3:]
+    np.testing.assert_allclose(gaps(said), 0.1, atol=0.002)
+    assert len({frame.seq for _, frame in said}) == 1
+    assert (talking.statistics.retried, talking.statistics.timeouts) == (2, 1)
+    before = len(overheard.frames)
+    with pytest.warns(UnconfirmedWarning, match=r"sent .*ESTOP × 4, CLEAR × 6") as told:
+        talking.close()
+    assert "switch their supply off" in str(told[0].message)
+    names = [frame.name for _, frame in overheard.frames[before:]]
+    assert [name for name in names if name != "status"] == ["clear"] * 6 + ["estop"] * 4
+
+
+@pytest.mark.parametrize("watchdog", [0.1, 0.4, 2.0])
+def test_four_signs_of_life_come_within_a_watchdogs_period(talking, overheard, watchdog):
+    talking.arm(watchdog=watchdog)
+    talking.sleep(10 * watchdog)
+    said = overheard.of("heartbeat")[-30:]
+    np.testing.assert_allclose(gaps(said), watchdog / 4, atol=0.002)
+    assert talking.sleep(0.0) is None
+    assert talking.sleep(-1.0) is None
+
+
+def test_what_is_not_said_has_the_documented_values(talking, overheard):
+    talking.arm()
+    ((_, arm),) = overheard.of("arm")
+    assert (arm.fields["watchdog_ms"], arm.fields["action"], arm.flags) == (400, Action.relax, 0)
+    talking.move(ServoCommand(np.full(6, 0.01), 0.05))
+    talking.move(ServoCommand(np.full(6, 0.02), 0.050001), minimum_jerk=True, acknowledge=False, pace=False)
+    first, second = (frame for _, frame in overheard.of("move"))
+    assert (first.fields["duration_ms"], first.flags) == (50, 0)
+    assert (second.fields["duration_ms"], second.flags) == (51, FLAG_MINIMUM_JERK | FLAG_NO_ACK)
+    assert first.fields["servo"] == (100,) * 6
+    talking.status()
+    talking.status(period=0.05)
+    assert [frame.fields["period_ms"] for _, frame in overheard.of("status")[-2:]] == [0, 50]
+
+
+def test_a_move_waits_for_the_one_before_and_no_longer(talking, overheard):
+    talking.arm()
+    for i in range(5):
+        talking.move(ServoCommand(np.full(6, 0.01 * i), 0.05))
+    np.testing.assert_allclose(gaps(overheard.of("move")), 0.05, atol=0.002)
+    for i in range(5):
+        talking.move(ServoCommand(np.full(6, 0.01 * i), 0.05), pace=False)
+    assert max(gaps(overheard.of("move")[-5:])) < 0.01
+
+
+def test_arming_asks_every_twentieth_of_a_second(talking, overheard):
+    talking.arm()
+    asked = overheard.of("status")
+    assert 40 < len(asked) < 60  # 2.1 s after power-on, and the way to rest
+    np.testing.assert_allclose(gaps(asked), 0.05, atol=0.005)
+
+
+def test_waiting_for_a_hand_that_never_stops_ends_a_second_after_its_time(talking, monkeypatch):
+    talking.arm()
+    still = talking.status()
+    monkeypatch.setattr(HandLink, "status", lambda self: dataclasses.replace(still, moving=True))
+    talking.move(ServoCommand(np.full(6, 0.01), 0.5))
+    start = talking._now()
+    with pytest.raises(LinkTimeout, match="still moves 1 s after"):
+        talking.wait()
+    assert talking._now() - start == pytest.approx(1.5, abs=0.02)
+
+
+def test_the_counters_of_a_session_are_exact(virtual_hand):
+    link = HandLink(virtual_hand.connect)
+    link.connect()
+    for _ in range(3):
+        link.clear()
+    with pytest.raises(RejectedError):
+        link.move(ServoCommand(np.zeros(6), 1.0))
+    counted = link.statistics
+    assert (counted.connections, counted.sent, counted.acked, counted.rejected, counted.received) == (1, 5, 4, 1, 5)
+    assert (counted.retried, counted.timeouts, counted.bad_frames, counted.bad_bytes, counted.unlogged) == (0, 0, 0, 0, 0)
+    assert len(counted.round_trips) == 5
+    link.connect()
+    assert counted.connections == 2
+    link.close()
+
+
+def test_sequence_numbers_go_round_without_zero(virtual_hand):
+    exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
+    exchange._seq = 0xFFFE
+    assert [exchange._frame("status", {"period_ms": 0}, 0).seq for _ in range(3)] == [0xFFFF, 1, 2]
+
+
+# --- doctor -----------------------------------------------------------------------------------------------------------
+
+
+def test_doctor_listens_for_three_seconds(virtual_hand):
+    deaf = Overheard(virtual_hand, deaf=True)
+    finding = diagnose("here", lambda: deaf)
+    assert "silence for 3 s" in finding.what
+    hellos = deaf.of("hello")
+    assert {frame.fields["nonce"] for _, frame in hellos} == {0}
+    np.testing.assert_allclose(gaps(hellos), 0.1, atol=0.002)
+    assert deaf.now() == pytest.approx(3.0, abs=0.15)
+
+
+@pytest.mark.parametrize(("bad", "accepted", "noisy"), [(10, 1, False), (11, 1, True), (11, 1100, False), (12, 1199, True)])
+def test_doctor_calls_more_than_ten_and_one_in_a_hundred_damaged_frames_noise(talking, bad, accepted, noisy):
+    status = talking.status()
+    for counter in ("bad_crc", "bad_frame", "overrun"):
+        status.counters.update({"bad_crc": 0, "bad_frame": 0, "overrun": 0, "accepted": accepted} | {counter: bad})
+        finding = _judge("here", talking.info, status, LinkStatistics(), talking._hand)
+        assert finding.healthy is not noisy
+        assert ("line noise" in finding.advice) is noisy
+        assert not noisy or f"{bad} damaged frames" in finding.what
+
+
+@pytest.mark.parametrize(
+    ("heard", "what"),
+    [
+        (b"a" * 90 + b"\x80" * 10, "text"),
+        (b"a" * 89 + b"\x80" * 11, "neither"),
+        (b" ~\r\n\t" * 4, "text"),
+        (b"\x1f\x7f" * 10, "neither"),
+        (b"short\n" + b"long" * 30, repr("long" * 15)),
+    ],
+)
+def test_doctor_takes_nine_in_ten_printable_bytes_for_text(virtual_hand, heard, what):
+    exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
+    finding = _unanswered("here", exchange, heard)
+    assert what in finding.what
+    assert not finding.healthy
+
+
+def test_doctor_tells_the_round_trip_in_milliseconds(talking):
+    statistics = LinkStatistics()
+    statistics.round_trips.extend([0.001, 0.002, 0.009])
+    assert "round trip 2.0 ms" in _judge("here", talking.info, talking.status(), statistics, talking._hand).what
+
+
+# --- turns ------------------------------------------------------------------------------------------------------------
+
+
+def in_a_turn(turns, seconds):
+    """A thread that has the turn for so long; returns it, and what its end was."""
+    begun, ends = threading.Event(), []
+
+    def call():
+        try:
+            with turns:
+                begun.set()
+                time.sleep(seconds)
+            ends.append(None)
+        except StoppedError as error:
+            ends.append(str(error))
+
+    thread = threading.Thread(target=call)
+    thread.start()
+    begun.wait()
+    return thread, ends
+
+
+def test_who_preempts_waits_for_the_call_to_end_and_insists_meanwhile():
+    turns, insisted = Turns(), []
+    thread, ends = in_a_turn(turns, 0.3)
+    with turns.preempt("estop()", lambda: insisted.append(time.monotonic())):
+        assert not turns._depth, "the other call has not ended yet"
+    thread.join()
+    assert len(insisted) >= 2
+    assert ends == ["stopped by estop()"]
+    with turns:
+        turns.check()
+
+
+def test_a_call_that_does_not_end_is_passed_over(monkeypatch):
+    monkeypatch.setattr(connection, "_PREEMPT_TIMEOUT", 0.1)
+    turns = Turns()
+    thread, ends = in_a_turn(turns, 0.5)
+    start = time.monotonic()
+    with turns.preempt("close()", lambda: None):
+        assert thread.is_alive()
+    assert time.monotonic() - start >= 0.1
+    thread.join()
+    assert ends == ["stopped by close()"]
+
+
+def test_who_preempts_nobody_stops_nobody():
+    turns = Turns()
+    with turns.preempt("estop()", lambda: pytest.fail("there is nobody to insist with")):
+        turns.check()
+    with turns:
+        turns.check()

@@ -1,0 +1,258 @@
+"""What the hand says about itself: every field in its unit, and what may be concluded from an answer."""
+
+import argparse
+import json
+import math
+import socket
+import threading
+
+import numpy as np
+import pytest
+
+from hpac_gym.bridge import FrameError, HandLink, LinkStatistics, PortError, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.bridge.commands import _print_json, add_safety
+from hpac_gym.bridge.doctor import Finding
+from hpac_gym.bridge.exchange import Exchange
+from hpac_gym.bridge.frame import Frame, decode
+from hpac_gym.bridge.generate import vectors
+from hpac_gym.bridge.limits import ServoLimits
+from hpac_gym.bridge.protocol import FLAG_NO_ACK, Fault, Field, Message, Reason, State
+from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
+from hpac_gym.bridge.transport import SocketTransport, _open_advice, open_transport
+from hpac_gym.model import SERVOS
+
+EXAMPLES = {name: decode(wire[1:-1]) for name, verdict, wire in vectors() if verdict == "ok"}
+
+
+def test_every_field_of_a_status_is_read_in_its_unit():
+    status = HandStatus.from_frame(EXAMPLES["device_status"])
+    assert status.uptime == pytest.approx(0x01020304 * 1e-3)
+    assert (status.state, status.fault, status.attached, status.moving) == ("armed", "watchdog", SERVOS, True)
+    np.testing.assert_allclose(status.servo, [0, 1e-4, 0.0255, 0.0256, 0.8191, 1.3])
+    np.testing.assert_allclose(status.heat, [0, 0.01, 0.02, 0.99, 1.0, 2.55])
+    assert (status.rate_share, status.supply, status.last_seq) == (1.0, 5.0, 0xABCD)
+    assert list(status.counters.values()) == [70000, 1, 2, 3, 4, 5, 6, 65535]
+
+
+def test_what_a_board_does_not_measure_is_not_a_number():
+    fields = EXAMPLES["device_status"].fields | {"supply_mv": 0, "attached": 0b000101, "moving": 0}
+    status = HandStatus.from_frame(Frame("device_status", 1, 0, fields))
+    assert math.isnan(status.supply)
+    assert (status.attached, status.moving) == ((SERVOS[0], SERVOS[2]), False)
+
+
+def test_every_field_of_a_hello_is_read_in_its_unit():
+    info = HandInfo.from_frame(EXAMPLES["device_hello"])
+    assert (info.firmware_version, info.watchdog, info.reset, info.boot_count, info.state) == (
+        "0.2.0", 0.25, "power_on", 258, "armed",
+    )  # fmt: skip
+    assert (info.session, info.trim_ns, info.reversed_mask) == (0x12345678, (0, -1, 1, -20000, 20000, 256), 0b100010)
+
+
+def status_frame(state, attached):
+    return Frame("device_status", 1, 0, EXAMPLES["device_status"].fields | {"state": state, "attached": attached})
+
+
+def ack(state, reason=Reason.ok, servo=255):
+    return Frame("ack", 1, 0, {"acked": 3, "reason": reason, "servo": servo, "state": state})
+
+
+@pytest.mark.parametrize(
+    ("frame", "answered", "may_have_power"),
+    [
+        (status_frame(State.idle, 0), "status", False),
+        (status_frame(State.idle, 1), "status", True),
+        (status_frame(State.armed, 0), "status", True),
+        (status_frame(State.fault, 0), "status", False),
+        (status_frame(State.fault, 32), "status", True),
+        (status_frame(State.idle, 0), None, True),
+        (ack(State.idle), "clear", False),
+        (ack(State.boot), "clear", False),
+        (ack(State.fault, Reason.estop), "clear", True),
+        (ack(State.fault), "estop", False),
+        (ack(State.fault, Reason.version), "estop", True),
+        (ack(State.idle), "estop", True),
+        (ack(State.idle), "move", True),
+        (ack(State.idle), "arm", True),
+        (Frame("device_hello", 1, 0, EXAMPLES["device_hello"].fields | {"state": State.idle}), "hello", False),
+        (Frame("device_hello", 1, 0, EXAMPLES["device_hello"].fields | {"state": State.fault}), "hello", True),
+    ],
+)
+def test_only_an_answer_that_says_so_means_no_power(frame, answered, may_have_power):
+    known = KnownState()
+    assert known.may_have_power
+    known.take_in(frame, answered)
+    assert known.may_have_power is may_have_power
+    known.about_to_send("move")
+    assert known.may_have_power is may_have_power
+    known.about_to_send("arm")
+    assert known.may_have_power
+
+
+def test_a_fault_is_known_until_the_hand_says_otherwise():
+    known = KnownState()
+    known.take_in(Frame("fault", 0, 0, {"fault": Fault.overload, "servo": 1, "uptime_ms": 5}))
+    assert (known.state, known.fault, known.in_fault, known.armed) == ("fault", "overload", True, False)
+    known.take_in(ack(State.fault, Reason.state))
+    assert known.fault == "overload"
+    known.take_in(ack(State.armed))
+    assert (known.fault, known.in_fault, known.armed) == ("none", False, True)
+    known.forget()
+    assert (known.state, known.fault, known.may_have_power) == ("boot", "none", True)
+
+
+@pytest.mark.parametrize(
+    ("frame", "words", "servo"),
+    [
+        (ack(State.armed, Reason.rate, 5), "the hand refused move: rate at servo thumb_cmc (state armed)", "thumb_cmc"),
+        (ack(State.armed, Reason.rate, 6), "the hand refused move: rate (state armed)", None),
+        (ack(State.armed, Reason.session), "another program has greeted the hand since", None),
+        (ack(State.fault, Reason.state), "the hand is in fault (none): move refused; clear() leaves it", None),
+        (ack(State.armed, 99), "the hand refused move: unknown_99 (state armed)", None),
+    ],
+)
+def test_a_refusal_says_what_and_where(frame, words, servo):
+    known = KnownState()
+    known.take_in(frame, "move")
+    error = known.refusal("move", frame)
+    assert words in str(error)
+    assert (error.servo, error.state) == (servo, known.state)
+
+
+def test_round_trips_are_kept_within_bounds():
+    statistics = LinkStatistics()
+    assert math.isnan(statistics.round_trip(50))
+    statistics.round_trips.extend(range(100_001))
+    assert len(statistics.round_trips) == 100_000
+    assert statistics.round_trip(0) == 1
+    assert statistics.round_trip(50) == pytest.approx(50_000.5)
+
+
+def test_what_belongs_to_a_connection_starts_anew_with_the_next():
+    hand, other = VirtualHand(), VirtualHand()
+    hands = iter((hand, other))
+    with HandLink(lambda: next(hands).connect()) as link:
+        link.arm(watchdog=2.0)
+        hand.run(1.0)
+        link.reconnect()
+        link.arm(watchdog=0.1)
+        link.sleep(1.0)
+        assert link.status().counters["watchdog_trips"] == 0
+        assert link.statistics.connections == 2
+
+
+# --- a socket ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def pair():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        taken = []
+        thread = threading.Thread(target=lambda: taken.append(server.accept()[0]))
+        thread.start()
+        transport = open_transport(f"socket://127.0.0.1:{server.getsockname()[1]}")
+        thread.join()
+        with taken[0] as other_end:
+            yield transport, other_end
+        transport.close()
+
+
+def test_a_socket_carries_bytes_both_ways_and_waits_no_longer_than_told(pair):
+    transport, other_end = pair
+    transport.write(b"to the hand")
+    assert other_end.recv(100) == b"to the hand"
+    start = transport.now()
+    assert transport.read(0.0) == b""
+    assert transport.read(0.02) == b""
+    assert 0.015 < transport.now() - start < 1.0
+    other_end.sendall(b"back")
+    assert transport.read(1.0) == b"back"
+
+
+def test_a_socket_whose_other_end_has_gone_is_a_port_error(pair):
+    transport, other_end = pair
+    other_end.close()
+    with pytest.raises(PortError, match="closed by the other end"):
+        transport.read(1.0)
+    transport.close()
+    with pytest.raises(PortError, match="has gone"):
+        transport.read(0.1)
+    with pytest.raises(PortError, match="takes no bytes"):
+        transport.write(b"x")
+
+
+def test_a_socket_on_which_nobody_listens_is_a_port_error():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with pytest.raises(PortError, match=rf"socket://127.0.0.1:{port} cannot be opened"):
+        SocketTransport("127.0.0.1", port)
+
+
+@pytest.mark.parametrize("name", ["socket://", "socket://host", "socket://:1", "socket://host:", "socket://host:x"])
+def test_a_malformed_socket_name_says_how_to_write_it(name):
+    with pytest.raises(PortError, match="write socket://HOST:PORT"):
+        open_transport(name)
+
+
+@pytest.mark.parametrize(
+    ("error", "advice"),
+    [
+        (OSError("Could not exclusively lock port X"), "is used by another program"),
+        (OSError("[Errno 13] Permission denied"), "dialout"),
+        (OSError("No such file or directory: X"), "no such port"),
+        (FileNotFoundError("gone"), "no such port"),
+        (OSError("something else"), "cannot be opened: something else"),
+    ],
+)
+def test_a_port_that_does_not_open_says_what_to_do(error, advice):
+    assert advice in _open_advice("X", error)
+
+
+def test_pulses_of_several_hands_name_a_silent_servo():
+    with pytest.raises(FrameError, match="no pulses on pinky_mcp"):
+        servo_from_pulses([[1500000] * 6, [1500000] * 4 + [0, 1500000]])
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [Frame, HandInfo, HandStatus, Finding, Field, Message, ServoLimits], ids=lambda k: k.__name__)
+def test_what_has_been_read_cannot_be_changed(kind):
+    assert kind.__dataclass_params__.frozen
+    assert hasattr(kind, "__slots__")
+
+
+@pytest.mark.parametrize(("drawn", "session"), [(lambda below: 0, 1), (lambda below: below - 1, 0xFFFFFFFF)])
+def test_a_session_is_any_number_of_32_bits_but_zero(monkeypatch, drawn, session):
+    monkeypatch.setattr("hpac_gym.bridge.exchange.secrets.randbelow", drawn)
+    with HandLink(VirtualHand().connect) as link:
+        assert link.info.session == session
+
+
+def test_a_log_line_has_microseconds_and_a_tenth_of_them_for_a_round_trip(tmp_path):
+    with WireLog(tmp_path / "log") as log:
+        log.record(1 / 3, "sent", b"\x01", Frame("estop", 7), 2 / 3)
+    line = json.loads((tmp_path / "log").read_text())
+    assert (line["t"], line["round_trip"], line["hex"], line["seq"]) == (0.333333, 0.6666667, "01", 7)
+
+
+def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
+    exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
+    for _ in range(300):
+        exchange.send("heartbeat", {}, FLAG_NO_ACK)
+    assert list(exchange._unacknowledged) == list(range(45, 301))
+
+
+def test_json_is_indented_and_in_plain_letters(capsys):
+    _print_json([{"claim": "host silent → detach"}])
+    assert capsys.readouterr().out == '[\n  {\n    "claim": "host silent → detach"\n  }\n]\n'
+
+
+def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unless_told():
+    parser = argparse.ArgumentParser()
+    add_safety(parser)
+    options = parser.parse_args([])
+    assert (options.frames, options.trials, options.sessions) == (10_000_000, 20, 10_000)
+    assert parser.parse_args(["--frames", "1", "--trials", "1", "--sessions", "1"]).frames == 1
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--sessions", "0"])
