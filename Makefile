@@ -36,7 +36,7 @@ $(STAMP):
 	@$(PIP) torch==2.13.0
 	@echo "Set-up: the other dependencies and the project"
 	@$(PIP) hatchling
-	@$(PIP) --no-build-isolation --editable '.[train,study,grasps,video,test]'
+	@$(PIP) --no-build-isolation --editable '.[train,study,grasps,objects,video,onnx,test]'
 	@rm -f $(VENV)/.setup-* && touch $@
 
 compiler:
@@ -47,14 +47,14 @@ firmware: compiler ## build the firmware core and its host board
 	@$(MAKE) -C firmware CC='$(CC)'
 
 test: compiler setup firmware ## pass all the tests but the slow ones
-	@$(MAKE) -C firmware CC='$(CC)' check
+	@$(MAKE) -C firmware -j 2 CC='$(CC)' check
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 test-all: compiler setup firmware ## pass all the tests, slow ones and firmware mutants too
 	@$(MAKE) -C firmware CC='$(CC)' check-all
 	@$(BIN)/python -m pytest -m '' $(PYTEST_ARGS)
 
-demo: compiler setup firmware ## train, evaluate and replay over the wire into runs/demo (under 30 minutes)
+demo: compiler setup firmware ## train, evaluate and replay over the wire into runs/demo (under 20 minutes)
 	@$(BIN)/python -m agents.demo --out runs/demo $(DEMO_ARGS)
 
 bench: setup ## measure the speed of the environments, of the model and of the command line

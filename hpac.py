@@ -41,6 +41,7 @@ COMMANDS = (
     Command("conform", "try every rule of docs/wire.md on a device", "hpac_gym.bridge.commands:add_conform"),
     Command("doctor", "find hands, say what is wrong and the first step; touches nothing", "hpac_gym.bridge.commands:add_doctor"),
     Command("estop", "stop all pulses now and latch a fault", "hpac_gym.bridge.commands:add_estop"),
+    Command("export", "write a policy file as ONNX with a card", "hpac_gym.policies.export:add_arguments", "onnx"),
     Command("grasps", "judge a policy at the sixteen named grasps", "hpac_gym.evaluation.commands:add_grasps", "grasps"),
     Command("physics", "hold every engine and body against the paper and statics", "hpac_gym.physics.conformance:add_arguments"),
     Command("posture", "show, draw or send a gesture or grasp shape of the paper", "hpac:add_posture", "study"),

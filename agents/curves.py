@@ -26,22 +26,22 @@ COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
 
 
 def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None = None) -> Figure:
-    """Success in training over decisions, with the held-out results of every policy beside it."""
+    """Success in training over trials, with the held-out results of every policy beside it."""
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    axes.plot(curve["steps"] / 1000, 100 * curve["success_rate"], color=COLOURS["learned"], label="learning, actions explored")
+    axes.plot(curve["episodes"] / 1000, 100 * curve["success_rate"], color=COLOURS["learned"], label="learning, with exploration")
     for name, numbers in (results or {}).get("policies", {}).items():
         low, high = (100 * bound for bound in numbers["interval_95"])
         label = f"{name}, {numbers['episodes']} held-out episodes: {numbers['success_rate']:.0%}"
         axes.axhspan(low, high, color=COLOURS.get(name), alpha=0.18, linewidth=0)
         axes.axhline(100 * numbers["success_rate"], color=COLOURS.get(name), linestyle="--", linewidth=1, label=label)
-    axes.set(xlabel="decisions (thousands)", ylabel="success (%)", ylim=(-2, 102))
-    axes.set_xlim(0, curve["steps"].max(initial=1) / 1000)
+    axes.set(xlabel="trials (thousands)", ylabel="success (%)", ylim=(-2, 102))
+    axes.set_xlim(0, curve["episodes"].max(initial=1) / 1000)
     if len(curve["seconds"]) > 1:
-        steps, minutes = np.append(0, curve["steps"] / 1000), np.append(0, curve["seconds"] / 60)
-        # Steps and minutes both grow along a run, so that either can be read off the other.
-        axis = axes.secondary_xaxis("top", (lambda x: np.interp(x, steps, minutes), lambda t: np.interp(t, minutes, steps)))
+        trials, minutes = np.append(0, curve["episodes"] / 1000), np.append(0, curve["seconds"] / 60)
+        # Trials and minutes both grow along a run, so that either can be read off the other.
+        axis = axes.secondary_xaxis("top", (lambda x: np.interp(x, trials, minutes), lambda t: np.interp(t, minutes, trials)))
         axis.set_xticks([tick for tick in MaxNLocator(8).tick_values(0, minutes[-1]) if tick <= minutes[-1]])
         axis.set_xlabel("training time (minutes)")
     axes.grid(alpha=0.3)
@@ -97,7 +97,7 @@ def _page(results: dict[str, Any]) -> str:
     text = f"# {results['env_id'].rpartition(':')[2]}\n\n{table(results)}\n"
     policy = results.get("policy")
     if policy:
-        effort = f"{policy['steps']:,} decisions in {policy['seconds'] / 60:.1f} minutes"
+        effort = f"{policy['episodes']:,} trials in {policy['seconds'] / 60:.1f} minutes"
         text += f"\nLearned: {policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
         text += f"weights SHA-256 `{policy['sha256'][:16]}…`.\n"
     return text + f"\nEvery policy met the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"

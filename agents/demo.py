@@ -13,15 +13,15 @@ from agents.recipes import RECIPES
 from hpac import run, whole_number
 from hpac_gym.output import writable_folder
 
-EVALUATION_MINUTES = 8.0  # 400 episodes of each of three policies fit; fewer are taken on a slower machine
+EVALUATION_MINUTES = 5.0  # 400 episodes of each of three policies fit; fewer are taken on a slower machine
 RESULTS = ("learning_curve.png", "results.md", "results.json", "grasps.mp4", "wire.jsonl")
 
 
 def steps(recipe: str, out: Path, training_minutes: float, episodes: int, seed: int) -> list[tuple[str, list[str]]]:
     """What the demo does: a title, and the module with its arguments, of every step."""
     policy, results = str(out / "policy.zip"), str(out / "results.json")
-    train = ["agents.train", "--recipe", recipe, "--out", str(out), "--seed", str(seed)]
-    judge = ["agents.evaluate", "--policy", policy, "--episodes", str(episodes), "--workers", "2"]
+    train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed)]
+    judge = ["agents.evaluate", "--policy", policy, "--engine", "mujoco", "--episodes", str(episodes), "--workers", "2"]
     return [
         ("Train from random weights", [*train, "--time-limit", f"{training_minutes:g}", "--overwrite"]),
         ("Judge it and the baselines", [*judge, "--time-limit", f"{EVALUATION_MINUTES:g}", "--out", results]),
@@ -32,7 +32,7 @@ def steps(recipe: str, out: Path, training_minutes: float, episodes: int, seed: 
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.demo", __doc__)
-    parser.add_argument("--recipe", choices=sorted(RECIPES), default="grasp-sac", help="how to train")
+    parser.add_argument("--recipe", choices=sorted(RECIPES), default="grasp", help="how to train")
     parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder of the results")
     parser.add_argument("--minutes", type=minutes, default=10.0, help="training time")
     parser.add_argument("--episodes", type=whole_number(1), default=400, help="held-out episodes of each policy")

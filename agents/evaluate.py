@@ -1,7 +1,8 @@
 """Judge policies on held-out episodes: ``python -m agents.evaluate --policy FILE``.
 
 Every policy meets the same episodes, one per seed from ``--seed-start`` on; a learned or scripted policy is set beside
-the baselines. An episode depends on its seed alone, so that the numbers are the same whatever the number of workers.
+the baselines. An episode depends on its seed alone, so that the numbers are the same whatever the number of workers, and
+whether its world is alone or, as on MuJoCo, one of a batch.
 """
 
 import argparse
@@ -18,21 +19,26 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import VectorEnv
 from tqdm import tqdm
 
 from agents.command import command_parser, minutes
 from agents.tasks import make_task
 from hpac import run, whole_number
+from hpac_gym.envs.options import GRASP, PICK_PLACE
+from hpac_gym.evaluation.closures import scale_of
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.evaluation.workers import worker_pool
 from hpac_gym.output import writable_folder, write_text
+from hpac_gym.physics.simulation import default_engine
 from hpac_gym.policies import Policy, read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
 
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
+BATCH = 50  # worlds at once on MuJoCo
 LEARNED = "learned"  # what a policy file is called in tables
 OPTIONS = ("engine", "body", "randomize")
 """Options of the environment that the command passes on."""
@@ -79,8 +85,35 @@ class Evaluation:
 def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
     """One episode from its seed to its end."""
     rewards, infos = zip(*control_steps(env, policy, seed), strict=True)
-    phase = infos[-1].get("phase", getattr(env.unwrapped, "phase", None))
-    success = bool(infos[-1]["is_success"])
+    return _episode(seed, rewards, infos[-1], getattr(env.unwrapped, "phase", None))
+
+
+def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int]) -> list[Episode]:
+    """An episode of each policy from its seed to its end, all at once; what begins after that is not looked at."""
+    seen, _ = envs.reset(seed=list(seeds))
+    for policy, seed in zip(policies, seeds, strict=True):
+        policy.reset(seed)
+    rewards: list[list[float]] = [[] for _ in seeds]
+    episodes: dict[int, Episode] = {}
+    while len(episodes) < len(seeds):
+        actions = np.zeros(envs.action_space.shape, np.float32)
+        for place, policy in enumerate(policies):
+            if place not in episodes:
+                actions[place] = policy.act(seen[place])
+        seen, gained, terminated, truncated, infos = envs.step(actions)
+        for place in range(len(seeds)):
+            if place in episodes:
+                continue
+            rewards[place].append(float(gained[place]))
+            if terminated[place] or truncated[place]:
+                told = {name: infos[name][place] for name in ("is_success", "phase")}
+                episodes[place] = _episode(seeds[place], rewards[place], told, None)
+    return [episodes[place] for place in range(len(seeds))]
+
+
+def _episode(seed: int, rewards: Sequence[float], told: Mapping[str, Any], otherwise: Any) -> Episode:
+    phase = told.get("phase", otherwise)
+    success = bool(told["is_success"])
     return Episode(seed, success, sum(rewards), len(rewards), None if phase is None else _phase_name(phase))
 
 
@@ -110,11 +143,11 @@ def evaluate(
     with _results(names, env_id, options, seeds, workers) as results, tqdm(
         total=episodes, desc="evaluating", unit="seed", disable=not sys.stderr.isatty(), dynamic_ncols=True
     ) as bar:  # fmt: skip
-        for row in results:
-            rows.append(row)
+        for block in results:
+            rows += block
             rates = (np.mean([done[number].success for done in rows]) for number in range(len(names)))
             bar.set_postfix_str(", ".join(f"{label} {rate:.0%}" for label, rate in zip(labels, rates, strict=True)))
-            bar.update()
+            bar.update(len(block))
             if time.monotonic() > deadline:
                 break
     return Evaluation(env_id, {label: tuple(row[number] for row in rows) for number, label in enumerate(labels)})
@@ -131,6 +164,11 @@ def table(summary: dict[str, Any]) -> str:
             f"| {name} | {numbers['episodes']} | {numbers['success_rate']:.1%} | {low:.1%} … {high:.1%} "
             f"| {numbers['return_mean']:.2f} | {phases} |"
         )
+    foreign = {"mujoco", "light", "hand", "link", "full"} & {str(value) for value in summary.get("options", {}).values()}
+    if (scale := scale_of(summary["env_id"])) and not foreign:  # its ends were measured on PyBullet, nominal
+        scores = ", ".join(f"{name} {scale.score(row['success_rate']):.2f}" for name, row in summary["policies"].items())
+        ends = f"0 at a random closure ({scale.floor:.1%}) and 1 at the best of many ({scale.ceiling:.1%})"
+        lines += ["", f"Score, {ends}: {scores}."]
     for pair in summary["differences"]:
         low, high = pair["interval_95"]
         interval = f"{100 * pair['success']:+.1f} points ({100 * low:+.1f} … {100 * high:+.1f})"
@@ -201,45 +239,64 @@ def _phase_name(phase: Any) -> str:
     return str(getattr(phase, "name", phase)).lower()
 
 
+Block = list[tuple[Episode, ...]]
+"""Some seeds after each other: an episode of each policy from each of them."""
+
+
 @contextmanager
 def _results(
     names: Sequence[str], env_id: str, options: dict[str, Any], seeds: Sequence[int], workers: int
-) -> Iterator[Iterator[tuple[Episode, ...]]]:
-    """The rows of episodes, one per seed and in that order, as they are done."""
+) -> Iterator[Iterator[Block]]:
+    """The blocks of episodes, in the order of their seeds, as they are done."""
+    size = min(BATCH, len(seeds)) if _on_mujoco(env_id, options) else 1
+    blocks = [seeds[start : start + size] for start in range(0, len(seeds), size)]
     if workers == 1:
-        bench = _Bench(names, env_id, options)
-        yield map(bench.episodes, seeds)
+        bench = _Bench(names, env_id, options, size)
+        yield map(bench.episodes, blocks)
         bench.close()
         return
-    with worker_pool(workers, _prepare_worker, (names, env_id, options)) as work:
-        yield work(_work, zip(seeds, strict=True))
+    with worker_pool(workers, _prepare_worker, (names, env_id, options, size)) as work:
+        yield work(_work, zip(blocks, strict=True))
+
+
+def _on_mujoco(env_id: str, options: Mapping[str, Any]) -> bool:
+    """Whether an environment has a batch of its own."""
+    return env_id.rpartition(":")[2] in (GRASP, PICK_PLACE) and (options.get("engine") or default_engine()) == "mujoco"
 
 
 class _Bench:
-    """An environment with the policies that it is to judge."""
+    """Where policies are judged: one environment, or a batch of `size`, with each policy once for each of its worlds."""
 
-    def __init__(self, names: Sequence[str], env_id: str, options: dict[str, Any]) -> None:
-        self._env = make_task(env_id, **options)
-        self._policies = [load_policy(name, self._env) for name in names]
+    def __init__(self, names: Sequence[str], env_id: str, options: dict[str, Any], size: int) -> None:
+        self._env, self._size = make_task(env_id, **options), size
+        self._batch = gymnasium.make_vec(env_id, size, **options) if _on_mujoco(env_id, options) else None
+        self._policies = [[load_policy(name, self._env) for _ in range(size)] for name in names]
 
-    def episodes(self, seed: int) -> tuple[Episode, ...]:
-        """An episode of each policy from the same seed."""
-        return tuple(run_episode(self._env, policy, seed) for policy in self._policies)
+    def episodes(self, seeds: Sequence[int]) -> Block:
+        """An episode of each policy from each seed."""
+        if self._batch is None:
+            return [tuple(run_episode(self._env, policy, seed) for (policy,) in self._policies) for seed in seeds]
+        # The last block may be short: the worlds that are left over play seeds that nobody counts.
+        padded = [*seeds, *range(self._size - len(seeds))]
+        columns = [run_batch(self._batch, policies, padded)[: len(seeds)] for policies in self._policies]
+        return list(zip(*columns, strict=True))
 
     def close(self) -> None:
         self._env.close()
+        if self._batch is not None:
+            self._batch.close()
 
 
 _bench: _Bench
 
 
-def _prepare_worker(names: Sequence[str], env_id: str, options: dict[str, Any]) -> None:
+def _prepare_worker(names: Sequence[str], env_id: str, options: dict[str, Any], size: int) -> None:
     global _bench
-    _bench = _Bench(names, env_id, options)
+    _bench = _Bench(names, env_id, options, size)
 
 
-def _work(seed: int) -> tuple[Episode, ...]:
-    return _bench.episodes(seed)
+def _work(seeds: Sequence[int]) -> Block:
+    return _bench.episodes(seeds)
 
 
 if __name__ == "__main__":

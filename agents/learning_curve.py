@@ -1,4 +1,4 @@
-"""The learning curve of a run: a CSV file that grows by a row every thousand steps."""
+"""The learning curve of a run: a CSV file that grows by a row every five hundred trials."""
 
 import csv
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 from agents.errors import RunError
 
 CURVE = "progress.csv"
-COLUMNS = ("steps", "seconds", "episodes", "return_mean", "success_rate", "window")
+COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
 
 
 def append_row(path: Path, row: dict[str, float | int]) -> None:
@@ -27,12 +27,12 @@ def append_row(path: Path, row: dict[str, float | int]) -> None:
         raise RunError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
-def drop_rows_after(path: Path, steps: int) -> None:
+def drop_rows_after(path: Path, episodes: int) -> None:
     """Take back what a killed training wrote after its last checkpoint, a half-written row too."""
     if not path.exists():
         return
     header, *rows = path.read_text().splitlines(keepends=True) or [""]
-    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= steps]
+    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= episodes]
     path.write_text("".join([header, *kept]))
 
 

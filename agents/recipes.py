@@ -1,100 +1,91 @@
-"""How a policy is trained: one frozen set of settings per recipe, by name."""
+"""How a policy is trained: one frozen set of settings per recipe, by name. The options of ``agents.train`` are made from it."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from math import inf
 from typing import Any, get_type_hints
 
 from agents.errors import RecipeError
+from hpac_gym.envs.options import GRASP, PICK_PLACE
+from hpac_gym.envs.randomization import PRESETS
+from hpac_gym.physics.settings import BODIES
+from hpac_gym.physics.simulation import ENGINES
+from hpac_gym.policies import Closures
+
+
+def _setting(default: Any, meaning: str, low: float = 0.0, high: float = inf) -> Any:
+    return field(default=default, metadata={"meaning": meaning, "bounds": (low, high)})
+
+
+def _choice(default: Any, meaning: str, choices: tuple[str, ...]) -> Any:
+    return field(default=default, metadata={"meaning": meaning, "choices": choices})
 
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Settings of one soft actor-critic training.
+    """Settings of one training of closures; `agents.closures` says what they do.
 
-    A step here is a decision: an action that is held for ``action_repeat`` control steps. The first ``closure_steps`` are
-    random closures, which begin and let go within the ranges of control steps that ``closure_begin`` and ``closure_release``
-    give, or never let go (see `agents.exploration`); then exploration is state-dependent and keeps its direction for
-    ``sde_sample_freq`` decisions, because a hand that trembles at 20 Hz never closes. ``gamma`` looks about 1 / (1 − gamma)
-    decisions ahead. The learner makes one update in ``steps_per_update`` decisions while the worker processes step, which
-    keeps two cores busy.
+    Raises:
+        RecipeError: A setting that is out of its bounds, or none of its choices.
     """
 
-    env_id: str
-    steps: int
-    seed: int = 0
-    n_envs: int = 4
-    gamma: float = 0.95
-    learning_rate: float = 5e-4
-    tau: float = 0.01
-    batch_size: int = 256
-    hidden: tuple[int, ...] = (128, 128)
-    action_repeat: int = 4
-    learning_starts: int = 500
-    closure_steps: int = 4_000
-    closure_begin: tuple[int, ...] = (0, 0)
-    closure_release: tuple[int, ...] = ()
-    steps_per_update: int = 1
-    n_steps: int = 4
-    sde_sample_freq: int = 4
-    buffer_size: int = 400_000
-    checkpoint_every: int = 5_000
-    threads: int = 1
+    env_id: str = _choice(GRASP, "environment", (GRASP, PICK_PLACE))
+    engine: str = _choice("mujoco", "physics engine", ENGINES)
+    body: tuple[str, ...] = _choice(("twin",), "bodies, with commas between; each gets its share of worlds", tuple(BODIES))
+    randomize: str = _choice("nominal", "what differs between episodes", tuple(PRESETS))
+    episodes: int = _setting(60_000, "trials in all", 1)
+    seed: int = _setting(0, "seed of the run", 0, 2**31 - 1)
+    num_envs: int = _setting(128, "worlds at once", 1, 65_536)
+    random_episodes: int = _setting(2_500, "trials of random closures before the first update", 1)
+    updates_per_episode: float = _setting(0.3, "updates that a trial is worth", 1e-4, 100)
+    batch_size: int = _setting(256, "trials in an update", 1, 65_536)
+    learning_rate: float = _setting(1e-3, "at the beginning; it falls to a twentieth", 1e-8, 1)
+    weight_decay: float = _setting(0.03, "of the critics", 0, 10)
+    dropout: float = _setting(0.1, "share of the critics' hidden values that a fit leaves out", 0, 0.9)
+    hidden: tuple[int, ...] = _setting((256, 256, 256), "widths of the layers", 1, 4_096)
+    critics: int = _setting(2, "how many there are", 1, 64)
+    doubt: float = _setting(0.5, "how many of the critics' standard deviations are taken off what they predict", 0, 10)
+    easy_share: float = _setting(0.3, "share of the trials that the critics are sure of which is tried even so", 0.01, 1)
+    entropy_first: float = _setting(0.1, "entropy that the actor aims at, at the beginning, nats a number", -10, 0.69)
+    entropy_last: float = _setting(-1.0, "and at the end", -10, 0.69)
+    begin: tuple[float, ...] = _setting((), "range of control steps in which a closure begins; empty is at once", 0, 1e6)
+    release: tuple[float, ...] = _setting((), "range of control steps in which the hand opens again; empty is never", 0, 1e6)
+    checkpoint_every: int = _setting(5_000, "trials between two checkpoints", 1)
 
     def __post_init__(self) -> None:
-        for name, (low, high) in BOUNDS.items():
-            values = getattr(self, name)
-            for value in values if isinstance(values, tuple) else (values,):
-                if not low <= value <= high:
-                    raise RecipeError(f"{name} is {value}: it must lie in {low:g}…{high:g}")
-        if not self.hidden:
-            raise RecipeError("hidden is empty: it needs at least one layer")
-        for name, lengths in (("closure_begin", (2,)), ("closure_release", (0, 2))):
-            if len(bounds := getattr(self, name)) not in lengths or tuple(sorted(bounds)) != tuple(bounds):
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            for part in value if isinstance(value, tuple) else (value,):
+                if "choices" in entry.metadata and part not in entry.metadata["choices"]:
+                    raise RecipeError(f"{entry.name} is '{part}': it must be one of {', '.join(entry.metadata['choices'])}")
+                low, high = entry.metadata.get("bounds", (-inf, inf))
+                if "bounds" in entry.metadata and not low <= part <= high:
+                    raise RecipeError(f"{entry.name} is {part}: it must lie in {low:g}…{high:g}")
+        if not self.hidden or not self.body:
+            raise RecipeError("hidden and body need at least one entry each")
+        if self.num_envs < len(self.body):
+            raise RecipeError(f"num_envs is {self.num_envs}: {len(self.body)} bodies need a world each")
+        for name in ("begin", "release"):
+            bounds = getattr(self, name)
+            if bounds and (len(bounds) != 2 or bounds[0] > bounds[1]):
                 raise RecipeError(f"{name} is {bounds}: it must be a lower and an upper bound")
-        if self.buffer_size < self.learning_starts:
-            raise RecipeError(f"buffer_size is {self.buffer_size}: it must hold learning_starts, {self.learning_starts} steps")
+        if bool(self.begin) != bool(self.release):
+            raise RecipeError("begin and release are given together, or not at all")
+
+    @property
+    def closures(self) -> Closures:
+        """The closures that are tried."""
+        return Closures(begin=self.begin or None, release=self.release or None)
 
 
-BOUNDS = {
-    "steps": (1, inf),
-    "seed": (0, 2**31 - 1),
-    "n_envs": (1, 64),
-    "gamma": (0.0, 1.0),
-    "learning_rate": (1e-8, 1.0),
-    "tau": (1e-6, 1.0),
-    "batch_size": (1, 65_536),
-    "hidden": (1, 4_096),
-    "learning_starts": (1, inf),
-    "closure_steps": (0, inf),
-    "closure_begin": (0, 10_000),
-    "closure_release": (0, 10_000),
-    "action_repeat": (1, 1_000),
-    "steps_per_update": (1, 1_000),
-    "n_steps": (1, 100),
-    "sde_sample_freq": (1, 10_000),
-    "buffer_size": (1, 10**8),
-    "checkpoint_every": (1, inf),
-    "threads": (1, 256),
+RECIPES: Mapping[str, Recipe] = {
+    "grasp": Recipe(),
+    "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
 }
-
-RECIPES = {
-    "grasp-sac": Recipe(env_id="hpac_gym:HPAC-Grasp-v0", steps=300_000),
-    "pick-place-sac": Recipe(
-        env_id="hpac_gym:HPAC-PickPlace-v0",
-        steps=300_000,
-        closure_steps=8_000,
-        closure_begin=(6, 18),
-        closure_release=(70, 95),
-    ),
-}
-
-_PARSERS: dict[Any, Callable[[str], Any]] = {
-    int: lambda text: int(text.replace("_", "")),
-    float: float,
-    str: str,
-    tuple[int, ...]: lambda text: tuple(int(word) for word in text.split(",")),
-}
+_KINDS = {"int": "a whole number", "float": "a number", "tuple[int, ...]": "whole numbers with commas between",
+          "tuple[float, ...]": "numbers with commas between"}  # fmt: skip
 
 
 def recipe_named(name: str) -> Recipe:
@@ -108,24 +99,36 @@ def recipe_named(name: str) -> Recipe:
     return RECIPES[name]
 
 
-def with_settings(recipe: Recipe, settings: Iterable[str]) -> Recipe:
-    """The recipe with ``name=value`` texts put over it, checked again.
+def with_settings(recipe: Recipe, texts: Mapping[str, str]) -> Recipe:
+    """The recipe with settings, given as text, put over it, and checked again.
 
     Raises:
-        RecipeError: A text is not ``name=value``, names no setting, or its value is none.
+        RecipeError: A text is no value of its setting.
     """
     types = get_type_hints(Recipe)
     changes = {}
-    for text in settings:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals:
-            raise RecipeError(f"setting '{text}' is not of the form name=value")
-        if name not in types:
-            raise RecipeError(f"unknown setting '{name}': known are {', '.join(field.name for field in fields(Recipe))}")
+    for name, text in texts.items():
+        kind = types[name]
         try:
-            changes[name] = _PARSERS[types[name]](value)
+            if kind in (str, float):
+                changes[name] = kind(text)
+            elif kind is int:
+                changes[name] = int(text.replace("_", ""))
+            else:
+                changes[name] = tuple(kind.__args__[0](word.strip()) for word in text.split(",") if word.strip())
         except ValueError:
-            kind = getattr(types[name], "__name__", "list")
-            kind = {"int": "a whole number", "float": "a number", "tuple": "whole numbers with commas between"}[kind]
-            raise RecipeError(f"{name} is '{value}': it must be {kind}") from None
+            raise RecipeError(f"{name} is '{text}': it must be {_KINDS[Recipe.__annotations__[name]]}") from None
     return replace(recipe, **changes)
+
+
+def settings_of(saved: Mapping[str, Any]) -> Recipe:
+    """The recipe that a run was begun with, from what JSON made of it.
+
+    Raises:
+        TypeError: A setting is missing or unknown.
+        RecipeError: A setting that is out of its bounds.
+    """
+    missing = {entry.name for entry in fields(Recipe)} - set(saved)
+    if missing:
+        raise TypeError(f"it lacks {', '.join(sorted(missing))}")
+    return Recipe(**{name: tuple(value) if isinstance(value, list) else value for name, value in saved.items()})

@@ -148,13 +148,13 @@ def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> E
     while not done:
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
         done = terminated or truncated
-    return Episode(seed, wire.arrived, bool(info["is_success"]))
+    return Episode(seed, list(wire.arrived), bool(info["is_success"]))  # the next one begins with a move of its own
 
 
-def film(env_id: str, episodes: list[Episode], video: Video, sheet: Sheet) -> None:
+def film(env_id: str, options: dict[str, str], episodes: list[Episode], video: Video, sheet: Sheet) -> None:
     """Render the episodes, off the wire: the same commands from the same seed give the same motion, to the bit."""
     rest: Iterator[ServoCommand] = iter(())
-    env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest))
+    env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options)
     still = np.zeros(env.action_space.shape)
     for episode in tqdm(episodes, desc="filming", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True):
         _, info = env.reset(seed=episode.seed)
@@ -178,20 +178,21 @@ def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     writable_folder(args.out)
     env_id = DEFAULT_TASK if args.policy in BASELINES else read_policy(Path(args.policy)).about["env_id"]
+    options = {name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None}
     report = Report(args.policy, env_id, args.seed_start)
     with ExitStack() as stack:
         hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
         log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
         link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
         wire = Wire(hand, link)
-        env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command)))
+        env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command), **options))
         policy = load_policy(args.policy, env)
         episodes = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
         link.clear()
         _take_statistics(report, wire, link)
     sheet = Sheet()
     with Video(args.out / "grasps.mp4", CONTROL_HZ) as video:
-        film(env_id, episodes, video, sheet)
+        film(env_id, options, episodes, video, sheet)
     sheet.write(args.out / "grasps.png")
     text = json.dumps(asdict(report), indent=2)
     write_text(args.out / "replay.json", text + "\n")
@@ -225,6 +226,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
+    parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
+    parser.add_argument("--body", help="twin or light (default: the environment's own)")
     hand = parser.add_mutually_exclusive_group()
     hand.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
     hand.add_argument("--port", help="a hand at this serial port, which then moves as the simulated one does")

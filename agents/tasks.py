@@ -1,7 +1,5 @@
 """Making the environment that an id names, with the spaces that the agents work with."""
 
-from collections import Counter
-
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
@@ -26,22 +24,3 @@ def make_task(env_id: str, **options) -> gymnasium.Env:
     if not (isinstance(done, Box) and len(done.shape) == 1 and np.all(done.low == -1) and np.all(done.high == 1)):
         raise TaskError(f"environment '{env_id}' acts in {done}: the agents need one flat box of -1…1")
     return env
-
-
-class ActionRepeat(gymnasium.Wrapper):
-    """Holds each action for some control steps and adds up their rewards: fewer, longer decisions are easier to learn from."""
-
-    def __init__(self, env: gymnasium.Env, count: int) -> None:
-        super().__init__(env)
-        self._count = count
-
-    def step(self, action):
-        """Carry out the action until its time is over or the episode is."""
-        total, terms = 0.0, Counter()
-        for _ in range(self._count):
-            observation, reward, terminated, truncated, info = self.env.step(action)
-            total += float(reward)
-            terms.update(info.get("reward_terms", {}))
-            if terminated or truncated:
-                break
-        return observation, total, terminated, truncated, info | {"reward_terms": dict(terms)}

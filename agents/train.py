@@ -1,7 +1,7 @@
-"""Train a policy: ``python -m agents.train --recipe grasp-sac --out runs/NAME``.
+"""Train a policy: ``python -m agents.train grasp --out runs/NAME``.
 
-The folder gets ``policy.zip`` (the policy, anew at every checkpoint), ``progress.csv`` (the learning curve),
-``tensorboard/``, ``run.json`` (the settings) and the last checkpoint, from which ``--resume`` goes on.
+The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, anew at every checkpoint, ``progress.csv``, ``run.json``
+(the settings) and the last checkpoint, from which ``--resume`` goes on.
 """
 
 import argparse
@@ -11,21 +11,25 @@ import signal
 import sys
 import time
 from dataclasses import asdict, fields, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from platform import python_version
 from typing import Any
 
 from agents.command import command_parser, minutes
 from agents.errors import RecipeError, RunError
 from agents.learning_curve import CURVE, drop_rows_after
-from agents.recipes import RECIPES, Recipe, recipe_named, with_settings
+from agents.progress import Progress
+from agents.recipes import RECIPES, Recipe, recipe_named, settings_of, with_settings
 from agents.seeds import training_seed
 from agents.tasks import make_task
-from hpac import INTERRUPTED, run, whole_number
+from hpac import INTERRUPTED, run
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 
 POLICY = "policy.zip"
 RUN = "run.json"
+LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -43,93 +47,126 @@ def train(
     ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock.
     """
     # Here and not above: loading PyTorch takes seconds, which a mistyped argument should not cost.
-    from stable_baselines3.common.logger import configure
+    import torch
 
     from agents.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
-    from agents.learner import actor_of, make_learner, training_env, versions
-    from agents.progress import Progress
+    from agents.closures import Learner, worlds_of
+    from agents.curves import report
+    from hpac_gym.policies.made_for import made_for
 
-    env = training_env(recipe)
-    try:
-        model = make_learner(recipe, env)
-        checkpoint = latest_checkpoint(out) if resume else None
-        state = load_checkpoint(checkpoint, model) if checkpoint else {"seconds": 0.0}
-        if resume:
-            drop_rows_after(out / CURVE, model.num_timesteps)
-        if model.num_timesteps:
-            model.set_random_seed(training_seed(recipe.seed, model.num_timesteps, recipe.n_envs))
-        env.seed(training_seed(recipe.seed, model.num_timesteps, recipe.n_envs))
-        model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"]))
+    torch.set_num_threads(1)
+    checkpoint = latest_checkpoint(out) if resume else None
+    done = int(checkpoint.name.rpartition("-")[2]) if checkpoint else 0
+    all_worlds = worlds_of(recipe, training_seed(recipe.seed, done, recipe.num_envs))
+    first = all_worlds[0]
+    learner = Learner(recipe, first.observed, first.deployed, first.phases)
+    state = {"seconds": 0.0}
+    if checkpoint:
+        state = load_checkpoint(checkpoint, learner)
+        learner.reseed(training_seed(recipe.seed, done, 1))
+    if resume:
+        drop_rows_after(out / CURVE, done)
+    env = make_task(f"hpac_gym:{recipe.env_id}", engine=recipe.engine)
+    fits = made_for(env)
+    env.close()
+    progress = Progress(out, recipe.episodes, done, state["seconds"], time_limit, started)
+    _stop_on_signal(progress)
 
-        def save(seconds: float) -> None:
-            about = {
-                "env_id": recipe.env_id,
-                "algorithm": "SAC",
-                "action_repeat": recipe.action_repeat,
-                "settings": asdict(recipe),
-                "steps": model.num_timesteps,
-                "seconds": round(seconds, 1),
-                "versions": versions(),
-            }
-            save_checkpoint(out, model, {"seconds": seconds})
-            write_policy(out / POLICY, PolicyFile(actor_of(model), about))
+    def save() -> None:
+        save_checkpoint(out, learner, {"seconds": progress.seconds})
+        about = {
+            "env_id": f"hpac_gym:{recipe.env_id}",
+            "algorithm": "closures",
+            "closure": asdict(recipe.closures),
+            "made_for": fits,
+            "settings": asdict(recipe),
+            "episodes": learner.trials.count,
+            "seconds": round(progress.seconds, 1),
+            "versions": versions(),
+        }
+        write_policy(out / POLICY, PolicyFile(learner.policy(), about))
+        progress.write_row(learner.entropy)
+        report(out)
 
-        progress = Progress(out, recipe.steps, save, recipe.checkpoint_every, state["seconds"], time_limit, started)
-        _stop_on_signal(progress)
-        if model.num_timesteps < recipe.steps:
-            model.learn(recipe.steps - model.num_timesteps, progress, log_interval=50, reset_num_timesteps=False)
-        save(progress.seconds)
-    finally:
-        env.close()
-    print(f"{progress.stopped_by or 'done'} after {model.num_timesteps:,} steps: {out / POLICY}", file=sys.stderr)
+    going, saved = learner.trials.count < recipe.episodes, done
+    while going:
+        for worlds in all_worlds:
+            trials = worlds.step(learner)
+            learner.trials.add(*trials)
+            going = progress.add((trials[2] == worlds.phases).tolist(), learner.entropy)
+            learner.learn(progress.share)
+        if learner.trials.count >= saved + recipe.checkpoint_every:
+            saved = learner.trials.count
+            save()
+    progress.close()
+    save()
+    print(f"{progress.stopped_by or 'done'} after {learner.trials.count:,} trials: {out / POLICY}", file=sys.stderr)
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
+
+
+def versions() -> dict[str, str]:
+    """The versions of Python and of the libraries that a result depends on."""
+    found = {"python": python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("agents.train", __doc__)
-    parser.add_argument("--recipe", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume")
+    parser.add_argument("recipe", nargs="?", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--seed", type=whole_number(0), help="seed of the run")
-    parser.add_argument("--steps", type=whole_number(1), help="decisions in all")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting of the recipe")
     parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end cleanly after so long")
-    parser.add_argument("--resume", action="store_true", help="go on with the run in the folder")
+    parser.add_argument("--resume", action="store_true", help="go on with the run in the folder; only --episodes can change")
     parser.add_argument("--overwrite", action="store_true", help="start again where the folder already holds a run")
+    group = parser.add_argument_group("settings of the recipe, with the defaults of 'grasp'")
+    for entry in fields(Recipe):
+        default = getattr(RECIPES["grasp"], entry.name)
+        shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
+        choices = entry.metadata.get("choices")
+        text = entry.metadata["meaning"] + (f": {', '.join(choices)}" if choices else "") + f" (default: {shown})"
+        option = f"--{entry.name.replace('_', '-')}"
+        group.add_argument(option, metavar="VALUE", default=argparse.SUPPRESS, help=text.replace("%", "%%"))
     return parser
+
+
+def _given(args: Any) -> dict[str, str]:
+    """The settings that the command line names, as text."""
+    return {entry.name: getattr(args, entry.name) for entry in fields(Recipe) if hasattr(args, entry.name)}
 
 
 def _fresh_recipe(args: Any) -> Recipe:
     if args.recipe is None:
-        raise RecipeError(f"which recipe? --recipe is one of {', '.join(sorted(RECIPES))}")
-    named = [f"{name}={value}" for name in ("seed", "steps") if (value := getattr(args, name)) is not None]
-    recipe = with_settings(recipe_named(args.recipe), [*args.set, *named])
+        raise RecipeError(f"which recipe? It is one of {', '.join(sorted(RECIPES))}")
+    recipe = with_settings(recipe_named(args.recipe), _given(args))
     if (args.out / RUN).exists() and not args.overwrite:
         raise RunError(f"folder '{args.out}' already holds a run: --resume goes on with it, --overwrite starts again")
-    make_task(recipe.env_id).close()  # before the folder is touched, and not in a worker
     writable_folder(args.out)
     for old in (args.out / RUN, args.out / POLICY, args.out / CURVE):
         old.unlink(missing_ok=True)
-    for old in (*args.out.glob("checkpoint-*"), args.out / "tensorboard"):
+    for old in args.out.glob("checkpoint-*"):
         shutil.rmtree(old, ignore_errors=True)
     _write_run(args.out, recipe)
     return recipe
 
 
 def _resumed_recipe(args: Any) -> Recipe:
-    if args.recipe is not None or args.set or args.seed is not None or args.overwrite:
-        raise RecipeError("a run goes on with the settings that it began with: with --resume only --steps can change")
+    given = _given(args)
+    if args.recipe is not None or args.overwrite or set(given) - {"episodes"}:
+        raise RecipeError("a run goes on with the settings that it began with: with --resume only --episodes can change")
     path = args.out / RUN
     try:
-        settings = json.loads(path.read_text())
-        settings = {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
-        recipe = Recipe(**{field.name: settings[field.name] for field in fields(Recipe)})
+        recipe = settings_of(json.loads(path.read_text()))
     except FileNotFoundError:
         raise RunError(f"no run to go on with in '{args.out}': it has no {RUN}") from None
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise RunError(f"cannot go on with '{path}': {error}") from None
     writable_folder(args.out)
-    if args.steps is not None:
-        recipe = replace(recipe, steps=args.steps)
+    if given:
+        recipe = replace(recipe, episodes=with_settings(recipe, given).episodes)
         _write_run(args.out, recipe)
     return recipe
 
@@ -138,7 +175,7 @@ def _write_run(out: Path, recipe: Recipe) -> None:
     write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
 
 
-def _stop_on_signal(progress: Any) -> None:
+def _stop_on_signal(progress: Progress) -> None:
     """The first Ctrl-C or SIGTERM ends the training with a checkpoint; a second one ends it at once."""
 
     def stop(number: int, frame: Any) -> None:

@@ -13,15 +13,30 @@ else:
         id="HPAC-Grasp-v0",
         entry_point="hpac_gym.envs:grasp",
         vector_entry_point="hpac_gym.envs:grasp_vector",
+        max_episode_steps=65,  # an episode ends by itself after 64, so that the limit never cuts one
+    )
+    register(
+        id="HPAC-GraspAny-v0",
+        entry_point="hpac_gym.envs:grasp_any",
+        vector_entry_point="hpac_gym.envs:grasp_any_vector",
+        max_episode_steps=145,
     )
     register(
         id="HPAC-PickPlace-v0",
         entry_point="hpac_gym.envs:pick_place",
         vector_entry_point="hpac_gym.envs:pick_place_vector",
+        max_episode_steps=111,
     )
     register(
         id="HPAC-Posture-v0",
         entry_point="hpac_gym.envs:PostureEnv",
         vector_entry_point="hpac_gym.envs:posture_vector",
         max_episode_steps=40,
+    )
+    register(
+        id="HPAC-Posture-v1",
+        entry_point="hpac_gym.envs:PostureEnv",
+        vector_entry_point="hpac_gym.envs:posture_vector",
+        max_episode_steps=40,
+        kwargs={"reachable": True, "randomize": "hand"},
     )

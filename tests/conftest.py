@@ -10,6 +10,8 @@ from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parents[1]
 PYBULLET = find_spec("pybullet") is not None
+LONGEST = "test_processor.py"
+"""Comes first, so that no process of pytest-xdist waits for it at the end."""
 LEFT_OUT = pytest.StashKey[list[str]]()
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -39,7 +41,8 @@ def pytest_ignore_collect(collection_path: Path) -> bool | None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the tests that need PyBullet, by their marker or by a parameter that names it, where it is not installed."""
+    """Begin with the longest tests; leave out those that need PyBullet, by their marker or a parameter, where it is missing."""
+    items.sort(key=lambda item: item.path.name != LONGEST)
     if PYBULLET:
         return
     left = [item for item in items if item.get_closest_marker("pybullet") or _is_of_pybullet(item)]

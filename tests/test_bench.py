@@ -82,8 +82,17 @@ def test_an_environment_that_fails_is_one_line(monkeypatch, capsys):
     worker.close()
 
 
+def a_python_whose_pip_fails(folder, **_) -> None:
+    """Instead of a virtual environment, which takes seconds to make; its last argument is the package."""
+    python = folder / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text("#!/bin/sh\nshift $(($# - 1))\necho trying >&2\necho ERROR: Invalid requirement: $1 >&2\nexit 1\n")
+    python.chmod(0o755)
+
+
 def test_peers_that_cannot_be_installed_are_one_line(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(bench, "PEER_PACKAGES", ("/no/such/package",))
+    monkeypatch.setattr(bench.venv, "create", a_python_whose_pip_fails)
     with pytest.raises(bench.BenchError, match=r"the peers cannot be installed in .*/no/such/package"):
         bench.peers_python()

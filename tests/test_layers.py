@@ -13,7 +13,8 @@ PACKAGE = ROOT / "hpac_gym"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # What a layer may import of this package, and from outside of it beside the standard library. An engine's folder is a layer of
-# its own. The package's own __init__.py and its benchmark of speed stand above all of them; `hpac` is the command beside it.
+# its own, and so is the adapter to Stable-Baselines3. The package's own __init__.py and its benchmark of speed stand above all
+# of them; `hpac` is the command beside it.
 BELOW_TASKS = {"errors", "model", "body", "physics"}
 BELOW_ENVS = BELOW_TASKS | {"tasks"}
 LAYERS = {
@@ -21,12 +22,13 @@ LAYERS = {
     "progress": set(),
     "output": {"errors"},
     "model": {"errors"},
-    "body": {"errors", "model"},
+    "body": {"errors", "output", "model"},
     "physics": {"errors", "model", "body"},
     "physics.pybullet": BELOW_TASKS,
     "physics.mujoco": BELOW_TASKS,
     "tasks": BELOW_TASKS,
     "envs": BELOW_ENVS,
+    "envs.sb3": BELOW_ENVS | {"envs"},
     "bridge": {"errors", "model"},
     "policies": {"errors", "output", *BELOW_ENVS, "envs"},
     "evaluation": {"errors", "output", "progress", *BELOW_ENVS, "envs", "policies"},
@@ -37,14 +39,15 @@ NEEDS = {
     "progress": set(),
     "output": set(),
     "model": {"numpy"},
-    "body": {"numpy"},
+    "body": {"numpy", "coacd", "trimesh"},
     "physics": {"numpy", "hpac"},
     "physics.pybullet": {"numpy", "pybullet"},
     "physics.mujoco": {"numpy", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium"},
     "envs": {"numpy", "gymnasium"},
+    "envs.sb3": {"numpy", "gymnasium", "stable_baselines3"},
     "bridge": {"numpy", "serial", "hpac"},
-    "policies": {"numpy", "gymnasium"},
+    "policies": {"numpy", "gymnasium", "onnx", "onnxruntime"},
     "evaluation": {"numpy", "gymnasium", "PIL", "hpac"},
     "study": {"numpy", "scipy", "matplotlib", "hpac"},
 }

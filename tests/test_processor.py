@@ -18,6 +18,8 @@ OLD_PROCESSOR = {
     "OPENBLAS_CORETYPE": "Nehalem",
     "ATEN_CPU_CAPABILITY": "default",
 }
+MARK = "@pytest.mark." + "processor"
+FILES = sorted(path for path in (REPOSITORY / "tests").rglob("test_*.py") if MARK in path.read_text(encoding="utf-8"))
 SINES = "import math; print(hash(tuple(math.sin(0.1 * k) + math.cos(0.1 * k) for k in range(10_000))))"
 
 
@@ -36,8 +38,12 @@ def old_processor() -> dict[str, str]:
     return OLD_PROCESSOR
 
 
-@pytest.mark.parametrize("folder", ["envs", "agents"])
-def test_the_same_tests_pass_with_the_rounding_of_an_old_processor(folder, old_processor):
-    done = run("-m", "pytest", f"tests/{folder}", "-q", "-m", "processor and not slow", "-p", "no:cacheprovider", **old_processor)
+def test_there_are_such_tests():
+    assert {path.name for path in FILES} >= {"test_gate.py", "test_trained.py"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_the_same_tests_pass_with_the_rounding_of_an_old_processor(path, old_processor):
+    done = run("-m", "pytest", str(path), "-q", "-m", "processor and not slow", "-p", "no:cacheprovider", **old_processor)
     assert done.returncode == 0, done.stdout[-3000:]
     assert " passed" in done.stdout

@@ -1,7 +1,8 @@
 """Write every generated file of the checkout: ``make generate``. ``--check`` compares and exits with status 1 when one is stale.
 
-Model files come from ``hpac_gym/body/data`` and the hand's parameters, the firmware's header, ``docs/wire.md`` and its test
-vectors from the protocol and the hand's parameters, the tables of ``docs/environments`` and ``docs/grasps.md`` from the tasks.
+Model files come from ``hpac_gym/body/data`` and the hand's parameters, the procedural objects from ``tools/object_families.py``,
+the firmware's header, ``docs/wire.md`` and its test vectors from the protocol and the hand's parameters, the tables of
+``docs/environments`` and ``docs/grasps.md`` from the tasks.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, hand_urdf
 from hpac_gym.bridge import generate as wire
 from hpac_gym.physics.mjcf import FILES, hand_mjcf
 from hpac_gym.physics.settings import BODIES
+from tools.object_families import procedural_objects
 from tools.tables import documents
 
 ROOT = Path(__file__).parents[1]
@@ -34,6 +36,7 @@ def generated() -> dict[Path, str]:
         urdf / HAND_ON_WRIST_URDF: hand_urdf(geometry, on_wrist=True),
         **{urdf / "objects" / f"{name}.urdf": object_urdf(model) for name, model in load_object_models().items()},
         **{mjcf / name: hand_mjcf(geometry, BODIES[body], on_wrist) for name, (body, on_wrist) in FILES.items()},
+        ROOT / "hpac_gym" / "body" / "data" / "procedural_objects.toml": procedural_objects(),
         **wire.generated(),
         **documents(),
     }

@@ -14,15 +14,19 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.body.object_models import ObjectModel
-from hpac_gym.envs.options import GRASP, OPTIONS, PICK_PLACE, POSTURE, Option
+from hpac_gym.envs.options import GRASP, GRASP_ANY, OPTIONS, PICK_PLACE, POSTURE, Option
 from hpac_gym.envs.randomization import PRESETS, Randomization
+from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
+from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.tasks.grasp import Grasp
+from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_data import GRASPS
 from hpac_gym.tasks.pick_place import PickPlace
 from hpac_gym.tasks.posture import Posture
 from hpac_gym.tasks.task import CONTROL_HZ, Task
 from hpac_gym.tasks.terms import Term
+from tools.grasp_types import TABLES as TYPE_TABLES
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -40,7 +44,7 @@ def span(values: Any) -> str:
 def summary_table(env_id: str, task: Task) -> str:
     """What people look for first."""
     rows = [["make", f'`gymnasium.make("hpac_gym:{env_id}")`']]
-    for obs in next(option for option in OPTIONS if option.name == "obs").values:
+    for obs in next(option for option in OPTIONS if option.name == "obs" and env_id in option.ids).values:
         with gymnasium.make(env_id, obs=obs) as env:
             if len(rows) == 1:
                 rows.append(["action space", f"`{env.action_space}`"])
@@ -142,6 +146,19 @@ def _measures(model: ObjectModel) -> list[str]:
     return [model.about, " × ".join(sides), f"{1e3 * model.mass:.3g}"]
 
 
+def scale_table() -> str:
+    """How many held-out seeds of `HPAC-Grasp-v0` the first so many closures win, and what that is as a score."""
+    tries = winning_closures()
+    scale, rows = scale_of(GRASP), []
+    for within in (1, 4, 16, 64, max(found.tries for found in tries)):
+        won = round(share_found(tries, within) * len(tries))
+        low, high = wilson_interval(won, len(tries))
+        name = "a random closure: the floor" if within == 1 else f"best of {within} random closures"
+        rows.append([name, f"{won / len(tries):.1%} ({low:.1%} … {high:.1%})", f"{scale.score(won / len(tries)):.2f}"])
+    rows[-1][0] += ": the ceiling"
+    return table([f"first {len(tries)} held-out seeds", "success", "score"], rows)
+
+
 Makers = dict[str, Callable[[], str]]
 
 
@@ -156,6 +173,8 @@ def task_tables(env_id: str, task: Task) -> Makers:
         "reward": lambda: reward_table(task),
         "arguments": lambda: option_table(env_id),
     }
+    more = {name: lambda terms=terms: term_table(terms, deployed) for name, terms in task.sensed_terms.items() if terms}
+    makers |= more
     if task.goal_terms:
         return makers | {"goal": lambda: term_table(task.goal_terms)}
     return makers | {"start": lambda: config_table(task), "phases": lambda: phase_list(task)}
@@ -163,10 +182,11 @@ def task_tables(env_id: str, task: Task) -> Makers:
 
 PAGES: dict[str, Makers] = {
     "environments/README.md": {"randomization": randomization_table},
-    "environments/grasp.md": task_tables(GRASP, Grasp()),
+    "environments/grasp.md": task_tables(GRASP, Grasp()) | {"scale": scale_table},
+    "environments/grasp_any.md": task_tables(GRASP_ANY, GraspAny()),
     "environments/pick_place.md": task_tables(PICK_PLACE, PickPlace()),
-    "environments/posture.md": task_tables(POSTURE, Posture()),
-    "grasps.md": {"objects": object_table},
+    "environments/posture.md": task_tables(POSTURE, Posture(reachable=True)),
+    "grasps.md": {"objects": object_table, **TYPE_TABLES},
 }
 """Which tables every page in `DOCS` has, by their names."""
 

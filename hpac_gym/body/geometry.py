@@ -4,7 +4,8 @@ Nothing here knows a simulator. The numbers and their sources are in ``data/geom
 """
 
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -66,9 +67,24 @@ class Digit:
     pad: Vector
     pad_normal: Vector
 
+    def scaled(self, lengths: Array, thickness: float) -> "Digit":
+        """The digit with its links so many times as long, shape (3,), and its radii so many times as large."""
+        phalanges = []
+        for phalanx, factor in zip(self.phalanges, lengths.tolist(), strict=True):
+            length, radius = factor * phalanx.length, thickness * phalanx.capsule.radius
+            end = length - radius if phalanx is self.phalanges[-1] else length
+            origin = (0.0, 0.0, phalanges[-1].length) if phalanges else phalanx.origin
+            capsule = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, end), radius)
+            mass = factor * thickness**2 * phalanx.mass
+            phalanges.append(replace(phalanx, origin=origin, length=length, mass=mass, capsule=capsule))
+        pad = tuple(np.add(capsule.end, np.multiply(radius, self.pad_normal)).tolist())
+        return replace(self, phalanges=tuple(phalanges), pad=pad)
+
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
+    """The body of one hand."""
+
     palm_mass: float
     palm_solids: tuple[Box | Capsule, ...]
     digits: tuple[Digit, ...]
@@ -76,6 +92,9 @@ class Geometry:
     velocity: float
     opposition: dict[str, tuple[float, ...]]
     """Synergy (6,) [rad] that brings the thumb's pad onto each finger's."""
+
+    def __hash__(self) -> int:
+        return hash(tuple(digit.pad for digit in self.digits))  # the rest would take fifty times as long
 
     @property
     def phalanges(self) -> tuple[Phalanx, ...]:
@@ -85,9 +104,10 @@ class Geometry:
         return next(digit for digit in self.digits if digit.name == name)
 
 
-def load_geometry(path: Path = GEOMETRY_FILE) -> Geometry:
-    """The hand's body as ``data/geometry.toml`` gives it."""
-    table = tomllib.loads(path.read_text(encoding="utf-8"))
+@cache
+def load_geometry() -> Geometry:
+    """The nominal hand's body as ``data/geometry.toml`` gives it."""
+    table = tomllib.loads(GEOMETRY_FILE.read_text(encoding="utf-8"))
     palm = table["palm"]
     boxes = tuple(Box(tuple(box["center"]), tuple(box["size"])) for box in palm["boxes"])
     capsules = tuple(Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in palm["capsules"])
@@ -153,3 +173,7 @@ def link_poses(digit: Digit, angles: Array) -> list[tuple[Array, Array]]:
         rotation = rotation @ rotation_from_rpy(phalanx.rpy) @ rotation_about(phalanx.axis, angle)
         poses.append((position, rotation))
     return poses
+
+
+HPAC_GEOMETRY = load_geometry()
+"""The nominal hand's body."""

@@ -9,13 +9,15 @@ from __future__ import annotations
 import itertools
 import math
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import rotation_about
 from hpac_gym.errors import ParameterError
@@ -27,25 +29,47 @@ STAVES = 16
 """Flat pieces that a ring is made of, unless it says how many."""
 
 _AXES = {"x": rotation_about((0, 1, 0), math.pi / 2), "y": rotation_about((1, 0, 0), -math.pi / 2), "z": np.eye(3)}
-_FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
-_SOURCE_FIELDS = {"source", "published", "chosen"}
+FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
+SOURCE_FIELDS = {"source", "published", "chosen"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class Hull:
+    """A convex polyhedron."""
+
+    vertices: Array
+    """Corners, shape (n, 3) [m]."""
+    faces: NDArray[np.int_]
+    """Corners of each triangle, counter-clockwise seen from outside, shape (m, 3)."""
+
+    def moments(self) -> tuple[float, Array, Array]:
+        """Volume [m³], its centre, shape (3,) [m], and ∫ r rᵀ dV about the origin, shape (3, 3) [m⁵]."""
+        corners = self.vertices[self.faces]
+        sixfold = np.linalg.det(corners)  # of the tetrahedron between a face and the origin
+        total = corners.sum(axis=1)
+        volume = sixfold.sum() / 6
+        centre = (sixfold[:, None] * total).sum(axis=0) / 24 / volume
+        squares = np.einsum("fki,fkj->fij", corners, corners) + np.einsum("fi,fj->fij", total, total)
+        return float(volume), centre, (sixfold[:, None, None] * squares).sum(axis=0) / 120
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A primitive body of one density; round ones have their axis along their own z."""
+    """A convex body of one density; round ones have their axis along their own z."""
 
-    kind: Literal["box", "cylinder", "sphere", "capsule"]
+    kind: Literal["box", "cylinder", "sphere", "capsule", "hull"]
     mass: float
     """[kg]"""
     size: tuple[float, float, float]
     """Of the box around it, along its own axes; a capsule's includes its round ends [m]."""
     center: Array
-    """Shape (3,) [m]."""
+    """Of its mass, shape (3,) [m]."""
     rotation: Array
     """From its own axes to the object's, shape (3, 3)."""
     inner_radius: float = 0.0
     """Of the hollow of a cylinder or sphere; only its inertia shows it [m]."""
+    hull: Hull | None = None
+    """Form of a hull, about its centre."""
 
     @property
     def radius(self) -> float:
@@ -55,11 +79,23 @@ class Solid:
     @property
     def inertia(self) -> Array:
         """About its own centre, in the object's axes, shape (3, 3) [kg m²]."""
-        return self.rotation @ np.diag(_principal_inertia(self)) @ self.rotation.T
+        if self.hull is not None:
+            volume, _, squares = self.hull.moments()
+            squares = self.rotation @ squares @ self.rotation.T * (self.mass / volume)
+            return np.trace(squares) * np.eye(3) - squares
+        return self.rotation @ np.diag(principal_inertia(self)) @ self.rotation.T
 
     @property
-    def reach(self) -> Array:
-        """Half of its extent along each of the object's axes, shape (3,) [m]."""
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper corner of the box around it along the object's axes, shapes (3,) [m]."""
+        if self.hull is not None:
+            corners = self.center + self.hull.vertices @ self.rotation.T
+            return corners.min(axis=0), corners.max(axis=0)
+        reach = self._reach()
+        return self.center - reach, self.center + reach
+
+    def _reach(self) -> Array:
+        """Half of a primitive's extent along each of the object's axes, shape (3,) [m]."""
         half = np.array(self.size) / 2
         if self.kind == "box":
             return np.abs(self.rotation) @ half
@@ -71,9 +107,9 @@ class Solid:
         return half[2] * along + half[0] * np.sqrt(np.maximum(1 - along**2, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ObjectModel:
-    """One object: the measures of the real thing, and the solids that stand for it.
+    """One object: the measures of the real thing, and the solids that stand for it. It is equal to itself alone.
 
     Raises:
         ParameterError: The solids' masses do not add up to the object's, or their middle is not the origin.
@@ -91,7 +127,7 @@ class ObjectModel:
     solids: tuple[Solid, ...]
     source: str = ""
     """The publication that `published` is from; empty for what is nothing real."""
-    published: Mapping[str, tuple[float, float]] = field(default_factory=lambda: MappingProxyType({}))
+    published: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Least and greatest size along x, y and z [m] and mass [kg], as far as the source prints them."""
     chosen: str = ""
     """Where the other numbers are from; empty if all are published."""
@@ -107,8 +143,21 @@ class ObjectModel:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper corner of the solids' bounding box, shapes (3,) [m]."""
-        low = np.min([solid.center - solid.reach for solid in self.solids], axis=0)
-        return low, np.max([solid.center + solid.reach for solid in self.solids], axis=0)
+        return self.turned_bounds(np.eye(3))
+
+    def turned_bounds(self, rotation: Array) -> tuple[Array, Array]:
+        """Lower and upper corner of the bounding box of the solids once they are turned about the origin, shapes (3,) [m].
+
+        Args:
+            rotation: from the object's axes to those of the box, shape (3, 3).
+        """
+        turned = (replace(solid, center=rotation @ solid.center, rotation=rotation @ solid.rotation) for solid in self.solids)
+        return bounds_of(turned)
+
+    @property
+    def has_hulls(self) -> bool:
+        """Whether a solid is no primitive."""
+        return any(solid.hull is not None for solid in self.solids)
 
     @property
     def half_extents(self) -> tuple[float, float, float]:
@@ -131,14 +180,21 @@ class ObjectModel:
         return total
 
 
-def load_object_models() -> dict[str, ObjectModel]:
-    """Every object by its name: the real ones, then those that are held out.
+def bounds_of(solids: Iterable[Solid]) -> tuple[Array, Array]:
+    """Lower and upper corner of the box around solids, along the object's axes, shapes (3,) [m]."""
+    lows, highs = zip(*(solid.bounds for solid in solids), strict=True)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+@cache
+def load_object_models() -> Mapping[str, ObjectModel]:
+    """The objects of the named grasps by name: the real ones, then those that are held out. Every call gives the same objects.
 
     Raises:
         ParameterError: A field is missing or unknown, or an object does not add up.
     """
-    real = object_models_from_toml(REAL_FILE.read_text(encoding="utf-8"), _FIELDS | _SOURCE_FIELDS)
-    return real | object_models_from_toml(HELD_OUT_FILE.read_text(encoding="utf-8"), _FIELDS)
+    real = object_models_from_toml(REAL_FILE.read_text(encoding="utf-8"), FIELDS | SOURCE_FIELDS)
+    return MappingProxyType(real | object_models_from_toml(HELD_OUT_FILE.read_text(encoding="utf-8"), FIELDS))
 
 
 def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectModel]:
@@ -147,14 +203,19 @@ def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectMode
     Raises:
         ParameterError: A field is missing or unknown, or an object does not add up.
     """
-    return {name: _model(name, entry, fields) for name, entry in tomllib.loads(text).items()}
+    return {name: object_model(name, entry, fields) for name, entry in tomllib.loads(text).items()}
 
 
-def _model(name: str, entry: dict[str, Any], fields: set[str]) -> ObjectModel:
+def object_model(name: str, entry: Mapping[str, Any], fields: set[str]) -> ObjectModel:
+    """The object that an entry of an object file describes, with exactly these fields.
+
+    Raises:
+        ParameterError: A field is missing or unknown, or the object does not add up.
+    """
     if set(entry) != fields:
         raise ParameterError(f"object {name}: fields {', '.join(sorted(set(entry) ^ fields))} are missing or unknown")
     try:
-        solids = tuple(part for solid in entry["solids"] for part in _parts(dict(solid)))
+        solids = tuple(part for solid in entry["solids"] for part in solids_from(solid))
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(f"object {name}: bad solid: {error}") from None
     published = {key: _interval(value) for key, value in entry.get("published", {}).items()}
@@ -163,7 +224,7 @@ def _model(name: str, entry: dict[str, Any], fields: set[str]) -> ObjectModel:
     plain = {key: entry[key] for key in fields - {"size", "color", "solids", "published"}}
     return ObjectModel(
         name, size=tuple(entry["size"]), color=tuple(entry["color"]), solids=solids,
-        published=MappingProxyType(published), **plain,
+        published=published, **plain,
     )  # fmt: skip
 
 
@@ -172,7 +233,8 @@ def _interval(value: float | list[float]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _parts(solid: dict[str, Any]) -> Iterator[Solid]:
+def solids_from(solid: Mapping[str, Any]) -> Iterator[Solid]:
+    """The solids of one entry of `solids` in an object file; a ring has many."""
     kind, mass = solid["kind"], solid["mass"]
     center, axis = np.array(solid.get("center", (0.0, 0.0, 0.0))), _AXES[solid.get("axis", "z")]
     if kind == "box":
@@ -187,7 +249,7 @@ def _parts(solid: dict[str, Any]) -> Iterator[Solid]:
         raise ValueError(f"kind {kind!r} is none of box, cylinder, sphere, capsule, ring")
 
 
-def _ring(solid: dict[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
+def _ring(solid: Mapping[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
     """Staves around an axis; their middles lie on the circle between both radii, stretched along the ring's own y.
 
     Few staves make a bar: six with radii at 1 : 0.268 have the inertia of a solid hexagonal one.
@@ -206,7 +268,8 @@ def _ring(solid: dict[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
         yield Solid("box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn)
 
 
-def _principal_inertia(solid: Solid) -> list[float]:
+def principal_inertia(solid: Solid) -> list[float]:
+    """Moments of a solid about its own centre and axes, 3 values [kg·m²]."""
     mass, (x, y, z), outer, inner = solid.mass, solid.size, solid.radius, solid.inner_radius
     if solid.kind == "box":
         return [mass / 12 * (y * y + z * z), mass / 12 * (x * x + z * z), mass / 12 * (x * x + y * y)]

@@ -8,6 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from hpac_gym.body.object_models import ObjectModel, load_object_models
+
 Shape = Literal["cylinder", "box", "sphere"]
 SHAPES: tuple[Shape, ...] = ("cylinder", "box", "sphere")
 
@@ -31,8 +33,8 @@ class ObjectSpec:
     """[kg]"""
     friction: float
     """Coulomb coefficient of its surface; PyBullet multiplies it with the hand's."""
-    model: str | None = None
-    """Name of an object of `assets/urdf/objects` that takes the primitive's place."""
+    model: ObjectModel | str | None = None
+    """An object of solids that takes the primitive's place. The name of one of `load_object_models` becomes that object."""
     scale: float = 1.0
     """Size of that object, its own being 1."""
 
@@ -44,6 +46,12 @@ class ObjectSpec:
         x, y, z = self.half_extents
         if (self.shape != "box" and x != y) or (self.shape == "sphere" and x != z):
             raise ValueError(f"half extents {self.half_extents} m do not fit a {self.shape}")
+        if isinstance(self.model, str):
+            if self.model not in load_object_models():
+                raise ValueError(f"model {self.model!r} is none of {', '.join(load_object_models())}")
+            object.__setattr__(self, "model", load_object_models()[self.model])
+        if self.model is not None and self.model.has_hulls and self.scale != 1:
+            raise ValueError(f"scale {self.scale:g} of {self.model.name}: an object of one's own has the scale 1 here")
 
 
 @dataclass(frozen=True, slots=True)

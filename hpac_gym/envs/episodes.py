@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -11,9 +13,13 @@ from gymnasium import Space, spaces
 from numpy.typing import NDArray
 
 from hpac_gym.envs.options import Options
+from hpac_gym.envs.page import Page
 from hpac_gym.envs.randomization import changed_setup, stream
+from hpac_gym.errors import EpisodeError, ParameterError, WorkspaceError
 from hpac_gym.model import (
+    JOINTS,
     SERVOS,
+    Hand,
     ServoCommand,
     action_from_synergy,
     elastic_joints_from_servo,
@@ -21,11 +27,12 @@ from hpac_gym.model import (
     servo_from_synergy,
     streamed_servo,
 )
-from hpac_gym.model.checks import Array
+from hpac_gym.model.checks import Array, as_bounded_array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import BODIES, HandSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.quality import grasp_quality
+from hpac_gym.tasks.senses import POINTS, POINTS_BOUND
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, Task
 from hpac_gym.tasks.terms import Layout, Moment
 
@@ -34,7 +41,10 @@ IMAGE_SIZE = 84
 VIEW_TARGET = np.array([0.03, 0.0, 0.10])
 """What pictures are centred on, in the hand frame [m]."""
 
+_CHOICE_BOUNDS = np.full(4, -1.0), np.ones(4)
+
 Transmit = Callable[[ServoCommand], ServoCommand]
+_NO_CHOICE = HandSettings()
 
 
 class Episodes:
@@ -46,36 +56,53 @@ class Episodes:
         options: what the environment was asked for.
         transmit: what a command passes through on its way to the servos, for n = 1; None leaves it as it is.
 
+    Raises:
+        ParameterError: The task has no such observation.
+
     Attributes:
         observation_space: of one world.
+        randomizations: of the episodes to come, one for each world.
+        action_space: of one world.
         outcome: how each episode stands, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
     """
 
     def __init__(self, task: Task, num_worlds: int, options: Options, transmit: Transmit | None = None) -> None:
+        kinds = ("deploy", "privileged", "image", *task.sensed_terms)
+        if options.obs not in kinds:
+            raise ParameterError(f"obs {options.obs!r} is not one of {', '.join(kinds)}, which this task has")
         self.task, self.options, self._transmit = task, options, transmit
         visuals = options.visuals or options.obs == "image"
         self.simulation = Simulation(make_engine(options.engine, num_worlds, visuals=visuals))
-        self.simulation.engine.require(BODIES[options.body])
+        try:
+            self.simulation.engine.require(BODIES[options.body])
+            self._camera = task.prepare(num_worlds, options.noise)
+        except Exception:
+            self.simulation.engine.close()
+            raise
         self.dt = 1.0 / CONTROL_HZ
         self._substeps = round(self.dt / self.simulation.engine.dt)
         count = round(task.duration * CONTROL_HZ) * self._substeps
         self._times = tuple(np.cumsum(np.full(count, self.simulation.engine.dt)).tolist())
-        self._camera = task.prepare(num_worlds, options.noise)
-        terms = (*task.terms, *task.privileged_terms) if options.obs == "privileged" else task.terms
-        self._layout = Layout(terms, num_worlds)
+        more = {"privileged": task.privileged_terms, **task.sensed_terms}
+        self._layout = Layout((*task.terms, *more.get(options.obs, ())), num_worlds)
         self._goals = Layout(task.goal_terms, num_worlds) if task.goal_terms else None
         self.observation_space = self._space()
+        self.action_space = spaces.Box(-1.0, 1.0, (len(SERVOS) + len(task.wrist_actions),), np.float32)
         self.setups: list[SceneSetup | None] = [None] * num_worlds
+        self.randomizations = [options.randomization] * num_worlds
         self.outcome = np.full(num_worlds, RUNNING)
-        self._wrist = np.zeros((num_worlds, count, 3))
+        self._wrist, self._time = np.zeros((num_worlds, count, 3)), np.array(self._times)
         self._step = np.zeros(num_worlds, dtype=int)
         self._servo, self._arrived = np.zeros((num_worlds, len(SERVOS))), np.zeros((num_worlds, len(SERVOS)))
         self._lost_share = np.zeros(num_worlds)
         self._losses: list[np.random.Generator | None] = [None] * num_worlds
-        self._last_action = np.zeros((num_worlds, len(SERVOS)))
+        self._last_action, self._predicted = np.zeros((num_worlds, len(SERVOS))), np.zeros((num_worlds, len(JOINTS)))
+        self._start_of = lru_cache(maxsize=16)(partial(_start_of, options.hand))  # most tasks begin with the same posture
         self._rotation, self._down = np.zeros((num_worlds, 3, 3)), np.zeros((num_worlds, 3))
         self.now: Moment | None = None
         self.terms: dict[str, Array] = {}
+        self._episode = object()
+        self._page: Page | None = None
 
     def _space(self) -> Space:
         """The observation space of one world."""
@@ -84,6 +111,8 @@ class Episodes:
             parts |= {"achieved_goal": self._goals.space, "desired_goal": self._goals.space}
         if self.options.obs == "image":
             parts["image"] = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+        if self.options.obs == "points":
+            parts["points"] = spaces.Box(-POINTS_BOUND, POINTS_BOUND, (POINTS, 4), np.float32)
         return self._layout.space if set(parts) == {"deploy"} else spaces.Dict(parts)
 
     # Episodes ------------------------------------------------------------------------------------------------------
@@ -101,64 +130,88 @@ class Episodes:
         Returns:
             What the randomization drew, for each of them.
         """
-        options, randomization = self.options, self.options.randomization
+        options, body = self.options, BODIES[self.options.body]
         setups, values, cameras = [], [], []
         for world, generator in zip(worlds, generators, strict=True):
             setup_rng, camera_rng = generator.spawn(2)
-            drawn = randomization.draw(setup_rng)
+            drawn = self.randomizations[world].draw(setup_rng)
             setup = given or self.task.setup(setup_rng, options.hand)
-            if setup.hand_settings == HandSettings():
-                setup = replace(setup, hand_settings=BODIES[options.body])
+            if body != _NO_CHOICE and (given is None or setup.hand_settings == _NO_CHOICE):
+                inertia = {"armature": body.armature, "hub_inertia": body.hub_inertia}
+                setup = replace(setup, hand_settings=replace(setup.hand_settings, **inertia))
             setups.append(changed_setup(setup, drawn))
             values.append(drawn)
             cameras.append((world, setups[-1], float(drawn.get("sensor_noise", [1.0])[0]), camera_rng))
-            self._lost_share[world] = float(drawn.get("dropped_frames", [0.0])[0])
-            self._losses[world] = stream(setup_rng, "losses")
-        self.task.start(worlds, setups)
-        self.simulation.reset(worlds, setups)
+            self._lost_share[world] = share = float(drawn.get("dropped_frames", [0.0])[0])
+            self._losses[world] = stream(setup_rng, "losses") if share else None
         for camera in cameras:
             self._camera.start(*camera)
+        self._begin(worlds, setups)
+        index = np.asarray(worlds)
+        self._step[index], self.outcome[index], self.terms = 0, RUNNING, {}
+        self._episode = object()
+        self._look(self.simulation.state(), np.zeros_like(self._last_action), worlds)
+        return values
+
+    def _begin(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Set the scenes of some worlds."""
+        self.task.start(worlds, setups)
+        self.simulation.reset(worlds, setups)
         for layout in (self._layout, self._goals):
             if layout:
                 layout.start(worlds, setups)
+        self._predicted = self._predicted.copy()  # the last moment keeps its own
         for world, setup in zip(worlds, setups, strict=True):
             self.setups[world] = setup
             self._rotation[world] = setup.hand_rotation
             self._down[world] = -self._rotation[world][2]
             self._wrist[world] = self.task.wrist_path(setup, self._times)
-            self._servo[world] = self._arrived[world] = servo_from_synergy(setup.synergy, options.hand)
-            self._last_action[world] = action_from_synergy(setup.synergy, options.hand)
-        index = np.asarray(worlds)
-        self._step[index], self.outcome[index], self.terms = 0, RUNNING, {}
-        self._look(self.simulation.state(), np.zeros_like(self._last_action), worlds)
-        return values
+            servo, self._predicted[world], self._last_action[world] = self._start_of(*map(float, setup.synergy))
+            self._servo[world] = self._arrived[world] = servo
+
+    def _choose(self, choices: Array) -> None:
+        """Set the scenes anew in which an episode's first action chooses the wrist's place, shape (n, 4)."""
+        worlds = np.flatnonzero((self._step == 0) & (self.outcome == RUNNING)).tolist()
+        if worlds:
+            self._begin(worlds, [self.task.chosen(self.setups[world], choices[world]) for world in worlds])
 
     def step(self, actions: NDArray) -> Array:
         """Carry out one action in every world for one control period, and judge it.
 
         Args:
-            actions: shape (n, 6), −1…1.
+            actions: shape (n, 6), −1…1; with a free wrist (n, 10).
 
         Returns:
             Rewards, shape (n,).
 
         Raises:
             ShapeError: Wrong shape.
-            WorkspaceError: NaN, or an action that leaves −1…1.
+            WorkspaceError: NaN, or an action that leaves −1…1: wrap in `gymnasium.wrappers.ClipAction`.
             PhysicsError: A world's simulation failed.
         """
-        target = servo_from_action(actions, self.options.hand)
+        every = actions
+        actions, choices = every[:, : len(SERVOS)], every[:, len(SERVOS) :]
+        try:
+            target = servo_from_action(actions, self.options.hand)
+            if self.task.wrist_actions:
+                self._choose(as_bounded_array(choices, *_CHOICE_BOUNDS, self.task.wrist_actions, "action", "(no unit)", 1e-6))
+        except WorkspaceError as error:
+            if np.isnan(every).any():
+                raise
+            raise WorkspaceError(f"{error}; wrap in gymnasium.wrappers.ClipAction, which clips it") from None
         self._servo = streamed_servo(self._servo, target, self.dt, self.options.hand)
         self._arrive()
         self.simulation.command(self._arrived, self.dt)
         row = np.minimum(self._step[:, None] * self._substeps + np.arange(self._substeps), len(self._times) - 1)
-        self.simulation.advance(np.take_along_axis(self._wrist, row[:, :, None], axis=1))
+        push = self.task.push(self._time[row])
+        self.simulation.advance(np.take_along_axis(self._wrist, row[:, :, None], axis=1), push)
         self._step += 1
 
         state, phase = self.simulation.state(), self.now.phase
         self.outcome = self.task.judge(state, self.dt)
         change = np.asarray(actions, dtype=float) - self._last_action
         self._last_action = np.array(actions, dtype=float)  # the caller may write the next one over it
+        self._predicted = elastic_joints_from_servo(self._servo, self.options.hand)
         self._look(state, change, range(len(self.setups)))
         self.now.phase, after = phase, self.now.phase  # a step is rewarded by the phase that it began in
         self.terms = {term.name: term.value(self.now) for term in self.task.reward_terms}
@@ -179,7 +232,7 @@ class Episodes:
     def _look(self, state: SceneState, change: Array, worlds: Iterable[int]) -> None:
         """Take in a state; the camera looks anew at some worlds alone, so that no world's noise hangs on the others."""
         self.now = Moment(
-            state, self._servo, elastic_joints_from_servo(self._servo, self.options.hand), self._down,
+            state, self._servo, self._predicted, self._down,
             self.task.phase(state.time), self._last_action, change, self._camera.look(state, worlds), self.task.grip,
             self.outcome,
         )  # fmt: skip
@@ -194,6 +247,37 @@ class Episodes:
         """The last command to the servos of world 0: what a bridge sends to the real hand."""
         return ServoCommand(self._servo[0], self.dt)
 
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Where the entries of each field are in the observed vector, by the field's name."""
+        return dict(self._layout.slices)
+
+    # Going back ----------------------------------------------------------------------------------------------------
+
+    def save(self) -> Any:
+        """A snapshot of an only world, from which `restore` goes on to the bit.
+
+        What changes while an episode runs are arrays and generators: the task's, the camera's, the servos' and this object's.
+        """
+        values = [(owner, name, deepcopy(vars(owner)[name])) for owner, name in _changing(self)]
+        return self._episode, self.setups[0], self.simulation.engine.save(0), values, self.now, self.terms
+
+    def restore(self, snapshot: Any) -> None:
+        """Put the world back to a snapshot, which stays as it is.
+
+        Raises:
+            EpisodeError: The snapshot is of another episode, or of another environment.
+        """
+        episode, setup, physics, values, now, terms = snapshot
+        if episode is not self._episode:
+            raise EpisodeError("a state can be restored only in the episode that it was saved in, not after another reset()")
+        if setup is not self.setups[0]:  # a wrist that was placed since then
+            self._begin([0], [setup])
+        self.simulation.engine.restore(0, physics)
+        for owner, name, value in values:
+            setattr(owner, name, deepcopy(value))
+        self.now, self.terms = now, terms
+
     # What is told --------------------------------------------------------------------------------------------------
 
     def observe(self) -> NDArray[np.float32] | dict[str, NDArray]:
@@ -207,6 +291,8 @@ class Episodes:
         if self.options.obs == "image":
             small = replace(self.task.viewpoint, width=IMAGE_SIZE, height=IMAGE_SIZE)
             parts["image"] = np.stack([self.picture(world, small) for world in range(len(self.setups))])
+        if self.options.obs == "points":
+            parts["points"] = self._camera.points(self.now.state)
         return parts
 
     def report(self) -> dict[str, Any]:
@@ -215,6 +301,8 @@ class Episodes:
 
     def quality(self, world: int) -> float:
         """Epsilon of the grasp of a world [N]; it takes milliseconds, so that it is given once, with an episode's last step."""
+        if not self.now.state.touching[world].any():  # most lost episodes; the contacts themselves take milliseconds
+            return 0.0
         return grasp_quality(self.simulation.engine.contacts(world), self.setups[world].object)
 
     def picture(self, world: int, viewpoint: Viewpoint | None = None, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
@@ -222,7 +310,31 @@ class Episodes:
         target = HAND_POSITION + self.now.state.palm_offset[world] + self._rotation[world] @ centre
         return self.simulation.engine.picture(world, viewpoint or self.task.viewpoint, target)
 
-    def close(self) -> None:
-        """Free the engine. Closing twice is no error."""
-        self.simulation.engine.close()
+    def show(self) -> None:
+        """Put a picture of world 0 on the page of `render_mode="human"`, in real time."""
+        self._page = self._page or Page()
+        self._page.show(self.picture(0))
 
+    def close(self) -> None:
+        """Free the engine, and end the page. Closing twice is no error."""
+        self.simulation.engine.close()
+        if self._page is not None:
+            self._page.close()
+        self._page = None
+
+
+def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
+    """Servo angles [rad], predicted joint angles [rad] and action of a hand that starts at a synergy [rad]."""
+    servo = servo_from_synergy(synergy, hand)
+    return servo, elastic_joints_from_servo(servo, hand), action_from_synergy(synergy, hand)
+
+
+def _changing(owner: Any) -> Iterator[tuple[Any, str]]:
+    """The attributes that hold arrays, numbers or generators: of an object, and of the package's objects in it but the engine."""
+    for name, value in vars(owner).items():
+        generators = isinstance(value, list) and all(isinstance(entry, np.random.Generator) for entry in value)
+        arrays = isinstance(value, dict) and all(isinstance(entry, np.ndarray) for entry in value.values())
+        if generators or arrays or isinstance(value, np.ndarray | float | int):
+            yield owner, name
+        elif name not in ("engine", "_page") and type(value).__module__.startswith("hpac_gym.") and hasattr(value, "__dict__"):
+            yield from _changing(value)

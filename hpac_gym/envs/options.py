@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 from os import PathLike
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hpac_gym.body.object_sets import SPLITS
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs.randomization import PRESETS, Randomization, randomization
 from hpac_gym.errors import ParameterError
@@ -19,11 +19,15 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.simulation import ENGINES, default_engine
 from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.config import settings_from
+from hpac_gym.tasks.grasp_any import HANDS, WRISTS
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
 from hpac_gym.tasks.task import Task
 
-RENDER_MODES = ["rgb_array"]
-GRASP, PICK_PLACE, POSTURE = IDS = ("HPAC-Grasp-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0")
+RENDER_MODES = ["human", "rgb_array"]
+GRASP, GRASP_ANY, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
+    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
+)  # fmt: skip
 _SETUP_ARRAYS = {"position": 3, "synergy": 6, "hand_quaternion": 4, "object_quaternion": 4, "target": 3}
 
 
@@ -47,20 +51,43 @@ OPTIONS = (
            ids=(GRASP,)),
     Option("variant", (NOMINAL, "large", "small", "heavy", "slippery", "shape"), NOMINAL, "of a named grasp's object",
            ids=(GRASP,)),
+    Option("objects", SPLITS, "train", "the split that objects are drawn from; nothing may be trained on the other two",
+           ids=(GRASP_ANY,)),
+    Option("hands", HANDS, "nominal", "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
+           "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
+           ids=(GRASP_ANY,)),
+    Option("wrist", WRISTS, "script", "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
+           "episode move it, by four numbers more", ids=(GRASP_ANY,)),
+    Option("object", (None,), None, "an object of one's own in place of the primitive, as `own_object` makes one of a file; a "
+           "dictionary has the arguments of `own_object`", others="`hpac_gym.body.objects.ObjectSpec`, dictionary", ids=(GRASP,)),
     Option("hand", (), HPAC, "the hand's parameters; `HPAC` is the hand of the paper, `hpac_gym.model.HPAC`, and a hand file is "
            "what `hpac calibrate` writes", others="`hpac_gym.model.Hand`, path of a hand file"),
     Option("obs", ("deploy", "privileged", "image"), "deploy", "what is observed: what the real hand has, for a critic also what "
-           "only a simulation knows, or a picture beside the deployed vector"),
+           "only a simulation knows, or a picture beside the deployed vector", ids=(GRASP, PICK_PLACE, POSTURE_V0, POSTURE)),
+    Option("obs", ("deploy", "load", "points", "privileged", "image"), "deploy", "what is observed: what a hand and a camera "
+           "give; beside that what the servos tell, points of the object's surface that the camera sees, what only a simulation "
+           "knows, or a picture", ids=(GRASP_ANY,)),
     Option("reward", ("dense", "sparse"), "dense", "the sum of the task's terms, or only whether the aim is reached"),
-    Option("randomize", (None, *PRESETS), None, "what else differs between episodes: a preset, or ranges by name; None is "
-           '"nominal", which changes nothing', others="`hpac_gym.envs.randomization.Randomization`, dictionary of ranges"),
-    Option("noise", (), CameraNoise(), "of the camera that sees the object, standard deviations: of each coordinate of the place "
-           "[m], of the rotation about each axis [rad], of the size, relative", others="`hpac_gym.tasks.cameras.CameraNoise`",
-           ids=(GRASP, PICK_PLACE)),
+    *(
+        Option("randomize", (None, *PRESETS), default, "what else differs between episodes: a preset, or ranges by name; None is "
+               '"nominal", which changes nothing', others="`hpac_gym.envs.Randomization`, dictionary of ranges", ids=ids)
+        for default, ids in (("hand", (POSTURE,)), (None, (GRASP, GRASP_ANY, PICK_PLACE, POSTURE_V0)))
+    ),
+    Option("noise", (None,), None, "of the camera that sees the object, standard deviations: `position`, of each coordinate of "
+           "the place [m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
+           + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
+           others="`hpac_gym.envs.CameraNoise`, dictionary of its fields", ids=(GRASP, GRASP_ANY, PICK_PLACE)),
+    *(
+        Option("config", (None,), None, "ranges that episodes are drawn from, and what judges and rewards them; None is as on "
+               "this page", others=f"`hpac_gym.envs.{kind}`, dictionary of its fields", ids=(env_id,))
+        for env_id, kind in ((GRASP, "GraspConfig"), (GRASP_ANY, "GraspAnyConfig"), (PICK_PLACE, "PickPlaceConfig"),
+                             (POSTURE_V0, "PostureConfig"), (POSTURE, "PostureConfig"))
+    ),
     Option("engine", (None, *ENGINES), None, "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere"),
     Option("body", tuple(BODIES), "twin", "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
            "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo"),
-    Option("render_mode", (None, *RENDER_MODES), None, "whether `render()` gives pictures"),
+    Option("render_mode", (None, *RENDER_MODES), None, "whether `render()` gives pictures, or *human*: every step "
+           "is shown as a page in the browser, in real time"),
 )  # fmt: skip
 """Every argument of the ids, beside those of `gymnasium.make` itself."""
 
@@ -84,7 +111,7 @@ def checked_options(
     obs: str = "deploy",
     reward: str = "dense",
     randomize: Randomization | Mapping | str | None = None,
-    noise: CameraNoise = CameraNoise(),
+    noise: CameraNoise | Mapping | None = None,
     engine: str | None = None,
     body: str = "twin",
     render_mode: str | None = None,
@@ -95,15 +122,13 @@ def checked_options(
         ParameterError: A value that there is not, or a bad hand file.
     """
     given = {"obs": obs, "reward": reward, "engine": engine, "body": body, "render_mode": render_mode}
-    for option in OPTIONS:
-        if option.name in given and not (isinstance(given[option.name], str | None) and given[option.name] in option.values):
-            raise ParameterError(f"{option.name} {given[option.name]!r} is not one of {', '.join(map(str, option.values))}")
+    for name, value in given.items():
+        known = list(dict.fromkeys(known for option in OPTIONS if option.name == name for known in option.values))
+        if not (isinstance(value, str | None) and value in known):
+            raise ParameterError(f"{name} {value!r} is not one of {', '.join(map(str, known))}")
     if not isinstance(hand, Hand | str | PathLike):
         raise ParameterError(f"hand {hand!r} is neither a Hand nor the path of a hand file")
-    if not isinstance(noise, CameraNoise):
-        raise ParameterError(f"noise {noise!r} is not a CameraNoise; CameraNoise(0.0, 0.0, 0.0) is no noise")
-    if not all(0 <= deviation < math.inf for deviation in astuple(noise)):
-        raise ParameterError(f"standard deviations of {noise} must be finite and at least 0")
+    noise = settings_from(CameraNoise(), noise, "noise")
     known = hand if isinstance(hand, Hand) else load_hand(hand)
     return Options(known, obs, reward, randomization(randomize), noise, engine or default_engine(), body, render_mode is not None)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from numbers import Real
 from types import MappingProxyType
 from zlib import crc32
 
@@ -19,15 +18,12 @@ from hpac_gym.model import DIGITS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import HandSettings
+from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.task import setting
 
 Range = tuple[float, float]
 _SAME: Range = (1.0, 1.0)
 _NONE: Range = (0.0, 0.0)
-
-
-def _is_pair(given: object) -> bool:
-    return isinstance(given, list | tuple) and len(given) == 2 and all(isinstance(value, Real) for value in given)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,24 +54,17 @@ class Randomization:
     dropped_frames: Range = setting(_NONE, "share of the commands that never arrive", bounds=(0.0, 0.5))
 
     def __post_init__(self) -> None:
-        for name, (lowest, highest) in BOUNDS.items():
-            given = getattr(self, name)
-            if given is None and name == "dead_band":
-                continue
-            if not _is_pair(given) or not lowest <= given[0] <= given[1] <= highest:
-                bounds = f"[{lowest:g}, {highest:g}]"
-                raise ParameterError(f"randomization {name} = {given!r} must be a range (lowest, highest) within {bounds}")
-            object.__setattr__(self, name, tuple(given))
+        check_bounds(self, "randomization")
 
     def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
         """The values of one episode, by name; what has its nominal value is left out."""
-        nominal = Randomization()
-        wanted = [name for name in BOUNDS if getattr(self, name) != getattr(nominal, name)]
+        wanted = [name for name, nominal in _NOMINAL.items() if getattr(self, name) != nominal]
         return {name: stream(rng, name).uniform(*getattr(self, name), _DRAWS[name]) for name in wanted}
 
 
 BOUNDS: Mapping[str, Range] = MappingProxyType({quantity.name: quantity.metadata["bounds"] for quantity in fields(Randomization)})
 """What a range may hold. The tendons' upper bound keeps the stiffest mode's ω dt where the integration is stable."""
+_NOMINAL = {quantity.name: quantity.default for quantity in fields(Randomization)}
 _DRAWS = {quantity.name: quantity.metadata.get("draws", 1) for quantity in fields(Randomization)}
 
 PRESETS: Mapping[str, Randomization] = MappingProxyType(
@@ -122,10 +111,7 @@ def randomization(given: Randomization | Mapping[str, Sequence[float]] | str | N
         return PRESETS[given]
     if not isinstance(given, Mapping):
         raise ParameterError(f"randomize {given!r} is none of {', '.join(PRESETS)}, no Randomization and no ranges by name")
-    unknown = [name for name in given if name not in BOUNDS]
-    if unknown:
-        raise ParameterError(f"randomize has no quantities {unknown}; it has {', '.join(BOUNDS)}")
-    return Randomization(**given)
+    return settings_from(Randomization(), given, "randomize")
 
 
 def stream(rng: np.random.Generator, name: str) -> np.random.Generator:

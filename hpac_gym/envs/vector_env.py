@@ -12,12 +12,15 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes
-from hpac_gym.envs.hand_env import ACTION_SPACE
+from hpac_gym.envs.hand_env import PostureEnv
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
+from hpac_gym.envs.randomization import randomization
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
-from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import as_array
 from hpac_gym.tasks.task import RUNNING, Task
+
+ATTRIBUTES = ("action_space", "dt", "hand", "obs", "observation_space", "randomization", "render_mode", "spec", "task")
+"""What `HandVectorEnv.get_attr` gives."""
 
 
 class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
@@ -28,7 +31,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         num_envs: n.
         autoreset_mode: when an environment whose episode is over begins a new one, as in Gymnasium's vector environments.
         max_episode_steps: cuts episodes short; None leaves it to the task.
-        render_mode: None or "rgb_array".
+        render_mode: None, "rgb_array", or "human", which shows the first environment.
         options: those of `HandEnv`, without `transmit`.
 
     Raises:
@@ -58,9 +61,11 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._mode, self._limit = AutoresetMode(autoreset_mode), max_episode_steps or np.inf
         self.metadata = self.metadata | {"autoreset_mode": self._mode}
         chosen = checked_options(render_mode=render_mode, **options)
-        self._hand = chosen.hand
+        self.hand, self.obs = chosen.hand, chosen.obs
         self._episodes = Episodes(task, num_envs, chosen)
-        self.single_action_space, self.single_observation_space = ACTION_SPACE, self._episodes.observation_space
+        self.dt = self._episodes.dt
+        self.single_action_space = self._episodes.action_space
+        self.single_observation_space = self._episodes.observation_space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
@@ -98,16 +103,15 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         if len(seeds) != self.num_envs:
             raise ParameterError(f"{len(seeds)} seeds were given for {self.num_envs} environments")
         self._running = False
-        given = setup_of(options, self.task, self._hand)
+        given = setup_of(options, self.task, self.hand)
         worlds = np.flatnonzero(mask).tolist()
         for world in worlds:
             if seeds[world] is not None:
                 self._generators[world] = seeding.np_random(int(seeds[world]))[0]
-        drawn = self._restart(worlds, given)
         infos: dict[str, Any] = {}
-        for world, values in zip(worlds, drawn, strict=True):
-            self._add_info(infos, self._first_info(world, values), world)
+        self._restart(worlds, infos, given)
         self._running = True
+        self._show()
         return episodes.observe(), infos
 
     def _mask(self, options: dict[str, Any] | None) -> tuple[NDArray[np.bool_], dict[str, Any] | None]:
@@ -120,16 +124,21 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             raise ParameterError("reset_mask must be True everywhere: no episode is running yet")
         return mask, {name: value for name, value in options.items() if name != "reset_mask"}
 
-    def _restart(self, worlds: list[int], given: Any = None) -> list[Any]:
+    def _restart(self, worlds: list[int], infos: dict[str, Any], given: Any = None) -> None:
+        """Start episodes in some worlds, and say so in the infos."""
         drawn = self.episodes.reset(worlds, [self._generators[world] for world in worlds], given)
         self._steps[worlds], self._over[worlds] = 0, False
-        return drawn
+        report = {name: values.tolist() for name, values in self.episodes.report().items()}
+        terms: dict[str, Any] = {} if self.task.goal_terms else {"reward_terms": {}}
+        for world, values in zip(worlds, drawn, strict=True):
+            told = {name: column[world] for name, column in report.items()} | terms
+            self._add_info(infos, told | {"randomized": {name: list(value) for name, value in values.items()}}, world)
 
     def step(self, actions: NDArray) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
         """Carry out one action in every environment for one control period.
 
         Raises:
-            ShapeError: The actions are not of shape (n, 6).
+            ShapeError: The actions are not of the shape of the action space.
             WorkspaceError: An action has NaN, or leaves −1…1.
             EpisodeError: Before `reset`, after `close`, or without autoreset after the end of an episode.
             PhysicsError: A world's simulation failed; the message names it.
@@ -137,7 +146,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         episodes = self.episodes
         if not self._running or (self._mode is AutoresetMode.DISABLED and self._over.any()):
             raise EpisodeError("no episode is running in every environment: call reset() first")
-        actions = as_array(actions, len(SERVOS), "actions")
+        actions = as_array(actions, *self.single_action_space.shape, "actions")
         if actions.shape != self.action_space.shape:
             raise ShapeError(f"actions must have shape {self.action_space.shape}, not {actions.shape}")
         stale = self._over.copy()  # under NEXT_STEP these begin anew, and their action counts for nothing
@@ -153,8 +162,9 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         if self._mode is AutoresetMode.SAME_STEP and self._over.any():
             worlds = np.flatnonzero(self._over).tolist()
             infos = self._finish(worlds, terminated)
-        for world, values in zip(worlds, self._restart(worlds) if worlds else [], strict=True):
-            self._add_info(infos, self._first_info(world, values), world)
+        if worlds:
+            self._restart(worlds, infos)
+        self._show()
         return episodes.observe(), rewards, terminated, truncated, infos
 
     def _advance(self, actions: NDArray) -> NDArray:
@@ -187,16 +197,10 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         ended |= {"final_info": self._infos(over.copy(), terminated), "_final_info": over.copy()}
         return ended | self._infos(~over, np.zeros_like(terminated))
 
-    def _first_info(self, world: int, drawn: Any) -> dict[str, Any]:
-        info = {name: values.tolist()[world] for name, values in self.episodes.report().items()}
-        if not self.task.goal_terms:
-            info["reward_terms"] = {}
-        return info | {"randomized": {name: list(value) for name, value in drawn.items()}}
-
     # The rest --------------------------------------------------------------------------------------------------------
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture of every environment, or None without a render mode.
+        """A picture of every environment; None without a render mode, and with "human", which shows every step by itself.
 
         Raises:
             EpisodeError: Before `reset`, or after `close`.
@@ -206,7 +210,62 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             return None
         if episodes.now is None:
             raise EpisodeError("nothing to render: call reset() first")
+        if self.render_mode == "human":
+            return None
         return tuple(episodes.picture(world) for world in range(self.num_envs))
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self.episodes.show()
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of each environment, as a `HandEnv` has it.
+
+        Raises:
+            AttributeError: It is none of `ATTRIBUTES`.
+        """
+        if name not in ATTRIBUTES:
+            raise AttributeError(f"get_attr: {name!r} is not one of {', '.join(ATTRIBUTES)}")
+        if name == "randomization":
+            return tuple(self.episodes.randomizations)
+        return (getattr(self, f"single_{name}" if name.endswith("_space") else name),) * self.num_envs
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set the `randomization` of every environment, from its next episode on.
+
+        Args:
+            name: "randomization"; nothing else can be set.
+            values: a list or tuple with one for each environment, or one for all.
+
+        Raises:
+            AttributeError: Another name.
+            ParameterError: Not one for each environment, or no randomization.
+        """
+        if name != "randomization":
+            raise AttributeError(f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can")
+        values = values if isinstance(values, list | tuple) else [values] * self.num_envs
+        if len(values) != self.num_envs:
+            raise ParameterError(f"set_attr: {len(values)} values were given for {self.num_envs} environments")
+        self.episodes.randomizations[:] = [randomization(value) for value in values]
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """The results of a method of each environment, or its attribute.
+
+        Args:
+            name: "render"; of a task with goals "compute_reward", "compute_terminated" or "compute_truncated"; or one of
+                `ATTRIBUTES`.
+            args: of the method.
+            kwargs: of the method.
+
+        Raises:
+            AttributeError: Another name.
+        """
+        if name == "render":
+            return self.render() or (None,) * self.num_envs
+        if self.task.goal_terms and name in ("compute_reward", "compute_terminated", "compute_truncated"):
+            # Such a method looks at the task and the options alone.
+            return (getattr(PostureEnv, name)(self, *args, **kwargs),) * self.num_envs
+        return self.get_attr(name)
 
     def close_extras(self, **_: Any) -> None:
         """Free the physics; `close` calls this once."""

@@ -68,7 +68,13 @@ def shared(function: Callable[..., Result], jobs: Sequence[tuple], count: int) -
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Let Ctrl-C wait until the block ends. Processes that are started in it never see one, not even while they start."""
+    """Let Ctrl-C wait until the block ends. Processes that are started in it never see one, not even while they start.
+
+    Windows has no signal masks: there a worker may print a traceback on Ctrl-C.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

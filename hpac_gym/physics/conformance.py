@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from hpac import whole_number
-from hpac_gym.body.geometry import link_poses, load_geometry
+from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry, link_poses
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
@@ -25,6 +25,7 @@ from hpac_gym.model import (
     JOINT_INDEX,
     SERVO_INDEX,
     SERVOS,
+    Hand,
     joints_from_synergy,
     servo_from_synergy,
 )
@@ -40,7 +41,6 @@ Factory = Callable[[int, WorldSettings], Engine]
 COMBINATIONS = (("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light"))
 """Engines and bodies that ship."""
 _ROOTS = [JOINT_INDEX[name] for name in SERVOS]
-_GEOMETRY = load_geometry()
 _PALM_DOWN = (0.0, float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)))
 
 
@@ -59,8 +59,9 @@ class Figure:
 
 
 def free_space(
-    make: Factory, settings: HandSettings, world: WorldSettings, postures: int = 25, seed: int = 0
-) -> tuple[float, float, float]:
+    make: Factory, settings: HandSettings, world: WorldSettings, postures: int = 25, seed: int = 0,
+    hand: Hand = HPAC, geometry: Geometry = HPAC_GEOMETRY,
+) -> tuple[float, float, float]:  # fmt: skip
     """Hands at random synergies without gravity, and passing through themselves so that all of the workspace is free space.
 
     Returns:
@@ -68,13 +69,14 @@ def free_space(
         and CMC from what was commanded [°]; largest joint speed that is left after eight seconds [rad/s].
     """
     rng = np.random.default_rng(seed)
-    synergy = HPAC.synergy_max * rng.uniform(0.03, 0.97, (postures, len(SERVOS)))
-    hands = _hands(make, postures, SceneSetup(None, hand_settings=settings), replace(world, gravity=0.0, collisions=False))
-    hands.command(servo_from_synergy(synergy), 0.4)
+    synergy = hand.synergy_max * rng.uniform(0.03, 0.97, (postures, len(SERVOS)))
+    setup = SceneSetup(None, hand=hand, geometry=geometry, hand_settings=settings)
+    hands = _hands(make, postures, setup, replace(world, gravity=0.0, collisions=False))
+    hands.command(servo_from_synergy(synergy, hand), 0.4)
     hands.rest(8.0)
     state = hands.state()
     hands.engine.close()
-    manifold = np.abs(state.joint_pos - joints_from_synergy(state.joint_pos[:, _ROOTS])).max()
+    manifold = np.abs(state.joint_pos - joints_from_synergy(state.joint_pos[:, _ROOTS], hand)).max()
     command = np.degrees(np.abs(state.joint_pos[:, _ROOTS] - synergy).max())
     return float(manifold), float(command), float(np.abs(state.joint_vel).max())
 
@@ -90,7 +92,7 @@ def blocked_fingertip(make: Factory, settings: HandSettings, world: WorldSetting
     index = [JOINT_INDEX[name] for name in joints]
     synergy = np.zeros(len(SERVOS))
     synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.6
-    digit, ball = _GEOMETRY.digit(finger), 0.004
+    digit, ball = HPAC_GEOMETRY.digit(finger), 0.004
     position, rotation = link_poses(digit, joints_from_synergy(synergy)[index])[-1]
     centre = position + rotation @ [digit.phalanges[-1].capsule.radius + ball + 3e-4, 0.0, 0.012]
     peg = ObjectSpec("sphere", (ball, ball, ball), mass=0.1, friction=1e-9)
@@ -151,13 +153,13 @@ def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> 
 
 def opposition_gap(make: Factory, settings: HandSettings, world: WorldSettings, finger: str) -> float:
     """Distance between the pads of thumb and finger at the posture that opposes them, as the engine takes it up [m]."""
-    synergy = np.array(_GEOMETRY.opposition[finger])
+    synergy = np.array(HPAC_GEOMETRY.opposition[finger])
     hands = _hands(make, 1, SceneSetup(None, synergy=synergy, hand_settings=settings), replace(world, gravity=0.0))
     joints = hands.state().joint_pos[0]
     hands.engine.close()
     pads = []
     for name in ("thumb", finger):
-        digit = _GEOMETRY.digit(name)
+        digit = HPAC_GEOMETRY.digit(name)
         position, rotation = link_poses(digit, joints[[JOINT_INDEX[phalanx.joint] for phalanx in digit.phalanges]])[-1]
         pads.append(position + rotation @ digit.pad)
     return float(np.linalg.norm(pads[0] - pads[1]))
@@ -165,7 +167,7 @@ def opposition_gap(make: Factory, settings: HandSettings, world: WorldSettings, 
 
 def stiffest_mode(settings: HandSettings, world: WorldSettings) -> float:
     """Largest ω dt of the hand's tendons over the workspace; an engine with explicit torques needs it well below 2."""
-    inertia = mass_matrix(_GEOMETRY, settings.armature, HPAC.synergy_max / 2)
+    inertia = mass_matrix(HPAC_GEOMETRY, settings.armature, HPAC.synergy_max / 2)
     law = Tendons(HPAC, inertia, world.dt, settings.damping)
     stiffness = [law.stiffness_matrix(share * HPAC.synergy_max) for share in np.linspace(0.0, 1.0, 11)]
     return float(np.sqrt(max(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max() for matrix in stiffness)) * world.dt)

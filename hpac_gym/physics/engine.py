@@ -7,13 +7,15 @@ leading axis n. Nothing here knows an engine.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.errors import HpacError
 from hpac_gym.model import DIGITS, HPAC, Hand
@@ -24,8 +26,8 @@ HAND_POSITION = np.array([0.0, 0.0, 0.25])
 """Where the wrist starts in the world [m]."""
 HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
 """Unless a setup says otherwise: fingers along the world's +x, palm facing +y, thumb up."""
-POST_HALF_WIDTH = 0.012
-"""Of the post that an object stands on unless its setup has a `Support` [m]."""
+POST = Support((0.012, 0.012))
+"""What an object stands on unless its setup has a support; this post does not turn with it."""
 TARGET_HALF_WIDTH = 0.05
 """Of the post at a setup's target [m]."""
 SUPPORT_FRICTION = 0.8
@@ -36,10 +38,6 @@ GREY, GREEN, WOOD = (0.55, 0.55, 0.58, 1.0), (0.45, 0.62, 0.48, 1.0), (0.78, 0.7
 """Colours of posts and walls, of the target's post and of the table, RGBA."""
 OBJECT_COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
 """Colours of the primitive objects, RGBA."""
-WRIST_FORCE = 200.0
-"""What the arm can push along each axis [N]."""
-MAX_JOINT_SPEED = 20.0
-"""Of a digit that snaps free of another one [rad/s]."""
 
 PARTS = ("palm", *DIGITS)
 """The parts of the hand whose contacts with the object are told apart."""
@@ -62,24 +60,37 @@ class SceneSetup:
     synergy: Array = field(default_factory=lambda: np.zeros(6))
     """Hand at the start, shape (6,) [rad]."""
     hand: Hand = HPAC
-    hand_settings: HandSettings = field(default_factory=HandSettings)
+    geometry: Geometry = HPAC_GEOMETRY
+    """Of the hand's body."""
+    hand_settings: HandSettings = HandSettings()
     hand_quaternion: tuple[float, float, float, float] = HAND_QUATERNION
     """Orientation of the hand's frame in the world, xyzw."""
     object_quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     """Orientation of the object in the world before its yaw, xyzw."""
     support: Support | None = None
-    """What the object stands on; None is a post that does not turn with it."""
+    """What the object stands on; None is `POST`."""
     target: Array | None = None
     """Centre of the object where it shall stand later, on a post of its own, as `position`; None for nowhere."""
     goal: Array | None = None
     """Joint angles to reach, shape (15,) [rad], for a task that asks for a posture; physics does not look at it."""
     fixed: bool = False
     """Whether the object is held where it is for ever, without a support: an obstacle for measurements."""
+    rest_height: float | None = None
+    """Of the object's centre above what it stands on [m]; None is that of its bounding box."""
+    pull: Array | None = None
+    """Direction in the world of a force that a task may apply in the end, shape (3,); physics does not look at it."""
 
     @property
     def hand_rotation(self) -> Array:
         """Rotation of the hand's frame in the world, shape (3, 3)."""
         return matrix_from_quaternion(self.hand_quaternion)
+
+    @property
+    def stand_height(self) -> float:
+        """Of the object's centre above what it stands on [m]."""
+        if self.rest_height is not None:
+            return self.rest_height
+        return float(np.abs(matrix_from_quaternion(self.object_quaternion)[2]) @ self.object.half_extents)
 
     @property
     def object_turn(self) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
@@ -125,10 +136,13 @@ class SceneState:
     @classmethod
     def empty(cls, n: int) -> SceneState:
         """Zeros for n worlds."""
-        shapes = {"joint_pos": (15,), "joint_vel": (15,), "horn": (6,), "tension": (5,), "object_rotation": (3, 3),
-                  "touching": (6,), "contact_force": (6,), "time": (), "supported": (), "on_target": ()}  # fmt: skip
-        flags = ("touching", "supported", "on_target")
-        return cls(**{f.name: np.zeros((n, *shapes.get(f.name, (3,))), bool if f.name in flags else float) for f in fields(cls)})
+        return cls(*[np.zeros((n, *shape), kind) for shape, kind in _FIELDS])
+
+
+_SHAPES = {"joint_pos": (15,), "joint_vel": (15,), "horn": (6,), "tension": (5,), "object_rotation": (3, 3),
+           "touching": (6,), "contact_force": (6,), "time": (), "supported": (), "on_target": ()}  # fmt: skip
+_FLAGS = ("touching", "supported", "on_target")
+_FIELDS = [(_SHAPES.get(entry.name, (3,)), bool if entry.name in _FLAGS else float) for entry in fields(SceneState)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,13 +206,15 @@ class Engine(Protocol):
         """Set some of the worlds: hand at rest on its manifold, servos where they hold it there, object on its support."""
         ...
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array) -> None:
+    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
         """Carry out k physics steps in every world.
 
         Args:
             servo: angles of the horns during each step, shape (n, k, 6) [rad].
             servo_vel: their speeds, shape (n, k, 6) [rad/s].
             wrist: offset of the palm from its start at the end of each step, along the world's axes, shape (n, k, 3) [m].
+            push: force on the object at its centre of mass during each step, along the world's axes, shape (n, k, 3) [N];
+                None is no force. A world without an object that can move ignores its rows.
 
         Raises:
             PhysicsError: A world's simulation failed; the message names the world.
@@ -231,12 +247,51 @@ class Engine(Protocol):
 
 
 def matrix_from_quaternion(quaternion: Sequence[float]) -> Array:
-    """The rotation matrix of a unit quaternion xyzw, shape (3, 3)."""
-    x, y, z, w = quaternion
-    return np.array(
+    """The rotation matrix of a unit quaternion xyzw, shape (3, 3), read-only."""
+    return _matrix(*quaternion)
+
+
+@lru_cache(maxsize=256)
+def _matrix(x: float, y: float, z: float, w: float) -> Array:
+    matrix = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
             [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
+    matrix.setflags(write=False)
+    return matrix
+
+
+Placed = tuple[Array, Array]
+"""Half extents and centre in the world of a box, shapes (3,) [m]."""
+
+
+def support_boxes(
+    setup: SceneSetup, matrix: Callable[[Sequence[float]], Array] = matrix_from_quaternion
+) -> tuple[list[Placed], Array, Placed | None, tuple[float, float, float, float]]:
+    """What the object of a setup stands on.
+
+    Args:
+        setup: with an object that is not fixed.
+        matrix: of a quaternion xyzw, since an engine may round in its own way.
+
+    Returns:
+        Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion xyzw of posts and walls.
+    """
+    rotation = matrix(setup.hand_quaternion)
+    centre = HAND_POSITION + rotation @ setup.position
+    reach = setup.rest_height
+    if reach is None:
+        reach = np.abs(matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
+    support = setup.support or POST
+    turn = setup.object_turn[1] if setup.support else (0.0, 0.0, 0.0, 1.0)
+    floor, turned = support.table_height, matrix(turn)
+    below = np.array([centre[0], centre[1], floor])
+    boxes = [(np.array(half), below + turned @ place) for half, place in support.boxes(centre[2] - reach - floor)]
+    target = None
+    if setup.target is not None:
+        x, y, z = HAND_POSITION + rotation @ setup.target - [0.0, 0.0, reach]
+        target = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2]), np.array([x, y, z / 2])
+    return boxes, below - [0.0, 0.0, TABLE_HALF_EXTENTS[2]], target, turn

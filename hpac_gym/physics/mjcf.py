@@ -143,7 +143,7 @@ class Mechanics:
             radius,
             stiffness,
             2 * damping.ratio * np.sqrt(stiffness / (arm**2 * compliance[_ROOTS, _ROOTS])),
-            np.array([digit.tension_limit for digit in digits]),
+            np.array([digit.tension_limit for digit in digits]) * settings.strength,
             hub_mass,
             (hand.cmc_stiffness, float(cmc_damping), hand.cmc_torque_limit, hand.cmc_gain),
         )

@@ -21,7 +21,8 @@ class Servos:
     """The servos of n worlds.
 
     Attributes:
-        horn: where the horns are, shape (n, 6) [rad].
+        horn: where the horns are for their own encoders, shape (n, 6) [rad].
+        zero: where each horn stands in truth when it is at 0 for its own encoder, shape (n, 6) [rad].
 
     Args:
         num_worlds: n.
@@ -30,24 +31,28 @@ class Servos:
 
     def __init__(self, num_worlds: int, dt: float) -> None:
         self._dt = dt
-        self.horn = np.zeros((num_worlds, len(SERVOS)))
+        self.horn, self.zero = np.zeros((num_worlds, len(SERVOS))), np.zeros((num_worlds, len(SERVOS)))
         self._start, self._way = self.horn.copy(), self.horn.copy()
         self._elapsed, self._duration = np.ones((num_worlds, 1)), np.ones((num_worlds, 1))
         self._reach, self._dead_band = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 1))
         self._late = np.zeros(num_worlds, dtype=int)
         self._past = np.zeros((num_worlds, 0, len(SERVOS)))  # the newest ramp positions, as many as the latest servo is late
 
-    def reset(self, worlds: Sequence[int], servo: ArrayLike, settings: Sequence[ServoSettings]) -> None:
-        """Stand still in some worlds, at angles of shape (len(worlds), 6) [rad], with their settings."""
+    def reset(
+        self, worlds: Sequence[int], servo: ArrayLike, settings: Sequence[ServoSettings], zero: ArrayLike = 0.0
+    ) -> None:
+        """Stand still in some worlds, at angles of shape (len(worlds), 6) [rad], with their settings and zeros, of that shape."""
         index = np.asarray(worlds)
+        self.zero[index] = zero
         self.horn[index] = self._start[index] = servo
         self._way[index] = 0.0
         self._elapsed[index] = self._duration[index] = 1.0
         self._reach[index, 0] = [given.speed * self._dt for given in settings]
         self._dead_band[index, 0] = [given.dead_band for given in settings]
         self._late[index] = [round(given.lag / self._dt) for given in settings]
-        missing = max(self._late.max() - self._past.shape[1], 0)
-        self._past = np.concatenate([np.repeat(self._start[:, None], missing, axis=1), self._past], axis=1)
+        missing = self._late.max() - self._past.shape[1]
+        if missing > 0:
+            self._past = np.concatenate([np.repeat(self._start[:, None], missing, axis=1), self._past], axis=1)
         self._past[index] = self._start[index][:, None]
 
     @property
@@ -62,7 +67,7 @@ class Servos:
         self._elapsed, self._duration = np.zeros_like(self._elapsed), np.full_like(self._duration, duration)
 
     def advance(self, steps: int) -> tuple[Array, Array]:
-        """Move on by some physics steps: the horns' angles [rad] and speeds [rad/s] in each, shapes (n, steps, 6)."""
+        """Move on by some physics steps: the horns' true angles [rad] and speeds [rad/s] in each, shapes (n, steps, 6)."""
         elapsed = np.cumsum(np.concatenate([self._elapsed, np.full((len(self.horn), steps), self._dt)], axis=1), axis=1)[:, 1:]
         self._elapsed = elapsed[:, -1:]
         share = np.minimum(elapsed / self._duration, 1.0)[:, :, None]
@@ -80,4 +85,5 @@ class Servos:
             horn = horn + moved
             angle[:, step], speed[:, step] = horn, moved / self._dt
         self.horn = horn
+        angle += self.zero[:, None]
         return angle, speed

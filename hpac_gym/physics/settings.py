@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from math import inf, pi
 from types import MappingProxyType
 
 GRAVITY = 9.81
@@ -57,12 +58,20 @@ class Damping:
 
 @dataclass(frozen=True, slots=True)
 class HandSettings:
-    """What the simulated hand has beyond the model's parameters."""
+    """What the simulated hand has beyond the model's parameters.
 
-    servo: ServoSettings = field(default_factory=ServoSettings)
-    damping: Damping = field(default_factory=Damping)
+    Raises:
+        ValueError: Slack, strength or servo zero has the wrong number of values or leaves its bounds.
+    """
+
+    servo: ServoSettings = ServoSettings()
+    damping: Damping = Damping()
     slack: tuple[float, ...] = (0.0,) * 5
     """What each driving tendon has to wind up before it pulls, by digit [m]."""
+    strength: tuple[float, ...] = (1.0,) * 5
+    """Share of its stall force with which each driving tendon pulls, by digit; 0 is a dead digit, whose servo turns in vain."""
+    servo_zero: tuple[float, ...] = (0.0,) * 6
+    """Where each servo's horn stands in truth when it is at 0 for its own encoder [rad]."""
     joint_friction: float = 0.0
     """Coulomb friction of every joint [N·m]."""
     tendon_friction: float = 0.0
@@ -73,6 +82,13 @@ class HandSettings:
     """Inertia of a servo's gears and rotor, reflected to its hub [kg·m²]; it moves with the driving tendon. See `BODIES`."""
     contact_friction: float = 0.9
     """Coulomb coefficient of the hand's skin; the object's multiplies it."""
+
+    def __post_init__(self) -> None:
+        bounds = {"slack": (5, 0.0, inf, "m"), "strength": (5, 0.0, 1.0, "(no unit)"), "servo_zero": (6, -pi, pi, "rad")}
+        for name, (size, low, high, unit) in bounds.items():
+            given = getattr(self, name)
+            if not (len(given) == size and all(low <= value <= high for value in given)):
+                raise ValueError(f"{name} = {given} {unit} must be {size} values in [{low:g}, {high:g}] {unit}")
 
 
 BODIES: Mapping[str, HandSettings] = MappingProxyType(

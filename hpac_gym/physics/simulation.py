@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import servo_from_synergy
+from hpac_gym.model import servo_from_synergy, synergy_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, SceneSetup, SceneState
 from hpac_gym.physics.servos import Servos
@@ -36,22 +37,30 @@ class Simulation:
         self.servos = Servos(engine.num_worlds, engine.dt)
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Start episodes in some worlds: hands at rest on their manifold, servos where they hold them there."""
-        self.engine.reset(worlds, setups)
+        """Start episodes in some worlds: hands at rest on their manifold, servos where they hold them there.
+
+        A servo zero moves the hand, not the servo: commands know nothing of it.
+        """
         horn = [servo_from_synergy(setup.synergy, setup.hand) for setup in setups]
-        self.servos.reset(worlds, horn, [setup.hand_settings.servo for setup in setups])
+        settings = [setup.hand_settings for setup in setups]
+        self.engine.reset(worlds, [_held(setup, servo) for setup, servo in zip(setups, horn, strict=True)])
+        self.servos.reset(worlds, horn, [given.servo for given in settings], [given.servo_zero for given in settings])
 
     def command(self, servo: Array, duration: float) -> None:
         """Start a move in every world: to servo angles (n, 6) [rad] within a duration [s]."""
         self.servos.command(servo, duration)
 
-    def advance(self, wrist: Array) -> None:
+    def advance(self, wrist: Array, push: Array | None = None) -> None:
         """Let k physics steps pass while the wrists follow their tables of offsets, shape (n, k, 3) [m].
+
+        Args:
+            wrist: the tables.
+            push: force on the objects at their centres of mass, along the world's axes, shape (n, k, 3) [N]; None is none.
 
         Raises:
             PhysicsError: A world's simulation failed; the message names the world.
         """
-        self.engine.advance(*self.servos.advance(wrist.shape[1]), wrist)
+        self.engine.advance(*self.servos.advance(wrist.shape[1]), wrist, push)
 
     def rest(self, seconds: float) -> None:
         """Let time pass with the wrists at their start, in whole physics steps."""
@@ -60,8 +69,16 @@ class Simulation:
     def state(self) -> SceneState:
         """What holds now in every world."""
         state = self.engine.state()
-        state.horn = self.servos.horn.copy()
+        state.horn = self.servos.horn + self.servos.zero
         return state
+
+
+def _held(setup: SceneSetup, servo: Array) -> SceneSetup:
+    """The setup with the hand where its servos hold it in truth when they are at angles of their own, shape (6,) [rad]."""
+    if not any(setup.hand_settings.servo_zero):
+        return setup
+    true = np.clip(servo + setup.hand_settings.servo_zero, setup.hand.servo_min, setup.hand.servo_max)
+    return replace(setup, synergy=synergy_from_servo(true, setup.hand))
 
 
 def default_engine() -> str:

@@ -85,8 +85,8 @@ class Drive:
     """The same, of a slack tendon against flexion that is faster than the servo's [N·s/m]."""
 
     @classmethod
-    def of(cls, digit: Digit, slack: float = 0.0) -> Drive:
-        """The undamped drive of a digit; the servo winds up `slack` [m] before it pulls."""
+    def of(cls, digit: Digit, slack: float = 0.0, strength: float = 1.0) -> Drive:
+        """The undamped drive of a digit; it winds up `slack` [m] before it pulls, with at most that share of its stall force."""
         return cls(
             JOINT_INDEX[digit.joints[0]],
             digit.alpha,
@@ -95,7 +95,7 @@ class Drive:
             digit.servo_radius,
             digit.rest_chord + slack,
             digit.drive_stiffness,
-            digit.tension_limit,
+            strength * digit.tension_limit,
         )
 
     def chord_and_arm(self, joint_pos: float) -> tuple[float, float]:
@@ -130,12 +130,15 @@ class Tendons:
         dt: physics step [s].
         damping: how the tendons lose energy.
         slack: what each drive has to wind up before it pulls, shape (5,) or () [m].
+        strength: share of its stall force with which each drive pulls, shape (5,) or ().
 
     Attributes:
         drives: the five driving tendons, by digit.
     """
 
-    def __init__(self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping, slack: ArrayLike = 0.0) -> None:
+    def __init__(
+        self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping, slack: ArrayLike = 0.0, strength: ArrayLike = 1.0
+    ) -> None:
         self.hand = hand
         compliance = np.linalg.inv(mass_matrix)
 
@@ -159,8 +162,8 @@ class Tendons:
             coefficient = float(viscosity(np.float64(drive.stiffness), mobility))
             return replace(drive, viscosity=coefficient, brake=damping.overrun * coefficient)
 
-        slacks = np.broadcast_to(slack, len(hand.digits)).tolist()
-        undamped = map(Drive.of, hand.digits.values(), slacks)
+        slacks, shares = (np.broadcast_to(given, len(hand.digits)).tolist() for given in (slack, strength))
+        undamped = map(Drive.of, hand.digits.values(), slacks, shares)
         self.drives = tuple(map(damped, undamped, hand.synergy_max[:_CMC].tolist()))
         cmc = viscosity(np.array(hand.cmc_stiffness), compliance[_CMC_JOINT, _CMC_JOINT])
         self._cmc_viscosity = float(cmc)

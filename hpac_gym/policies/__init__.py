@@ -10,12 +10,13 @@ policy.reset(seed=0)
 action = policy.act(observation)      # shape (6,), −1…1
 ```
 
-`hpac_gym.policies.loading` finds a policy by its name or file for an environment; it and `hpac_gym.policies.baselines` need
-`hpac_gym.envs`.
+`hpac_gym.policies.loading` finds a policy by its name or file for an environment; it, `hpac_gym.policies.made_for` and
+`hpac_gym.policies.baselines` need `hpac_gym.envs`.
 """
 
+from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.errors import PolicyError
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import Actor, PolicyFile, read_policy, write_policy
 
-__all__ = ["Actor", "LearnedPolicy", "Policy", "PolicyError", "PolicyFile", "read_policy", "write_policy"]
+__all__ = ["Actor", "Closures", "LearnedPolicy", "Policy", "PolicyError", "PolicyFile", "read_policy", "write_policy"]

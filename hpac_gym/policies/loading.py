@@ -8,6 +8,7 @@ import gymnasium
 
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.errors import PolicyError
+from hpac_gym.policies.made_for import difference, made_for
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
@@ -32,12 +33,14 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
         PolicyError: It is missing, damaged, or made for another environment.
     """
     policy = read_policy(name)
-    made_for, env_id = policy.about["env_id"], env.spec.id
-    if not _same_task(made_for, env_id):
-        raise PolicyError(f"policy file '{name}' was trained on {made_for}, not on {env_id}")
+    trained_on, env_id = policy.about["env_id"], env.spec.id
+    if not _same_task(trained_on, env_id):
+        raise PolicyError(f"policy file '{name}' was trained on {trained_on}, not on {env_id}")
+    if (told := difference(policy.about.get("made_for", {}), made_for(env))) is not None:
+        raise PolicyError(f"policy file '{name}' does not fit {env_id}: {told}")
     wanted = env.observation_space.shape[0], env.action_space.shape[0]
-    if policy.actor.sizes != wanted:
-        raise PolicyError(f"policy file '{name}' maps {policy.actor.sizes} values, {env_id} needs {wanted}")
+    if policy.sizes != wanted:
+        raise PolicyError(f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}")
     return policy
 
 

@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.policy_file import PolicyFile
 
 
@@ -21,26 +22,34 @@ class Policy(Protocol):
 
 
 class LearnedPolicy:
-    """A trained actor without its exploration, which holds each action for as many control steps as in its training.
+    """A trained actor without its exploration.
 
     Args:
-        actor: the action for an observation, shape (n,) → shape (6,), −1…1; whatever computes it.
-        action_repeat: control steps that each action is held for, at least 1.
+        actor: from an observation, shape (n,), to an action, shape (6,), or with `closures` to the numbers of one, shape (m,);
+            all −1…1; whatever computes it.
+        action_repeat: control steps that each action is held for, at least 1; as in training.
+        closures: with them the actor decides once, on the first observation of an episode; None for actions.
     """
 
-    def __init__(self, actor: Callable[[np.ndarray], np.ndarray], action_repeat: int) -> None:
-        self._actor, self._action_repeat = actor, action_repeat
+    def __init__(
+        self, actor: Callable[[np.ndarray], np.ndarray], action_repeat: int = 1, closures: Closures | None = None
+    ) -> None:
+        self._actor, self._action_repeat, self._closures = actor, action_repeat, closures
 
     @classmethod
     def of(cls, file: PolicyFile) -> LearnedPolicy:
         """The policy that a policy file holds."""
-        return cls(file.actor, file.action_repeat)
+        return cls(file.actor, file.action_repeat, file.closures)
 
     def reset(self, seed: int) -> None:
         self._step = 0
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        if self._step % self._action_repeat == 0:
+        step, self._step = self._step, self._step + 1
+        if self._closures is not None:
+            if step == 0:
+                self._decision = self._actor(observation)
+            return self._closures.actions(self._decision[None], [step])[0].astype(np.float32)
+        if step % self._action_repeat == 0:
             self._action = self._actor(observation)
-        self._step += 1
         return self._action

@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from hpac_gym.model import SERVOS
 from hpac_gym.output import replacing
+from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.errors import PolicyError
 
 FORMAT = 1
@@ -42,13 +44,14 @@ class Actor:
     mean_clip: float
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action for an observation, shape (n,) → shape (m,), −1…1."""
+        """The action for an observation, shape (n,) → shape (m,), −1…1; computed in double precision, given in single."""
         scaled = (np.asarray(observation, dtype=float) - self.observation_mean) / self.observation_scale
-        value = np.clip(scaled, -self.observation_clip, self.observation_clip).astype(np.float32)
+        value = np.clip(scaled, -self.observation_clip, self.observation_clip)
         *hidden, (last_weight, last_bias) = self.layers
         for weight, bias in hidden:
-            value = np.maximum(weight @ value + bias, 0)
-        return np.tanh(np.clip(last_weight @ value + last_bias, -self.mean_clip, self.mean_clip))
+            value = np.maximum(weight.astype(float) @ value + bias, 0)
+        bounded = np.clip(last_weight.astype(float) @ value + last_bias, -self.mean_clip, self.mean_clip)
+        return np.tanh(bounded).astype(np.float32)
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -67,6 +70,26 @@ class PolicyFile:
     def action_repeat(self) -> int:
         """Control steps that each action is held for, as in training."""
         return self.about.get("action_repeat", 1)
+
+    @property
+    def closures(self) -> Closures | None:
+        """The closures that the actor decides on; None where it sets actions.
+
+        Raises:
+            PolicyError: Their ranges are none, or not as many as the actor sets.
+        """
+        if (ranges := self.about.get("closure")) is None:
+            return None
+        closures = Closures.of(ranges)
+        if self.actor.sizes[1] != len(closures.names):
+            raise PolicyError(f"a closure takes {len(closures.names)} numbers, the actor sets {self.actor.sizes[1]}")
+        return closures
+
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """How many values the policy observes, and how many actions it sets."""
+        observed, decided = self.actor.sizes
+        return observed, decided if self.closures is None else len(SERVOS)
 
 
 def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
@@ -110,6 +133,10 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         policy = PolicyFile(_actor_from_arrays(dict(np.load(io.BytesIO(packed), allow_pickle=False))), about)
         if not (isinstance(policy.action_repeat, int) and policy.action_repeat >= 1):
             raise PolicyError(f"policy file '{path}' is damaged: its action_repeat is {policy.action_repeat!r}")
+        try:
+            policy.closures  # noqa: B018  raises where there are none
+        except PolicyError as error:
+            raise PolicyError(f"policy file '{path}' is damaged: {error}") from None
         return policy
     except FileNotFoundError:
         raise PolicyError(f"no policy file '{path}'") from None

@@ -88,13 +88,9 @@ class FileError:
 def residuals(found: Identification, hand: Hand) -> dict[str, tuple[DigitSamples, Array]]:
     """Points less a hand's prediction, by joint: the digit's samples and the residuals (k,) [rad]."""
     table = {}
-    for column, (name, digit) in enumerate(found.hand.digits.items()):
-        if name in found.fits:
-            samples = found.fits[name].samples
-            rest = samples.joint_pos - prediction(hand, column, samples)[:, [JOINT_INDEX[joint] for joint in digit.joints]]
-            for i, joint in enumerate(digit.joints):
-                if joint not in samples.missing:
-                    table[joint] = (samples, rest[:, i])
+    for column, (joints, samples) in found.samples.items():
+        rest = samples.joint_pos - prediction(hand, column, samples)[:, [JOINT_INDEX[joint] for joint in joints]]
+        table |= {joint: (samples, rest[:, i]) for i, joint in enumerate(joints) if joint not in samples.missing}
     return {name: table[name] for name in JOINTS if name in table}
 
 
@@ -115,7 +111,7 @@ def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
     table = {}
     for name, (samples, rest) in residuals(found, written).items():
         column = written.servo_of_joint[JOINT_INDEX[name]]
-        joints = written.digits[list(written.digits)[column]].joints
+        joints = found.samples[column][0]
         rows = held_out_rows(samples) & ~np.isnan(rest)
         if not rows.any():
             continue

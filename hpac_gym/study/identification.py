@@ -94,6 +94,16 @@ class Identification:
     """Digits, and the CMC, that stay the base hand's, and why."""
     cmc: tuple[Estimate, Estimate] | None
     """g_CMC and the zero of servo 6."""
+    cmc_samples: DigitSamples | None
+
+    @property
+    def samples(self) -> dict[int, tuple[tuple[str, ...], DigitSamples]]:
+        """Joints and points of every servo whose sweep was fitted, by the servo's index."""
+        table = {
+            column: (digit.joints, self.fits[name].samples)
+            for column, (name, digit) in enumerate(self.hand.digits.items()) if name in self.fits
+        }  # fmt: skip
+        return table | ({len(SERVOS) - 1: (("thumb_cmc",), self.cmc_samples)} if self.cmc_samples else {})
 
 
 def identify(
@@ -136,12 +146,13 @@ def identify(
             kept[name] = str(error)
     if not fits:
         raise IdentificationError("the record supports no fit: " + "; ".join(f"{name}: {why}" for name, why in kept.items()))
-    cmc = None
+    cmc = cmc_samples = None
     try:
-        cmc = _fit_cmc(_enough(record, len(SERVOS) - 1, ("thumb_cmc",), base, least_points), base.cmc_gain, hold_out)
+        cmc_samples = _enough(record, len(SERVOS) - 1, ("thumb_cmc",), base, least_points)
+        cmc = _fit_cmc(cmc_samples, base.cmc_gain, hold_out)
     except IdentificationError as error:
         kept["thumb_cmc"] = str(error)
-    return Identification(_identified_hand(base, fits, cmc), fits, kept, cmc)
+    return Identification(_identified_hand(base, fits, cmc), fits, kept, cmc, cmc_samples)
 
 
 def held_out_rows(samples: DigitSamples) -> np.ndarray:

@@ -15,15 +15,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hpac_gym.errors import HpacError
 from hpac_gym.model import JOINT_INDEX, JOINTS, Digit, Hand
 from hpac_gym.model.checks import Array
 
-_ROUNDS = 150
-"""Most rounds over the joints for one servo angle."""
+_ROUNDS = 3000
+"""Most rounds over the joints for one servo angle: a digit falls back into a slack tendon in up to 800, all others need 80."""
 _STILL = 2e-7
 """A round that moves no joint further than this is the last [rad]: some 1e-6 rad from the balance, 1e-4°."""
 _STEPS = 3
 """Newton's steps of the root joint in each round."""
+
+
+class SettleError(HpacError, RuntimeError):
+    """A digit in metal does not come to rest: the message gives what its joints still move in the last round."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +129,9 @@ def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array) -> Arr
 
     Returns:
         Shape (steps, n, joints), root first [rad].
+
+    Raises:
+        SettleError: A digit does not come to rest.
     """
     numbers = _Digits.of(digits, metal)
     zero, dead_band = (np.array([getattr(item, name) for item in metal]) for name in ("servo_zero", "dead_band"))
@@ -143,33 +151,32 @@ def _rest(before: Array, numbers: _Digits, horn: Array) -> Array:
         last = joint_pos.copy()
         for joint in range(joint_pos.shape[1]):
             friction = _friction(joint, joint_pos, numbers, horn)
-            flexed = _balance(joint, joint_pos, numbers, horn, friction)
-            extended = _balance(joint, joint_pos, numbers, horn, -friction)
+            flexed, extended = _balance(joint, joint_pos, numbers, horn, np.stack([friction, -friction]))
             # held by friction between the two; it leaves its place only if that lies outside of them
             held = np.minimum(np.maximum(before[:, joint], flexed), extended)
             joint_pos[:, joint] = np.minimum(np.maximum(held, 0.0), numbers.stop[:, joint])
-        if np.abs(joint_pos - last).max() < _STILL:
-            break
-    return joint_pos
+        moved = np.abs(joint_pos - last).max()
+        if moved < _STILL:
+            return joint_pos
+    raise SettleError(f"joints still move by {moved:.1e} rad in round {_ROUNDS}, the last; at rest is below {_STILL} rad")
 
 
 def _friction(joint: int, joint_pos: Array, numbers: _Digits, horn: Array) -> Array:
     """Largest friction torque on a joint, shape (n,) [N·m]."""
     radius = numbers.radius
-    stretch = radius[:, :-1] * joint_pos[:, :-1] - radius[:, 1:] * joint_pos[:, 1:]
-    coupling = np.pad(np.abs(numbers.segment * stretch), ((0, 0), (1, 1)))
+    coupling = np.abs(numbers.segment * (radius[:, :-1] * joint_pos[:, :-1] - radius[:, 1:] * joint_pos[:, 1:]))
     spring = numbers.spring * (radius * joint_pos).sum(axis=1)
-    load = radius[:, joint] * (coupling[:, joint] + coupling[:, joint + 1] + spring)
+    load = radius[:, joint] * (coupling[:, max(joint - 1, 0) : joint + 1].sum(axis=1) + spring)
     if joint == 0:
         path, arm = numbers.path_and_arm(joint_pos[:, 0])
         wound = numbers.hub * horn - (numbers.rest_path - path)
-        load = load + arm * np.clip(numbers.drive * wound, 0.0, numbers.limit)
+        load = load + arm * np.minimum(np.maximum(numbers.drive * wound, 0.0), numbers.limit)
     slide = np.expm1(numbers.cable_friction * joint_pos[:, : joint + 1].sum(axis=1))
     return numbers.joint_friction + numbers.tendon_friction * load + radius[:, joint] * spring * slide
 
 
 def _balance(joint: int, joint_pos: Array, numbers: _Digits, horn: Array, against: Array) -> Array:
-    """Angle of one joint, the others held, at which the torque in flexion equals `against`, shape (n,) [rad]."""
+    """Angle of one joint, the others held, at which the torque in flexion equals `against`, both of shape (..., n) [rad, N·m]."""
     radius = numbers.radius
     own = radius[:, joint]
     stiffness, pull = numbers.spring.copy(), numbers.spring * ((radius * joint_pos).sum(axis=1) - own * joint_pos[:, joint])
@@ -182,7 +189,7 @@ def _balance(joint: int, joint_pos: Array, numbers: _Digits, horn: Array, agains
         pull = pull + numbers.segment[:, joint] * radius[:, joint + 1] * joint_pos[:, joint + 1]
     if joint > 0:
         return (pull - against / own) / (stiffness * own)
-    angle = joint_pos[:, 0]
+    angle = np.broadcast_to(joint_pos[:, 0], against.shape)
     for _ in range(_STEPS):
         path, arm = numbers.path_and_arm(angle)
         stretch = numbers.hub * horn - (numbers.rest_path - path)

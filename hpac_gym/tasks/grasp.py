@@ -15,10 +15,11 @@ from hpac_gym.model import HPAC, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
+from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp_data import NOMINAL, named_grasp
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, contact_term, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, scene_report, setting
 from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, PRIVILEGED_TERMS, Moment, RewardTerm, Term, progress_terms
 
 PALM_SURFACE = 0.0125
@@ -43,35 +44,54 @@ class GraspWeights:
 
 @dataclass(frozen=True, slots=True)
 class GraspConfig:
-    """The ranges that an episode is drawn from, uniformly, what counts as dropped, and what the reward weighs."""
+    """The ranges that an episode is drawn from, uniformly, what counts as dropped, and what the reward weighs.
 
-    radius: tuple[float, float] = setting((0.010, 0.030), "half width of a box, radius of a cylinder [m]")
+    Raises:
+        ParameterError: A number or a range leaves its bounds.
+    """
+
+    radius: tuple[float, float] = setting((0.010, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06))
     sphere_radius: tuple[float, float] = setting(
-        (0.020, 0.033), "of a sphere: a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]"
+        (0.020, 0.033), "of a sphere: a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
+        bounds=(0.002, 0.06),
     )
-    half_height: tuple[float, float] = setting((0.030, 0.060), "of a box or cylinder [m]")
-    mass: tuple[float, float] = setting((0.05, 0.25), "mass of the object [kg]")
-    friction: tuple[float, float] = setting((0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9")
-    gap: tuple[float, float] = setting((0.003, 0.030), "from the palm to the object [m]")
-    towards_thumb: tuple[float, float] = setting((-0.030, 0.035), "place of the object's centre along y of the hand frame [m]")
-    beyond_wrist: tuple[float, float] = setting((0.095, 0.140), "place of the object's centre along z of the hand frame [m]")
-    box_yaw: tuple[float, float] = setting((-0.8, 0.8), "turn of a box about the vertical [rad]")
-    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]")
-    drop_distance: float = setting(0.06, "an object that moved farther than this in the hand is dropped [m]")
+    half_height: tuple[float, float] = setting((0.030, 0.060), "of a box or cylinder [m]", bounds=(0.005, 0.15))
+    mass: tuple[float, float] = setting((0.05, 0.25), "mass of the object [kg]", bounds=(1e-3, 2.0))
+    friction: tuple[float, float] = setting(
+        (0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
+    )
+    gap: tuple[float, float] = setting((0.003, 0.030), "from the palm to the object [m]", bounds=(0.0, 0.1))
+    towards_thumb: tuple[float, float] = setting(
+        (-0.030, 0.035), "place of the object's centre along y of the hand frame [m]", bounds=(-0.1, 0.1)
+    )
+    beyond_wrist: tuple[float, float] = setting(
+        (0.095, 0.140), "place of the object's centre along z of the hand frame [m]", bounds=(0.02, 0.25)
+    )
+    box_yaw: tuple[float, float] = setting((-0.8, 0.8), "turn of a box about the vertical [rad]", bounds=(-np.pi, np.pi))
+    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]", bounds=(0.0, 1.57))
+    drop_distance: float = setting(0.06, "an object that moved farther than this in the hand is dropped [m]", bounds=(5e-3, 1.0))
     timetable: Timetable = field(default_factory=Timetable)
     weights: GraspWeights = field(default_factory=GraspWeights)
 
+    def __post_init__(self) -> None:
+        check_bounds(self, "config")
 
-class Grasp:
-    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`."""
+
+class Grasp(Task):
+    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
+
+    Args:
+        config: the ranges, and what is paid.
+        object: the object of every episode; None draws a primitive.
+    """
 
     phases = PHASES
     viewpoint = Viewpoint()
     privileged_terms = PRIVILEGED_TERMS
     goal_terms: tuple[Term, ...] = ()
 
-    def __init__(self, config: GraspConfig = GraspConfig()) -> None:
-        self.config, self.timetable = config, config.timetable
+    def __init__(self, config: GraspConfig = GraspConfig(), object: ObjectSpec | None = None) -> None:
+        self.config, self.timetable, self.object = config, config.timetable, object
         self.duration = self.timetable.ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
         weights = config.weights
@@ -99,7 +119,10 @@ class Grasp:
         yaw, ball = rng.uniform(*config.box_yaw), rng.uniform(*config.sphere_radius)
         extents = {"cylinder": (width, width, height), "box": (width, depth, height), "sphere": (ball, ball, ball)}[shape]
         spec = ObjectSpec(shape, extents, rng.uniform(*config.mass), rng.uniform(*config.friction))
-        reach = width * abs(np.sin(yaw)) + depth * np.cos(yaw) if shape == "box" else extents[0]
+        if self.object is not None:
+            spec = self.object
+            shape, (width, depth, _) = spec.shape, spec.half_extents
+        reach = width * abs(np.sin(yaw)) + depth * np.cos(yaw) if shape == "box" else spec.half_extents[0]
         place = [
             PALM_SURFACE + reach + rng.uniform(*config.gap),
             rng.uniform(*config.towards_thumb),

@@ -100,21 +100,29 @@ def named_grasp(name: str) -> NamedGrasp:
     raise GraspError(f"no grasp {name!r}; there are {len(GRASPS)}, among them {', '.join(near)}")
 
 
-def grasps_from_toml(text: str, models: Mapping[str, ObjectModel]) -> dict[str, NamedGrasp]:
-    """The grasps that a TOML text describes.
+def grasps_from_toml(
+    text: str | dict[str, Any], models: Mapping[str, ObjectModel], closed: Mapping[str, Array] = MappingProxyType({})
+) -> dict[str, NamedGrasp]:
+    """The grasps that a TOML text, or what was read from one, describes.
+
+    Args:
+        text: the text, or its tables.
+        models: the objects by name.
+        closed: closed hand shapes of grasps that have none in the text, shape (6,) each [rad].
 
     Raises:
         ParameterError: Not TOML, an unknown object or family, or a field that is missing, unknown or out of bounds.
     """
     try:
-        table = tomllib.loads(text)
+        table = tomllib.loads(text) if isinstance(text, str) else dict(text)
         common = _variants(table.pop("held_out", {}), models)
     except (tomllib.TOMLDecodeError, TypeError) as error:
         raise ParameterError(f"grasps: {error}") from None
     found = {}
     for name, entry in table.items():
         try:
-            found[name] = _grasp(name, dict(entry), models, common)
+            entry = {"closed": closed[name].tolist()} | entry if name in closed else dict(entry)
+            found[name] = _grasp(name, entry, models, common)
         except KeyError as error:
             raise ParameterError(f"grasp {name}: {error.args[0]} is missing") from None
         except (TypeError, ValueError) as error:

@@ -16,10 +16,11 @@ from hpac_gym.model import HPAC, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
+from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import minimum_jerk, phase_at
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, contact_term, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, scene_report, setting
 from hpac_gym.tasks.terms import (
     AXES,
     COMMAND_TERMS,
@@ -110,30 +111,46 @@ class PickPlaceWeights(GraspWeights):
 
 @dataclass(frozen=True, slots=True)
 class PickPlaceConfig:
-    """The ranges that an episode is drawn from, uniformly, what counts as placed, and what the reward weighs."""
+    """The ranges that an episode is drawn from, uniformly, what counts as placed, and what the reward weighs.
 
-    radius: tuple[float, float] = setting((0.020, 0.028), "of the cylinder, or half width of the box [m]")
+    Raises:
+        ParameterError: A number or a range leaves its bounds.
+    """
+
+    radius: tuple[float, float] = setting((0.020, 0.028), "of the cylinder, or half width of the box [m]", bounds=(0.002, 0.06))
     half_height: tuple[float, float] = setting(
-        (0.068, 0.080), "tall enough for the hand to stay clear of what the object stands on [m]"
+        (0.068, 0.080), "tall enough for the hand to stay clear of what the object stands on [m]", bounds=(0.005, 0.15)
     )
-    mass: tuple[float, float] = setting((0.05, 0.20), "mass of the object [kg]")
-    friction: tuple[float, float] = setting((0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9")
-    gap: tuple[float, float] = setting((0.006, 0.015), "from the palm to the object, once the wrist has reached it [m]")
-    towards_thumb: tuple[float, float] = setting((-0.005, 0.010), "place of the object's centre along y of the hand frame [m]")
+    mass: tuple[float, float] = setting((0.05, 0.20), "mass of the object [kg]", bounds=(1e-3, 2.0))
+    friction: tuple[float, float] = setting(
+        (0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
+    )
+    gap: tuple[float, float] = setting(
+        (0.006, 0.015), "from the palm to the object, once the wrist has reached it [m]", bounds=(0.0, 0.1)
+    )
+    towards_thumb: tuple[float, float] = setting(
+        (-0.005, 0.010), "place of the object's centre along y of the hand frame [m]", bounds=(-0.1, 0.1)
+    )
     beyond_wrist: tuple[float, float] = setting(
-        (0.105, 0.125), "place of the object's centre along z of the hand frame, once the wrist has reached it [m]"
+        (0.105, 0.125), "place of the object's centre along z of the hand frame, once the wrist has reached it [m]",
+        bounds=(0.02, 0.25),
     )
-    carry_forward: tuple[float, float] = setting((-0.04, 0.08), "way to the target along the fingers [m]")
-    carry_aside: tuple[float, float] = setting((0.16, 0.24), "way to the target along the palm's normal [m]")
-    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]")
-    drop_distance: float = setting(0.06, "an object that moved farther than this from where it belongs is dropped [m]")
-    tolerance: float = setting(0.03, "from the target, across it [m]")
-    upright: float = setting(0.05, "largest tilt of an object that stands [rad]")
+    carry_forward: tuple[float, float] = setting((-0.04, 0.08), "way to the target along the fingers [m]", bounds=(-0.3, 0.3))
+    carry_aside: tuple[float, float] = setting((0.16, 0.24), "way to the target along the palm's normal [m]", bounds=(0.07, 0.4))
+    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]", bounds=(0.0, 1.57))
+    drop_distance: float = setting(
+        0.06, "an object that moved farther than this from where it belongs is dropped [m]", bounds=(5e-3, 1.0)
+    )
+    tolerance: float = setting(0.03, "from the target, across it [m]", bounds=(1e-3, 0.2))
+    upright: float = setting(0.05, "largest tilt of an object that stands [rad]", bounds=(1e-3, 1.57))
     timetable: PickPlaceTimetable = field(default_factory=PickPlaceTimetable)
     weights: PickPlaceWeights = field(default_factory=PickPlaceWeights)
 
+    def __post_init__(self) -> None:
+        check_bounds(self, "config")
 
-class PickPlace:
+
+class PickPlace(Task):
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`."""
 
     phases = PHASES

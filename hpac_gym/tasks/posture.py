@@ -14,7 +14,8 @@ from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand, joints_from_
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera
-from hpac_gym.tasks.task import RUNNING, setting
+from hpac_gym.tasks.config import check_bounds
+from hpac_gym.tasks.task import RUNNING, Task, setting
 from hpac_gym.tasks.terms import COMMAND_TERMS, HAND_TERMS, Moment, RewardTerm, Term
 
 TOLERANCE = 0.05
@@ -27,12 +28,19 @@ FREE_FINGERS_THUMB = (0.5, 0.3)
 """Where the fingers may be anywhere, the thumb's MP and CMC stay below these, out of their way [rad]."""
 
 
+BLOCKED_MP, BLOCKED_CMC = 0.75, (0.05, 1.0)
+"""Beside such fingers, a thumb with more MP, and with its CMC in this range, meets the index finger on its way [rad]."""
+
+
 @dataclass(frozen=True, slots=True)
 class PostureConfig:
     """What the episodes are like."""
 
-    duration: float = setting(2.0, "length of an episode, which the time limit cuts [s]")
-    tolerance: float = setting(TOLERANCE, "a posture is reached when no joint is farther from it [rad]")
+    duration: float = setting(2.0, "length of an episode, which the time limit cuts [s]", bounds=(0.05, 1e3))
+    tolerance: float = setting(TOLERANCE, "a posture is reached when no joint is farther from it [rad]", bounds=(1e-3, 1.0))
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "config")
 
 
 def goal_error(achieved: Array, desired: Array) -> Array:
@@ -40,10 +48,14 @@ def goal_error(achieved: Array, desired: Array) -> Array:
     return np.abs(np.asarray(achieved, dtype=float) - desired)
 
 
-class Posture:
+class Posture(Task):
     """Draws goals and measures how far the joints are from them: a `hpac_gym.tasks.task.Task`.
 
     The hand alone, palm to the side; no object, no wrist. An episode has no end but the time limit.
+
+    Args:
+        config: what counts as reached.
+        reachable: leave out the goals in which another digit stands in the thumb's way.
     """
 
     phases = ("move",)
@@ -56,8 +68,8 @@ class Posture:
     )  # fmt: skip
     grip = None
 
-    def __init__(self, config: PostureConfig = PostureConfig()) -> None:
-        self.config, self.duration = config, config.duration
+    def __init__(self, config: PostureConfig = PostureConfig(), reachable: bool = False) -> None:
+        self.config, self.duration, self.reachable = config, config.duration, reachable
         self.reward_terms = (
             RewardTerm("error", "−1 · mean distance of the joints from the goal [rad]", lambda now: -self._error.mean(axis=1)),
         )
@@ -77,7 +89,8 @@ class Posture:
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the open hand, and a goal.
 
-        Half of the goals move the thumb freely and half the fingers, since one can stand in the other's way.
+        Half of the goals move the thumb freely and half the fingers, since one can stand in the other's way. With `reachable`
+        a goal that the index finger blocks is drawn anew.
         """
         highest = hand.synergy_max.copy()
         mp, cmc = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
@@ -85,8 +98,10 @@ class Posture:
             highest[[index for index in range(len(SERVOS)) if index not in (mp, cmc)]] = FREE_THUMB_FINGERS
         else:
             highest[[mp, cmc]] = FREE_FINGERS_THUMB
-        goal = joints_from_synergy(rng.uniform(hand.synergy_min, highest), hand)
-        return SceneSetup(None, hand=hand, goal=goal)
+        synergy = rng.uniform(hand.synergy_min, highest)
+        while self.reachable and synergy[mp] > BLOCKED_MP and BLOCKED_CMC[0] < synergy[cmc] < BLOCKED_CMC[1]:
+            synergy = rng.uniform(hand.synergy_min, highest)
+        return SceneSetup(None, hand=hand, goal=joints_from_synergy(synergy, hand))
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes in some worlds."""
@@ -111,6 +126,11 @@ class Posture:
     def sparse_reward(self, now: Moment) -> Array:
         """0 where the posture is reached, −1 elsewhere, shape (n,)."""
         return -(self._error.max(axis=1) > self.config.tolerance).astype(float)
+
+    def goal_reward(self, achieved: Array, desired: Array, dense: bool) -> Array:
+        """The dense or the sparse reward of postures against goals, shapes (..., 15) [rad], for hindsight replay."""
+        error = goal_error(achieved, desired)
+        return -error.mean(axis=-1) if dense else -(error.max(axis=-1) > self.config.tolerance).astype(float)
 
     def report(self, now: Moment) -> dict[str, Any]:
         """What `info` says of a step."""

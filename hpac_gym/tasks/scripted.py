@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
+from hpac_gym.model import HPAC, JOINT_INDEX, SERVO_INDEX, SERVOS, action_from_synergy
 from hpac_gym.tasks.grasp import GraspByName
+from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceTimetable
 from hpac_gym.tasks.task import CONTROL_HZ
+from hpac_gym.tasks.terms import LENGTH_UNIT, Layout
 
 CLOSE_TIME = 0.8
 """From open to closed [s]."""
@@ -20,6 +24,41 @@ PLACE_TIME, PLACE_CLOSED, PLACE_THUMB, PLACE_OPPOSED = 0.9, 0.56, 0.9, 1.04
 all the time [rad]; what is wound up less is let go sooner."""
 THUMB_OPPOSED = 1.2
 """CMC, all the time [rad]."""
+WINDUP = 0.3
+"""An integral controller leaves larger errors to the motion that is under way [rad]."""
+_DRIVEN = [JOINT_INDEX[name] for name in SERVOS]
+THUMB_TIME, OPPOSED_TIME = 0.7, 0.3
+"""How long the thumb's MP and its CMC take where the closure depends on the object [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class AnyClosure:
+    """How to close on an object of one kind."""
+
+    opposed: float
+    """CMC [rad]."""
+    thumb: float
+    """MP of the closed thumb [rad]."""
+    fingers: float
+    """MCP of the closed fingers [rad]."""
+    thumb_later: float
+    """When the thumb begins after the fingers; negative for before them [s]."""
+    time: float
+    """How long the fingers take [s]."""
+
+
+ANY_WIDTHS = (0.030, 0.050)
+"""Between the kinds: width of the object along the fingers [m]."""
+ANY_CLOSURES = {
+    (True, 0): AnyClosure(0.99, 0.57, 1.09, -0.02, 1.03),
+    (True, 1): AnyClosure(0.99, 0.57, 1.09, -0.02, 1.03),
+    (True, 2): AnyClosure(0.94, 0.49, 1.08, -0.02, 1.00),
+    (False, 0): AnyClosure(1.02, 0.60, 1.07, 0.15, 0.90),
+    (False, 1): AnyClosure(0.97, 0.56, 1.07, 0.08, 1.01),
+    (False, 2): AnyClosure(1.02, 0.45, 1.07, 0.05, 0.97),
+}
+"""By whether the hand is beside the object, and its width. Means of those random closures that kept training objects through
+the shake; too few did with narrow objects beside the hand, which have the next kind's."""
 
 
 class ScriptedClosure:
@@ -71,8 +110,78 @@ class ScriptedPickPlace:
         return action_from_synergy(synergy).astype(np.float32)
 
 
-def scripted_closure(task: object) -> ScriptedClosure | ScriptedPickPlace:
-    """The script for a task: of placing, or the closure of its named grasp, if it has one."""
+class ScriptedPosture:
+    """Asks for the synergy of the goal, and corrects it by what the camera measures: an integral controller for `Posture`.
+
+    Args:
+        gain: share of the driven joints' errors that each step adds to the command; 0 is one constant action.
+    """
+
+    def __init__(self, gain: float = 0.1) -> None:
+        self._gain = gain
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._correction = np.zeros(len(SERVOS))
+
+    def act(self, observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+        """The next action, shape (..., 6), for observations with any leading axes."""
+        goal, reached = (observation[name][..., _DRIVEN].astype(float) for name in ("desired_goal", "achieved_goal"))
+        error = goal - reached
+        self._correction = self._correction + self._gain * np.where(np.abs(error) < WINDUP, error, 0.0)
+        synergy = np.clip(goal + self._correction, HPAC.synergy_min, HPAC.synergy_max)
+        return action_from_synergy(synergy).astype(np.float32)
+
+
+class ScriptedGraspAny:
+    """One closure, chosen by the size and the pose of the object when the episode begins, then held.
+
+    Args:
+        task: whose observations it gets, alone or in a dictionary.
+    """
+
+    def __init__(self, task: GraspAny) -> None:
+        self._slices, self._wrist = Layout(task.terms, 1).slices, np.zeros(len(task.wrist_actions))
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._time, self._closure = 0.0, None
+
+    def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
+        """The next action; only the first observation of an episode is looked at, and a free wrist is left where it is."""
+        if self._closure is None:
+            vector = observation["deploy"] if isinstance(observation, dict) else observation
+            self._closure = ANY_CLOSURES[self._kind(vector)]
+        self._time += 1 / CONTROL_HZ
+        closure, synergy = self._closure, np.zeros(len(SERVO_INDEX))
+        closed = np.minimum(closure.fingers, HPAC.synergy_max)
+        synergy[1:-1] = (closed * min(max(self._time - max(-closure.thumb_later, 0.0), 0.0) / closure.time, 1.0))[1:-1]
+        share = min(max(self._time - max(closure.thumb_later, 0.0), 0.0) / THUMB_TIME, 1.0)
+        synergy[SERVO_INDEX["thumb_mp"]] = closure.thumb * share
+        share = min(self._time / OPPOSED_TIME, 1.0)
+        synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED + (closure.opposed - THUMB_OPPOSED) * share
+        return np.append(action_from_synergy(synergy), self._wrist).astype(np.float32)
+
+    def _kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:
+        """Whether the hand is beside the object, and how wide that is along the fingers: one of `ANY_WIDTHS`."""
+        up, side, half, down = (vector[self._slices[name]] for name in ("object_up", "object_side", "object_size", "down"))
+        beside = abs(down[0]) < 0.5
+        along = np.array([0.0, 0.0, 1.0]) - down[2] * down  # the fingers' direction, horizontally
+        along /= np.linalg.norm(along)
+        x, y, z = LENGTH_UNIT * half
+        if not up.any():
+            width = x
+        elif side.any():
+            width = abs(along @ side) * x + abs(along @ np.cross(up, side)) * y + abs(along @ up) * z
+        else:
+            width = abs(along @ up) * z + np.sqrt(max(1 - (along @ up) ** 2, 0.0)) * x
+        return beside, int(np.searchsorted(ANY_WIDTHS, 2 * width))
+
+
+def scripted_closure(task: object) -> ScriptedClosure | ScriptedPickPlace | ScriptedGraspAny:
+    """The script for a task: of any object, of placing, or the closure of its named grasp, if it has one."""
+    if isinstance(task, GraspAny):
+        return ScriptedGraspAny(task)
     if isinstance(task, PickPlace):
         return ScriptedPickPlace(task.timetable)
     return ScriptedClosure(task.grasp if isinstance(task, GraspByName) else None)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,7 +29,7 @@ _OUTCOMES = np.array(OUTCOMES, dtype=object)
 
 
 class Task(Protocol):
-    """One task of the environments."""
+    """One task of the environments. What has a value here a task may leave out."""
 
     phases: tuple[str, ...]
     """Names of an episode's phases, in order."""
@@ -46,6 +47,10 @@ class Task(Protocol):
     """Where pictures are taken from; they follow the wrist."""
     grip: Grip | None
     """How the hands hold their objects."""
+    sensed_terms: Mapping[str, tuple[Term, ...]] = MappingProxyType({})
+    """Kinds of `obs` that this task has beside those of all tasks, and what each adds to the deployed observation."""
+    wrist_actions: tuple[str, ...] = ()
+    """Numbers of an action beyond the six of the servos; an episode's first action moves the wrist by them."""
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera | MarkerCamera:
         """Get ready for n worlds; returns their camera."""
@@ -66,6 +71,14 @@ class Task(Protocol):
     def phase(self, time: Array) -> NDArray[np.int_]:
         """Index into `phases` of the one that runs, or begins, at times [s], shape (n,); the last one stays."""
         ...
+
+    def chosen(self, setup: SceneSetup, choice: Array) -> SceneSetup:
+        """The setup of an episode whose first action has this choice of the wrist's place, −1…1."""
+        return setup
+
+    def push(self, times: Array) -> Array | None:
+        """Force on the objects at times of each world, shape (n, k) [s]: shape (n, k, 3) [N], along the world's axes; or None."""
+        return None
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step of `dt` [s] and judge the episodes: indices into `OUTCOMES`, shape (n,)."""

@@ -11,29 +11,29 @@ from hpac import run
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
-GRASP = "--recipe grasp-sac --out {folder}/run"
+GRASP = "grasp --out {folder}/run"
 
 MISTAKES = [
-    ("train", "--recipe grasp-sac", "--out"),
-    ("train", "--out {folder}/run", "which recipe? --recipe is one of grasp-sac"),
-    ("train", "--recipe grasp-ppo --out {folder}/run", "unknown recipe 'grasp-ppo'"),
-    ("train", GRASP + " --steps -1", "'-1' is not a whole number of at least 1"),
+    ("train", "grasp", "--out"),
+    ("train", "--out {folder}/run", "which recipe? It is one of grasp"),
+    ("train", "grasp-ppo --out {folder}/run", "unknown recipe 'grasp-ppo'"),
+    ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…inf"),
     ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
-    ("train", GRASP + " --set gamma=2", "gamma is 2.0: it must lie in 0…1"),
-    ("train", GRASP + " --set env_id=Nothing-v3", "no environment 'Nothing-v3'"),
-    ("train", GRASP + " --set env_id=nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
-    ("train", GRASP + " --set env_id=tests.tiny_task:Tiny-v9", "no environment 'tests.tiny_task:Tiny-v9'"),
-    ("train", "--recipe grasp-sac --out {folder}/file/run", "cannot write to folder"),
-    ("train", f"{GRASP} --set closure_release=9,3", "closure_release is (9, 3): it must be a lower and an upper bound"),
-    ("train", "--recipe grasp-sac --out /proc/run", "cannot write to folder '/proc/run'"),
-    ("train", "--recipe grasp-sac --out {folder}/taken", "already holds a run"),
+    ("train", GRASP + " --dropout 2", "dropout is 2.0: it must lie in 0…0.9"),
+    ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-PickPlace-v0"),
+    ("train", GRASP + " --gamma 0.9", "unrecognized arguments: --gamma"),
+    ("train", "grasp --out {folder}/file/run", "cannot write to folder"),
+    ("train", GRASP + " --begin 3,9 --release 9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
+    ("train", "grasp --out /proc/run", "cannot write to folder '/proc/run'"),
+    ("train", "grasp --out {folder}/taken", "already holds a run"),
     ("train", "--out {folder}/run --resume", "no run to go on with"),
     ("train", "--out {folder}/taken --resume", "cannot go on with"),
-    ("train", "--out {folder}/taken --resume --set gamma=0.9", "only --steps can change"),
+    ("train", "--out {folder}/taken --resume --dropout 0.2", "only --episodes can change"),
     ("evaluate", "", "--policy"),
     ("evaluate", "--policy {folder}/none.zip", "no policy file"),
     ("evaluate", "--policy {folder}/file", "is damaged"),
     ("evaluate", "--policy random --env Nothing-v3", "no environment 'Nothing-v3'"),
+    ("evaluate", "--policy random --env nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
     ("evaluate", "--policy random --episodes 0", "'0' is not a whole number of at least 1"),
     ("evaluate", "--policy random --workers none", "'none' is not a whole number of at least 1"),
     ("evaluate", f"--policy random --env {TINY} --episodes 1 --out /proc/no/results.json", "cannot write to folder"),
@@ -67,8 +67,8 @@ def test_a_mistake_ends_in_one_line_and_status_2(folder, command, words, complai
 
 
 def test_the_whole_command_says_no_more_than_that_line(folder):
-    line = [sys.executable, "-m", "agents.train", "--recipe", "grasp-ppo", "--out", str(folder / "run")]
+    line = [sys.executable, "-m", "agents.train", "grasp-ppo", "--out", str(folder / "run")]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "error: unknown recipe 'grasp-ppo': known are grasp-sac, pick-place-sac\n"
+    assert done.stderr == "error: unknown recipe 'grasp-ppo': known are grasp, pick-place\n"
     assert not (folder / "run").exists()

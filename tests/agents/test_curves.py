@@ -7,21 +7,21 @@ from agents.curves import report
 from agents.learning_curve import COLUMNS, append_row, drop_rows_after, read_curve
 
 
-def row(steps: int) -> dict[str, float]:
-    return dict(zip(COLUMNS, (steps, steps / 200, steps // 60, 3.5, steps / 10_000, 100), strict=True))
+def row(trials: int) -> dict[str, float]:
+    return dict(zip(COLUMNS, (trials, trials / 200, trials / 10_000, 100, -0.5), strict=True))
 
 
 @pytest.fixture
 def curve(tmp_path):
     path = tmp_path / "progress.csv"
-    for steps in range(1000, 6000, 1000):
-        append_row(path, row(steps))
+    for trials in range(1000, 6000, 1000):
+        append_row(path, row(trials))
     return path
 
 
 def test_a_curve_reads_back_as_it_was_written(curve):
     columns = read_curve(curve)
-    assert np.array_equal(columns["steps"], [1000, 2000, 3000, 4000, 5000])
+    assert np.array_equal(columns["episodes"], [1000, 2000, 3000, 4000, 5000])
     assert columns["success_rate"][-1] == 0.5
 
 
@@ -30,7 +30,7 @@ def test_rows_after_a_checkpoint_and_half_rows_are_taken_back(curve):
         file.write("30")
     drop_rows_after(curve, 3000)
     append_row(curve, row(4000))
-    assert np.array_equal(read_curve(curve)["steps"], [1000, 2000, 3000, 4000])
+    assert np.array_equal(read_curve(curve)["episodes"], [1000, 2000, 3000, 4000])
 
 
 def test_a_report_draws_what_there_is(curve):

@@ -2,16 +2,20 @@ import json
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 
-from agents.evaluate import evaluate, main, run_episode, table
+from agents import reproduce
+from agents.evaluate import evaluate, main, run_batch, run_episode, table
 from agents.tasks import make_task
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies.baselines import RandomPolicy
+from hpac_gym.policies.loading import load_policy
 from tests.processes import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,6 +27,18 @@ def test_episodes_do_not_depend_on_the_number_of_workers():
     assert evaluate(["random"], TINY, 12, workers=2) == alone
     assert evaluate(["random"], TINY, 5, workers=1).episodes["random"] == alone.episodes["random"][:5]
     assert [episode.seed for episode in alone.episodes["random"]] == list(range(HELD_OUT_SEED, HELD_OUT_SEED + 12))
+
+
+def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has():
+    env = make_task("HPAC-Grasp-v0", engine="mujoco")
+    policies = [load_policy("scripted", env) for _ in range(3)]
+    envs = gymnasium.make_vec("HPAC-Grasp-v0", 3, engine="mujoco")
+    seeds = [HELD_OUT_SEED, HELD_OUT_SEED + 7, HELD_OUT_SEED + 1]
+    together = run_batch(envs, policies, seeds)
+    assert together == [run_episode(env, policies[0], seed) for seed in seeds]
+    assert len({(episode.success, episode.steps) for episode in together}) > 1
+    env.close()
+    envs.close()
 
 
 def test_random_actions_differ_between_seeds_and_repeat_for_one():
@@ -71,3 +87,15 @@ def test_the_workers_of_a_killed_evaluation_end(tmp_path):
         command.kill()
         command.wait()
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+
+
+def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_path):
+    words = ["elsewhere", "--policy", "scripted", "--episodes", "2", "--out", str(tmp_path / "cells.json")]
+    assert reproduce.main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    cells = json.loads((tmp_path / "cells.json").read_text())
+    engines = [engine for engine in ("pybullet", "mujoco") if find_spec(engine)]
+    assert len(lines) == 2 + len(cells) / 3
+    assert len(cells) == 3 * (1 + len(engines))
+    assert all(cell["episodes"] == 2 for cell in cells)
+    assert "| scripted | mujoco light |" in lines[-1]

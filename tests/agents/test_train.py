@@ -1,5 +1,6 @@
 """The training script, run as a person runs it: whole, killed, resumed, stopped, with a full disk."""
 
+import copy
 import csv
 import errno
 import json
@@ -14,16 +15,15 @@ import numpy as np
 import pytest
 
 from agents import checkpoints
+from agents.closures import Learner, worlds_of
 from agents.errors import RunError
 from agents.evaluate import evaluate
-from agents.learner import actor_of, make_learner, training_env
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
 
 ROOT = Path(__file__).resolve().parents[2]
-TINY = "tests.tiny_task:Tiny-v0"
-SETTINGS = ["n_envs=2", "hidden=16", "batch_size=32", "learning_starts=100", "checkpoint_every=400", "buffer_size=5000"]
-SMALL = [word for text in [f"env_id={TINY}", *SETTINGS] for word in ("--set", text)]
+SETTINGS = {"num_envs": "4", "hidden": "16", "batch_size": "16", "random_episodes": "8", "checkpoint_every": "8"}
+SMALL = [word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)]
 
 
 def start(*words) -> subprocess.Popen:
@@ -39,45 +39,47 @@ def finish(process: subprocess.Popen, status: int = 0) -> str:
 
 def curve(folder: Path) -> list[int]:
     with (folder / "progress.csv").open() as file:
-        return [int(row["steps"]) for row in csv.DictReader(file)]
+        return [int(row["episodes"]) for row in csv.DictReader(file)]
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run") / "whole"
-    finish(start("--recipe", "grasp-sac", "--out", folder, "--steps", 1200, "--seed", 3, *SMALL))
+    finish(start("grasp", "--out", folder, "--episodes", 24, "--seed", 3, *SMALL))
     return folder
 
 
 def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     about = read_policy(trained / "policy.zip").about
-    assert about["env_id"] == TINY
-    assert about["steps"] >= 1200
-    assert about["settings"]["seed"] == 3
-    assert set(about["versions"]) >= {"python", "torch", "stable_baselines3", "gymnasium", "numpy", "hpac_gym"}
-    assert curve(trained)[-1] == about["steps"]
+    assert about["env_id"] == "hpac_gym:HPAC-Grasp-v0"
+    assert about["episodes"] >= 24
+    assert (about["settings"]["seed"], about["settings"]["engine"]) == (3, "mujoco")
+    assert set(about["versions"]) >= {"python", "torch", "mujoco-core", "gymnasium", "numpy", "hpac_gym"}
+    assert len(about["made_for"]["observation"]) == read_policy(trained / "policy.zip").sizes[0]
+    assert curve(trained)[-1] == about["episodes"]
     assert len(list(trained.glob("checkpoint-*"))) == 1
-    assert list((trained / "tensorboard").iterdir())
-    assert evaluate([str(trained / "policy.zip")], TINY, 5).summary()["policies"]["learned"]["episodes"] == 5
+    assert (trained / "learning_curve.png").stat().st_size
+    judged = evaluate([str(trained / "policy.zip")], "HPAC-Grasp-v0", 2, options={"engine": "mujoco"})
+    assert judged.summary()["policies"]["learned"]["episodes"] == 2
 
 
 def test_the_same_seed_trains_the_same_policy(trained, tmp_path):
-    finish(start("--recipe", "grasp-sac", "--out", tmp_path / "again", "--steps", 1200, "--seed", 3, *SMALL))
+    finish(start("grasp", "--out", tmp_path / "again", "--episodes", 24, "--seed", 3, *SMALL))
     assert read_policy(tmp_path / "again" / "policy.zip").about["sha256"] == read_policy(trained / "policy.zip").about["sha256"]
 
 
 def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
-    process = start("--recipe", "grasp-sac", "--out", tmp_path, "--steps", 1_000_000, *SMALL)
+    process = start("grasp", "--out", tmp_path, "--episodes", 100_000, *SMALL)
     try:
         wait_for(lambda: checkpoints.latest_checkpoint(tmp_path), process)
     finally:
         process.kill()
         process.communicate()
     kept = json.loads((checkpoints.latest_checkpoint(tmp_path) / "state.json").read_text())
-    aim = kept["steps"] + 600
-    finish(start("--out", tmp_path, "--resume", "--steps", aim))
+    aim = kept["episodes"] + 12
+    finish(start("--out", tmp_path, "--resume", "--episodes", aim))
     state = json.loads((checkpoints.latest_checkpoint(tmp_path) / "state.json").read_text())
-    assert aim <= state["steps"] < aim + 100
+    assert aim <= state["episodes"] < aim + 8
     assert state["updates"] > kept["updates"]
     assert state["seconds"] > kept["seconds"]
     steps = curve(tmp_path)
@@ -85,7 +87,7 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
 
 
 def test_an_interrupted_training_saves_itself(tmp_path):
-    process = start("--recipe", "grasp-sac", "--out", tmp_path, "--steps", 1_000_000, *SMALL)
+    process = start("grasp", "--out", tmp_path, "--episodes", 100_000, *SMALL)
     wait_for(lambda: checkpoints.latest_checkpoint(tmp_path), process)
     process.send_signal(signal.SIGINT)
     said = finish(process, status=130)
@@ -95,7 +97,7 @@ def test_an_interrupted_training_saves_itself(tmp_path):
 
 
 def test_a_time_limit_ends_a_training_cleanly(tmp_path):
-    said = finish(start("--recipe", "grasp-sac", "--out", tmp_path, "--time-limit", 0.1, *SMALL))
+    said = finish(start("grasp", "--out", tmp_path, "--time-limit", 0.1, *SMALL, "--checkpoint-every", 10_000))
     assert said.splitlines()[-1].startswith("time limit after")
     assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 6
 
@@ -110,66 +112,91 @@ def wait_for(condition, process: subprocess.Popen, seconds: float = 300) -> None
 
 @pytest.fixture(scope="module")
 def recipe():
-    return with_settings(RECIPES["grasp-sac"], [f"env_id={TINY}", "steps=400", *SETTINGS])
+    return with_settings(RECIPES["grasp"], {"episodes": "40", **SETTINGS})
 
 
 @pytest.fixture(scope="module")
-def model(recipe):
-    env = training_env(recipe)
-    model = make_learner(recipe, env)
-    model.learn(400)
-    yield model
-    env.close()
+def learner(recipe):
+    """A learner that has been fitted to trials of no meaning."""
+    rng = np.random.default_rng(0)
+    made = Learner(recipe, observed=60, deployed=44, phases=4)
+    made.trials.add(rng.standard_normal((30, 60)), rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30))
+    made.learn(0.5)
+    return made
 
 
-def test_a_checkpoint_restores_the_learner_whole(model, recipe, tmp_path):
-    path = checkpoints.save_checkpoint(tmp_path, model, {"seconds": 1.0})
-    env = training_env(recipe)
-    other = make_learner(recipe, env)
-    state = checkpoints.load_checkpoint(path, other)
-    env.close()
-    assert state["seconds"] == 1.0
-    assert (other.num_timesteps, other._n_updates) == (model.num_timesteps, model._n_updates)
-    assert other.replay_buffer.pos == model.replay_buffer.pos
-    assert np.array_equal(other.replay_buffer.observations, model.replay_buffer.observations)
-    assert np.all(other.replay_buffer.timeouts[other.replay_buffer.pos - 1]), "an episode ends where the run was cut"
-    assert other.log_ent_coef.item() == model.log_ent_coef.item()
-    seen = np.linspace(-1, 1, 6)
-    assert np.array_equal(actor_of(other)(seen), actor_of(model)(seen))
-    for name in ("actor", "critic"):
-        old, new = (getattr(learner, name).optimizer.state_dict()["state"] for learner in (model, other))
-        assert all(np.array_equal(old[key]["exp_avg"], new[key]["exp_avg"]) for key in old)
+def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
+    path = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
+    other = Learner(recipe, observed=60, deployed=44, phases=4)
+    assert checkpoints.load_checkpoint(path, other)["seconds"] == 1.0
+    assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (9, 30)
+    assert np.array_equal(other.trials.seen, learner.trials.seen)
+    saved, loaded = learner.weights(), other.weights()
+    assert str(saved) == str(loaded)
+    seen = np.linspace(-1, 1, 44)
+    assert np.array_equal(other.policy()(seen), learner.policy()(seen))
 
 
-def test_the_exported_actor_acts_as_the_learner_predicts(model):
-    actor = actor_of(model)
-    env = model.get_vec_normalize_env()
-    for seen in np.random.default_rng(0).uniform(-3, 3, (20, 6)).astype(np.float32):
-        expected, _ = model.predict(env.normalize_obs(seen), deterministic=True)
-        assert actor(seen) == pytest.approx(expected, abs=1e-6)
+def test_the_exported_actor_acts_as_the_learner_does_without_its_spread(learner):
+    narrow = copy.deepcopy(learner)
+    narrow.actor.log_std.bias.data.fill_(-100.0)  # clamped to the narrowest spread
+    seen = np.random.default_rng(0).uniform(-3, 3, (20, 60)).astype(np.float32)
+    acted = [learner.policy()(row[:44]) for row in seen]
+    np.testing.assert_allclose(acted, narrow.decide(seen), atol=0.1)
+
+
+class Patient:
+    """Decides on nothing in particular, and wants the last of the worlds it is asked about."""
+
+    def decide(self, seen):
+        return np.zeros((len(seen), 8))
+
+    def wanted(self, seen, decisions):
+        return np.arange(len(seen)) == len(seen) - 1
+
+
+def test_bodies_share_the_worlds_and_no_two_worlds_a_seed():
+    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "body": "twin,light"})
+    made = worlds_of(recipe, 100)
+    for worlds in made:
+        worlds.step(Patient())
+    drawn = [worlds.first_seen for worlds in made]
+    assert [len(seen) for seen in drawn] == [2, 3]
+    assert len(np.unique(np.concatenate(drawn)[:, :44], axis=0)) == 5
+    for worlds in made:
+        worlds.close()
+
+
+def test_trials_that_are_sure_to_succeed_are_tried_less_often(learner):
+    seen, decisions = np.zeros((4_000, 60), np.float32), np.zeros((4_000, 8))
+    sure, lost = copy.deepcopy(learner), copy.deepcopy(learner)
+    sure.critics.biases[-1].data.fill_(50.0)
+    lost.critics.biases[-1].data.fill_(-50.0)
+    assert 0.25 < sure.wanted(seen, decisions).mean() < 0.35
+    assert lost.wanted(seen, decisions).all()
 
 
 @pytest.mark.parametrize("failing", ["torch.save", "numpy.savez", "os.fsync", "os.rename"])
-def test_a_full_disk_keeps_the_checkpoint_before(model, tmp_path, monkeypatch, failing):
-    kept = checkpoints.save_checkpoint(tmp_path, model, {"seconds": 1.0})
+def test_a_full_disk_keeps_the_checkpoint_before(learner, tmp_path, monkeypatch, failing):
+    kept = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
 
     def no_space(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(model, "num_timesteps", model.num_timesteps + 1)
+    monkeypatch.setattr(learner.trials, "count", learner.trials.count - 1)
     monkeypatch.setattr(failing, no_space)
     with pytest.raises(RunError, match=rf"No space left on device; '{kept.name}' is kept"):
-        checkpoints.save_checkpoint(tmp_path, model, {"seconds": 2.0})
+        checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 2.0})
     monkeypatch.undo()
     assert list(tmp_path.iterdir()) == [kept]
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
 @pytest.mark.parametrize("name", ["state.json", "weights.pt", "arrays.npz"])
-def test_a_damaged_checkpoint_ends_in_one_error(model, tmp_path, name):
-    path = checkpoints.save_checkpoint(tmp_path, model, {"seconds": 1.0})
+def test_a_damaged_checkpoint_ends_in_one_error(learner, tmp_path, name):
+    path = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     data = (path / name).read_bytes()
     (path / name).write_bytes(data[: len(data) // 2])
     with pytest.raises(RunError, match="damaged"):
-        checkpoints.load_checkpoint(path, model)
+        checkpoints.load_checkpoint(path, learner)

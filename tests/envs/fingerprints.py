@@ -43,7 +43,9 @@ from tests.envs.stories import Story
 
 FILE = Path(__file__).with_name("fingerprints.json")
 IDS = sorted(name for name in gymnasium.registry if name.startswith("HPAC-"))
-GRASP, PICK_PLACE, POSTURE = "HPAC-Grasp-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0"
+GRASP, GRASP_ANY, PICK_PLACE, POSTURE, POSTURE_V1 = (
+    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
+)  # fmt: skip
 TIGHT, LOOSE = (1e-6, 1e-6), (1e-4, 1e-5)
 """Relative and absolute tolerances of means: of what does not touch anything, and of what does or is a picture."""
 TOUCHED_STEPS = 3
@@ -250,7 +252,7 @@ def heavy() -> SceneSetup:
     return SceneSetup(spec, place, 0.0, np.array([0, 0, 0, 0, 0, 1.2]), target=place + np.array([0.2, 0.0, 0.0]))
 
 
-USUAL = {GRASP: closing(), PICK_PLACE: closing(12, 74), POSTURE: apart}
+USUAL = {GRASP: closing(), GRASP_ANY: closing(), PICK_PLACE: closing(12, 74), POSTURE: apart, POSTURE_V1: apart}
 PRIVILEGED = {"obs": "privileged"}
 ASIDE = np.array([0.6, -0.4, 0.3])
 """Where the object of a story slips to, times the distance."""
@@ -273,7 +275,8 @@ STORIES = {
 CASES = (
     *(Case(name, {}, policy, range(4)) for name, policy in USUAL.items()),
     *(Case(name, {"obs": "image"}, policy) for name, policy in USUAL.items()),
-    *(Case(name, {"reward": "sparse"}, policy, range(2)) for name, policy in (USUAL | {POSTURE: reaching}).items()),
+    *(Case(name, {"reward": "sparse"}, policy, range(2))
+      for name, policy in (USUAL | {POSTURE: reaching, POSTURE_V1: reaching}).items()),
     *(Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2)) for name, policy in USUAL.items() for preset in PRESETS),
     *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in IDS),
     *(Case(GRASP, {"grasp": name} | PRIVILEGED, closing(), range(2)) for name in GRASPS),
@@ -345,9 +348,9 @@ def changed(case: Case, disturbance: float = 0.0, **fault: Any) -> bool:
     )
 
 
-def digest(env: gymnasium.Env, case: Case) -> str:
-    """A hash of a case's first episode, to the bit."""
-    return hashlib.sha256(case.play(env, case.seeds[0]).bits()).hexdigest()
+def digest(env: gymnasium.Env, case: Case, steps: int = 30) -> str:
+    """A hash of the first steps of a case's first episode, to the bit; the hand is closed by then."""
+    return hashlib.sha256(case.play(env, case.seeds[0], steps).bits()).hexdigest()
 
 
 def taken(case: Case) -> list[dict[str, Any]]:
@@ -385,8 +388,10 @@ def most_flips(episodes: int) -> int:
 
 BATCHES = {
     "HPAC-Grasp-v0": (Case(GRASP, {}, closing(0), range(40)),),
+    "HPAC-GraspAny-v0": (Case(GRASP_ANY, {}, closing(0), range(8)),),
     "HPAC-PickPlace-v0": (Case(PICK_PLACE, {}, closing(12, 74), range(20)),),
     "HPAC-Posture-v0": (Case(POSTURE, {}, reaching, range(20)),),
+    "HPAC-Posture-v1": (Case(POSTURE_V1, {"randomize": "nominal"}, reaching, range(20)),),
     "named grasps": tuple(Case(GRASP, {"grasp": name}, closing(0)) for name in GRASPS),
 }  # fmt: skip
 """Whole episodes whose ends are counted."""
@@ -425,9 +430,10 @@ def main() -> None:
                 found[case.name] = digest(env, case)
         print(json.dumps(found))
         return
+    ids = {case.id for case in cases}
     rows = kept() | {case.name: rounded(taken(case)) for case in cases}
-    rows |= {f"ends/{name}": ends(batch) for name, batch in BATCHES.items()}
-    known = [*BY_NAME, *(f"ends/{name}" for name in BATCHES)]
+    rows |= {f"ends/{name}": ends(batch) for name, batch in BATCHES.items() if batch[0].id in ids}
+    known = {*BY_NAME, *(f"ends/{name}" for name in BATCHES)} & set(rows)
     lines = (f"{json.dumps(name)}:{json.dumps(rows[name], separators=(',', ':'))}" for name in sorted(known))
     FILE.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 

@@ -129,12 +129,12 @@ def held_by(env, seed: int) -> tuple[set[str], float]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
-    """In most of eight episodes each of `HOLDING` touches it, and the forces add up to less than 80 N."""
+    """In most of five episodes each of `HOLDING` touches it, and the forces add up to less than 80 N."""
     with gymnasium.make(ID, grasp=name) as env:
-        seen = [held_by(env, seed) for seed in range(300, 308)]
+        seen = [held_by(env, seed) for seed in range(300, 305)]
     for part in HOLDING[name]:
-        assert sum(part in parts for parts, _ in seen) >= 5, part
-    assert sum(force < 80 for _, force in seen) >= 5
+        assert sum(part in parts for parts, _ in seen) >= 3, part
+    assert sum(force < 80 for _, force in seen) >= 3
 
 
 @pytest.mark.parametrize("name", ["rod", "tip_pinch", "lateral_pinch", "screwdriver"])

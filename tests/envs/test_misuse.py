@@ -12,16 +12,21 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import data_equivalence
+from gymnasium.wrappers import TimeAwareObservation
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.envs import Grasp, HandEnv, PostureEnv
+from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, PostureEnv, scripted_closure
 from hpac_gym.envs.options import IDS, OPTIONS, checked_options
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.errors import EpisodeError, HpacError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.tasks.cameras import CameraNoise
-from tests.envs.episodes import EASY
+from hpac_gym.tasks.grasp import GraspConfig
+from hpac_gym.tasks.phases import Timetable
+from hpac_gym.tasks.posture import PostureConfig
+from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
+from tests.envs.episodes import EASY, part
 
 MAKERS: dict[str, Callable[[], gymnasium.Env]] = {
     "HandEnv": lambda: HandEnv(Grasp()),
@@ -36,6 +41,17 @@ def env(request):
         yield made
 
 
+@pytest.mark.pybullet
+@pytest.mark.parametrize("make", [HandEnv, HandVectorEnv])
+def test_an_engine_is_closed_where_an_environment_is_refused(monkeypatch, make):
+    closed = []
+    monkeypatch.setattr("hpac_gym.physics.pybullet.engine.PyBulletEngine.close", lambda engine: closed.append(engine))
+    with pytest.raises(ParameterError, match="hub_inertia"):
+        make(Grasp(), engine="pybullet", body="light")
+    assert len(closed) == 1
+
+
+TASK_OPTIONS = ("grasp", "variant", "object", "objects", "hands", "wrist", "config")
 CHOICES = [option for option in OPTIONS if option.values and not option.others]
 
 
@@ -59,15 +75,16 @@ def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
     for other in ("task", "max_steps", "workers"):
         with pytest.raises(TypeError, match=other):
             gymnasium.make(name, **{other: None})
+    taken = {option.name for option in OPTIONS if name in option.ids}
     for option in OPTIONS:
-        if name not in option.ids:
+        if option.name not in taken:
             with pytest.raises((TypeError, ParameterError), match=option.name):
                 gymnasium.make(name, **{option.name: CameraNoise(0, 0, 0) if option.name == "noise" else None})
 
 
 def test_the_defaults_of_the_table_are_those_of_the_check():
     parameters = inspect.signature(checked_options).parameters
-    table = {option.name: option.default for option in OPTIONS if option.name not in ("grasp", "variant")}
+    table = {option.name: option.default for option in OPTIONS if option.name not in TASK_OPTIONS}
     assert {name: parameter.default for name, parameter in parameters.items()} == table
 
 
@@ -147,18 +164,40 @@ def test_an_object_is_of_finite_size_mass_and_friction(value):
         ("grasp", 3, "no grasp 3"),
         ("hand", 3, "hand 3 is neither"),
         ("hand", None, "hand None is neither"),
-        ("noise", None, "noise None is not a CameraNoise"),
-        ("noise", {"position": 0.0}, "is not a CameraNoise"),
-        ("noise", CameraNoise(angle=-0.1), "at least 0"),
-        ("noise", CameraNoise(size=float("nan")), "finite"),
+        ("noise", 0.0, "noise 0.0 is neither a CameraNoise nor a mapping"),
+        ("noise", {"positon": 0.0}, "noise has no field 'positon'; it has position, angle, size"),
+        ("noise", {"position": "0"}, "noise position = '0' must be a finite number"),
+        ("noise", {"angle": -0.1}, "angle=-0.1.* at least 0"),
+        ("noise", {"size": float("nan")}, "noise size = nan must be a finite number"),
+        ("config", "easy", "config 'easy' is neither a GraspConfig nor a mapping"),
+        ("config", {"radii": [0.01, 0.02]}, "config has no field 'radii'; it has radius"),
+        ("config", {"radius": 0.01}, r"config radius = 0.01 must be a range"),
+        ("config", {"radius": [0.03, 0.01]}, r"config radius = .*must be a range .*within \[0.002, 0.06\]"),
+        ("config", {"mass": [0.0, 0.1]}, r"config mass = .*within \[0.001, 2\]"),
+        ("config", {"drop_distance": True}, "config drop_distance = True must be a number within"),
+        ("config", {"weights": {"carry": None}}, "config weights carry = None must be a finite number"),
+        ("config", {"timetable": 2.0}, "config timetable 2.0 is neither a Timetable nor a mapping"),
+        ("config", {"timetable": {"close_time": -1.0}}, "config timetable: durations of .* greater than 0 s"),
+        ("config", {"timetable": {"close_time": 2.0}}, r"lasts 80 steps: HPAC-Grasp-v0 has at most 64; use .*HandEnv\(Grasp"),
     ],
 )
 def test_an_argument_of_a_wrong_type_is_named(name, wrong, named):
     with pytest.raises(HpacError, match=named):
         gymnasium.make("HPAC-Grasp-v0", **{name: wrong})
-    if name in ("randomize", "hand"):
+    if name in ("randomize", "hand") or "neither a GraspConfig" in named:
+        named = named.replace("Grasp", "Posture")
         with pytest.raises(ParameterError, match=named):
             PostureEnv(**{name: wrong})
+
+
+def test_a_config_that_would_be_passed_over_in_silence_is_refused():
+    with pytest.raises(ParameterError, match="config mass, box_yaw: a named grasp such as 'rod' has its own object"):
+        gymnasium.make("HPAC-Grasp-v0", grasp="rod", config={"mass": [0.1, 0.2], "box_yaw": [0.0, 0.1], "drop_distance": 0.05})
+    gymnasium.make("HPAC-Grasp-v0", grasp="rod", config={"drop_distance": 0.05, "weights": {"success": 1.0}}).close()
+    with pytest.raises(ParameterError, match=r"config duration = 3.0 s: give .*max_episode_steps"):
+        gymnasium.make("HPAC-Posture-v0", config={"duration": 3.0})
+    with pytest.raises(ValueError, match=r"CameraNoise\(position=0.0015, angle=-1, .*at least 0"):
+        CameraNoise(angle=-1)
 
 
 def test_a_variant_of_a_wrong_type_is_named():
@@ -173,16 +212,59 @@ def test_a_range_is_a_pair_of_numbers(name, wrong):
         Randomization(**{name: wrong})
 
 
-@pytest.mark.parametrize("randomize", [Randomization(servo_lag=(0.0, 0.1), slack=(0.0, 1e-3)), {"servo_lag": [0, 0.1]}, {}])
-def test_ranges_survive_json_and_give_the_same_episode(randomize):
-    with gymnasium.make("HPAC-Posture-v0", randomize=randomize) as env:
-        again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+RANGES = Randomization(servo_lag=(0.0, 0.1), slack=(0.0, 1e-3))
+TIMES = {"timetable": {"close_time": 1.0}, "weights": {"success": 3.0}}
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("HPAC-Posture-v0", {"randomize": RANGES}),
+        ("HPAC-Posture-v0", {"randomize": {"servo_lag": [0, 0.1]}}),
+        ("HPAC-Posture-v0", {"randomize": {}, "config": PostureConfig(tolerance=0.02)}),
+        ("HPAC-Grasp-v0", {"noise": CameraNoise(0.0, 0.01, 0.0), "randomize": "full"}),
+        ("HPAC-Grasp-v0", {"noise": {"position": 0.0}, "config": {"radius": [0.02, 0.025], **TIMES}}),
+        ("HPAC-Grasp-v0", {"config": GraspConfig(mass=(0.1, 0.1), timetable=Timetable(close_time=1.1))}),
+        ("HPAC-PickPlace-v0", {"noise": {"size": 0}, "config": {"mass": (0.1, 0.1), **TIMES}}),
+    ],
+    ids=str,
+)
+def test_ranges_noise_and_config_survive_json_and_give_the_same_episode(name, given):
+    with gymnasium.make(name, **given) as env, gymnasium.make(EnvSpec.from_json(env.spec.to_json())) as again:
         assert again.unwrapped.randomization == env.unwrapped.randomization
-        observation, info = env.reset(seed=3)
-        same, told = again.reset(seed=3)
-        assert info["randomized"] == told["randomized"]
-        np.testing.assert_array_equal(observation["achieved_goal"], same["achieved_goal"])
-        again.close()
+        assert again.unwrapped.task.config == env.unwrapped.task.config
+        assert again.spec.max_episode_steps == env.spec.max_episode_steps
+        assert data_equivalence(env.reset(seed=3), again.reset(seed=3), exact=True)
+        assert data_equivalence(env.step(np.zeros(6)), again.step(np.zeros(6)), exact=True)
+
+
+def test_what_is_given_counts():
+    """A config, and a noise, that only looked as if they were taken."""
+    with gymnasium.make("HPAC-Grasp-v0", noise={"size": 0, "angle": 0, "position": 0}, config={"mass": [0.3, 0.3]}) as env:
+        observation, _ = env.reset(seed=0)
+        assert env.unwrapped.episodes.setups[0].object.mass == 0.3
+        centre = (env.unwrapped.state.object_pos[0] - GRASP_CENTRE) / LENGTH_UNIT
+        np.testing.assert_allclose(part(observation, env.unwrapped.task.terms, "object_pos"), centre, atol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "steps"), [("HPAC-Grasp-v0", 64), ("HPAC-PickPlace-v0", 110), ("HPAC-Posture-v0", 40)])
+def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itself(name, steps):
+    spec = gymnasium.spec(name)
+    assert spec.max_episode_steps in (steps, steps + 1)
+    with TimeAwareObservation(gymnasium.make(name), flatten=name != "HPAC-Posture-v0") as env:
+        env.reset(seed=1)
+    longest = 0
+    with gymnasium.make(name) as env:
+        for seed in range(8):
+            observation, _ = env.reset(seed=seed)
+            policy, over, length = scripted_closure(env.unwrapped.task), False, 0
+            policy.reset()
+            while not over:
+                observation, _, terminated, truncated, _ = env.step(policy.act(observation))
+                over, length = terminated or truncated, length + 1
+            assert terminated != truncated == (name == "HPAC-Posture-v0")
+            longest = max(longest, length)
+    assert longest == steps
 
 
 def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(env):
@@ -194,7 +276,7 @@ def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(env):
         env.step(action)
         commands.append(env.unwrapped.command.servo)
     np.testing.assert_array_equal(*commands)
-    with pytest.raises(WorkspaceError, match=r"action thumb_mp = 1\.00001 "):
+    with pytest.raises(WorkspaceError, match=r"action thumb_mp = 1\.00001 .*gymnasium\.wrappers\.ClipAction"):
         env.step(np.full(6, 1.00001))
 
 

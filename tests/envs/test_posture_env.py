@@ -7,9 +7,12 @@ from stable_baselines3 import SAC, HerReplayBuffer
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import PostureEnv
+from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, JOINTS, action_from_synergy, joints_from_synergy, synergy_from_joints
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.tasks.posture import CAMERA_NOISE, TOLERANCE
+from hpac_gym.tasks.scripted import ScriptedPosture
 
 ID = "HPAC-Posture-v0"
 
@@ -42,6 +45,63 @@ def test_goals_lie_on_the_manifold_of_the_hand(env):
     for seed in range(20):
         goal = env.reset(seed=seed)[0]["desired_goal"]
         np.testing.assert_allclose(joints_from_synergy(synergy_from_joints(goal)), goal, atol=1e-6)
+
+
+NEW = "HPAC-Posture-v1"
+UNREACHABLE = (1000003, 1000010, 1000020, 1000052)
+"""Seeds of v0 whose goals let the thumb meet the index finger."""
+
+
+def reached(env: gymnasium.Env, seed: int) -> bool:
+    """Whether the obvious action reaches the goal of a seed."""
+    observation, _ = env.reset(seed=seed)
+    for _ in range(36):
+        *_, info = env.step(obvious_action(observation["desired_goal"]))
+    return info["is_success"]
+
+
+def test_version_1_draws_no_goal_that_version_0_cannot_reach():
+    options = {"engine": "mujoco", "randomize": "nominal"}
+    with gymnasium.make(ID, **options) as old, gymnasium.make(NEW, **options) as new:
+        assert not any(reached(old, seed) for seed in UNREACHABLE)
+        assert all(reached(new, seed) for seed in UNREACHABLE)
+        goals = [[env.reset(seed=seed)[0]["desired_goal"] for seed in range(40)] for env in (old, new)]
+        same = np.equal(*goals).all(axis=1).sum()
+        assert 30 <= same < 40  # those that it leaves out are others, and no more
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_obvious_action_reaches_every_goal_of_version_1(engine):
+    """And v0's are those that it does not reach."""
+    with gymnasium.make(ID, engine=engine) as env:
+        assert not any(reached(env, seed) for seed in UNREACHABLE)
+    with gymnasium.make(NEW, engine=engine, randomize="nominal") as env:
+        assert all(reached(env, seed) for seed in range(200))
+
+
+def test_an_integral_controller_passes_the_constant_action_where_the_hand_is_another_one():
+    """What the page's table says, with fewer episodes."""
+    envs = gymnasium.make_vec(NEW, num_envs=24, engine="mujoco")
+    rates = []
+    for policy in (ScriptedPosture(), ScriptedPosture(gain=0.0)):
+        observation, _ = envs.reset(seed=7000)
+        policy.reset()
+        for _ in range(40):
+            observation, *_, infos = envs.step(policy.act(observation))
+        rates.append(infos["is_success"].mean())
+    envs.close()
+    assert rates[0] > 0.5
+    assert rates[1] < 0.1
+
+
+def test_version_1_has_a_hand_of_its_own_in_every_episode():
+    with gymnasium.make(NEW) as env:
+        assert set(env.reset(seed=0)[1]["randomized"]) == {"tendon_stiffness", "slack", "joint_friction", "skin_friction"}
+    envs = gymnasium.make_vec(NEW, num_envs=2, engine="mujoco")
+    assert envs.get_attr("randomization") == (PRESETS["hand"],) * 2
+    assert envs.get_attr("task")[0].reachable
+    envs.close()
 
 
 def test_compute_reward_is_vectorised_and_what_step_returns():

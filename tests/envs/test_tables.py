@@ -2,7 +2,11 @@
 
 import importlib
 import math
+import os
 import re
+import subprocess
+import sys
+import textwrap
 
 import gymnasium
 import numpy as np
@@ -10,7 +14,7 @@ import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, PickPlace
-from hpac_gym.envs.options import GRASP, IDS, PICK_PLACE, POSTURE
+from hpac_gym.envs.options import GRASP, GRASP_ANY, IDS, PICK_PLACE, POSTURE, POSTURE_V0
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.tasks import posture
 from hpac_gym.tasks.grip import MAX_SLIP
@@ -18,8 +22,11 @@ from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import GRASP_CENTRE
 from tools.tables import DOCS, PAGES, filled
 
-ID_PAGES = {GRASP: "environments/grasp.md", PICK_PLACE: "environments/pick_place.md", POSTURE: "environments/posture.md"}
-STEPS = {GRASP: 64, PICK_PLACE: 110, POSTURE: 40}
+ID_PAGES = {
+    GRASP: "environments/grasp.md", GRASP_ANY: "environments/grasp_any.md", PICK_PLACE: "environments/pick_place.md",
+    POSTURE: "environments/posture.md",
+}  # fmt: skip
+STEPS = {GRASP: 64, GRASP_ANY: 144, PICK_PLACE: 110, POSTURE: 40}
 PARTS = (
     "Description", "Action space", "Observation space", "Rewards", "Starting state", "Episode end", "Info", "Arguments",
     "Baselines", "Version history",
@@ -64,7 +71,8 @@ def test_a_page_is_what_the_command_writes(page):
 
 
 def test_every_id_has_a_page_that_is_linked():
-    assert sorted(ID_PAGES) == sorted(IDS)
+    assert sorted([*ID_PAGES, POSTURE_V0]) == sorted(IDS)
+    assert "- v0: " in text(ID_PAGES[POSTURE])
     for name, page in ID_PAGES.items():
         assert re.search(rf"\[`{name}`\]\({page.partition('/')[2]}\).* {STEPS[name]} steps \|\n", text("environments/README.md"))
 
@@ -72,18 +80,18 @@ def test_every_id_has_a_page_that_is_linked():
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
 def test_a_page_has_the_parts_that_people_expect_in_their_order(name, page):
     assert text(page).startswith(f"# {name}\n\n![")
-    parts = [part for part in PARTS if part != "Baselines" or name != POSTURE]  # which no baseline plays
-    assert re.findall(r"^## (.*)", text(page), re.MULTILINE) == parts
+    assert re.findall(r"^## (.*)", text(page), re.MULTILINE) == list(PARTS)
     assert f"{STEPS[name]} steps" in text(page).split("## Episode end")[1]
     assert ["length", f"{STEPS[name]} steps, {STEPS[name] / CONTROL_HZ:g} s"] in cells(page, "summary")
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", ID_PAGES)
 def test_an_episode_is_as_long_as_its_page_says(name):
-    """Until the end of its timetable, or until the time limit."""
+    """The time limit is as long as an episode, or one step longer than one that ends by itself."""
     with gymnasium.make(name) as env:
-        limit = gymnasium.spec(name).max_episode_steps
-        assert (limit or round(env.unwrapped.task.duration * CONTROL_HZ)) == STEPS[name]
+        assert round(env.unwrapped.task.duration * CONTROL_HZ) == STEPS[name]
+        ends_by_itself = not env.unwrapped.task.goal_terms
+    assert gymnasium.spec(name).max_episode_steps == STEPS[name] + ends_by_itself
 
 
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
@@ -126,11 +134,11 @@ def test_every_name_of_the_package_on_a_page_is_there(page):
         assert (DOCS.parent / file).exists(), file
 
 
-@pytest.mark.parametrize("name", [GRASP, PICK_PLACE])
+@pytest.mark.parametrize("name", [GRASP, GRASP_ANY, PICK_PLACE])
 def test_a_page_names_what_a_caller_may_have_to_import(name):
     page = words(ID_PAGES[name])
-    for path in ("hpac_gym.physics.engine.SceneSetup", "hpac_gym.body.objects.ObjectSpec", "hpac_gym.tasks.cameras.CameraNoise"):
-        assert f"`{path}`" in page
+    for kind in ("SceneSetup", "ObjectSpec", "CameraNoise", "Randomization"):
+        assert f"`hpac_gym.envs.{kind}`" in page
 
 
 def test_what_is_written_by_hand_has_the_numbers_of_the_code():
@@ -145,8 +153,28 @@ def test_what_is_written_by_hand_has_the_numbers_of_the_code():
     mp, cmc = posture.FREE_FINGERS_THUMB
     assert f"MCP beyond {posture.FREE_THUMB_FINGERS:g} rad" in goals
     assert f"MP below {mp:g} rad and its CMC below {cmc:g} rad" in goals
+    low, high = posture.BLOCKED_CMC
+    blocked = f"MP beyond {posture.BLOCKED_MP:g} rad meets the index finger while its CMC is between {low:g} and {high:g} rad"
+    assert blocked in goals
     assert f"noise of {np.rad2deg(posture.CAMERA_NOISE):g}° a joint" in goals
     fingers = servo_from_synergy(HPAC.synergy_max)[1:5] / HPAC.rate_limit
     (steps,) = {math.ceil(CONTROL_HZ * seconds) for seconds in fingers}
+    whole = math.ceil(CONTROL_HZ * servo_from_synergy(HPAC.synergy_max).max() / HPAC.rate_limit)
+    closing = round(CONTROL_HZ * Grasp().timetable.close_time)
+    assert f"with the thumb's CMC, in {whole} of the {closing} steps that closing lasts" in words("environments/README.md")
     for page in (grasp, place, goals, words("environments/README.md")):
         assert f"rate limit of {HPAC.rate_limit:g} rad/s, all arriving together: a finger closes fully in {steps} steps" in page
+
+
+@pytest.mark.slow
+def test_the_programs_of_the_page_run(tmp_path):
+    """In one file, since a vector environment on PyBullet starts processes that import it."""
+    programs = re.findall(r"```python\n(.*?)```", text("environments/README.md"), re.DOTALL)
+    assert len(programs) == 4
+    lines = "\n".join(programs).replace("learn(2048)", "learn(64, progress_bar=False)").replace("num_envs=8", "num_envs=2")
+    file = tmp_path / "programs.py"
+    file.write_text("def main():\n" + textwrap.indent(lines, "    ") + "\n\nif __name__ == '__main__':\n    main()\n")
+    done = subprocess.run([sys.executable, str(file)], cwd=DOCS.parent, env=os.environ | {"PYTHONPATH": str(DOCS.parent)},
+                          capture_output=True, text=True, timeout=300)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "True\n"

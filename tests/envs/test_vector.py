@@ -13,6 +13,9 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import ClipAction, FlattenObservation
+from gymnasium.wrappers.vector import ClipAction as VectorClip
+from gymnasium.wrappers.vector import FlattenObservation as VectorFlatten
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, GraspByName, HandVectorEnv, PickPlace, Posture
@@ -22,8 +25,7 @@ from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streame
 from hpac_gym.physics.simulation import ENGINES
 from tests.envs.episodes import EASY
 
-TASKS = {GRASP: Grasp, PICK_PLACE: PickPlace, POSTURE: Posture}
-MODES = pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
+TASKS = {GRASP: Grasp, PICK_PLACE: PickPlace, POSTURE: partial(Posture, reachable=True)}
 CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53], np.float32)
 """Where the scripted closure ends."""
 
@@ -31,7 +33,8 @@ CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53], np.float32)
 def ours(name: str = GRASP, num_envs: int = 3, **options) -> HandVectorEnv:
     """All hands in one process, on the default engine."""
     task = GraspByName(options.pop("grasp")) if "grasp" in options else TASKS[name]()
-    return HandVectorEnv(task, num_envs, **options)
+    given = {name: value for name, value in gymnasium.spec(name).kwargs.items() if name == "randomize"}
+    return HandVectorEnv(task, num_envs, **given | options)
 
 
 def gymnasiums(name: str = GRASP, num_envs: int = 3, autoreset_mode=AutoresetMode.NEXT_STEP, **options) -> SyncVectorEnv:
@@ -69,15 +72,17 @@ def envs():
     made.close()
 
 
-@MODES
 @pytest.mark.parametrize(
-    ("name", "options"),
+    ("name", "options", "mode"),
     [
-        (GRASP, {}), (GRASP, {"obs": "privileged", "randomize": "full", "reward": "sparse"}), (GRASP, {"grasp": "tip_pinch"}),
-        (GRASP, {"obs": "image"}), (PICK_PLACE, {"randomize": "link"}), (POSTURE, {}), (POSTURE, {"obs": "privileged"}),
+        *((name, {}, mode) for name in (GRASP, POSTURE) for mode in AutoresetMode),
+        (GRASP, {"obs": "privileged", "randomize": "full", "reward": "sparse"}, AutoresetMode.NEXT_STEP),
+        (GRASP, {"grasp": "tip_pinch"}, AutoresetMode.DISABLED),
+        (PICK_PLACE, {"randomize": "link"}, AutoresetMode.NEXT_STEP),
+        *((name, {"obs": obs}, AutoresetMode.SAME_STEP) for name, obs in ((GRASP, "image"), (POSTURE, "privileged"))),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(name, options, mode):
     options = options | {"max_episode_steps": 3, "autoreset_mode": mode}
     mine, its = ours(name, **options), gymnasiums(name, **options)
@@ -99,8 +104,9 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(name
     its.close()
 
 
-@MODES
-@pytest.mark.parametrize("reward", ["dense", "sparse"])
+@pytest.mark.parametrize(
+    ("reward", "mode"), [*(("dense", mode) for mode in AutoresetMode), ("sparse", AutoresetMode.SAME_STEP)], ids=str
+)
 @pytest.mark.parametrize("engine", ENGINES)
 def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(engine, reward, mode):
     """Some won, some lost, at different times; an action that counts for nothing may be NaN."""
@@ -316,6 +322,18 @@ def test_make_vec_on_another_engine_makes_one_vector_environment(monkeypatch):
 def test_make_vec_names_a_wrong_option(options):
     with pytest.raises((ParameterError, LookupError, ValueError), match=r"num_envs = 0|nonsense"):
         gymnasium.make_vec(GRASP, **{"num_envs": 2} | options)
+
+
+def test_wrappers_of_single_environments_and_of_the_whole_batch():
+    """Gymnasium's `make_vec` takes `wrappers` in its own two modes alone."""
+    options = {"engine": "mujoco", "num_envs": 2}
+    each = gymnasium.make_vec(POSTURE, vectorization_mode="sync", wrappers=[ClipAction, FlattenObservation], **options)
+    whole = VectorFlatten(VectorClip(gymnasium.make_vec(POSTURE, **options)))
+    for envs in (each, whole):
+        envs.reset(seed=0)
+    assert_same(*(envs.step(np.full((2, 6), 1.5, np.float32))[:4] for envs in (each, whole)))
+    for envs in (each, whole):
+        envs.close()
 
 
 def running(process: int) -> bool:

@@ -16,7 +16,7 @@ from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from tests.processes import wait_for
 
-TRAINED = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp-sac.zip"
+TRAINED = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp.zip"
 
 
 def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
@@ -46,7 +46,7 @@ def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys
         assert main(["grasps", *words, "--workers", workers, "--out", str(tmp_path / workers)]) == 0
     first, second = (json.loads((tmp_path / workers / "grasps.json").read_text()) for workers in ("1", "2"))
     assert first == second
-    assert first["policy"]["algorithm"] == "SAC"
+    assert first["policy"]["algorithm"] == "closures"
     assert (tmp_path / "1" / "rod.png").read_bytes() == (tmp_path / "2" / "rod.png").read_bytes()
 
 

@@ -46,7 +46,8 @@ def test_light_fingers_without_their_servos_inertia_chatter():
 def test_another_hand_is_seen(engine, monkeypatch):
     """Negative control: the couplings of the simulated hand are 10 % softer than those of the equations."""
     soft = replace(HPAC, digits={n: replace(d, tendon_stiffness=0.9 * d.tendon_stiffness) for n, d in HPAC.digits.items()})
-    monkeypatch.setattr(conformance, "SceneSetup", partial(conformance.SceneSetup, hand=soft))
+    make = conformance.SceneSetup
+    monkeypatch.setattr(conformance, "SceneSetup", lambda *arguments, **given: make(*arguments, **given | {"hand": soft}))
     manifold, _, _ = free_space(partial(make_engine, engine), BODIES["twin"], WORLD, postures=4)
     assert manifold > 1e-3
 

@@ -55,7 +55,7 @@ def test_no_joint_has_a_motor(scene):
     for _ in range(120):
         link = hand.link_index["index_dip_link"]
         pybullet.applyExternalForce(hand.body, link, (0.3, 0, 0), (0, 0, 0.02), pybullet.LINK_FRAME, hand.world.client)
-        scene.advance(still, still, np.zeros((1, 3)))
+        scene.advance(still, still, np.zeros((1, 3)), None)
     bent, _ = hand.joint_state()
     assert bent[JOINT_INDEX["index_mcp"]] > 0.1
     assert abs(bent[JOINT_INDEX["middle_mcp"]]) < 1e-3

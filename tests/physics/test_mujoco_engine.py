@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.envs import GRASPS, NOMINAL, grasp_task
 from hpac_gym.errors import ParameterError
@@ -16,7 +17,6 @@ from hpac_gym.model import HPAC, JOINT_INDEX, joints_from_synergy, servo_from_sy
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsError, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.mujoco import camera
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
-from hpac_gym.physics.mujoco.model import object_models
 from hpac_gym.physics.settings import BODIES, WorldSettings
 
 OPPOSED = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
@@ -31,7 +31,7 @@ def primitive(shape: str = "cylinder", **change) -> SceneSetup:
 
 
 def named(name: str, **change) -> SceneSetup:
-    model = object_models()[name]
+    model = load_object_models()[name]
     half = tuple(1.1 * side for side in model.half_extents)
     return replace(SceneSetup(ObjectSpec(model.shape, half, 1.2 * model.mass, 0.7, name, 1.1), PLACE, 0.0, OPPOSED), **change)
 
@@ -220,7 +220,7 @@ def test_frictions_multiply():
 
 def test_mass_and_inertia_of_named_objects_scale():
     engine = MuJoCoEngine(1)
-    for name, wanted in object_models().items():
+    for name, wanted in load_object_models().items():
         engine.reset([0], [named(name)])
         model, data = engine.single(0)
         full = np.zeros((model.nv, model.nv))

@@ -50,7 +50,7 @@ import sys
 for name in ("pybullet", "gymnasium", "torch", "stable_baselines3"):
     sys.modules[name] = None  # refuses the import
 from hpac_gym.policies import LearnedPolicy, read_policy
-file = read_policy("agents/trained/grasp-sac.zip")
+file = read_policy("agents/trained/grasp.zip")
 policy = LearnedPolicy.of(file)
 policy.reset(seed=0)
 action = policy.act([0.0] * file.actor.sizes[0])

@@ -72,6 +72,8 @@ DAMAGE = {
     "a later format": lambda path: rewrite(path, policy=edit(format=99)),
     "no environment": lambda path: rewrite(path, policy=edit(env_id=None)),
     "no time for an action": lambda path: rewrite(path, policy=edit(action_repeat=0)),
+    "a closure of other numbers": lambda path: rewrite(path, policy=edit(closure={"goal": [0.0, 1.0]})),
+    "a closure of nonsense": lambda path: rewrite(path, policy=edit(closure={"goal": [1.0, 0.0]})),
     "a list for a description": lambda path: rewrite(path, policy=lambda data: "[]"),
     "broken json": lambda path: rewrite(path, policy=lambda data: data[:-5]),
     "another environment": lambda path: rewrite(path, policy=edit(env_id="HPAC-Grasp-v7")),

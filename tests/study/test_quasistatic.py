@@ -8,7 +8,8 @@ import pytest
 from hpac_gym.model import HPAC, JOINT_INDEX, elastic_joints_from_servo, rigid_joints_from_servo, scaled_hand
 from hpac_gym.model.parameters import Friction
 from hpac_gym.model.settled import EXTENSION, settled_joints_from_servo, with_friction
-from hpac_gym.study.quasistatic import Metal, follow, hand_course
+from hpac_gym.study import quasistatic
+from hpac_gym.study.quasistatic import Metal, SettleError, follow, hand_course
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 21)
 STIFF_DRIVE = scaled_hand(HPAC, {"drive_stiffness": 1e4})
@@ -94,3 +95,9 @@ def test_every_digit_is_its_own_whatever_stands_beside_it():
     both = hand_course(built, [[Metal()] * 5] * 2, SERVO)
     assert both[1] == pytest.approx(hand_course(built[1:], [[Metal()] * 5], SERVO)[0], abs=CLOSE)
     assert np.abs(both[1] - both[0]).max() > 0.01
+
+
+def test_a_digit_that_does_not_come_to_rest_is_an_error_with_what_it_still_moves(monkeypatch):
+    monkeypatch.setattr(quasistatic, "_ROUNDS", 2)
+    with pytest.raises(SettleError, match=r"joints still move by \d\.\de-\d\d rad in round 2, .* below 2e-07 rad"):
+        course()

@@ -124,7 +124,7 @@ def test_the_observer_takes_out_a_lag_and_an_offset_of_either_direction():
 
 @pytest.fixture(scope="module")
 def race() -> rivals.Race:
-    return rivals.run_race(rivals.OTHER_METAL, 2, 0, samples=(4, 16))
+    return rivals.run_race(rivals.OTHER_METAL, 1, 0, samples=(4, 16))
 
 
 def test_more_samples_help_every_rival_that_can_bend(race):

@@ -64,6 +64,7 @@ class MuJoCoEngine:
             ParameterError: A setup's hand has tendon friction.
         """
         jobs: dict[Group, list[tuple[int, SceneSetup]]] = {}
+        before = list(self._group_of)
         for world, setup in sorted(zip(worlds, setups, strict=True), key=lambda job: job[0]):
             self.require(setup.hand_settings)
             layout = Layout.of(setup)
@@ -77,15 +78,18 @@ class MuJoCoEngine:
             index = np.array([world for world, _ in entries])
             group.start(index, [setup for _, setup in entries])
             self._felt[index] = 0.0
-        owners = [self._groups[layout] for layout in self._groups]
-        rows = [np.array([world for world, owner in enumerate(self._group_of) if owner is group], int) for group in owners]
-        self._members = {group: members for group, members in zip(owners, rows, strict=True) if len(members)}
+        if before != self._group_of:
+            owners = self._groups.values()
+            rows = [np.array([world for world, owner in enumerate(self._group_of) if owner is group], int) for group in owners]
+            self._members = {group: members for group, members in zip(owners, rows, strict=True) if len(members)}
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array) -> None:
+    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
         """As `Engine.advance`."""
         for group, worlds in self._members.items():
             every = len(worlds) == self.num_worlds
-            tables = (servo, servo_vel, wrist) if every else (servo[worlds], servo_vel[worlds], wrist[worlds])
+            tables = servo, servo_vel, wrist, push
+            if not every:
+                tables = tuple(None if table is None else table[worlds] for table in tables)
             failed = group.advance(None if every else worlds, *tables)
             if failed is not None:
                 world, reason = failed

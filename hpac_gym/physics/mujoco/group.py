@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -10,37 +11,38 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from hpac_gym.model import DIGITS, JOINTS, SERVOS, Hand, joints_from_synergy, servo_from_synergy
+from hpac_gym.body.geometry import Geometry
+from hpac_gym.model import DIGITS, JOINTS, SERVOS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PARTS, SUPPORT_FRICTION, SceneSetup
+from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PARTS, SUPPORT_FRICTION, PhysicsError, SceneSetup, support_boxes
 from hpac_gym.physics.mjcf import Mechanics, coupling_names
 from hpac_gym.physics.mujoco.model import (
     FORCE_SIZE,
-    KINDS,
-    ROOTS,
     SLOTS,
     Layout,
     build,
-    geom_size,
+    geoms_of,
     inertia_of,
-    nominal_inertia,
-    object_models,
-    quaternion_from_matrix,
-    solids_of,
-    support_boxes,
+    inertia_of_hand,
+    roots_of,
 )
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 Index = NDArray[np.intp]
 
+BODY_FIELDS = ("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat")
+GEOM_FIELDS = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
 FIELDS = (
-    *("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat"),
-    *("geom_type", "geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb", "geom_friction", "geom_rgba"),
-    *("site_pos", "jnt_range", "dof_damping", "dof_frictionloss", "dof_armature"),
+    *BODY_FIELDS,
+    *GEOM_FIELDS,
+    *("geom_type", "geom_friction", "geom_rgba"),
+    *("site_pos", "jnt_axis", "jnt_range", "dof_damping", "dof_frictionloss", "dof_armature"),
     *("tendon_stiffness", "tendon_damping", "tendon_armature", "wrap_prm"),
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
 )
 """Fields of the model that every world has its own values of."""
+BODIES_KEPT = 64
+"""Number of hands of which a group keeps the compiled numbers."""
 FELT = len(DIGITS) + 2 * len(PARTS) + 2
 """Numbers that `Group.felt` gives for a world."""
 
@@ -76,6 +78,8 @@ class Addresses:
     drives: Index
     wraps: Index
     """Positions of the fixed tendons' coefficients in wrap_prm, couplings first."""
+    body_fields: dict[str, Index]
+    """Rows of the hand in the fields that its `Geometry` decides."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Addresses:
@@ -110,6 +114,9 @@ class Addresses:
             springs=springs,
             drives=tendons(f"{digit}_drive" for digit in DIGITS),
             wraps=np.array([model.tendon_adr[i] + k for i in (*couplings, *springs) for k in range(model.tendon_num[i])]),
+            body_fields=dict.fromkeys(BODY_FIELDS, np.array(hand))
+            | dict.fromkeys(GEOM_FIELDS, np.flatnonzero(np.isin(model.geom_bodyid, hand)))
+            | {"jnt_axis": hinge},
         )
 
 
@@ -131,12 +138,14 @@ class Group:
         self.batch = Batch(self.model, num_worlds, threads)
         self.fields = {name: self.batch.expand(name) for name in FIELDS}
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._blank = self.batch.state[0].copy()
         self.force = self.batch.bind("actuator_force")
         self.sensors = self.batch.bind("sensordata") if self.model.nsensor else np.zeros((num_worlds, 0))
         self.lead = np.zeros((num_worlds, len(SERVOS)))
         self.warnings = self.batch.warning[:, :, 1]  # how often; before it is what about
         self.warned = self.warnings.copy()
-        self._hands: list[tuple[Hand, HandSettings] | None] = [None] * num_worlds
+        self._hands: list[tuple[Hand, HandSettings, Geometry] | None] = [None] * num_worlds
+        self._options, self._bodies = (settings, visuals), {}
 
     # Parameters ----------------------------------------------------------------
 
@@ -144,9 +153,12 @@ class Group:
         """Write the parameters of one world."""
         hand, settings = setup.hand, setup.hand_settings
         last = self._hands[world]
+        if last is None or last[2] != setup.geometry:
+            self._set_body(world, setup.geometry)
+            last = None
         if last is None or not (last[0] is hand or last[0] == hand) or last[1] != settings:
-            self._set_hand(world, hand, settings)
-            self._hands[world] = hand, settings
+            self._set_hand(world, setup)
+        self._hands[world] = hand, settings, setup.geometry
         fields, at = self.fields, self.at
         x, y, z, w = setup.hand_quaternion
         fields["body_quat"][world, at.palm] = w, x, y, z
@@ -155,8 +167,22 @@ class Group:
         if not self.layout.fixed and setup.object is not None:
             self._set_supports(world, setup)
 
-    def _set_hand(self, world: int, hand: Hand, settings: HandSettings) -> None:
-        numbers, fields, at = Mechanics.of(hand, settings, nominal_inertia(settings.armature), ROOTS), self.fields, self.at
+    def _set_body(self, world: int, geometry: Geometry) -> None:
+        """Give a world's hand its links: what the compiler makes of them, once for each hand and layout."""
+        if geometry not in self._bodies:
+            if len(self._bodies) == BODIES_KEPT:
+                self._bodies.pop(next(iter(self._bodies)))
+            model = build(self.layout, *self._options, geometry)
+            if not np.array_equal(model.body_sameframe, self.model.body_sameframe):
+                raise PhysicsError("a link of this hand is wider than it is long: MuJoCo cannot have it beside others")
+            self._bodies[geometry] = {name: getattr(model, name)[rows] for name, rows in self.at.body_fields.items()}
+        for name, values in self._bodies[geometry].items():
+            self.fields[name][world, self.at.body_fields[name]] = values
+
+    def _set_hand(self, world: int, setup: SceneSetup) -> None:
+        hand, settings, fields, at = setup.hand, setup.hand_settings, self.fields, self.at
+        inertia = inertia_of_hand(setup.geometry, settings.armature)
+        numbers = Mechanics.of(hand, settings, inertia, roots_of(setup.geometry))
         fields["site_pos"][world, at.guides] = numbers.guides
         fields["jnt_range"][world, at.hinge] = np.stack([hand.joint_min, hand.joint_max], axis=1)
         fields["dof_damping"][world, at.dof] = settings.damping.joint
@@ -188,41 +214,27 @@ class Group:
 
     def _set_object(self, world: int, setup: SceneSetup) -> None:
         fields, at, spec = self.fields, self.at, setup.object
-        solids = solids_of(spec)
-        for geom, solid in zip(at.object_geoms, solids, strict=True):
-            size = geom_size(solid, spec.scale)
-            half = spec.scale * np.array(solid.size) / 2
-            fields["geom_type"][world, geom] = KINDS[solid.kind]
-            fields["geom_size"][world, geom] = size
-            fields["geom_pos"][world, geom] = spec.scale * solid.center
-            fields["geom_quat"][world, geom] = quaternion_from_matrix(solid.rotation)
-            fields["geom_aabb"][world, geom, 3:] = half
-            fields["geom_rbound"][world, geom] = {
-                "sphere": half[0], "capsule": half[2], "cylinder": np.hypot(half[0], half[2]), "box": np.linalg.norm(half)
-            }[solid.kind]  # fmt: skip
+        geoms = geoms_of(spec.shape, spec.half_extents, spec.model, spec.scale)
+        rows = at.object_geoms[geoms.index]
+        fields["geom_type"][world, rows] = geoms.kind
+        fields["geom_size"][world, rows] = geoms.size
+        fields["geom_pos"][world, rows] = geoms.place
+        fields["geom_quat"][world, rows] = geoms.quaternion
+        fields["geom_aabb"][world, rows, 3:] = geoms.half
+        fields["geom_rbound"][world, rows] = geoms.radius
         # The hand's skin and the support multiply the object's friction; MuJoCo takes the value of the higher priority.
-        fields["geom_friction"][world, at.object_geoms, 0] = setup.hand_settings.contact_friction * spec.friction
-        color = OBJECT_COLORS[spec.shape] if spec.model is None else object_models()[spec.model].color
-        fields["geom_rgba"][world, at.object_geoms] = color
-        centre, inertia = inertia_of(spec)
-        moments, turn = self._principal(inertia)
+        rows = at.object_geoms
+        fields["geom_friction"][world, rows, 0] = setup.hand_settings.contact_friction * spec.friction
+        color = OBJECT_COLORS[spec.shape] if spec.model is None else spec.model.color
+        fields["geom_rgba"][world, rows] = color
         body = at.object_body
         fields["body_mass"][world, body] = spec.mass
-        fields["body_inertia"][world, body] = moments
-        if turn is not None:
-            fields["body_ipos"][world, body] = centre
-            fields["body_iquat"][world, body] = turn
-        place, (x, y, z, w) = HAND_POSITION + setup.hand_rotation @ setup.position, setup.object_turn[0]
+        centre, fields["body_inertia"][world, body], turn = inertia_of(spec)
+        if self.layout.object != "primitive":
+            fields["body_ipos"][world, body], fields["body_iquat"][world, body] = centre, turn
         if self.layout.fixed:
+            place, (x, y, z, w) = HAND_POSITION + setup.hand_rotation @ setup.position, setup.object_turn[0]
             fields["body_pos"][world, body], fields["body_quat"][world, body] = place, (w, x, y, z)
-
-    def _principal(self, inertia: Array) -> tuple[Array, Array | None]:
-        """Principal moments and axes; None for those of the object itself."""
-        if self.layout.object == "primitive":
-            return np.diag(inertia), None
-        moments, axes = np.linalg.eigh(inertia)
-        axes[:, 0] *= np.sign(np.linalg.det(axes))
-        return moments, quaternion_from_matrix(axes)
 
     def _set_supports(self, world: int, setup: SceneSetup) -> None:
         boxes, table, target, (x, y, z, w) = support_boxes(setup)
@@ -238,7 +250,7 @@ class Group:
     def _set_box(self, world: int, geom: int, half: Array, centre: Array) -> None:
         fields = self.fields
         fields["geom_size"][world, geom] = fields["geom_aabb"][world, geom, 3:] = half
-        fields["geom_rbound"][world, geom] = np.linalg.norm(half)
+        fields["geom_rbound"][world, geom] = math.hypot(*half)
         fields["geom_pos"][world, geom] = centre
 
     # State ---------------------------------------------------------------------
@@ -248,34 +260,41 @@ class Group:
         for world, setup in zip(worlds, setups, strict=True):
             self.set(world, setup)
         self.batch.set_const(worlds)
-        self.batch.reset(worlds, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        at, ctrl = self.at, self.batch.bind("ctrl")
+        self.batch.state[worlds] = self._blank
+        at = self.at
         for world, setup in zip(worlds, setups, strict=True):
             self.qpos[world, at.joint] = joints_from_synergy(setup.synergy, setup.hand)
-            ctrl[world, : len(SERVOS)] = servo_from_synergy(setup.synergy, setup.hand)
             if at.object >= 0:
                 place, (x, y, z, w) = HAND_POSITION + setup.hand_rotation @ setup.position, setup.object_turn[0]
                 self.qpos[world, at.object : at.object + 7] = *place, w, x, y, z
         self.warned[worlds] = self.warnings[worlds]
 
     def advance(
-        self, worlds: Index | None, servo: Array, servo_vel: Array, wrist: Array
+        self, worlds: Index | None, servo: Array, servo_vel: Array, wrist: Array, push: Array | None
     ) -> tuple[int, str] | None:
-        """Step worlds, all of them if None, through tables of their servos and wrists; the first that failed, and why."""
+        """Step worlds, all of them if None, through tables of their servos, wrists and pushes; the first that failed, and why."""
         n, steps, _ = servo.shape
         control = np.empty((n, steps, self.model.nu))
         lead = self.lead if worlds is None else self.lead[worlds]
         control[..., : len(SERVOS)] = servo + lead[:, None] * servo_vel
         control[..., len(SERVOS) : -len(DIGITS)] = wrist[..., : len(self.at.wrist)]
         np.maximum(servo_vel[..., : len(DIGITS)], 0.0, out=control[..., -len(DIGITS) :])
+        told, pushed = mujoco.mjtState.mjSTATE_CTRL.value, push is not None and self.at.object >= 0
+        if pushed:
+            told |= mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+            forces = np.zeros((n, steps, self.model.nbody, 6))
+            forces[:, :, self.at.object_body, :3] = push
+            control = np.concatenate([control, forces.reshape(n, steps, -1)], axis=2)
         handler = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda text: None)  # without one MuJoCo writes a log file where the caller happens to be
         try:
-            self.batch.rollout(steps, control, record=(), ids=worlds)
+            self.batch.rollout(steps, control, told, record=(), ids=worlds)
         except SimulationError as error:
             return int(error.ids[0]), self.batch.error(int(error.ids[0]))
         finally:
             mujoco.set_mju_user_warning(handler)
+            if pushed:
+                self.batch.bind("xfrc_applied")[slice(None) if worlds is None else worlds] = 0.0
         # A simulation that MuJoCo warns about stops in silence.
         rose = self.warnings != self.warned
         if not rose.any():

@@ -6,15 +6,17 @@ friction, the hand's parameters) are fields that `mujoco.batch.Batch.expand` giv
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from xml.etree import ElementTree as Xml
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from hpac_gym.body.geometry import load_geometry
-from hpac_gym.body.object_models import ObjectModel, Solid, load_object_models
+from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
+from hpac_gym.body.object_models import ObjectModel, Solid, principal_inertia
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
@@ -23,18 +25,14 @@ from hpac_gym.physics.engine import (
     GREY,
     HAND_POSITION,
     PARTS,
-    POST_HALF_WIDTH,
+    POST,
     TABLE_HALF_EXTENTS,
-    TARGET_HALF_WIDTH,
     WOOD,
     SceneSetup,
-    matrix_from_quaternion,
 )
 from hpac_gym.physics.mjcf import hand_mjcf, mass_matrix, root_frames
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
-GEOMETRY = load_geometry()
-ROOTS = root_frames(GEOMETRY)
 SLOTS = 8
 """Number of contacts of one part of the hand whose forces are added up, the strongest first."""
 FORCE_SIZE = 4
@@ -49,6 +47,7 @@ KINDS = {
     "capsule": int(mujoco.mjtGeom.mjGEOM_CAPSULE),
     "cylinder": int(mujoco.mjtGeom.mjGEOM_CYLINDER),
     "box": int(mujoco.mjtGeom.mjGEOM_BOX),
+    "hull": int(mujoco.mjtGeom.mjGEOM_MESH),
 }
 
 
@@ -57,8 +56,11 @@ class Layout:
     """The parts of a scene; worlds with the same ones share a compiled model."""
 
     armature: tuple[float, float, float]
-    object: str | None
-    """None for the hand alone, "primitive" for any single solid along the object's axes, else the name of an object."""
+    object: ObjectModel | str | None
+    """None for the hand alone, "primitive" for any single solid along the object's axes, "solids" for any number of primitives,
+    an object that has hulls."""
+    solids: int = 1
+    """Number of the object's solids."""
     fixed: bool = False
     boxes: int = 0
     """Posts and walls of the support."""
@@ -70,71 +72,104 @@ class Layout:
         armature, spec = setup.hand_settings.armature, setup.object
         if spec is None:
             return cls(armature, None)
-        name = "primitive" if spec.model is None or is_straight(spec.model) else spec.model
-        boxes = 0 if setup.fixed else len(support_of(setup).boxes(1.0))
-        return cls(armature, name, setup.fixed, boxes, setup.target is not None and not setup.fixed)
+        kind: ObjectModel | str = "primitive"
+        if spec.model is not None and not is_straight(spec.model):
+            kind = spec.model if spec.model.has_hulls else "solids"
+        number = 1 if spec.model is None else len(spec.model.solids)
+        boxes = 0 if setup.fixed else _number_of_boxes(setup.support or POST)
+        return cls(armature, kind, number, setup.fixed, boxes, setup.target is not None and not setup.fixed)
 
 
 @cache
-def object_models() -> dict[str, ObjectModel]:
-    """Every named object."""
-    return load_object_models()
+def _number_of_boxes(support: Support) -> int:
+    return len(support.boxes(1.0))
 
 
 @cache
-def is_straight(name: str) -> bool:
-    """Whether a named object is one solid along the object's axes."""
-    model = object_models()[name]
-    return len(model.solids) == 1 and np.allclose(model.inertia, np.diag(np.diag(model.inertia)), atol=1e-12)
+def is_straight(model: ObjectModel) -> bool:
+    """Whether an object is one primitive along the object's axes."""
+    alone = len(model.solids) == 1 and not model.has_hulls
+    return alone and np.allclose(model.inertia, np.diag(np.diag(model.inertia)), atol=1e-12)
+
+
+@lru_cache(maxsize=64)
+def inertia_of_hand(geometry: Geometry, armature: tuple[float, float, float]) -> Array:
+    """Joint-space inertia of a hand of the nominal model at half stroke, shape (15, 15) [kg·m²]."""
+    return mass_matrix(geometry, armature, HPAC.synergy_max / 2)
+
+
+@lru_cache(maxsize=64)
+def roots_of(geometry: Geometry) -> tuple[Array, Array]:
+    """`root_frames` of a hand."""
+    return root_frames(geometry)
+
+
+@dataclass(frozen=True, slots=True)
+class Geoms:
+    """MuJoCo's numbers of those k solids of an object that are primitives; a hull's are compiled."""
+
+    index: NDArray[np.intp]
+    """Of each one among the object's solids, shape (k,)."""
+    kind: Array
+    """Shape (k,)."""
+    size: Array
+    """Shape (k, 3) [m]."""
+    place: Array
+    """Shape (k, 3) [m]."""
+    quaternion: Array
+    """wxyz, shape (k, 4)."""
+    half: Array
+    """Of the box around each one along its own axes, shape (k, 3) [m]."""
+    radius: Array
+    """Of the ball around each one, shape (k,) [m]."""
+
+
+@lru_cache(maxsize=1024)
+def geoms_of(shape: str, half_extents: tuple[float, float, float], model: ObjectModel | None, scale: float) -> Geoms:
+    """The solids of an object, by the fields of its `ObjectSpec`."""
+    if model is None:
+        x, y, z = (2 * side for side in half_extents)
+        solids: tuple[Solid, ...] = (Solid(shape, 1.0, (x, y, z), np.zeros(3), np.eye(3)),)
+    else:
+        solids = tuple(solid for solid in model.solids if solid.hull is None)
+    index = range(1) if model is None else [index for index, solid in enumerate(model.solids) if solid.hull is None]
+    half = np.array([[scale * side / 2 for side in solid.size] for solid in solids]).reshape(-1, 3)
+    return Geoms(
+        np.array(index, dtype=np.intp),
+        np.array([KINDS[solid.kind] for solid in solids]),
+        np.array([geom_size(solid, scale) for solid in solids]).reshape(-1, 3),
+        np.array([scale * solid.center for solid in solids]).reshape(-1, 3),
+        np.array([quaternion_from_matrix(solid.rotation) for solid in solids]).reshape(-1, 4),
+        half,
+        np.array([_reach(solid.kind, *sides) for solid, sides in zip(solids, half.tolist(), strict=True)]),
+    )
+
+
+def _reach(kind: str, x: float, y: float, z: float) -> float:
+    """Radius of the ball around a solid of these half sizes [m]."""
+    return {"sphere": x, "capsule": z, "cylinder": math.hypot(x, z), "box": math.hypot(x, y, z)}[kind]
 
 
 @cache
-def nominal_inertia(armature: tuple[float, float, float]) -> Array:
-    """Joint-space inertia of the hand at half stroke, shape (15, 15) [kg·m²]."""
-    return mass_matrix(GEOMETRY, armature, HPAC.synergy_max / 2)
+def _mass_of(model: ObjectModel) -> tuple[Array, Array]:
+    """Centre of mass and inertia about it."""
+    return model.center_of_mass, model.inertia
 
 
-def solids_of(spec: ObjectSpec) -> tuple[Solid, ...]:
-    """The solids of an object at scale 1."""
-    if spec.model is not None:
-        return object_models()[spec.model].solids
-    x, y, z = (2 * half for half in spec.half_extents)
-    return (Solid(spec.shape, spec.mass, (x, y, z), np.zeros(3), np.eye(3)),)
-
-
-def inertia_of(spec: ObjectSpec) -> tuple[Array, Array]:
-    """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²], in the object's axes."""
+@lru_cache(maxsize=64)
+def inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
+    """Centre of mass, shape (3,) [m], principal moments about it, shape (3,) [kg·m²], and their axes, quaternion wxyz."""
+    straight, centre = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     if spec.model is None:
-        return np.zeros(3), solids_of(spec)[0].inertia
-    model = object_models()[spec.model]
-    return spec.scale * model.center_of_mass, model.inertia * (spec.mass / model.mass * spec.scale**2)
-
-
-def support_of(setup: SceneSetup) -> Support:
-    """The support of a setup."""
-    return setup.support or Support((POST_HALF_WIDTH, POST_HALF_WIDTH))
-
-
-def support_boxes(setup: SceneSetup) -> tuple[list[tuple[Array, Array]], Array, tuple[Array, Array] | None, tuple[float, ...]]:
-    """Half extents and centres in the world of the posts and walls; the table's centre; the target's post; the posts' turn.
-
-    Returns:
-        Posts and walls, shapes (3,) and (3,) each [m]; centre of the table, shape (3,) [m]; half extents and centre of the
-        target's post or None [m]; quaternion xyzw of posts and walls.
-    """
-    centre = HAND_POSITION + setup.hand_rotation @ setup.position
-    reach = np.abs(matrix_from_quaternion(setup.object_quaternion)[2]) @ setup.object.half_extents
-    support = support_of(setup)
-    turn = setup.object_turn[1] if setup.support else (0.0, 0.0, 0.0, 1.0)
-    floor, turned = support.table_height, matrix_from_quaternion(turn)
-    below = np.array([centre[0], centre[1], floor])
-    boxes = [(np.array(half), below + turned @ place) for half, place in support.boxes(centre[2] - reach - floor)]
-    target = None
-    if setup.target is not None:
-        x, y, z = HAND_POSITION + setup.hand_rotation @ setup.target
-        half = (z - reach) / 2
-        target = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, half]), np.array([x, y, half])
-    return boxes, below - [0.0, 0.0, TABLE_HALF_EXTENTS[2]], target, turn
+        x, y, z = (2 * half for half in spec.half_extents)
+        return centre, np.array(principal_inertia(Solid(spec.shape, spec.mass, (x, y, z), centre, np.eye(3)))), straight
+    centre, inertia = _mass_of(spec.model)
+    inertia = inertia * (spec.mass / spec.model.mass * spec.scale**2)
+    if is_straight(spec.model):
+        return spec.scale * centre, np.diag(inertia), straight
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return spec.scale * centre, moments, quaternion_from_matrix(axes)
 
 
 def geom_size(solid: Solid, scale: float) -> Array:
@@ -150,10 +185,17 @@ def quaternion_from_matrix(rotation: Array) -> Array:
     return quaternion
 
 
-def build(layout: Layout, settings: WorldSettings, visuals: bool) -> mujoco.MjModel:
-    """Compile the model of a layout; poses and sizes that worlds set for themselves are placeholders."""
+def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geometry = HPAC_GEOMETRY) -> mujoco.MjModel:
+    """Compile the model of a layout; poses and sizes that worlds set for themselves are placeholders.
+
+    Args:
+        layout: the parts of the scene.
+        settings: of the world.
+        visuals: draw what does not collide.
+        geometry: of the hand's body, the one part of the model that is no placeholder.
+    """
     hand = replace(HandSettings(), armature=layout.armature)
-    root = Xml.fromstring(hand_mjcf(GEOMETRY, hand, on_wrist=layout.object is not None))
+    root = Xml.fromstring(hand_mjcf(geometry, hand, on_wrist=layout.object is not None))
     option, world, actuators = root.find("option"), root.find("worldbody"), root.find("actuator")
     option.attrib |= {"timestep": repr(settings.dt), "gravity": f"0 0 {-settings.gravity!r}"}
     # What a drive is told runs ahead of its servo, and so beyond the servo's range (see `Group.lead`).
@@ -169,7 +211,7 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool) -> mujoco.MjMo
     for slide in actuators.findall("position"):
         slide.attrib |= {"kp": repr(WRIST_STIFFNESS), "dampratio": "0", "forcelimited": "false"}
     if layout.object is not None:
-        _add_object(world, layout)
+        _add_object(root, world, layout)
         if not layout.fixed:
             _add_supports(world, layout)
         _add_sensors(Xml.SubElement(root, "sensor"), layout)
@@ -188,26 +230,22 @@ def _add_brakes(actuators: Xml.Element) -> None:
         )  # fmt: skip
 
 
-def _add_object(world: Xml.Element, layout: Layout) -> None:
+def _add_object(root: Xml.Element, world: Xml.Element, layout: Layout) -> None:
     item = Xml.SubElement(world, "body", name="object")
     if not layout.fixed:
         Xml.SubElement(item, "freejoint", name="object")
-    solids = [None] if layout.object == "primitive" else object_models()[layout.object].solids
-    if solids == [None]:
-        Xml.SubElement(item, "inertial", pos="0 0 0", mass="0.1", diaginertia="1e-4 1e-4 1e-4")
-    else:
-        center, inertia = object_models()[layout.object].center_of_mass, object_models()[layout.object].inertia
-        entries = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-        item.set("simple", "false")  # whatever its inertia is like: worlds give it their own axes
-        numbers = {"pos": _text(center), "mass": "0.1", "fullinertia": _text(entries)}
-        Xml.SubElement(item, "inertial", numbers)
+    if layout.object != "primitive":
+        item.set("simple", "false")  # worlds give it their own axes of inertia
+    Xml.SubElement(item, "inertial", pos="0 0 0", mass="0.1", diaginertia="1e-4 1e-4 1e-4")
+    solids = layout.object.solids if isinstance(layout.object, ObjectModel) else (None,) * layout.solids
     for index, solid in enumerate(solids):
         geom = Xml.SubElement(item, "geom", {"class": "body"}, name=f"object_{index}", priority="1")
-        if solid is None:
+        if solid is None or solid.hull is None:
             geom.attrib |= {"type": "box", "size": "0.03 0.03 0.03"}
         else:
-            size, quaternion = geom_size(solid, 1.0), quaternion_from_matrix(solid.rotation)
-            geom.attrib |= {"type": solid.kind, "size": _text(size), "pos": _text(solid.center), "quat": _text(quaternion)}
+            Xml.SubElement(root.find("asset"), "mesh", name=f"hull_{index}", vertex=_text(solid.hull.vertices.ravel()))
+            place = {"pos": _text(solid.center), "quat": _text(quaternion_from_matrix(solid.rotation))}
+            geom.attrib |= {"type": "mesh", "mesh": f"hull_{index}", **place}
 
 
 def _add_supports(world: Xml.Element, layout: Layout) -> None:
@@ -226,7 +264,7 @@ def _add_box(body: Xml.Element, name: str, color: tuple[float, ...], size: tuple
 
 def _add_sensors(sensor: Xml.Element, layout: Layout) -> None:
     for part in PARTS:
-        owner = {"body1": "palm"} if part == "palm" else {"subtree1": GEOMETRY.digit(part).phalanges[0].link}
+        owner = {"body1": "palm"} if part == "palm" else {"subtree1": HPAC_GEOMETRY.digit(part).phalanges[0].link}
         slots = {"num": str(SLOTS), "data": "found force", "reduce": "maxforce"}
         Xml.SubElement(sensor, "contact", {"name": part, **owner, "body2": "object", **slots})
     for name in ("support", "target") if layout.target else () if layout.fixed else ("support",):

@@ -35,6 +35,7 @@ class PyBulletEngine:
         self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
         self._setups: list[SceneSetup | None] = [None] * num_worlds
         self._time = np.zeros(num_worlds)
+        self._past: list[list[tuple[Array, ...]]] = [[] for _ in range(num_worlds)]  # what each world's episode was told to do
 
     def require(self, settings: HandSettings) -> None:
         """As `Engine.require`: inertia at the servos' hubs is not known."""
@@ -50,12 +51,14 @@ class PyBulletEngine:
             self.require(setup.hand_settings)
         for world, setup in zip(worlds, setups, strict=True):
             self.scenes[world].reset(setup)
-            self._setups[world], self._time[world] = setup, 0.0
+            self._setups[world], self._time[world], self._past[world] = setup, 0.0, []
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array) -> None:
+    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
         """As `Engine.advance`."""
-        for scene, *tables in zip(self.scenes, servo, servo_vel, wrist, strict=True):
+        pushes = [None] * self.num_worlds if push is None else push
+        for scene, past, *tables in zip(self.scenes, self._past, servo, servo_vel, wrist, pushes, strict=True):
             scene.advance(*tables)
+            past.append(tuple(tables))
         for _ in range(servo.shape[1]):
             self._time += self.dt
 
@@ -123,17 +126,22 @@ class PyBulletEngine:
         return np.reshape(np.asarray(pixels, dtype=np.uint8), (height, width, 4))[:, :, :3]
 
     def save(self, world: int) -> Any:
-        """As `Engine.save`."""
-        client = self.scenes[world].world.client
-        return pybullet.saveState(physicsClientId=client), self._time[world], self._setups[world]
+        """As `Engine.save`: what the world was told so far. PyBullet's own states do not keep all that a contact hangs on."""
+        return self._setups[world], self._time[world], list(self._past[world])
 
     def restore(self, world: int, snapshot: Any) -> None:
-        """As `Engine.restore`."""
-        saved, time, setup = snapshot
+        """As `Engine.restore`: the episode once more from its start, about a millisecond for each control step.
+
+        Raises:
+            PhysicsError: The world is in another episode than the snapshot.
+        """
+        setup, time, past = snapshot
         if setup is not self._setups[world]:
-            raise PhysicsError(f"world {world}: a snapshot can be restored in the episode that it was taken in alone")
-        self._time[world] = time
-        pybullet.restoreState(saved, physicsClientId=self.scenes[world].world.client)
+            raise PhysicsError(f"world {world}: a snapshot can be restored only in the episode that it was taken in")
+        self.scenes[world].reset(setup)
+        for tables in past:
+            self.scenes[world].advance(*tables)
+        self._time[world], self._past[world] = time, list(past)
 
     def close(self) -> None:
         """As `Engine.close`."""

@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import numpy as np
 import pybullet
 from numpy.typing import ArrayLike
 
-from hpac_gym.body.assets import asset_path
+from hpac_gym.body.geometry import Geometry
+from hpac_gym.body.urdf import WRIST_EFFORT, hand_urdf
 from hpac_gym.model import DIGITS, FINGERS, JOINTS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array, as_finite_array
-from hpac_gym.physics.engine import HAND_POSITION, MAX_JOINT_SPEED, WRIST_FORCE
+from hpac_gym.physics.engine import HAND_POSITION
+from hpac_gym.physics.mjcf import armature_of
 from hpac_gym.physics.pybullet.world import World, quiet_output
 from hpac_gym.physics.settings import HandSettings
 from hpac_gym.physics.tendons import Tendons
 
-HAND_ALONE, HAND_ON_WRIST = "hpac_hand.urdf", "hpac_hand_on_wrist.urdf"
 _SLIDES = ("wrist_x", "wrist_y", "wrist_z")
-_PLACE = {"mcp": 0, "mp": 0, "cmc": 0, "pip": 1, "ip": 1, "dip": 2}
-"""Of a joint in its digit, by what kind of joint it is."""
 _OTHER, _FINGER = 1, 64
 """Collision groups; 1 is Bullet's default, and 64 the first that it has no meaning for."""
+MAX_JOINT_SPEED = 20.0
+"""Of a digit that snaps free of another one [rad/s]."""
+_urdf = lru_cache(maxsize=64)(hand_urdf)
 _LOAD_FLAGS = (
     pybullet.URDF_USE_INERTIA_FROM_FILE
     | pybullet.URDF_USE_SELF_COLLISION
@@ -34,20 +40,30 @@ class SimHand:
         world: where it lives.
         hand: the model's parameters.
         settings: what the simulation adds.
-        urdf: `HAND_ALONE`, or `HAND_ON_WRIST` to have the palm hang on three slides.
+        geometry: of its body.
+        on_wrist: have the palm hang on three slides.
         orientation: of the hand's frame in the world, quaternion xyzw, shape (4,).
         visuals: load what only a camera sees.
     """
 
     def __init__(
-        self, world: World, hand: Hand, settings: HandSettings, urdf: str, orientation: ArrayLike, visuals: bool
+        self,
+        world: World,
+        hand: Hand,
+        settings: HandSettings,
+        geometry: Geometry,
+        on_wrist: bool,
+        orientation: ArrayLike,
+        visuals: bool,
     ) -> None:
         self.world, self._client = world, world.client
-        self.body = pybullet.loadURDF(
-            str(asset_path(urdf)), list(HAND_POSITION), list(orientation), useFixedBase=True,
-            flags=_LOAD_FLAGS if visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES,
-            physicsClientId=self._client,
-        )  # fmt: skip
+        flags = _LOAD_FLAGS if visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
+        with TemporaryDirectory() as folder:  # PyBullet loads no text
+            file = Path(folder, "hand.urdf")
+            file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
+            self.body = pybullet.loadURDF(
+                str(file), list(HAND_POSITION), list(orientation), useFixedBase=True, flags=flags, physicsClientId=self._client
+            )
         info = [pybullet.getJointInfo(self.body, i, self._client) for i in range(pybullet.getNumJoints(self.body, self._client))]
         self.link_index = {entry[12].decode(): entry[0] for entry in info}
         self.joint_index = {entry[1].decode(): entry[0] for entry in info}
@@ -58,7 +74,7 @@ class SimHand:
         self._slides = [self.joint_index[name] for name in _SLIDES if name in self.joint_index]
         self._rotation = np.reshape(pybullet.getMatrixFromQuaternion(list(orientation)), (3, 3))
         self._axes = self._rotation.T.tolist()
-        self._add_armature(settings.armature)
+        self._add_armature(settings)
         self.collide(True)
         self.configure(hand, settings)
 
@@ -77,17 +93,13 @@ class SimHand:
             )  # fmt: skip
         # Separate call: PyBullet silently ignores lateralFriction if maxJointVelocity is passed with it.
         pybullet.changeDynamics(self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client)
-        self.tendons = Tendons(hand, self.inertia(), self.world.settings.dt, settings.damping, settings.slack)
+        self.tendons = Tendons(hand, self.inertia(), self.world.settings.dt, settings.damping, settings.slack, settings.strength)
         self.tension = [0.0] * len(DIGITS)
 
-    def _add_armature(self, armatures: tuple[float, float, float]) -> None:
-        self.armature = armatures
+    def _add_armature(self, settings: HandSettings) -> None:
         for name, index in zip(JOINTS, self._joints, strict=True):
-            armature = armatures[_PLACE[name.split("_")[1]]]
-            inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2])
-            pybullet.changeDynamics(
-                self.body, index, localInertiaDiagonal=(inertia + armature).tolist(), physicsClientId=self._client
-            )
+            inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2]) + armature_of(name, settings)
+            pybullet.changeDynamics(self.body, index, localInertiaDiagonal=inertia.tolist(), physicsClientId=self._client)
 
     def collide(self, solid: bool) -> None:
         """Let the hand touch things, or pass through everything. Fingers never reach each other and are not checked for it."""
@@ -138,7 +150,7 @@ class SimHand:
     # Motion --------------------------------------------------------------------
 
     def move_wrist(self, offset: list[float]) -> None:
-        """Say where the palm shall be at the end of the next step; unless a force beyond `WRIST_FORCE` resists, it is.
+        """Say where the palm shall be at the end of the next step; unless a force beyond `WRIST_EFFORT` resists, it is.
 
         Args:
             offset: from the start, along the world's axes, 3 values [m].
@@ -153,7 +165,7 @@ class SimHand:
             pybullet.POSITION_CONTROL,
             targetPositions=[a * x + b * y + c * z for a, b, c in self._axes],
             targetVelocities=[0.0] * 3,
-            forces=[WRIST_FORCE] * 3,
+            forces=[WRIST_EFFORT] * 3,
             positionGains=[1.0] * 3,
             velocityGains=[1.0] * 3,
             physicsClientId=self._client,

@@ -6,7 +6,8 @@ import numpy as np
 import pybullet
 from numpy.typing import ArrayLike
 
-from hpac_gym.body.assets import asset_path
+from hpac_gym.body.object_models import ObjectModel
+from hpac_gym.body.object_urdf import object_urdf_file
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import OBJECT_COLORS
@@ -39,7 +40,7 @@ class SimObject:
         visuals: bool = True,
         fixed: bool = False,
     ) -> None:
-        self.spec, self._client = spec, world.client
+        self.spec, self._fixed, self._client = spec, fixed, world.client
         place = list(position), list(orientation)
         self.body = self._primitive(*place, visuals) if spec.model is None else self._model(spec.model, *place, visuals)
         pybullet.changeDynamics(
@@ -59,12 +60,12 @@ class SimObject:
             physicsClientId=self._client,
         )
 
-    def _model(self, name: str, position: list[float], orientation: list[float], visuals: bool) -> int:
+    def _model(self, model: ObjectModel, position: list[float], orientation: list[float], visuals: bool) -> int:
         # Without the second flag a cylinder becomes a hull of flat faces that stands 1 mm off the hand.
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
         spec = self.spec
         body = pybullet.loadURDF(
-            str(asset_path(f"objects/{name}.urdf")), position, orientation, globalScaling=spec.scale,
+            str(object_urdf_file(model)), position, orientation, globalScaling=spec.scale,
             flags=flags if visuals else flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=self._client,
         )  # fmt: skip
         mass, _, inertia, middle, turn, *_ = pybullet.getDynamicsInfo(body, -1, self._client)
@@ -84,6 +85,13 @@ class SimObject:
             pybullet.resetBaseVelocity(
                 self.body, angularVelocity=[kept * rate for rate in spin], physicsClientId=self._client
             )
+
+    def push(self, force: list[float]) -> None:
+        """Push at the centre of mass during the next physics step, along the world's axes [N]; what is fixed does not feel it."""
+        if self._fixed:
+            return
+        centre, _ = pybullet.getBasePositionAndOrientation(self.body, self._client)  # of mass, whatever the object's frame is
+        pybullet.applyExternalForce(self.body, -1, force, centre, pybullet.WORLD_FRAME, physicsClientId=self._client)
 
     def pose(self) -> tuple[Array, Array]:
         """Centre, shape (3,) [m], and orientation, quaternion xyzw, shape (4,), in the world."""

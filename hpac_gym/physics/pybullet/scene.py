@@ -5,20 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pybullet
 
-from hpac_gym.body.objects import Support
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import (
     GREEN,
     GREY,
     HAND_POSITION,
-    POST_HALF_WIDTH,
     SUPPORT_FRICTION,
     TABLE_HALF_EXTENTS,
-    TARGET_HALF_WIDTH,
     WOOD,
     SceneSetup,
+    support_boxes,
 )
-from hpac_gym.physics.pybullet.hand import HAND_ALONE, HAND_ON_WRIST, SimHand
+from hpac_gym.physics.pybullet.hand import SimHand
 from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
 from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
@@ -32,7 +30,7 @@ class Scene:
 
     Loading a hand takes a hundred times as long as restoring a snapshot, so the hand stays and becomes the next one. The
     snapshot is taken after a physics step, without which PyBullet does not replay to the bit. Every `_EPISODES`, and for
-    another armature, orientation or mounting, the hand is loaded all the same: PyBullet keeps some memory of every body and
+    another body, armature, orientation or mounting, the hand is loaded all the same: PyBullet keeps some memory of every body and
     shape that ever was, until the world is cleared.
 
     Attributes:
@@ -59,21 +57,21 @@ class Scene:
         if setup.object is None:
             return
         centre = HAND_POSITION + self.to_hand.T @ setup.position
-        orientation, turn = setup.object_turn
+        orientation, _ = setup.object_turn
         self.object = SimObject(self.world, setup.object, centre, orientation, self._visuals, setup.fixed)
         if not setup.fixed:
-            self._add_supports(setup, centre, turn)
+            self._add_supports(setup)
         self._added += [self.object.body, *self.supports]
 
     def _start_hand(self, setup: SceneSetup) -> None:
         """A hand at rest in an otherwise empty world."""
         hand, settings = setup.hand, setup.hand_settings
-        urdf = HAND_ALONE if setup.object is None else HAND_ON_WRIST
-        start = settings.armature, setup.hand_quaternion, urdf
+        on_wrist = setup.object is not None
+        start = settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
         if self.hand is None or self._start != start or self._episodes == _EPISODES:
             self.world.clear()
             self._added.clear()
-            self.hand = SimHand(self.world, hand, settings, urdf, setup.hand_quaternion, self._visuals)
+            self.hand = SimHand(self.world, hand, settings, setup.geometry, on_wrist, setup.hand_quaternion, self._visuals)
             self._start, self._episodes = start, 0
             self.world.step()
             self._snapshot = pybullet.saveState(physicsClientId=self.world.client)
@@ -92,34 +90,29 @@ class Scene:
         pybullet.performCollisionDetection(self.world.client)
         self.hand.collide(True)
 
-    def _add_supports(self, setup: SceneSetup, centre: Array, turn: tuple[float, float, float, float]) -> None:
-        reach = np.abs(_matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
-        support = setup.support or Support((POST_HALF_WIDTH, POST_HALF_WIDTH))
-        turn = turn if setup.support else (0.0, 0.0, 0.0, 1.0)
-        floor = support.table_height
-        below, turned = np.array([centre[0], centre[1], floor]), _matrix(turn)
-        boxes = [
-            self._fixed_box(half_extents, below + turned @ place, GREY, turn)
-            for half_extents, place in support.boxes(centre[2] - reach - floor)
-        ]
-        table = self._fixed_box(TABLE_HALF_EXTENTS, (centre[0], centre[1], floor - 0.01), WOOD)
-        self.supports = (*boxes, table)
-        if setup.target is not None:
-            x, y, z = HAND_POSITION + self.to_hand.T @ setup.target - [0.0, 0.0, reach]
-            self.target_post = self._fixed_box((TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2), (x, y, z / 2), GREEN)
+    def _add_supports(self, setup: SceneSetup) -> None:
+        boxes, table, target, turn = support_boxes(setup, _matrix)
+        posts = [self._fixed_box(half_extents, place, GREY, turn) for half_extents, place in boxes]
+        self.supports = (*posts, self._fixed_box(TABLE_HALF_EXTENTS, table, WOOD))
+        if target is not None:
+            self.target_post = self._fixed_box(*target, GREEN)
             self.supports = (*self.supports, self.target_post)
 
     def _fixed_box(self, half_extents, position, color, turn=(0.0, 0.0, 0.0, 1.0)) -> int:
         return add_fixed_box(self.world, half_extents, position, color if self._visuals else None, SUPPORT_FRICTION, turn)
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array) -> None:
-        """Carry out physics steps: a row of each table, shapes (k, 6) [rad], (k, 6) [rad/s] and (k, 3) [m], in each."""
+    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None) -> None:
+        """Carry out physics steps, with a row of each table in each step: shapes (k, 6) [rad], (k, 6) [rad/s], (k, 3) [m] and
+        (k, 3) [N], or None for no push."""
         dt = self.world.settings.dt
-        for angles, speeds, offset in zip(servo.tolist(), servo_vel.tolist(), wrist.tolist(), strict=True):
+        pushes = [None] * len(servo) if push is None else push.tolist()
+        for angles, speeds, offset, force in zip(servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True):
             self.hand.move_wrist(offset)
             self.hand.apply_tendons(angles, speeds)
             if self.object is not None:
                 self.object.lose_spin(dt)
+                if force is not None:
+                    self.object.push(force)
             self.world.step()
 
     def touches(self, body: int) -> bool:

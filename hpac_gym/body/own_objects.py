@@ -1,0 +1,236 @@
+"""An object of one's own: a mesh or URDF file, made into convex parts that both engines collide.
+
+The parts come from CoACD once, and are kept in a file beside the mesh, so that only the first call takes long.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+
+from hpac_gym.body.geometry import rotation_about, rotation_from_rpy
+from hpac_gym.body.object_models import Hull, ObjectModel, Solid, bounds_of
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+from hpac_gym.output import write_text
+
+MESHES = (".stl", ".obj", ".ply", ".off")
+MIN_SIDE, MAX_SIDE = 0.002, 0.4
+"""Of the box around an object [m]: less is lost in the contacts' softness, more is beyond what observations hold."""
+MAX_MASS, MAX_FRICTION = 5.0, 2.0
+"""[kg] and Coulomb coefficient."""
+MAX_SCALE = 1000.0
+COLOR = (0.45, 0.52, 0.62, 1.0)
+
+_DECOMPOSITION = {"threshold": 0.05, "max_convex_hull": 32, "decimate": True, "max_ch_vertex": 64, "seed": 0}
+_CONVEX = 0.99
+"""A mesh with more than this share of its hull's volume is one part."""
+_UP = {"z": np.eye(3), "y": rotation_about((1, 0, 0), math.pi / 2)}
+
+
+def own_object(
+    path: str | os.PathLike[str],
+    mass: float | None = None,
+    friction: float = 0.6,
+    scale: float = 1.0,
+    up: str = "z",
+    folder: str | os.PathLike[str] | None = None,
+) -> ObjectSpec:
+    """The object of a file, for ``gymnasium.make("HPAC-Grasp-v0", object=...)`` or a `SceneSetup`.
+
+    Args:
+        path: of a mesh (.stl, .obj, .ply, .off), closed, or of a URDF of links that no joint moves.
+        mass: all over [kg]; it is spread evenly over the volume. None is the sum of a URDF's masses.
+        friction: Coulomb coefficient of its surface, which the skin's multiplies.
+        scale: of the file's lengths to metres: 0.001 for a mesh in mm.
+        up: axis of the file that points up: "z" or "y".
+        folder: where the convex parts of meshes are kept, as ``{stem}.hulls.json``; None is beside each mesh.
+
+    Raises:
+        ParameterError: No such file, not a closed mesh, no volume, too small or too large, a mass, friction, scale or axis that
+            cannot be, or the packages of ``pip install 'hpac_gym[objects]'`` are missing.
+        OutputError: The parts cannot be written.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ParameterError(f"no object file '{path}'")
+    bounds = ("mass", mass, MAX_MASS, " kg"), ("friction", friction, MAX_FRICTION, ""), ("scale", scale, MAX_SCALE, "")
+    for name, value, most, unit in bounds:
+        if value is not None and not 0 < value <= most:
+            raise ParameterError(f"{name} {value:g}{unit} of '{path}' must be greater than 0 and at most {most:g}{unit}")
+    if up not in _UP:
+        raise ParameterError(f"up {up!r} is none of {', '.join(_UP)}")
+    if path.suffix.lower() == ".urdf":
+        solids, found = _of_urdf(path, scale, folder)
+        mass = found if mass is None else mass
+    elif path.suffix.lower() in MESHES:
+        solids = _of_mesh(path, np.full(3, scale), folder)
+    else:
+        raise ParameterError(f"'{path}' is none of {', '.join((*MESHES, '.urdf'))}")
+    if mass is None:
+        raise ParameterError(f"'{path}' says no mass: give one in kg")
+    return _spec(path, [_moved(solid, _UP[up], np.zeros(3)) for solid in solids], mass, friction)
+
+
+def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> ObjectSpec:
+    """The spec of solids whose masses are their volumes so far."""
+    low, high = bounds_of(solids)
+    size = high - low
+    if not (size.min() >= MIN_SIDE and size.max() <= MAX_SIDE):
+        sides = " x ".join(f"{side:.3g}" for side in size)
+        raise ParameterError(f"'{path}' is {sides} m: sides must be {MIN_SIDE} to {MAX_SIDE} m; scale=0.001 is for a file in mm")
+    density, middle = mass / sum(solid.mass for solid in solids), (low + high) / 2
+    parts = tuple(
+        Solid(solid.kind, density * solid.mass, solid.size, solid.center - middle, solid.rotation, hull=solid.hull)
+        for solid in solids
+    )
+    x, y, z = size.tolist()
+    model = ObjectModel(path.stem, f"own object {path.name}", (x, y, z), mass, "box", COLOR, parts)
+    return ObjectSpec("box", model.half_extents, mass, friction, model)
+
+
+def _moved(solid: Solid, rotation: Array, place: Array) -> Solid:
+    """A solid turned about the origin, and then moved."""
+    return Solid(
+        solid.kind, solid.mass, solid.size, rotation @ solid.center + place, rotation @ solid.rotation, hull=solid.hull
+    )  # fmt: skip
+
+
+# Meshes ------------------------------------------------------------------------
+
+
+def _of_mesh(path: Path, scale: Array, folder: str | os.PathLike[str] | None) -> list[Solid]:
+    """The convex parts of a mesh, each with its volume as its mass."""
+    kept = (path.parent if folder is None else Path(folder)) / f"{path.stem}.hulls.json"
+    made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": _DECOMPOSITION}
+    parts = _kept(kept, made_from)
+    if parts is None:
+        parts = _decomposed(path)
+        write_text(kept, json.dumps(made_from | {"parts": parts}))
+    return [_hull(np.array(corners) * scale, np.array(faces)) for corners, faces in parts]
+
+
+def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
+    """The parts in a file, if it was made from the same mesh in the same way."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    same = isinstance(found, dict) and all(found.get(key) == value for key, value in made_from.items())
+    return found["parts"] if same else None
+
+
+def _decomposed(path: Path) -> list:
+    """Corners and faces of the convex parts of a mesh, in the file's unit."""
+    try:
+        import coacd
+        import trimesh
+    except ImportError as error:
+        raise ParameterError(f"own_object needs the package {error.name}: pip install 'hpac_gym[objects]'") from None
+    try:
+        mesh = trimesh.load_mesh(path)
+    except Exception as error:  # whatever a broken file makes the reader raise
+        raise ParameterError(f"'{path}' cannot be read as a mesh: {next(iter(str(error).splitlines()), repr(error))}") from None
+    if not (isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all()):
+        raise ParameterError(f"'{path}' has no triangles with finite corners")
+    if np.ptp(mesh.vertices, axis=0).min() < 1e-9 * np.ptp(mesh.vertices, axis=0).max():
+        raise ParameterError(f"'{path}' is flat: it has no volume")
+    if not mesh.is_watertight:
+        raise ParameterError(f"'{path}' is not watertight: every edge must belong to two triangles; close its holes first")
+    if not mesh.is_volume:
+        mesh.fix_normals()
+    if not mesh.volume > 1e-9 * np.prod(mesh.extents):
+        raise ParameterError(f"'{path}' has no volume")
+    whole = mesh.convex_hull
+    parts = [whole]
+    if mesh.volume < _CONVEX * whole.volume:
+        coacd.set_log_level("error")
+        found = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **_DECOMPOSITION)
+        parts = [trimesh.convex.convex_hull(corners) for corners, _ in found]
+    return [(part.vertices.tolist(), part.faces.tolist()) for part in parts]
+
+
+def _hull(corners: Array, faces: Array) -> Solid:
+    volume, centre, _ = Hull(corners, faces).moments()
+    x, y, z = np.ptp(corners, axis=0).tolist()
+    return Solid("hull", volume, (x, y, z), centre, np.eye(3), hull=Hull(corners - centre, faces))
+
+
+# URDF --------------------------------------------------------------------------
+
+
+def _of_urdf(path: Path, scale: float, folder: str | os.PathLike[str] | None) -> tuple[list[Solid], float | None]:
+    """The collision shapes of a URDF, each with its volume as its mass, and the sum of the masses that it says."""
+    try:
+        robot = Xml.parse(path).getroot()
+        solids, mass = _of_links(path, robot, folder)
+    except ParameterError:
+        raise
+    except (Xml.ParseError, AttributeError, IndexError, TypeError, ValueError) as error:
+        raise ParameterError(f"'{path}' is not a URDF: {error}") from None
+    if not solids:
+        raise ParameterError(f"'{path}' has no collision shape")
+    return [_scaled(solid, scale) for solid in solids], mass or None
+
+
+def _of_links(path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | None) -> tuple[list[Solid], float]:
+    parents = {}
+    for joint in robot.findall("joint"):
+        if joint.get("type") != "fixed":
+            raise ParameterError(f"joint {joint.get('name')!r} of '{path}' is {joint.get('type')}: all joints must be fixed")
+        parents[joint.find("child").get("link")] = joint.find("parent").get("link"), *_origin(joint)
+    solids, mass = [], 0.0
+    for link in robot.findall("link"):
+        rotation, place, name = np.eye(3), np.zeros(3), link.get("name")
+        while name in parents:
+            name, turn, offset = parents[name]
+            rotation, place = turn @ rotation, turn @ place + offset
+        for shape in link.findall("collision"):
+            turn, offset = _origin(shape)
+            found = _of_geometry(path, shape.find("geometry")[0], folder)
+            solids += [_moved(solid, rotation @ turn, rotation @ offset + place) for solid in found]
+        mass += sum(float(entry.get("value")) for entry in link.findall("inertial/mass"))
+    return solids, mass
+
+
+def _origin(element: Xml.Element) -> tuple[Array, Array]:
+    """Rotation (3, 3) and place (3,) that an element's origin says."""
+    origin = element.find("origin")
+    xyz, rpy = ((0.0,) * 3 if origin is None else _numbers(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))
+    return rotation_from_rpy(rpy), np.array(xyz)
+
+
+def _of_geometry(path: Path, form: Xml.Element, folder: str | os.PathLike[str] | None) -> list[Solid]:
+    if form.tag == "mesh":
+        name = form.get("filename", "")
+        mesh = path.parent / name.removeprefix("file://")
+        if not mesh.is_file():
+            raise ParameterError(f"no mesh file '{mesh}', which '{path}' names")
+        return _of_mesh(mesh, np.array(_numbers(form.get("scale", "1 1 1"))), folder)
+    if form.tag == "box":
+        x, y, z = _numbers(form.get("size"))
+        return [Solid("box", x * y * z, (x, y, z), np.zeros(3), np.eye(3))]
+    if form.tag not in ("sphere", "cylinder", "capsule"):
+        raise ParameterError(f"'{path}' has a shape {form.tag!r}, which is none of box, cylinder, sphere, capsule, mesh")
+    radius, length = float(form.get("radius")), float(form.get("length", 0.0))
+    ball, tube, wide = 4 / 3 * math.pi * radius**3, math.pi * radius**2 * length, 2 * radius
+    whole, volume = {"sphere": (wide, ball), "cylinder": (length, tube), "capsule": (length + wide, ball + tube)}[form.tag]
+    return [Solid(form.tag, volume, (wide, wide, whole), np.zeros(3), np.eye(3))]
+
+
+def _scaled(solid: Solid, scale: float) -> Solid:
+    x, y, z = (scale * side for side in solid.size)
+    hull = None if solid.hull is None else Hull(scale * solid.hull.vertices, solid.hull.faces)
+    return Solid(solid.kind, scale**3 * solid.mass, (x, y, z), scale * solid.center, solid.rotation, hull=hull)
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(map(float, text.split()))

@@ -1,0 +1,117 @@
+"""The environments as Stable-Baselines3's `VecEnv`. Needs Stable-Baselines3: `pip install 'hpac_gym[train]'`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from hpac_gym.errors import ParameterError
+
+
+class HandVecEnv(VecEnv):
+    """n environments of an id for Stable-Baselines3: with `engine="mujoco"` one batch of arrays, without processes.
+
+    `env_id` and `options` are those of `gymnasium.make_vec`. An observation, a reward (float32) and a done are, to the bit,
+    what `DummyVecEnv` gives. The info of an environment whose episode ends is complete: with `terminal_observation`,
+    `TimeLimit.truncated` and all that its last step tells. The info of a running one has `TimeLimit.truncated` alone, since
+    a dictionary for each of them would cost more than the batch saves; `infos` has the rest.
+
+    Args:
+        env_id: such as "HPAC-Grasp-v0".
+        num_envs: n.
+        options: of the id; and `max_episode_steps`.
+
+    Attributes:
+        envs: Gymnasium's vector environment below, which begins a new episode in the step that ends one.
+        infos: what it told in the last step, as Gymnasium has it: arrays by name with their masks.
+
+    Raises:
+        ParameterError: What the id refuses.
+    """
+
+    def __init__(self, env_id: str, num_envs: int, **options: Any) -> None:
+        self.envs = gymnasium.make_vec(env_id, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+        self.infos: dict[str, Any] = {}
+        super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
+
+    def reset(self) -> Any:
+        """Start an episode in every environment, with the seeds and options that `seed` and `set_options` gave.
+
+        Raises:
+            ParameterError: The environments were given different options.
+        """
+        options = self._options[0]
+        if any(other != options for other in self._options):
+            raise ParameterError("set_options: all environments take the same options")
+        seen, self.infos = self.envs.reset(seed=self._seeds, options=options or None)
+        self.reset_infos = [_info(self.infos, world) for world in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return seen
+
+    def step_async(self, actions: NDArray) -> None:
+        """Take the actions of the next step, shape (n, 6)."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Carry out the step: observations, rewards, dones and infos."""
+        seen, rewards, terminated, truncated, self.infos = self.envs.step(self._actions)
+        done = terminated | truncated
+        infos: list[dict[str, Any]] = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        for world in np.flatnonzero(done).tolist():
+            infos[world] = _info(self.infos["final_info"], world)
+            infos[world]["TimeLimit.truncated"] = bool(truncated[world] and not terminated[world])
+            infos[world]["terminal_observation"] = self.infos["final_obs"][world]
+            told = {name: value for name, value in self.infos.items() if not name.endswith(("final_obs", "final_info"))}
+            self.reset_infos[world] = _info(told, world)
+        return seen, rewards.astype(np.float32), done, infos
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of some environments, by default of all, as `HandVectorEnv.get_attr` has it."""
+        return self._chosen(self.envs.get_attr(attr_name), indices)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set an attribute of some environments, by default of all, to one value, as `HandVectorEnv.set_attr` does."""
+        values = list(self.envs.get_attr(attr_name))
+        for world in self._get_indices(indices):
+            values[world] = value
+        self.envs.set_attr(attr_name, values)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """What a method gives in some environments, by default in all, as `HandVectorEnv.call` has it."""
+        return self._chosen(self.envs.call(method_name, *method_args, **method_kwargs), indices)
+
+    def _chosen(self, values: Sequence[Any], indices: Any) -> list[Any]:
+        return [values[world] for world in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None) -> list[bool]:
+        """Never: no wrapper is around a single environment."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """A picture of every environment, or None for each without a render mode."""
+        return self.envs.render() or [None] * self.num_envs
+
+    def close(self) -> None:
+        """Free the physics. Closing twice is no error."""
+        self.envs.close()
+
+
+def _info(infos: dict[str, Any], world: int) -> dict[str, Any]:
+    """The info of one environment, out of arrays with masks."""
+    found = {}
+    for name, values in infos.items():
+        mask = infos.get(f"_{name}")
+        if mask is None or not mask[world]:
+            continue
+        if isinstance(values, dict):
+            found[name] = _info(values, world)
+        else:
+            found[name] = values[world].item() if isinstance(values[world], np.generic) else values[world]
+    return found

@@ -1,0 +1,118 @@
+"""Blind closures of `HPAC-Grasp-v0`, the file of winning ones, and the scale that they give: from floor to ceiling.
+
+A closure is drawn before the object is seen, and looks at nothing. The floor is how often the first one drawn for a held-out
+seed holds the object; the ceiling is how often any of those tried does, which only luck or knowledge of the object finds.
+`python -m tools.closures` found them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from functools import lru_cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.model import SERVO_INDEX, SERVOS
+
+FILE = "grasp_closures.csv"
+COLUMNS = ("seed", "tries", *SERVOS, "steps", "lead")
+_THUMB, _CMC = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """All digits close at one speed, the thumb earlier or later than the fingers: a `hpac_gym.policies.Policy` of one step.
+
+    Attributes:
+        goal: the last action, shape (6,), −1…1; that of the CMC is held all the time.
+        steps: control steps from open to closed.
+        lead: control steps by which the thumb begins later than the fingers; earlier where it is negative.
+    """
+
+    goal: tuple[float, ...]
+    steps: float
+    lead: float
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Closure:
+        """One that takes every digit to a place between half open and closed, in 0.4 to 1.1 s."""
+        goal = rng.uniform(-0.2, 1.0, len(SERVOS))
+        goal[_CMC] = rng.uniform(-0.2, 0.9)
+        steps, lead = rng.uniform(8.0, 22.0), rng.uniform(-6.0, 6.0)
+        return cls(tuple(goal.round(3).tolist()), round(steps, 2), round(lead, 2))
+
+    def action(self, step: int) -> NDArray[np.float32]:
+        """The action of a control step, counted from 1, shape (6,)."""
+        begin, goal = np.zeros(len(SERVOS)), np.array(self.goal)
+        begin[_THUMB] = self.lead
+        action = -1.0 + np.clip((step - begin) / self.steps, 0.0, 1.0) * (goal + 1.0)
+        action[_CMC] = goal[_CMC]
+        return action.astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True)
+class Try:
+    """What was found for a held-out seed."""
+
+    seed: int
+    tries: int
+    """Closures tried, up to the first that won."""
+    closure: Closure | None
+    """The first that won; None if none did."""
+
+    def row(self) -> str:
+        """As a line of the file."""
+        values = () if self.closure is None else (*self.closure.goal, *astuple(self.closure)[1:])
+        return ",".join(map(str, (self.seed, self.tries, *(values or [""] * (len(COLUMNS) - 2)))))
+
+    @classmethod
+    def of_row(cls, row: str) -> Try:
+        """Of a line of the file.
+
+        Raises:
+            ValueError: It is not one.
+        """
+        seed, tries, *values = row.split(",")
+        if len(values) != len(COLUMNS) - 2:
+            raise ValueError(f"row '{row}' has {len(values) + 2} values, not {len(COLUMNS)}")
+        if not values[0]:
+            return cls(int(seed), int(tries), None)
+        *goal, steps, lead = map(float, values)
+        return cls(int(seed), int(tries), Closure(tuple(goal), steps, lead))
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Two success rates that a policy's is set between."""
+
+    floor: float
+    ceiling: float
+
+    def score(self, success: float) -> float:
+        """(success − floor) / (ceiling − floor): 0 at the floor, 1 at the ceiling."""
+        return (success - self.floor) / (self.ceiling - self.floor)
+
+
+def share_found(tries: Sequence[Try], within: int) -> float:
+    """Share of the seeds for which one of the first so many closures won."""
+    return float(np.mean([found.closure is not None and found.tries <= within for found in tries]))
+
+
+@lru_cache
+def winning_closures() -> tuple[Try, ...]:
+    """The committed file, one entry for each held-out seed."""
+    head, *rows = files("hpac_gym.evaluation").joinpath("data", FILE).read_text(encoding="utf-8").splitlines()
+    if head != ",".join(COLUMNS):
+        raise ValueError(f"{FILE} begins with '{head}', not with '{','.join(COLUMNS)}'")
+    return tuple(map(Try.of_row, rows))
+
+
+def scale_of(env_id: str) -> Scale | None:
+    """The scale of an id, with or without its module; None for one that has none."""
+    if env_id.rpartition(":")[2] != "HPAC-Grasp-v0":
+        return None
+    tries = winning_closures()
+    return Scale(share_found(tries, 1), share_found(tries, max(found.tries for found in tries)))

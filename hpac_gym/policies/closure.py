@@ -1,0 +1,103 @@
+"""Closures: ways to close the hand, told by eight numbers. One decision an episode instead of sixty.
+
+A closure takes every digit within one time from open to a goal, the thumb earlier or later than the fingers, while the CMC stands
+where it is told. It needs numpy alone, so that a host with a real hand runs one without a simulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpac_gym.model import SERVO_INDEX, SERVOS
+from hpac_gym.policies.errors import PolicyError
+
+OPEN = -1.0
+"""Action of an open digit."""
+_THUMB, _CMC = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
+_NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Closures:
+    """Ranges of the numbers of a closure; −1…1 of a decision spans each of them. Times are in control steps.
+
+    Raises:
+        PolicyError: A range that is not a pair of ordered, finite numbers.
+    """
+
+    goal: Range = (-0.4, 1.0)
+    """Action of the thumb and of each finger at the end of the closing, and of the CMC all the time."""
+    duration: Range = (6.0, 22.0)
+    """From open to the goals."""
+    thumb_delay: Range = (-8.0, 8.0)
+    """How much later than the fingers the thumb begins."""
+    begin: Range | None = None
+    """When the closing begins; None is at once."""
+    release: Range | None = None
+    """When the hand opens again; None is never. With `begin`, or not at all."""
+
+    def __post_init__(self) -> None:
+        if (self.begin is None) != (self.release is None):
+            raise PolicyError(f"a closure has both begin {self.begin} and release {self.release}, or neither")
+        for entry in fields(self):
+            given = getattr(self, entry.name)
+            if given is None:
+                continue
+            if not (len(given) == 2 and np.all(np.isfinite(given)) and given[0] <= given[1]):
+                raise PolicyError(f"closure range {entry.name} = {given} must be two ordered numbers")
+            object.__setattr__(self, entry.name, (float(given[0]), float(given[1])))
+
+    @classmethod
+    def of(cls, ranges: Mapping[str, Sequence[float] | None]) -> Closures:
+        """The closures that a policy file describes.
+
+        Raises:
+            PolicyError: A name that there is not, or a bad range.
+        """
+        unknown = set(ranges) - {entry.name for entry in fields(cls)}
+        if unknown:
+            raise PolicyError(f"a closure has no {', '.join(sorted(unknown))}")
+        try:
+            return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in ranges.items()})
+        except (TypeError, ValueError) as error:
+            raise PolicyError(f"the closure's ranges are none: {error}") from None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the numbers, in order."""
+        return (*_NAMES, "begin", "release") if self.begin is not None else _NAMES
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Lowest and highest value of each number, shape (2, len(names))."""
+        ranges = [self.goal] * len(SERVOS) + [self.duration, self.thumb_delay]
+        ranges += [self.begin, self.release] if self.begin is not None else []
+        return np.array(ranges).T
+
+    def actions(self, decisions: ArrayLike, steps: ArrayLike) -> NDArray[np.float64]:
+        """Actions of n closures.
+
+        Args:
+            decisions: shape (n, len(names)), −1…1.
+            steps: control steps since each decision, shape (n,).
+
+        Returns:
+            Shape (n, 6), −1…1.
+        """
+        low, high = self.bounds
+        values = low + (np.asarray(decisions, dtype=float) + 1) / 2 * (high - low)
+        goals, (duration, thumb_delay) = values[:, :6], values[:, 6:8].T
+        begin, release = values[:, 8:].T if self.begin is not None else (0.0, np.inf)
+        time = np.asarray(steps, dtype=float)
+        delay = np.repeat(np.maximum(-thumb_delay, 0.0)[:, None], len(SERVOS), axis=1)
+        delay[:, _THUMB] = np.maximum(thumb_delay, 0.0)
+        share = np.clip(((time + 1 - begin)[:, None] - delay) / duration[:, None], 0.0, 1.0)
+        actions = OPEN + share * (time <= release)[:, None] * (goals - OPEN)
+        actions[:, _CMC] = goals[:, _CMC]
+        return actions

@@ -1,0 +1,208 @@
+"""`hpac export`: a policy file as ONNX with a card, in the layout that Hugging Face's hub expects.
+
+The folder gets ``model.onnx`` (the scaling of the observation is inside), ``card.json`` (what it takes and gives, and where it
+comes from) and ``README.md`` (the same for people, with the hub's header).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hpac_gym.output import replacing, writable_folder, write_text
+from hpac_gym.policies.closure import Closures
+from hpac_gym.policies.errors import PolicyError
+from hpac_gym.policies.made_for import difference, made_for
+from hpac_gym.policies.policy import LearnedPolicy
+from hpac_gym.policies.policy_file import PolicyFile, read_policy
+
+OPSET, IR_VERSION = 17, 8
+"""Of ONNX: old enough for every runtime of the last years."""
+CARD = "card.json"
+MODEL = "model.onnx"
+
+
+def onnx_model(policy: PolicyFile) -> Any:
+    """The actor as an `onnx.ModelProto`: `observation`, float32 (n, k), to `decision`, float32 (n, m).
+
+    All is computed in double precision, as `Actor` does.
+    """
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    actor = policy.actor
+    observed, decided = actor.sizes
+    arrays = {
+        "mean": actor.observation_mean.astype(np.float64),
+        "scale": actor.observation_scale.astype(np.float64),
+        "low": np.float64(-actor.observation_clip),
+        "high": np.float64(actor.observation_clip),
+        "mean_low": np.float64(-actor.mean_clip),
+        "mean_high": np.float64(actor.mean_clip),
+    }
+    nodes = [
+        helper.make_node("Cast", ["observation"], ["exact"], to=TensorProto.DOUBLE),
+        helper.make_node("Sub", ["exact", "mean"], ["centred"]),
+        helper.make_node("Div", ["centred", "scale"], ["scaled"]),
+        helper.make_node("Clip", ["scaled", "low", "high"], ["value_0"]),
+    ]
+    for place, (weight, bias) in enumerate(actor.layers):
+        # The file keeps single precision, and is half as large.
+        arrays |= {f"single_weight_{place}": weight.T.copy(), f"single_bias_{place}": bias}
+        for name in (f"weight_{place}", f"bias_{place}"):
+            nodes.append(helper.make_node("Cast", [f"single_{name}"], [name], to=TensorProto.DOUBLE))
+        out = f"sum_{place}"
+        nodes.append(helper.make_node("Gemm", [f"value_{place}", f"weight_{place}", f"bias_{place}"], [out]))
+        if place + 1 < len(actor.layers):
+            nodes.append(helper.make_node("Relu", [out], [f"value_{place + 1}"]))
+    nodes.append(helper.make_node("Clip", [f"sum_{len(actor.layers) - 1}", "mean_low", "mean_high"], ["bounded"]))
+    nodes.append(helper.make_node("Tanh", ["bounded"], ["exact_decision"]))
+    nodes.append(helper.make_node("Cast", ["exact_decision"], ["decision"], to=TensorProto.FLOAT))
+    graph = helper.make_graph(
+        nodes,
+        "policy",
+        [helper.make_tensor_value_info("observation", TensorProto.FLOAT, ["n", observed])],
+        [helper.make_tensor_value_info("decision", TensorProto.FLOAT, ["n", decided])],
+        [numpy_helper.from_array(np.asarray(array), name) for name, array in arrays.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="hpac_gym")
+    model.ir_version = IR_VERSION
+    onnx.checker.check_model(model)
+    return model
+
+
+def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[str, Any]:
+    """What the exported policy takes and gives, and where it comes from; `evaluation` is what `agents.evaluate` wrote."""
+    about, closures = policy.about, policy.closures
+    fits = about.get("made_for", {})
+    names = ("name", "label", "unit", "low", "high")
+    decision: dict[str, Any] = {"control_steps": policy.action_repeat, "numbers": fits.get("action", []), "closure": None}
+    if closures is not None:
+        low, high = closures.bounds.tolist()
+        numbers = [{"name": name, "low": a, "high": b} for name, a, b in zip(closures.names, low, high, strict=True)]
+        decision = {"control_steps": "the whole episode", "numbers": numbers, "closure": about["closure"]}
+    return {
+        "env_id": about["env_id"],
+        "observation": [dict(zip(names, entry, strict=True)) for entry in fits.get("observation", [])],
+        "decision": decision,
+        "action": fits.get("action", []),
+        "control_hz": fits.get("control_hz"),
+        "hand_sha256": fits.get("hand_sha256"),
+        "task_sha256": fits.get("task_sha256"),
+        "weights_sha256": about.get("sha256"),
+        "training": {name: about[name] for name in ("algorithm", "settings", "episodes", "seconds") if name in about},
+        "versions": about.get("versions", {}),
+        "evaluation": evaluation,
+    }
+
+
+def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
+    """An exported policy, for an environment.
+
+    Raises:
+        PolicyError: A file of it is missing or damaged, or it was made for another layout, rate or hand.
+    """
+    import onnxruntime
+
+    try:
+        told = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        session = onnxruntime.InferenceSession((folder / MODEL).read_bytes(), options, providers=["CPUExecutionProvider"])
+        decision = told["decision"]
+        made = told | {"observation": [list(entry.values()) for entry in told["observation"]]}
+        closures = None if decision["closure"] is None else Closures.of(decision["closure"])
+    except Exception as error:  # whatever a damaged file makes its reader raise
+        raise PolicyError(f"'{folder}' is no exported policy: {str(error).splitlines()[0]}") from None
+    if (differs := difference(made, made_for(env))) is not None:
+        raise PolicyError(f"exported policy '{folder}' does not fit {env.spec.id}: {differs}")
+
+    def decide(observation: np.ndarray) -> np.ndarray:
+        return session.run(None, {"observation": np.asarray(observation, np.float32)[None]})[0][0]
+
+    return LearnedPolicy(decide, 1 if closures else decision["control_steps"], closures)
+
+
+def export(path: Path, out: Path, evaluation: Path | None = None) -> list[Path]:
+    """Export a policy file into a folder; returns the files.
+
+    Args:
+        path: of the policy file.
+        out: the folder.
+        evaluation: what `agents.evaluate --out` wrote for it, which the card repeats.
+
+    Raises:
+        PolicyError: No policy file, or no evaluation.
+        OutputError: The folder cannot be written.
+    """
+    policy = read_policy(path)
+    judged = None
+    if evaluation is not None:
+        try:
+            judged = json.loads(evaluation.read_text(encoding="utf-8"))
+            judged["policies"], judged["first_seed"], judged["last_seed"]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise PolicyError(f"'{evaluation}' is no result of agents.evaluate: {error!r}") from None
+    told = card(policy, judged)
+    writable_folder(out)
+    with replacing(out / MODEL) as temporary:
+        temporary.write_bytes(onnx_model(policy).SerializeToString())
+    write_text(out / CARD, json.dumps(told, indent=2) + "\n")
+    write_text(out / "README.md", _page(told))
+    return [out / name for name in (MODEL, CARD, "README.md")]
+
+
+def _page(told: dict[str, Any]) -> str:
+    """The model card of the hub: a header in YAML, then text."""
+    env_id = told["env_id"].rpartition(":")[2]
+    lines = [
+        "---", "library_name: hpac_gym", "pipeline_tag: reinforcement-learning",
+        "tags:", "- reinforcement-learning", "- robotics", "- onnx", f"- {env_id}",
+        "license: mit", "---", "", f"# A policy for {env_id}", "",
+        f"`{MODEL}` maps `observation`, float32 (n, {len(told['observation'])}), to `decision`, −1…1; the scaling is inside.",
+        f"`{CARD}` has all of this page, exactly.", "",
+    ]  # fmt: skip
+    if told["decision"]["closure"]:
+        lines += [
+            "One decision an episode, on its first observation: the numbers of a closure, each spanning its range.",
+            f"`hpac_gym.policies.Closures` makes the actions of every step of it, {told['control_hz']} a second.", "",
+            "| number | −1 | 1 |", "| --- | --- | --- |",
+            *(f"| {entry['name']} | {entry['low']:g} | {entry['high']:g} |" for entry in told["decision"]["numbers"]), "",
+        ]  # fmt: skip
+    lines += ["| # | observation | | unit | low | high |", "| --- | --- | --- | --- | --- | --- |"]
+    for place, entry in enumerate(told["observation"]):
+        cells = place, entry["name"], entry["label"], entry["unit"], f"{entry['low']:g}", f"{entry['high']:g}"
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    lines += ["", f"Actions, in order: {', '.join(told['action'])}; −1 open, 1 closed.", ""]
+    if told["evaluation"]:
+        judged = told["evaluation"]
+        lines += [f"Held-out seeds {judged['first_seed']} to {judged['last_seed']}, options {judged.get('options', {})}:", "",
+                  "| policy | episodes | success | 95 % interval |", "| --- | --- | --- | --- |"]  # fmt: skip
+        for name, numbers in judged["policies"].items():
+            low, high = numbers["interval_95"]
+            rate = numbers["success_rate"]
+            lines.append(f"| {name} | {numbers['episodes']} | {100 * rate:.1f} % | {100 * low:.1f} … {100 * high:.1f} |")
+        lines.append("")
+    hashes = [f"{name} `{told[name]}`" for name in ("weights_sha256", "hand_sha256", "task_sha256") if told[name]]
+    return "\n".join([*lines, *(f"* {text}" for text in hashes), ""])
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """`hpac export`."""
+    parser.add_argument("policy", type=Path, help="a policy file")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the exported policy")
+    parser.add_argument("--evaluation", type=Path, help="what agents.evaluate --out wrote for it")
+    parser.set_defaults(run=_export)
+
+
+def _export(options: argparse.Namespace) -> int:
+    import onnx  # noqa: F401  before anything is written
+
+    for path in export(options.policy, options.out, options.evaluation):
+        print(path)
+    return 0

@@ -1,0 +1,330 @@
+"""HPAC-GraspAny-v0: any object in any of its stable poses. What is not seen makes feedback worth having."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.body.hands import hand_set
+from hpac_gym.body.object_sets import SPLITS, RestingPose, object_set
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, SERVO_INDEX, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import PARTS, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.settings import GRAVITY
+from hpac_gym.tasks import placing
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.config import check_bounds
+from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.phases import Timetable, phase_at, wrist_table
+from hpac_gym.tasks.senses import LOAD_TERMS, Senses
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.terms import (
+    AXES,
+    COMMAND_TERMS,
+    GRASP_CENTRE,
+    LENGTH_UNIT,
+    OBJECT_TERMS,
+    PRIVILEGED_TERMS,
+    Moment,
+    RewardTerm,
+    Term,
+    column,
+    progress_terms,
+)
+
+PHASES = ("close", "lift", "shake", "sides", "ramp")
+CLOSE, LIFT, SHAKE, SIDES, RAMP = range(len(PHASES))
+WRISTS = ("script", "free")
+HANDS = ("nominal", "train", "test")
+WRIST_ACTIONS = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
+WRIST_REACH = np.array([0.03, 0.03, 0.03, 0.5])
+"""Of a wrist action of 1: along the world's axes [m], and about the vertical [rad]."""
+SIDE_DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+"""Where gravity seems to point, one after the other, in the world."""
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True)
+class GraspAnyWeights:
+    """What the terms of the dense reward weigh."""
+
+    thumb: float = 0.5
+    finger: float = 0.25
+    opposed: float = 1.0
+    push: float = -1.0
+    carry: float = 0.1
+    effort: float = -0.01
+    success: float = 10.0
+    force: float = 5.0
+    failure: float = -5.0
+
+
+@dataclass(frozen=True, slots=True)
+class GraspAnyConfig:
+    """The ranges that an episode is drawn from, uniformly, how it is judged, and what the reward weighs."""
+
+    width: tuple[float, float] = setting(
+        (0.005, 0.080), "smaller horizontal side of an object in a pose that the hand is asked to grip [m]",
+        bounds=(0.0, 1.0),
+    )
+    flattest: float = setting(0.018, "least height of an object in such a pose [m]", bounds=(0.0, 1.0))
+    gap: tuple[float, float] = setting(
+        (0.003, 0.012), "from the palm to an object beside it; a hand above one is a quarter of it higher than it might be [m]",
+        bounds=(0.0, 0.1),
+    )  # fmt: skip
+    place_error: tuple[float, float] = setting(
+        (-0.012, 0.012), "of the wrist, along both horizontal axes, and of a hand beside an object upwards [m]",
+        bounds=(-0.1, 0.1),
+    )  # fmt: skip
+    yaw_error: tuple[float, float] = setting((-0.2, 0.2), "of the wrist about the vertical [rad]", bounds=(-np.pi, np.pi))
+    mass: tuple[float, float] = setting((0.7, 1.3), "factor of the object's mass", bounds=(0.1, 10.0))
+    friction: tuple[float, float] = setting((0.8, 1.2), "factor of the friction of the object's surface", bounds=(0.1, 5.0))
+    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]", bounds=(0.0, 1.57))
+    reach: float = setting(
+        0.15, "an object whose centre is farther than this from `GRASP_CENTRE` is out of reach [m]", bounds=(0.01, 1.0)
+    )
+    side_time: float = setting(0.2, "how long gravity seems to come from each side [s]", bounds=(0.05, 10.0))
+    ramp_time: float = setting(1.5, "how long the force grows [s]", bounds=(0.05, 10.0))
+    ramp_force: float = setting(40.0, "that it reaches in the end [N]", bounds=(0.0, 1e3))
+    timetable: Timetable = field(default_factory=lambda: Timetable(close_time=3.0, clearance=Timetable().lift_height))
+    """Of closing, lift and shake; the hand stays up afterwards."""
+    weights: GraspAnyWeights = field(default_factory=GraspAnyWeights)
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "config")
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """When each of `PHASES` ends [s]."""
+        sides = self.timetable.ends[SHAKE] + len(SIDE_DIRECTIONS) * self.side_time
+        return (*self.timetable.ends[:SIDES], sides, sides + self.ramp_time)
+
+
+class GraspAny(Task):
+    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
+
+    Args:
+        objects: the split that objects are drawn from.
+        wrist: "script" keeps the wrist where the sampler puts it; "free" lets an episode's first action move it.
+        hands: "nominal" is the hand that an episode is drawn for; otherwise one of that set of hands, which nobody is told.
+        config: the ranges, and what is paid.
+
+    Raises:
+        ParameterError: There is no such split, wrist or set of hands.
+    """
+
+    phases = PHASES
+    viewpoint = Viewpoint(yaw_deg=120.0)
+    goal_terms: tuple[Term, ...] = ()
+
+    def __init__(
+        self,
+        objects: str = "train",
+        wrist: str = "script",
+        hands: str = "nominal",
+        config: GraspAnyConfig = GraspAnyConfig(),
+    ) -> None:
+        for name, given, known in (("objects", objects, SPLITS), ("wrist", wrist, WRISTS), ("hands", hands, HANDS)):
+            if given not in known:
+                raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
+        self._hands = () if hands == "nominal" else hand_set(hands)
+        self.config = config
+        poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in object_set(objects))
+        self.objects = tuple(replace(entry, poses=kept) for entry, kept in poses if kept)
+        self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
+        self.duration = config.ends[-1]
+        seen = Term("object_seen", ("seen",), "0/1", 0.0, 1.0, "whether the camera sees the object now; if not, the fields above "
+                    "are what it saw last", lambda now: column(now.seen["visible"]))  # fmt: skip
+        self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, seen, *progress_terms(PHASES, self.duration))
+        self.privileged_terms = (*PRIVILEGED_TERMS, *self._hidden_terms())
+        self.sensed_terms = {"load": LOAD_TERMS, "points": ()}
+        self.reward_terms = self._rewards()
+
+    def _asked(self, pose: RestingPose) -> bool:
+        """Whether the hand is asked to grip an object in a pose."""
+        narrowest, widest = self.config.width
+        return narrowest <= pose.width <= widest and pose.size[2] >= self.config.flattest
+
+    def _hidden_terms(self) -> tuple[Term, ...]:
+        def centre_of_mass(setup: SceneSetup) -> Array:
+            model = setup.object.model
+            return np.zeros(3) if model is None else setup.object.scale * model.center_of_mass / LENGTH_UNIT
+
+        return (
+            Term("centre_of_mass", AXES, "0.05 m", -4.0, 4.0, "of the object, from its centre along its own axes", centre_of_mass,
+                 fixed=True),
+            Term("pull", AXES, "1", -1.0, 1.0, "direction in the world of the force that grows in the end",
+                 lambda setup: DOWN if setup.pull is None else setup.pull, fixed=True),
+        )  # fmt: skip
+
+    def _rewards(self) -> tuple[RewardTerm, ...]:
+        weights, config = self.config.weights, self.config
+        return (
+            RewardTerm(
+                "contact",
+                f"while closing, what the touch of the object gained in this step: it is worth {weights.thumb:g} for the thumb, "
+                f"{weights.finger:g} for each finger, {weights.opposed:g} when they oppose each other",
+                lambda now: np.where(now.phase == CLOSE, self._gained, 0.0),
+            ),
+            RewardTerm(
+                "push",
+                f"while closing: {weights.push:g} · growth of the object's distance from where it stood, as a share of `reach`",
+                lambda now: np.where(now.phase == CLOSE, weights.push * self._pushed, 0.0),
+            ),
+            RewardTerm(
+                "carry",
+                f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support",
+                lambda now: np.where(now.phase == CLOSE, 0.0, weights.carry * now.grip.firmness),
+            ),
+            RewardTerm(
+                "force",
+                f"{weights.force:g} · holding force / {config.ramp_force:g} N, once, at the end of an episode that is won",
+                self._paid_force,
+            ),
+            effort_term(weights),
+            outcome_term(weights),
+        )
+
+    def _paid_force(self, now: Moment) -> Array:
+        share = self.holding_force / self.config.ramp_force
+        return np.where(now.outcome == SUCCESS, self.config.weights.force * share, 0.0)
+
+    # Episodes ------------------------------------------------------------------------------------------------------
+
+    def prepare(self, num_worlds: int, noise: CameraNoise) -> Senses:
+        """Get ready for n worlds; returns what they sense."""
+        self.grip = Grip(num_worlds)
+        self._mass, self._pull = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 3))
+        self._place, self._pushed, self._distance = np.zeros((num_worlds, 3)), np.zeros(num_worlds), np.zeros(num_worlds)
+        self._touch, self._gained = np.zeros(num_worlds), np.zeros(num_worlds)
+        self._phase = np.zeros(num_worlds, dtype=int)
+        self._grasped = np.zeros((num_worlds, 3, 3))
+        self._names = np.full(num_worlds, "", dtype=object)
+        self.holding_force, self.turn = np.zeros(num_worlds), np.zeros(num_worlds)
+        self.sides = np.zeros(num_worlds, dtype=int)
+        return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET)
+
+    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
+        """Draw one episode: the object and its pose, its mass and friction, the wrist with its errors, and the pull."""
+        config = self.config
+        entry = self.objects[rng.integers(len(self.objects))]
+        pose, model = entry.poses[rng.integers(len(entry.poses))], entry.model
+        mass, friction = rng.uniform(*config.mass) * model.mass, rng.uniform(*config.friction) * entry.friction
+        spec = ObjectSpec(model.shape, model.half_extents, mass, friction, model)
+        synergy = np.zeros(len(SERVO_INDEX))
+        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
+        turn = placing.best_turn(pose.size) + np.pi * rng.integers(2)
+        pull = rng.standard_normal(3)
+        setup = SceneSetup(
+            spec, yaw=turn, synergy=synergy, hand=hand, object_quaternion=pose.quaternion, rest_height=pose.height,
+            hand_quaternion=placing.SIDE if placing.from_side(entry.stand, pose.size) else placing.ABOVE,
+            pull=pull / np.linalg.norm(pull),
+        )  # fmt: skip
+        error = rng.uniform(*config.place_error, 3) * [1.0, 1.0, setup.hand_quaternion == placing.SIDE]
+        setup = placing.moved(placing.placed(setup, rng.uniform(*config.gap), entry.stand), error, rng.uniform(*config.yaw_error))
+        if not self._hands:
+            return setup
+        variant = self._hands[rng.integers(len(self._hands))]
+        return replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=variant.over(setup.hand_settings))
+
+    def chosen(self, setup: SceneSetup, choice: Array) -> SceneSetup:
+        """The setup with the wrist where an episode's first action puts it, a choice of shape (4,), −1…1."""
+        way = WRIST_REACH * choice
+        return placing.moved(setup, way[:3], float(way[3])) if way.any() else setup
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Begin to judge episodes in some worlds."""
+        index = np.asarray(worlds)
+        self._mass[index, 0] = [setup.object.mass for setup in setups]
+        self._pull[index] = [DOWN if setup.pull is None else setup.pull for setup in setups]
+        self._place[index] = [setup.position for setup in setups]
+        self._names[index] = [spec.model.name if spec.model else spec.shape for spec in (setup.object for setup in setups)]
+        for values in (self._pushed, self._distance, self._touch, self._gained, self.holding_force, self.turn):
+            values[index] = 0.0
+        self._phase[index] = self.sides[index] = 0
+        self.grip.start(index)
+
+    def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
+        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]."""
+        return wrist_table(self.config.timetable, times)
+
+    def phase(self, time: Array) -> NDArray[np.int_]:
+        """Index into `PHASES` of the phase that runs, or begins, at times [s], shape (n,)."""
+        return phase_at(time, self.config.ends)
+
+    def push(self, times: Array) -> Array | None:
+        """Force on the object at times of each world, shape (n, k) [s]: shape (n, k, 3) [N]; None while there is none."""
+        begin, middle = self.config.ends[SHAKE], self.config.ends[SIDES]
+        if times.max() <= begin:
+            return None
+        side = np.clip((times - begin) / self.config.side_time - 1e-9, 0, len(SIDE_DIRECTIONS) - 1).astype(int)
+        weight = (self._mass * GRAVITY)[:, :, None] * (SIDE_DIRECTIONS[side] - DOWN)
+        pull = self._ramp(times)[:, :, None] * self._pull[:, None]
+        return np.where(times[:, :, None] > middle, pull, np.where(times[:, :, None] > begin, weight, 0.0))
+
+    def _ramp(self, time: Array) -> Array:
+        """The force that grows in the end, at times [s] [N]."""
+        share = (time - self.config.ends[SIDES]) / self.config.ramp_time
+        return self.config.ramp_force * np.minimum(np.maximum(share, 0.0), 1.0)
+
+    def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
+        """Advance by one control step and judge the episodes.
+
+        One fails as soon as the object is out of reach while the hand closes, or once it is lifted and, until the end of the
+        shake, the hand does not hold it (`Grip`). One that holds it through the shake succeeds, and ends when the object slips or
+        when the force has grown to its end. Knocking an object over is no failure.
+        """
+        config, grip, ran = self.config, self.grip, self._phase
+        grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
+        self._phase = phase_at(state.time + dt / 2, (*config.ends[:-1], np.inf))  # of the step that comes
+        begins = self._phase != ran
+        grip.settle(begins & (self._phase == SHAKE))
+        held = grip.holds
+        grip.settle(begins & (self._phase > SHAKE))
+        closing, judged = self._phase == CLOSE, ran <= SHAKE
+        self._watch_closing(state)
+        self._grasped[closing] = state.object_rotation[closing]
+        cosine = (np.einsum("nij,nij->n", self._grasped, state.object_rotation) - 1) / 2
+        self.turn = np.where(judged, np.arccos(np.clip(cosine, -1.0, 1.0)), self.turn)
+        beyond = np.linalg.norm(state.object_pos - GRASP_CENTRE, axis=1) > config.reach
+        failed = np.where(closing, beyond, judged & (self._phase >= SHAKE) & ~held)
+        side = np.round((state.time - config.ends[SHAKE]) / config.side_time, 6)
+        self.sides += (ran == SIDES) & held & (side == np.floor(side))
+        self.holding_force = np.where((ran == RAMP) & held, self._ramp(state.time), self.holding_force)
+        over = ~judged & (~held | (state.time >= self.duration - dt / 2))
+        return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
+
+    def _watch_closing(self, state: SceneState) -> None:
+        """What the last step gained in touch, and how much farther the object is from where it stood, as a share of `reach`."""
+        weights, thumb, fingers = self.config.weights, state.touching[:, _THUMB], state.touching[:, _FINGERS].sum(axis=1)
+        touch = weights.thumb * thumb + weights.finger * fingers + weights.opposed * (thumb & (fingers > 0))
+        self._gained, self._touch = touch - self._touch, touch
+        distance = np.minimum(np.linalg.norm(state.object_pos - self._place, axis=1) / self.config.reach, 1.0)
+        self._pushed, self._distance = distance - self._distance, distance
+
+    # What is told --------------------------------------------------------------------------------------------------
+
+    def sparse_reward(self, now: Moment) -> Array:
+        """1 on success, 0 otherwise, shape (n,)."""
+        return (now.outcome == SUCCESS).astype(float)
+
+    def report(self, now: Moment) -> dict[str, Any]:
+        """What `info` says of a step."""
+        return scene_report(self, now) | {
+            "holding_force": np.where(now.outcome == FAILURE, 0.0, self.holding_force),
+            "sides": self.sides.copy(),
+            "turn": self.turn.copy(),
+            "object": self._names.copy(),
+        }
+
+
+CAMERA_TARGET = np.array([0.03, 0.0, 0.10])
+"""What the camera looks at, in the hand frame [m]."""
+_THUMB = PARTS.index("thumb")
+_FINGERS = [PARTS.index(name) for name in PARTS[2:]]

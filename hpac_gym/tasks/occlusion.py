@@ -1,0 +1,207 @@
+"""What a camera sees of an object: points of its surface, unless they face away or the hand covers them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.body.geometry import HPAC_GEOMETRY, Box, Capsule, Geometry, rotation_from_rpy
+from hpac_gym.body.object_models import Solid
+from hpac_gym.model import JOINTS
+from hpac_gym.model.checks import Array
+
+SKIN = 0.9
+"""Share of a capsule's radius that covers: a point under a touching finger's edge is still seen."""
+
+
+class Skeleton:
+    """The capsules that each of n hands consists of: three links for each digit, then those of the palm.
+
+    Args:
+        num_worlds: n. All hands are nominal ones at first.
+
+    Attributes:
+        radius: of the capsules, shape (n, m) [m].
+    """
+
+    def __init__(self, num_worlds: int) -> None:
+        digits = HPAC_GEOMETRY.digits
+        self._joints = np.array([[JOINTS.index(phalanx.joint) for phalanx in digit.phalanges] for digit in digits])
+        roots = [digit.phalanges[0] for digit in digits]
+        self._base = np.array([root.origin for root in roots])
+        self._rest = np.array([rotation_from_rpy(root.rpy) for root in roots])
+        axes = np.array([root.axis for root in roots])
+        self._cross = np.cross(axes[:, None], np.eye(3)).swapaxes(1, 2)
+        self._square = self._cross @ self._cross
+        palm = [part for solid in HPAC_GEOMETRY.palm_solids for part in _capsules(solid)]
+        self._palm = np.array([part.start for part in palm]), np.array([part.end for part in palm])
+        self._length, self._end = np.zeros((num_worlds, len(digits), 3)), np.zeros((num_worlds, len(digits), 3))
+        self.radius = np.zeros((num_worlds, 3 * len(digits) + len(palm)))
+        self.radius[:, 3 * len(digits) :] = [part.radius for part in palm]
+        for world in range(num_worlds):
+            self.fit(world, HPAC_GEOMETRY)
+
+    def fit(self, world: int, geometry: Geometry) -> None:
+        """Give one hand the links of a body, whose palm and joints are the nominal ones."""
+        links = [phalanx for digit in geometry.digits for phalanx in digit.phalanges]
+        self._length[world].flat = [link.length for link in links]
+        self._end[world].flat = [link.capsule.end[2] for link in links]
+        self.radius[world, : len(links)] = [link.capsule.radius for link in links]
+
+    def segments(self, joint_pos: Array, worlds: NDArray[np.int_]) -> tuple[Array, Array]:
+        """Ends of the capsules' axes of some hands in the hand frame.
+
+        Args:
+            joint_pos: shape (k, 15) [rad].
+            worlds: which hands, shape (k,).
+
+        Returns:
+            Shapes (k, m, 3) [m].
+        """
+        n, angles = len(joint_pos), joint_pos[:, self._joints]
+        sine, cosine = np.sin(angles[:, :, :1, None]), np.cos(angles[:, :, :1, None])
+        root = self._rest @ (np.eye(3) + sine * self._cross + (1 - cosine) * self._square)
+        bend = np.cumsum(np.concatenate([np.zeros((n, len(self._base), 1)), angles[:, :, 1:]], axis=2), axis=2)
+        # The other two joints turn about the root link's y axis, so the digit stays in its plane.
+        along = np.sin(bend)[..., None] * root[:, :, None, :, 0] + np.cos(bend)[..., None] * root[:, :, None, :, 2]
+        links = np.cumsum(self._length[worlds][..., None] * along, axis=2)
+        start = self._base[:, None] + np.concatenate([np.zeros_like(links[:, :, :1]), links[:, :, :-1]], axis=2)
+        end = start + self._end[worlds][..., None] * along
+        palm = (np.broadcast_to(part, (n, *part.shape)) for part in self._palm)
+        pairs = zip((start, end), palm, strict=True)
+        first, second = (np.concatenate([digits.reshape(n, -1, 3), part], axis=1) for digits, part in pairs)
+        return first, second
+
+
+def _capsules(solid: Box | Capsule) -> list[Capsule]:
+    """A capsule as it is, and a flat box as a row of capsules along its z axis."""
+    if isinstance(solid, Capsule):
+        return [solid]
+    (x, y, z), (thick, wide, tall), radius = solid.center, solid.size, solid.size[0] / 2
+    across = np.linspace(y - wide / 2 + radius, y + wide / 2 - radius, int(np.ceil(wide / thick)) + 1).tolist()
+    half = tall / 2 - radius
+    return [Capsule((x, place, z - half), (x, place, z + half), radius) for place in across]
+
+
+def covered(eye: Array, points: Array, first: Array, second: Array, radius: Array) -> NDArray[np.bool_]:
+    """Whether a capsule stands between an eye and points.
+
+    The nearest distance of two segments, from the eye to a point and along a capsule, as in Ericson's Real-Time Collision
+    Detection (2005), section 5.1.9.
+
+    Args:
+        eye: of each world, shape (n, 3) [m].
+        points: shape (n, p, 3) [m].
+        first: ends of the capsules' axes, shape (n, m, 3) [m].
+        second: the other ends, shape (n, m, 3) [m].
+        radius: of the capsules, shape (n, m) [m].
+
+    Returns:
+        shape (n, p).
+    """
+    ray, bone, way = points - eye[:, None], second - first, eye[:, None] - first
+    a = np.einsum("npi,npi->np", ray, ray)[:, :, None]
+    e = np.einsum("nmi,nmi->nm", bone, bone)[:, None]
+    f = np.einsum("nmi,nmi->nm", bone, way)[:, None]
+    b, c = ray @ bone.swapaxes(1, 2), ray @ way.swapaxes(1, 2)
+    along = _share((b * f - c * e) / np.maximum(a * e - b * b, 1e-18))
+    across = _share((b * along + f) / e)
+    along = _share((b * across - c) / a)
+    square = np.einsum("nmi,nmi->nm", way, way)[:, None]
+    distance = square + along * (along * a + 2 * (c - across * b)) + across * (across * e - 2 * f)
+    return (distance < (SKIN * radius[:, None]) ** 2).any(axis=2)
+
+
+def _share(value: Array) -> Array:
+    return np.minimum(np.maximum(value, 0.0), 1.0)
+
+
+def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Array]:
+    """Points of an object's surface, spread evenly at random, and their outward normals, shapes (count, 3) [m].
+
+    The name seeds the draw, so that an object always has the same points. Those inside another solid are left out.
+
+    Args:
+        name: of the object.
+        solids: that it is made of.
+        count: number of points.
+    """
+    rng = np.random.default_rng(crc32(name.encode()))
+    points, normals = np.zeros((0, 3)), np.zeros((0, 3))
+    areas = np.array([_area(solid) for solid in solids])
+    while len(points) < count:
+        chosen = rng.choice(len(solids), 2 * count, p=areas / areas.sum())
+        drawn = [_on_surface(solids[index], rng) for index in chosen]
+        place, normal = np.array([place for place, _ in drawn]), np.array([normal for _, normal in drawn])
+        inside = np.any([_inside(solid, place) & (chosen != index) for index, solid in enumerate(solids)], axis=0)
+        points, normals = np.concatenate([points, place[~inside]]), np.concatenate([normals, normal[~inside]])
+    return points[:count], normals[:count]
+
+
+def _area(solid: Solid) -> float:
+    x, y, z = solid.size
+    if solid.kind == "box":
+        return 2 * (x * y + y * z + z * x)
+    if solid.kind == "hull":
+        return float(_triangles(solid)[2].sum())
+    if solid.kind == "cylinder":
+        return np.pi * x * (z + x / 2)
+    return np.pi * x * z  # of a sphere too, whose length is its width; a capsule's round ends make one
+
+
+def _triangles(solid: Solid) -> tuple[Array, Array, Array]:
+    """Corners of a hull's faces, shape (m, 3, 3) [m], their outward normals, and their areas [m²]."""
+    corners = solid.hull.vertices[solid.hull.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    double = np.linalg.norm(across, axis=1, keepdims=True)
+    return corners, across / double, double[:, 0] / 2
+
+
+def _on_surface(solid: Solid, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A point of a solid's surface and its normal, in the object's axes."""
+    half = np.array(solid.size) / 2
+    if solid.kind == "box":
+        faces = np.array([half[1] * half[2], half[0] * half[2], half[0] * half[1]])
+        axis, place, normal = rng.choice(3, p=faces / faces.sum()), rng.uniform(-half, half), np.zeros(3)
+        normal[axis] = rng.choice([-1.0, 1.0])
+        place[axis] = normal[axis] * half[axis]
+    elif solid.kind == "hull":
+        corners, normals, areas = _triangles(solid)
+        face = rng.choice(len(areas), p=areas / areas.sum())
+        place, normal = rng.dirichlet(np.ones(3)) @ corners[face], normals[face]
+    elif solid.kind == "cylinder":
+        angle, radius = rng.uniform(0, 2 * np.pi), half[0]
+        out = np.array([np.cos(angle), np.sin(angle), 0.0])
+        if rng.random() < radius / (radius + 2 * half[2]):
+            normal = np.array([0.0, 0.0, rng.choice([-1.0, 1.0])])
+            place = radius * np.sqrt(rng.random()) * out + half[2] * normal
+        else:
+            place, normal = radius * out + [0.0, 0.0, rng.uniform(-half[2], half[2])], out
+    else:
+        normal = rng.standard_normal(3)
+        normal /= np.linalg.norm(normal)
+        place, middle = half[0] * normal, half[2] - half[0]
+        if rng.random() < middle / half[2]:
+            normal = np.array([*normal[:2], 0.0]) / np.hypot(*normal[:2])
+            place = half[0] * normal + [0.0, 0.0, rng.uniform(-middle, middle)]
+        else:
+            place[2] += np.copysign(middle, normal[2])
+    return solid.center + solid.rotation @ place, solid.rotation @ normal
+
+
+def _inside(solid: Solid, points: Array) -> NDArray[np.bool_]:
+    """Whether points of the object, shape (p, 3), are inside a solid."""
+    own, half = (points - solid.center) @ solid.rotation, np.array(solid.size) / 2
+    if solid.kind == "box":
+        return (np.abs(own) < half).all(axis=1)
+    if solid.kind == "hull":
+        corners, normals, _ = _triangles(solid)
+        return (own @ normals.T < (corners[:, 0] * normals).sum(axis=1)).all(axis=1)
+    if solid.kind == "cylinder":
+        return (np.hypot(own[:, 0], own[:, 1]) < half[0]) & (np.abs(own[:, 2]) < half[2])
+    middle = half[2] - half[0]
+    own[:, 2] -= np.clip(own[:, 2], -middle, middle)
+    return np.linalg.norm(own, axis=1) < half[0]

@@ -1,0 +1,166 @@
+"""What a hand with a camera and cheap servos can tell: an object that its digits cover is lost, and servos feel their load."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.body.object_models import ObjectModel, Solid
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.model import DIGITS, SERVOS
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
+from hpac_gym.tasks.occlusion import Skeleton, covered, surface
+from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Term
+
+POINTS = 64
+"""Of an object's surface that an observation of points has room for."""
+_SPREAD = 160
+"""Points all around an object; less than half of them face the camera."""
+_PROBED = 48
+"""Of these, how many tell whether the object is seen at all."""
+SEEN_SHARE = 0.7
+"""The object is seen while the camera sees this share of the points that face it; chosen: a tracker needs most of the outline."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServoSenses:
+    """What a cheap servo tells of itself.
+
+    The nearest servo to this hand's with a published data sheet is the DYNAMIXEL XL-320 (see `physics.settings.BODIES`). Its
+    manual gives the stall torque, a position of 10 bits over 300° and a present load; it says nothing of the load's noise.
+    """
+
+    stall_torque: float = 0.39
+    """XL-320's manual: at 7.4 V [N·m]."""
+    horn_step: float = np.deg2rad(300.0) / 1023
+    """Resolution of the horn's angle; XL-320's manual: 1023 steps over 300° [rad]."""
+    load_step: float = 1 / 128
+    """Resolution of a load, as a share of the stall torque; chosen: 8 bits with a sign, as of a shunt on a small converter."""
+    load_noise: float = 0.02
+    """Standard deviation of a load, every reading, as a share of the stall torque; chosen."""
+    load_bias: float = 0.03
+    """Standard deviation of a servo's error, once an episode, as a share of the stall torque; chosen: friction of its gears."""
+    period: int = 2
+    """Control steps from one reading to the next; chosen: six servos are asked in turn on one wire, 10 readings a second."""
+
+
+LOAD_TERMS = (
+    Term("load", SERVOS[:-1], "1", -1.0, 1.0, "load of the servo that pulls the digit's tendon, as a share of its stall torque",
+         lambda now: now.seen["load"]),
+    Term("horn_lag", SERVOS, "0.1 rad", -5.0, 5.0, "commanded servo angle less the horn's as the servo tells it",
+         lambda now: (now.servo - now.seen["horn"]) / 0.1),
+)  # fmt: skip
+"""What `obs="load"` adds. The servo of the CMC, which pulls no tendon, has no load in the simulation."""
+
+
+class Senses:
+    """The object as `ObjectCamera` sees it, while the digits do not cover it; and the servos' load, for n worlds.
+
+    Args:
+        num_worlds: n.
+        noise: of the camera.
+        view: where the camera is; it follows the wrist.
+        centre: what it looks at, in the hand frame, shape (3,) [m].
+        servos: what the servos tell.
+    """
+
+    def __init__(
+        self, num_worlds: int, noise: CameraNoise, view: Viewpoint, centre: Array, servos: ServoSenses = ServoSenses()
+    ) -> None:
+        self._camera = ObjectCamera(num_worlds, noise)
+        self._view, self._centre, self._servos = view, centre, servos
+        self._skeleton = Skeleton(num_worlds)
+        self._surfaces: dict[ObjectModel, tuple[Array, Array]] = {}
+        self._eye = np.zeros((num_worlds, 3))
+        self._points, self._normals = np.zeros((num_worlds, _SPREAD, 3)), np.zeros((num_worlds, _SPREAD, 3))
+        self._radius = np.zeros((num_worlds, len(DIGITS)))
+        self._rng: list[np.random.Generator | None] = [None] * num_worlds
+        self._bias = np.zeros((num_worlds, len(DIGITS)))
+        self._count = np.zeros(num_worlds, dtype=int)
+        sizes = {"position": 3, "up": 3, "side": 3, "half_extents": 3, "load": len(DIGITS), "horn": len(SERVOS)}
+        self._seen = {name: np.zeros((num_worlds, size)) for name, size in sizes.items()} | {"visible": np.zeros(num_worlds)}
+
+    def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
+        """Begin an episode: of a setup, with `factor` times the noise, from a generator of its own."""
+        camera_rng, self._rng[world] = rng.spawn(2)
+        self._camera.start(world, setup, factor, camera_rng)
+        self._skeleton.fit(world, setup.geometry)
+        self._points[world], self._normals[world] = self._surface(setup.object)
+        self._eye[world] = self._centre + setup.hand_rotation.T @ eye_offset(self._view)
+        self._radius[world] = setup.hand.servo_radius[: len(DIGITS)]
+        self._bias[world] = self._servos.load_bias * factor * self._rng[world].standard_normal(len(DIGITS))
+        self._count[world] = 0
+
+    def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
+        if spec.model is None:
+            width, depth, height = (2 * half for half in spec.half_extents)
+            return surface(spec.shape, [Solid(spec.shape, 1.0, (width, depth, height), np.zeros(3), np.eye(3))], _SPREAD)
+        if spec.model not in self._surfaces:
+            self._surfaces[spec.model] = surface(spec.model.name, spec.model.solids, _SPREAD)
+        points, normals = self._surfaces[spec.model]
+        return spec.scale * points, normals
+
+    def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
+        """A new look at some worlds, and the last one at the others.
+
+        Returns:
+            What `ObjectCamera.look` gives, at the last time that the object was seen; `visible` (n,), 1 where that is now; the
+            servos' `load` (n, 5), as a share of the stall torque, and their `horn` angles (n, 6) [rad], at the last reading.
+        """
+        rows = np.fromiter(worlds, int)
+        seen = self._camera.look(state, rows)
+        first, visible = self._count[rows] == 0, self._share(state, rows) >= SEEN_SHARE
+        self._seen["visible"][rows] = visible
+        taken = rows[visible | first]  # at first the hand is not there yet
+        for name in ("position", "up", "side", "half_extents"):
+            self._seen[name][taken] = seen[name][taken]
+        self._read_servos(state, rows[self._count[rows] % self._servos.period == 0])
+        self._count[rows] += 1
+        return {name: values.copy() for name, values in self._seen.items()}
+
+    def _read_servos(self, state: SceneState, rows: NDArray[np.int_]) -> None:
+        servos = self._servos
+        noise = np.array([self._rng[row].standard_normal(len(DIGITS)) for row in rows]).reshape(-1, len(DIGITS))
+        load = state.tension[rows] * self._radius[rows] / servos.stall_torque + self._bias[rows] + servos.load_noise * noise
+        self._seen["load"][rows] = np.round(load / servos.load_step) * servos.load_step
+        self._seen["horn"][rows] = np.round(state.horn[rows] / servos.horn_step) * servos.horn_step
+
+    def _share(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
+        """Share of the points that face the camera which it sees, shape (len(rows),)."""
+        facing, clear, _ = self._sight(state, rows, _PROBED)
+        return (facing & clear).sum(axis=1) / np.maximum(facing.sum(axis=1), 1)
+
+    def _sight(self, state: SceneState, rows: NDArray, count: int) -> tuple[NDArray, NDArray, Array]:
+        """Which points face the camera, which are not covered, and where they are in the hand frame."""
+        rotation = state.object_rotation[rows].swapaxes(1, 2)
+        points = self._points[rows, :count] @ rotation + state.object_pos[rows, None]
+        normals, eye = self._normals[rows, :count] @ rotation, self._eye[rows]
+        facing = np.einsum("npi,npi->np", normals, eye[:, None] - points) > 0
+        bones = self._skeleton.segments(state.joint_pos[rows], rows)
+        return facing, ~covered(eye, points, *bones, self._skeleton.radius[rows]), points
+
+    def points(self, state: SceneState) -> NDArray[np.float32]:
+        """The points that the camera sees, as `POINTS_MEANING` says, shape (n, POINTS, 4)."""
+        facing, clear, points = self._sight(state, np.arange(len(self._eye)), _SPREAD)
+        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][:, None]  # the camera's error is one for all
+        seen, found = facing & clear, np.zeros((len(points), POINTS, 4), np.float32)
+        order = np.argsort(~seen, axis=1, kind="stable")[:, :POINTS]
+        mask = np.take_along_axis(seen, order, axis=1)
+        places = np.take_along_axis(points, order[:, :, None], axis=1) + shift[:, None] - GRASP_CENTRE
+        found[..., :3], found[..., 3] = places / LENGTH_UNIT * mask[:, :, None], mask
+        return np.clip(found, -POINTS_BOUND, POINTS_BOUND)
+
+
+POINTS_BOUND = 10.0
+"""Of a point's coordinates, in multiples of `LENGTH_UNIT`."""
+
+
+def eye_offset(view: Viewpoint) -> Array:
+    """From what a viewpoint looks at to the camera, along the world's axes, shape (3,) [m]."""
+    yaw, pitch = np.deg2rad(view.yaw_deg), np.deg2rad(view.pitch_deg)
+    return view.distance * np.array([np.sin(yaw) * np.cos(pitch), -np.cos(yaw) * np.cos(pitch), -np.sin(pitch)])

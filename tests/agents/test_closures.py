@@ -1,0 +1,80 @@
+"""The learner of closures, on a task without physics: a closure holds if its numbers lie where the observation says."""
+
+import copy
+
+import numpy as np
+import pytest
+
+from agents.closures import Learner
+from agents.errors import RunError
+from agents.recipes import RECIPES, with_settings
+
+SEEN = 6
+HIDDEN = 8
+"""What only the critics see: which trials fail whatever is done."""
+SMALL = {"hidden": "32,32", "batch_size": "128", "random_episodes": "600", "episodes": "1800", "updates_per_episode": "0.3",
+         "learning_rate": "5e-3", "dropout": "0"}  # fmt: skip
+
+
+def survived(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
+    """Phases that trials get through: one for each of two numbers near to what is seen, none where luck is against it."""
+    near = np.abs(decisions[:, :2] - 0.6 * seen[:, :2]) < 0.5
+    return np.where(seen[:, SEEN] > 0.6, 0, near[:, 0] + (near[:, 0] & near[:, 1]).astype(int))
+
+
+def learned(meaning, seed: int = 0) -> tuple[Learner, np.ndarray]:
+    """A learner after its trials, and how often its policy then succeeds on observations that it has not met."""
+    recipe = with_settings(RECIPES["grasp"], {**SMALL, "seed": str(seed)})
+    learner, rng = Learner(recipe, observed=SEEN + HIDDEN, deployed=SEEN, phases=2), np.random.default_rng(seed)
+    while learner.trials.count < recipe.episodes:
+        seen = rng.uniform(-1, 1, (50, SEEN + HIDDEN)).astype(np.float32)
+        decisions = learner.decide(seen)
+        learner.trials.add(seen, decisions, meaning(seen, decisions))
+        learner.learn(learner.trials.count / recipe.episodes)
+    seen = rng.uniform(-1, 1, (500, SEEN + HIDDEN)).astype(np.float32)
+    policy = learner.policy()
+    decided = np.array([policy(row[:SEEN]) for row in seen])
+    return learner, survived(seen, decided) == 2
+
+
+@pytest.fixture(scope="module")
+def taught():
+    return learned(survived)
+
+
+def test_it_learns_what_holds_from_trials_alone(taught):
+    """Blind luck is 10 % and the best possible 80 %."""
+    rng = np.random.default_rng(5)
+    seen = rng.uniform(-1, 1, (500, SEEN + HIDDEN))
+    assert np.mean(survived(seen, rng.uniform(-1, 1, (500, 8))) == 2) < 0.25
+    assert taught[1].mean() > 0.65
+
+
+def test_it_learns_nothing_where_there_is_nothing_to_learn():
+    """The control: outcomes of the same frequency that hang on nothing."""
+    noise = np.random.default_rng(3)
+    _, held = learned(lambda seen, decisions: noise.permutation(survived(seen, decisions)))
+    assert held.mean() < 0.4
+
+
+def test_the_critics_see_what_the_actor_does_not(taught):
+    learner = taught[0]
+    seen = np.zeros((2, SEEN + HIDDEN), np.float32)
+    seen[1, SEEN] = 0.95  # luck against it
+    decisions = np.zeros((2, 8), np.float32)
+    lucky, lost = learner.predicted(seen, decisions)
+    assert lucky > lost + 0.3
+    policy = learner.policy()
+    assert policy.sizes == (SEEN, 8)
+
+
+def test_its_spread_narrows_to_the_entropy_that_it_aims_at(taught):
+    assert taught[0].entropy == pytest.approx(RECIPES["grasp"].entropy_last, abs=0.5)
+
+
+def test_a_training_that_diverges_ends_in_one_line(taught):
+    learner = copy.deepcopy(taught[0])
+    learner.actor.mean.bias.data.fill_(float("nan"))
+    learner.updates -= 1
+    with pytest.raises(RunError, match="diverged before trial 1800: its last checkpoint is kept"):
+        learner.learn(1.0)

@@ -1,0 +1,142 @@
+"""The object sets: how many, how different, graspable, as published, and at rest in the poses that they come with."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hpac_gym.body.object_models import load_object_models
+from hpac_gym.body.object_sets import SPAN, SPLITS, RestingObject, difference, object_set, resting_pose
+from hpac_gym.errors import ParameterError
+from hpac_gym.physics.engine import matrix_from_quaternion
+from hpac_gym.tasks.grasp_data import GRASPS
+from tools.object_families import FAMILIES, MAX_MASS, MIN_DIFFERENCE, MIN_MASS, NEW_FAMILIES
+
+SETS = {split: object_set(split) for split in SPLITS}
+EVERY = [thing for things in SETS.values() for thing in things]
+DRAWN = [*SETS["train"], *SETS["test"]]
+
+
+def test_there_are_200_to_train_on_50_held_out_and_52_real_ones():
+    assert {split: len(things) for split, things in SETS.items()} == {"train": 200, "test": 50, "real": 52}
+    assert len({thing.name for thing in EVERY}) == 302
+    assert [thing.name for thing in SETS["train"][:2]] == ["train_000", "train_001"]
+    assert object_set("test") is object_set("test")
+
+
+@pytest.mark.parametrize("split", ["tests", "", None, 3])
+def test_an_unknown_split_names_the_splits(split):
+    with pytest.raises(ParameterError, match="is none of train, test, real"):
+        object_set(split)
+
+
+def test_no_held_out_object_is_like_a_training_object():
+    nearest = [min(difference(held.model, known.model) for known in SETS["train"]) for held in SETS["test"]]
+    assert min(nearest) > MIN_DIFFERENCE == 0.1
+    known = SETS["train"][0].model
+    assert difference(known, replace(known, size=tuple(1.04 * side for side in known.size))) < MIN_DIFFERENCE
+
+
+def test_held_out_objects_are_partly_of_families_that_training_has_not():
+    train, test = ({thing.model.about for thing in SETS[split]} for split in ("train", "test"))
+    assert train == set(FAMILIES)
+    assert test == train | set(NEW_FAMILIES)
+    assert not train & set(NEW_FAMILIES)
+    assert sum(thing.model.about in NEW_FAMILIES for thing in SETS["test"]) == 30
+
+
+def test_objects_are_bodies_that_there_can_be():
+    """Positive mass; moments of inertia of which none is more than the sum of both others; mass centre inside."""
+    for thing in EVERY:
+        moments, (low, high) = np.linalg.eigvalsh(thing.model.inertia), thing.model.bounds
+        assert min(solid.mass for solid in thing.model.solids) > 0, thing.name
+        assert moments[0] > 0, thing.name
+        assert moments[2] <= (moments[0] + moments[1]) * (1 + 1e-9), thing.name
+        assert (thing.model.center_of_mass > low).all(), thing.name
+        assert (thing.model.center_of_mass < high).all(), thing.name
+        np.testing.assert_allclose(high - low, thing.model.size, rtol=0.05, err_msg=thing.name)
+    assert all(MIN_MASS <= thing.model.mass <= MAX_MASS for thing in DRAWN)
+    assert all(0.4 <= thing.friction <= 1.0 for thing in EVERY)
+
+
+def test_mass_centres_are_not_all_in_the_middle():
+    """Of the drawn objects, a fifth and more have theirs farther from it than a tenth of their longest side."""
+    off = [np.linalg.norm(thing.model.center_of_mass) / max(thing.model.size) for thing in DRAWN]
+    assert np.mean(np.array(off) > 0.1) > 0.2
+
+
+def fits(thing: RestingObject) -> bool:
+    """Whether the hand spans the object's narrower side in one of its poses."""
+    return any(pose.width <= SPAN for pose in thing.poses)
+
+
+def test_the_hand_spans_every_object_in_at_least_one_of_its_poses():
+    assert [thing.name for thing in EVERY if not fits(thing)] == []
+    model = load_object_models()["quoit"]
+    quoit = RestingObject(model, 0.7, (resting_pose(model, (0, 0, 0, 1), 1.0),), False)
+    assert not fits(quoit)
+
+
+def test_a_pose_lies_on_its_lowest_point():
+    for thing in EVERY:
+        assert thing.poses, thing.name
+        assert sum(pose.share for pose in thing.poses) <= 1.0 + 1e-9, thing.name
+        for pose in thing.poses:
+            low, high = thing.model.turned_bounds(matrix_from_quaternion(pose.quaternion))
+            np.testing.assert_allclose(high - low, pose.size, atol=1e-9)
+            assert pose.height == pytest.approx(-low[2], abs=1e-9)
+            assert pose.size[0] > pose.size[1] - 5e-4, thing.name
+
+
+def test_solids_reach_as_far_as_their_points_do():
+    """The extents of a turned object, against points on the surfaces of its solids."""
+    angles = np.linspace(0, 2 * np.pi, 3601)
+    rim = np.column_stack([np.cos(angles), np.sin(angles)])
+    turn = matrix_from_quaternion(tuple(np.array([0.1, 0.5, -0.3, 0.8]) / np.linalg.norm([0.1, 0.5, -0.3, 0.8])))
+    for name in ("train_000", "train_045", "train_065", "train_085", "train_105"):
+        model = next(thing.model for thing in SETS["train"] if thing.name == name)
+        points = []
+        for solid in model.solids:
+            half = np.array(solid.size) / 2
+            local = half * list(itertools.product((-1, 1), repeat=3))
+            if solid.kind == "sphere":  # where a ball reaches farthest along each axis of the world
+                local = half[0] * np.concatenate([np.eye(3), -np.eye(3)]) @ turn @ solid.rotation
+            elif solid.kind == "cylinder":
+                local = np.concatenate([np.column_stack([half[0] * rim, np.full(len(rim), z)]) for z in (-half[2], half[2])])
+            points.append((local @ solid.rotation.T + solid.center) @ turn.T)
+        low, high = model.turned_bounds(turn)
+        found = np.concatenate(points)
+        np.testing.assert_allclose(found.min(axis=0), low, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(found.max(axis=0), high, atol=1e-6, err_msg=name)
+        assert (found > low - 1e-9).all()
+
+
+def test_real_objects_are_within_five_percent_of_what_their_sources_print():
+    """Every measure that is not published says where it is from."""
+    for thing in SETS["real"]:
+        model = thing.model
+        low, high = model.bounds
+        found = dict(zip("xyz", high - low, strict=True)) | {"mass": model.mass}
+        for measure, (least, most) in model.published.items():
+            assert 0.95 * least <= found[measure] <= 1.05 * most, (model.name, measure)
+        assert bool(model.chosen) == (model.published.keys() < {"x", "y", "z", "mass"}), model.name
+        assert model.published or model.source == "none found", model.name
+
+
+def test_most_real_objects_have_all_their_measures_from_a_source():
+    assert sum(thing.model.published.keys() == {"x", "y", "z", "mass"} for thing in SETS["real"]) >= 35
+
+
+def test_named_grasps_objects_are_the_same_here_but_for_the_quoit():
+    named = {grasp.object.name: grasp for grasp in GRASPS.values() if grasp.object.name != "quoit"}
+    here = {thing.name: thing for thing in SETS["real"] if thing.name in named}
+    assert {name: thing.friction for name, thing in here.items()} == {name: grasp.friction for name, grasp in named.items()}
+    assert all(thing.model is load_object_models()[name] for name, thing in here.items())
+
+
+def test_a_stand_is_for_what_stands_upright():
+    for thing in EVERY:
+        if thing.stand:
+            assert all(pose.width < pose.size[2] for pose in thing.poses), thing.name
+    assert 20 < sum(thing.stand for thing in EVERY) < 150

@@ -1,0 +1,287 @@
+"""An object of one's own: files from outside become convex parts that both engines collide, or one clear line."""
+
+import json
+import pickle
+import sys
+from dataclasses import replace
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+
+from hpac_gym.body import own_objects
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.own_objects import own_object
+from hpac_gym.envs import GraspError, ScriptedClosure
+from hpac_gym.errors import ParameterError
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.mujoco.engine import MuJoCoEngine
+from hpac_gym.physics.simulation import ENGINES, make_engine
+
+L_SHAPE = [(0, 0), (60, 0), (60, 20), (20, 20), (20, 80), (0, 80)]
+"""Corners of an L in the xz-plane [mm]: a foot and a shaft, both 20 thick."""
+CUT = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
+DEPTH = 40.0
+"""[mm]"""
+BOX = ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8)
+
+
+def l_faces() -> np.ndarray:
+    """Triangles of the L, shape (20, 3, 3) [mm]."""
+    front, back = (np.array([(x, y, z) for x, z in L_SHAPE]) for y in (0.0, DEPTH))
+    faces = [front[list(corners)] for corners in CUT] + [back[list(reversed(corners))] for corners in CUT]
+    for one, other in zip(range(6), [*range(1, 6), 0], strict=True):
+        faces += [np.array([front[other], front[one], back[one]]), np.array([front[other], back[one], back[other]])]
+    return np.array(faces)
+
+
+def stl(faces: np.ndarray) -> str:
+    """Text of an STL file."""
+    corners = ["".join(f"vertex {x} {y} {z}\n" for x, y, z in face) for face in faces]
+    facets = "".join(f"facet normal 0 0 0\nouter loop\n{text}endloop\nendfacet\n" for text in corners)
+    return f"solid shape\n{facets}endsolid shape\n"
+
+
+@pytest.fixture
+def ell(tmp_path):
+    path = tmp_path / "ell.stl"
+    path.write_text(stl(l_faces()))
+    return path
+
+
+@pytest.fixture(scope="module")
+def decomposed(tmp_path_factory):
+    """A folder with the parts of `ell`."""
+    folder = tmp_path_factory.mktemp("parts")
+    (folder / "ell.stl").write_text(stl(l_faces()))
+    own_object(folder / "ell.stl", mass=0.1, scale=0.001)
+    return folder
+
+
+def test_a_mesh_becomes_convex_parts_with_its_volume_mass_and_inertia(ell, decomposed):
+    model = own_object(ell, mass=0.12, scale=0.001, folder=decomposed).model
+    assert len(model.solids) > 1
+    assert sum(solid.hull.moments()[0] for solid in model.solids) == pytest.approx(0.04 * (0.06 * 0.02 + 0.02 * 0.06), rel=0.02)
+    np.testing.assert_allclose(model.size, (0.06, 0.04, 0.08), atol=1e-5)
+    # Foot 60 x 20 and shaft 20 x 60, of one density: mass centre 10 mm beside and 10 mm below the middle of the box around.
+    np.testing.assert_allclose(model.center_of_mass, (-0.01, 0.0, -0.01), atol=2e-4)
+    foot, shaft = ((0.06, 0.02), (0.0, -0.03)), ((0.02, 0.06), (-0.02, 0.01))
+    about_y = sum(
+        0.06 * ((x * x + z * z) / 12 + (place[0] + 0.01) ** 2 + (place[1] + 0.01) ** 2) for (x, z), place in (foot, shaft)
+    )
+    assert model.inertia[1, 1] == pytest.approx(about_y, rel=0.01)
+
+
+def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(ell, tmp_path, monkeypatch):
+    first = own_object(ell, mass=0.1, scale=0.001)
+    assert {path.name for path in tmp_path.iterdir()} == {"ell.stl", "ell.hulls.json"}
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    again = own_object(ell, mass=0.2, scale=0.0005, up="y")
+    assert len(again.model.solids) == len(first.model.solids)
+    np.testing.assert_allclose(again.model.size, (0.03, 0.04, 0.02), atol=1e-5)
+    with pytest.raises(ParameterError, match=r"needs the package coacd: pip install 'hpac_gym\[objects\]'"):
+        own_object(ell, mass=0.1, scale=0.001, folder=tmp_path / "parts")
+    monkeypatch.undo()
+    own_object(ell, mass=0.1, scale=0.001, folder=tmp_path / "parts")
+    assert [path.name for path in (tmp_path / "parts").iterdir()] == ["ell.hulls.json"]
+
+
+def test_another_mesh_of_the_same_name_is_decomposed_anew(ell, decomposed):
+    ell.with_name("ell.hulls.json").write_text((decomposed / "ell.hulls.json").read_text())
+    ell.write_text(stl(1.5 * l_faces()))
+    assert own_object(ell, mass=0.1, scale=0.001).model.size[2] == pytest.approx(0.12, abs=1e-5)
+
+
+def test_a_damaged_file_of_parts_is_made_anew(ell):
+    ell.write_text(stl(l_faces()[:, :, [0, 2, 1]][:, ::-1]))
+    ell.with_name("ell.hulls.json").write_text("{ half a fi")
+    assert own_object(ell, mass=0.1, scale=0.001).model.size[1] == pytest.approx(0.08, abs=1e-5)
+    assert len(json.loads(ell.with_name("ell.hulls.json").read_text())["parts"]) > 1
+
+
+def test_a_failure_leaves_no_file(ell, tmp_path, monkeypatch):
+    monkeypatch.setattr(own_objects.json, "dumps", lambda value: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        own_object(ell, mass=0.1, scale=0.001)
+    assert [path.name for path in tmp_path.iterdir()] == ["ell.stl"]
+
+
+FLAT = np.array([[[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 0, 0], [0, 9, 0], [9, 0, 0]]], dtype=float)
+BAD_FILES = {
+    "a hole": ("hole.stl", stl(l_faces()[1:]), "'.*hole.stl' is not watertight: every edge must belong to two triangles"),
+    "flat": ("flat.stl", stl(FLAT), "'.*flat.stl' is flat: it has no volume"),
+    "no triangles": ("none.stl", "solid x\nendsolid x\n", "'.*none.stl' (cannot be read as a mesh|has no triangles)"),
+    "not a mesh": ("text.obj", "hello", "'.*text.obj' (cannot be read as a mesh|has no triangles)"),
+    "not finite": ("nan.obj", "v 0 0 0\nv nan 0 1\nv 0 1 0\nf 1 2 3\n", "'.*nan.obj'"),
+    "not XML": ("bad.urdf", "<robot", "'.*bad.urdf' is not a URDF"),
+    "no shape": ("empty.urdf", "<robot name='x'><link name='a'/></robot>", "'.*empty.urdf' has no collision shape"),
+    "no number": (
+        "word.urdf",
+        "<robot name='x'><link name='a'><collision><geometry><sphere radius='big'/></geometry></collision></link></robot>",
+        "'.*word.urdf' is not a URDF: could not convert",
+    ),
+    "no mesh": (
+        "lost.urdf",
+        "<robot name='x'><link name='a'><collision><geometry><mesh filename='no.stl'/></geometry></collision></link></robot>",
+        "no mesh file '.*no.stl', which '.*lost.urdf' names",
+    ),
+    "a hinge": (
+        "hinge.urdf",
+        "<robot name='x'><link name='a'/><link name='b'/><joint name='j' type='revolute'><parent link='a'/><child link='b'/>"
+        "</joint></robot>",
+        "joint 'j' of '.*hinge.urdf' is revolute: all joints must be fixed",
+    ),
+    "another kind": ("thing.step", "", "'.*thing.step' is none of .stl, .obj, .ply, .off, .urdf"),
+}
+
+
+@pytest.mark.parametrize(("name", "text", "message"), BAD_FILES.values(), ids=list(BAD_FILES))
+def test_a_bad_file_is_one_clear_line(name, text, message, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ParameterError, match=message) as caught:
+        own_object(tmp_path / name, mass=0.1)
+    assert "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scale": 1.0}, r"ell.stl' is 60 x 40 x 80 m: sides must be 0.002 to 0.4 m; scale=0.001 is for a file in mm"),
+        ({"scale": 1e-5}, r"sides must be 0.002 to 0.4 m"),
+        ({"scale": 0.0}, r"scale 0 of '.*ell.stl' must be greater than 0 and at most 1000"),
+        ({"mass": -0.3}, r"mass -0.3 kg of '.*ell.stl' must be greater than 0 and at most 5 kg"),
+        ({"mass": float("nan")}, r"mass nan kg"),
+        ({"mass": None}, r"'.*ell.stl' says no mass: give one in kg"),
+        ({"friction": -1.0}, r"friction -1 of '.*ell.stl' must be greater than 0 and at most 2"),
+        ({"up": "w"}, r"up 'w' is none of z, y"),
+    ],
+)
+def test_a_bad_argument_is_one_clear_line(ell, change, message):
+    with pytest.raises(ParameterError, match=message):
+        own_object(ell, **{"mass": 0.1, "scale": 0.001} | change)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ParameterError, match=r"no object file '.*mug.stl'"):
+        own_object(tmp_path / "mug.stl", mass=0.1)
+
+
+URDF = """<robot name="mallet">
+  <link name="handle">
+    <inertial><mass value="0.05"/></inertial>
+    <collision><origin xyz="0 0 0.05"/><geometry><cylinder radius="0.01" length="0.1"/></geometry></collision>
+  </link>
+  <link name="head">
+    <inertial><mass value="0.07"/></inertial>
+    <collision><geometry><mesh filename="ell.stl" scale="0.0005 0.0005 0.0005"/></geometry></collision>
+  </link>
+  <joint name="weld" type="fixed"><origin xyz="0 0 0.1" rpy="0 0 1.5707963"/><parent link="handle"/><child link="head"/></joint>
+</robot>
+"""
+
+
+def test_a_urdf_is_read_with_its_fixed_joints_its_meshes_and_its_masses(ell, decomposed):
+    (ell.parent / "mallet.urdf").write_text(URDF)
+    model = own_object(ell.parent / "mallet.urdf", folder=decomposed).model
+    assert model.mass == pytest.approx(0.12)
+    assert {solid.kind for solid in model.solids} == {"cylinder", "hull"}
+    low, high = model.bounds
+    np.testing.assert_allclose(high - low, (0.03, 0.04, 0.14), atol=1e-5)  # the L is turned: 20 mm deep along -x, 30 along y
+    assert own_object(ell.parent / "mallet.urdf", mass=0.3, scale=0.5, folder=decomposed).model.size[2] == pytest.approx(0.07)
+
+
+@pytest.mark.pybullet
+def test_both_engines_load_its_mass_inertia_and_extents(ell, decomposed):
+    import pybullet
+
+    spec = own_object(ell, mass=0.12, scale=0.001, folder=decomposed)
+    wanted = np.linalg.eigvalsh(spec.model.inertia)
+    engine = MuJoCoEngine(1)
+    engine.reset([0], [SceneSetup(spec, np.array([0.06, 0.0, 0.12]))])
+    model, _ = engine.single(0)
+    body = model.body("object").id
+    assert model.body_mass[body] == pytest.approx(0.12)
+    np.testing.assert_allclose(sorted(model.body_inertia[body]), wanted, rtol=1e-6)
+    corners = []
+    for index in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        mesh = model.mesh(model.geom_dataid[index])
+        start, count = mesh.vertadr[0], mesh.vertnum[0]
+        corners.append(model.geom_pos[index] + model.mesh_vert[start : start + count] @ _matrix(model.geom_quat[index]).T)
+    np.testing.assert_allclose(np.ptp(np.concatenate(corners), axis=0), (0.06, 0.04, 0.08), atol=1e-5)
+    other = make_engine("pybullet")
+    other.reset([0], [SceneSetup(spec, np.array([0.06, 0.0, 0.12]))])
+    scene = other.scenes[0]
+    loaded = pybullet.getDynamicsInfo(scene.object.body, -1, scene.world.client)
+    assert loaded[0] == pytest.approx(0.12)
+    np.testing.assert_allclose(sorted(loaded[2]), wanted, rtol=1e-4)
+    other.close()
+
+
+def _matrix(quaternion: np.ndarray) -> np.ndarray:
+    found = np.empty(9)
+    mujoco.mju_quat2Mat(found, quaternion)
+    return found.reshape(3, 3)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_hand_grasps_it_with_the_scripted_closure(engine, ell, decomposed):
+    """Upright, its shaft between thumb and fingers."""
+    spec = own_object(ell, mass=0.08, friction=0.9, scale=0.001, folder=decomposed)
+    assert isinstance(spec, ObjectSpec)
+    with gymnasium.make("HPAC-Grasp-v0", object=spec, engine=engine) as env:
+        assert any(_is_won(env, seed) for seed in range(6))
+
+
+def _is_won(env: gymnasium.Env, seed: int) -> bool:
+    env.reset(seed=seed)
+    closure, over = ScriptedClosure(), False
+    closure.reset()
+    while not over:
+        _, _, terminated, truncated, info = env.step(closure.act(None))
+        over = terminated or truncated
+    return info["is_success"]
+
+
+def test_a_dictionary_makes_the_same_environment_and_survives_json(ell, decomposed):
+    given = {"path": str(ell), "mass": 0.08, "scale": 0.001, "folder": str(decomposed)}
+    with gymnasium.make("HPAC-Grasp-v0", object=given, engine="mujoco") as env:
+        again = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
+        wanted = env.reset(seed=3)[0]
+    with gymnasium.make(again) as env:
+        np.testing.assert_array_equal(env.reset(seed=3)[0], wanted)
+    with gymnasium.make("HPAC-Grasp-v0", object=own_object(**given), engine="mujoco") as env:
+        np.testing.assert_array_equal(env.reset(seed=3)[0], wanted)
+
+
+def test_worker_processes_get_it(ell, decomposed):
+    """On PyBullet a vector environment sends it to its processes."""
+    spec = pickle.loads(pickle.dumps(own_object(ell, mass=0.08, scale=0.001, folder=decomposed)))
+    assert spec.model.size[2] == pytest.approx(0.08, abs=1e-5)
+    vector = gymnasium.make_vec("HPAC-Grasp-v0", num_envs=2, object=spec, engine="mujoco")
+    vector.reset(seed=0)
+    vector.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"object": "mug.stl"}, ParameterError, r"object 'mug.stl' is neither an ObjectSpec, as own_object gives"),
+        ({"object": {"path": "no_such.stl", "mass": 0.1}}, ParameterError, r"no object file 'no_such.stl'"),
+        ({"object": {"weight": 0.1}}, ParameterError, r"object {'weight': 0.1}: .*unexpected keyword argument 'weight'"),
+        ({"object": BOX, "grasp": "hook"}, GraspError, r"grasp 'hook' has its own object: give either grasp or object"),
+        ({"object": BOX, "variant": "large"}, GraspError, r"variant 'large' needs a named grasp"),
+    ],
+)
+def test_a_bad_object_of_an_environment_is_one_clear_line(options, error, message):
+    with pytest.raises(error, match=message):
+        gymnasium.make("HPAC-Grasp-v0", **options)
+
+
+def test_an_unknown_name_and_a_scale_of_an_own_object_are_refused(ell, decomposed):
+    with pytest.raises(ValueError, match=r"model 'mug' is none of beverage_can, tennis_ball"):
+        ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8, "mug")
+    spec = own_object(ell, mass=0.08, scale=0.001, folder=decomposed)
+    with pytest.raises(ValueError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"):
+        replace(spec, scale=1.1)

@@ -1,0 +1,164 @@
+"""What HPAC-GraspAny-v0 pays, and what it leaves to learn: `pytest -m slow -s tests/envs/test_grasp_any_baselines.py` prints it.
+
+Nothing that is no grasp is paid as well as an honest closure; the script holds some of the real objects, and closures that are
+drawn at random for an episode until one holds, most of them.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from hpac_gym.envs import GraspAny, HandVectorEnv
+from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
+from hpac_gym.tasks.scripted import scripted_closure
+from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+
+N = 64
+TRIES = 24
+OPEN = np.zeros(6)
+OPEN[SERVO_INDEX["thumb_cmc"]] = 1.2
+CLOSED = HPAC.synergy_max.copy()
+CLOSED[[SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]]] = 0.6, 1.0
+FINGERS = slice(1, 5)
+
+
+def share(time: float, begin: float = 0.0, duration: float = 1.0) -> float:
+    """Of a closure that begins at a time and takes a duration [s]."""
+    return min(max((time - begin) / duration, 0.0), 1.0)
+
+
+def between(shares: np.ndarray | float) -> np.ndarray:
+    """From open to closed, all servos alike or each by its own share."""
+    return OPEN + shares * (CLOSED - OPEN)
+
+
+def thumbless(time: float) -> np.ndarray:
+    """The fingers press the object against the palm, the thumb lies aside."""
+    synergy = between(share(time))
+    synergy[[SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]]] = 0.0
+    return synergy
+
+
+def shelf(time: float) -> np.ndarray:
+    """The fingers are bent under the object and carry it from below, the thumb stays open."""
+    synergy = OPEN.copy()
+    synergy[FINGERS] = 0.7 * share(time)
+    return synergy
+
+
+def sweep(time: float) -> np.ndarray:
+    """The thumb pushes the object away, across the palm and back."""
+    synergy = OPEN.copy()
+    synergy[SERVO_INDEX["thumb_cmc"]] = 0.78 * (1 + np.sin(4 * time))
+    synergy[SERVO_INDEX["thumb_mp"]] = 0.6
+    return synergy
+
+
+EXPLOITS = {
+    "open": lambda time: OPEN,
+    "no thumb": thumbless,
+    "shelf": shelf,
+    "late": lambda time: between(share(time, 2.9)),
+    "oscillation": lambda time: between(0.5 - 0.5 * np.cos(2 * np.pi * time)),
+    "trembling": lambda time: between(share(time) * (0.8 + 0.2 * np.sin(40 * time))),
+    "touch and go": lambda time: between(share(time) if time < 1.2 else 0.6),
+    "pushing": sweep,
+}
+"""Synergies by the time since an episode began [s]."""
+
+
+class Hands:
+    """`N` episodes at a time of one split.
+
+    Attributes:
+        total: their returns.
+        won: whether they are won.
+        force: their holding forces [N].
+    """
+
+    def __init__(self, objects: str) -> None:
+        self.task = GraspAny(objects)
+        self.envs = HandVectorEnv(self.task, N, "Disabled", engine="mujoco")
+
+    def play(self, seeds: Sequence[int], act: Callable[[int, np.ndarray], np.ndarray]) -> "Hands":
+        """Play the episodes of `N` seeds with the actions, shape (N, 6), of a step and the first observations."""
+        first, _ = self.envs.reset(seed=list(seeds))
+        episodes, over = self.envs.episodes, np.zeros(N, bool)
+        self.total, self.force, self.won = np.zeros(N), np.zeros(N), np.zeros(N, bool)
+        for step in range(round(self.task.duration * CONTROL_HZ)):
+            self.total += np.where(over, 0.0, episodes.step(act(step, first)))
+            ended = (episodes.outcome != RUNNING) & ~over
+            self.won |= ended & (episodes.outcome == SUCCESS)
+            self.force[ended] = episodes.report()["holding_force"][ended]
+            over |= ended
+        assert over.all()
+        return self
+
+    def play_script(self, seeds: Sequence[int]) -> "Hands":
+        """Play episodes with the scripted closure."""
+        scripts = [scripted_closure(self.task) for _ in seeds]
+        for script in scripts:
+            script.reset()
+        return self.play(seeds, lambda _, first: np.array([one.act(row) for one, row in zip(scripts, first, strict=True)]))
+
+
+@pytest.fixture(scope="module")
+def honest():
+    """The scripted closure on training objects."""
+    hands = Hands("train").play_script(range(N))
+    hands.envs.close()
+    return hands
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EXPLOITS)
+def test_no_exploit_is_paid_as_well_as_an_honest_closure(name, honest):
+    synergy = EXPLOITS[name]
+    hands = Hands("train")
+    hands.play(range(N), lambda step, _: np.tile(action_from_synergy(synergy((step + 1) / CONTROL_HZ)), (N, 1)))
+    hands.envs.close()
+    for about, found in ((name, hands), ("honest", honest)):
+        print(f"{about}: return {found.total.mean():.2f}, success {found.won.mean():.2f}")
+    assert hands.total.mean() < honest.total.mean() - 1.0
+    assert hands.total[~hands.won].max(initial=-9.0) < honest.total[honest.won].min(), "a loss is paid less than any success"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("objects", "most"), [("train", 0.8), ("test", 0.85), ("real", 0.6)])
+def test_the_script_leaves_headroom(objects, most):
+    hands, won, force = Hands(objects), [], []
+    for first in range(1_000_000, 1_000_000 + 4 * N, N):
+        hands.play_script(range(first, first + N))
+        won, force = [*won, *hands.won], [*force, *hands.force]
+    hands.envs.close()
+    low, high = wilson_interval(int(np.sum(won)), len(won))
+    print(f"{objects}: script {np.mean(won):.3f} [{low:.3f}, {high:.3f}] of {len(won)}, holding force {np.mean(force):.1f} N")
+    assert 0.35 < np.mean(won) < most
+
+
+@pytest.mark.slow
+def test_most_real_objects_can_be_held():
+    """By a closure that is drawn at random, one after the other, until one holds the object of an episode."""
+    hands, rng, seeds = Hands("real"), np.random.default_rng(7), list(range(48))
+    tries, held = dict.fromkeys(seeds, 0), set()
+    while left := [seed for seed in seeds if seed not in held and tries[seed] < TRIES]:
+        chosen = [left[index % len(left)] for index in range(N)]
+        target = np.tile(HPAC.synergy_max, (N, 1))
+        target[:, [0, 5]] = rng.uniform((0.3, 0.6), (1.1, 1.4), (N, 2))
+        target[:, FINGERS] = np.minimum(rng.uniform(0.8, 1.3, (N, 1)) + rng.normal(0, 0.12, (N, 4)), HPAC.synergy_max[FINGERS])
+        begin, duration = rng.uniform(0.0, 0.6, (N, 6)), rng.uniform(0.5, 1.4, (N, 6))
+        begin[:, 5], duration[:, 5] = 0.0, 0.3
+
+        def act(step: int, _: np.ndarray) -> np.ndarray:
+            done = np.clip(((step + 1) / CONTROL_HZ - begin) / duration, 0.0, 1.0)  # noqa: B023  used at once
+            return action_from_synergy(np.clip(OPEN + done * (target - OPEN), 0.0, HPAC.synergy_max))  # noqa: B023
+
+        hands.play(chosen, act)
+        held |= {seed for seed, won in zip(chosen, hands.won, strict=True) if won}
+        for seed in chosen:
+            tries[seed] += 1
+    hands.envs.close()
+    print(f"real: the best of {TRIES} closures holds {len(held)} of {len(seeds)}")
+    assert len(held) >= 0.85 * len(seeds)

@@ -1,0 +1,271 @@
+"""HPAC-GraspAny-v0: what is seen, what the first action moves, what counts. The contract is in test_gate.py."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.body.hands import hand_set
+from hpac_gym.errors import HpacError, ShapeError, WorkspaceError
+from hpac_gym.model import HPAC, action_from_synergy
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.settings import BODIES
+from hpac_gym.tasks import placing
+from hpac_gym.tasks.grasp_any import PHASES, RAMP, SIDE_DIRECTIONS, SIDES, GraspAny, GraspAnyConfig
+from hpac_gym.tasks.task import CONTROL_HZ
+from hpac_gym.tasks.terms import GRASP_CENTRE
+from tests.envs.episodes import a_setup
+
+ID = "HPAC-GraspAny-v0"
+ENGINES = [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"]
+CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53], np.float32)
+"""Thumb opposite to the fingers, all of them closed."""
+
+
+def make(**options) -> gymnasium.Env:
+    return gymnasium.make(ID, **{"engine": "mujoco"} | options)
+
+
+def easy(**change) -> SceneSetup:
+    """A can that the closed hand keeps, pulled down in the end."""
+    return replace(a_setup(), pull=np.array([0.0, 0.0, -1.0]), **change)
+
+
+def closing(env: gymnasium.Env, setup: SceneSetup | None = None, seed: int = 0, until: int = 1000) -> list[dict]:
+    """The infos of an episode of the closed hand, which opens at a step."""
+    env.reset(seed=seed, options=None if setup is None else {"setup": setup})
+    opened = action_from_synergy(env.unwrapped.episodes.setups[0].synergy).astype(np.float32)
+    infos, over = [], False
+    while not over:
+        *_, over, _, info = env.step(CLOSED if len(infos) < until else opened)
+        infos.append(info)
+    return infos
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_an_easy_object_is_held_and_judged_to_the_end(engine):
+    with make(engine=engine) as env:
+        infos = closing(env, easy())
+    names = [info["phase"] for info in infos]
+    assert sorted(names, key=PHASES.index) == names
+    assert infos[-1]["is_success"]
+    assert infos[-1]["sides"] == len(SIDE_DIRECTIONS)
+    assert infos[-1]["holding_force"] > 1.0
+    assert infos[-1]["turn"] < 0.3
+    assert all(info["holding_force"] == 0 for info in infos if info["phase"] != "ramp")
+
+
+def test_a_hand_that_opens_loses_what_it_would_have_won():
+    lift, shake, sides, ramp = (round(CONTROL_HZ * end) for end in GraspAnyConfig().ends[:4])
+    with make() as env:
+        setup = easy()
+        for opens, phases, won in ((lift, {"lift", "shake"}, False), (shake, {"shake"}, False), (sides, {"sides", "ramp"}, True)):
+            infos = closing(env, setup, until=opens)
+            assert infos[-1]["is_success"] == won
+            assert infos[-1]["phase"] in phases
+            assert infos[-1]["holding_force"] == 0.0
+        (*_, last) = closing(env, setup, until=ramp + 6)
+        assert last["is_success"]
+        assert last["sides"] == 6
+        assert 0.0 < last["holding_force"] < 40.0
+
+
+def test_the_force_grows_from_zero_along_its_direction_after_gravity_came_from_six_sides():
+    task, config = GraspAny("real"), GraspAnyConfig()
+    setup = easy()
+    task.prepare(1, None)
+    task.start([0], [setup])
+    assert task.push(np.array([[0.1, config.ends[SIDES - 1]]])) is None
+    weight = setup.object.mass * 9.81
+    for side, direction in enumerate(SIDE_DIRECTIONS):
+        time = config.ends[SIDES - 1] + (side + 0.5) * config.side_time
+        felt = task.push(np.array([[time]]))[0, 0] + [0.0, 0.0, -weight]
+        np.testing.assert_allclose(felt, weight * direction, atol=1e-12)
+    times = np.linspace(config.ends[SIDES], config.ends[RAMP], 9)[1:]
+    expected = np.outer(np.linspace(0, config.ramp_force, 9)[1:], setup.pull)
+    np.testing.assert_allclose(task.push(times[None])[0], expected, atol=1e-9)
+
+
+def test_what_is_knocked_over_may_be_grasped_again_and_what_is_out_of_reach_is_lost():
+    task = GraspAny("real")
+    task.prepare(2, None)
+    task.start([0, 1], [easy(), easy()])
+    with make() as env:
+        env.reset(seed=0, options={"setup": easy()})
+        state = env.unwrapped.state
+    for name in state.__slots__:
+        setattr(state, name, np.repeat(getattr(state, name), 2, axis=0))
+    state.object_pos[:] = GRASP_CENTRE
+    state.object_pos[:, 1] -= [0.13, 0.17]
+    assert task.judge(state, 0.05).tolist() == [0, 2]
+
+
+# What is seen ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("obs", ["deploy", "load", "points"])
+def test_mass_and_friction_are_not_seen(obs):
+    with make(obs=obs) as env:
+        setup = env.unwrapped.task.setup(np.random.default_rng(3))
+        other = replace(setup, object=replace(setup.object, mass=3 * setup.object.mass, friction=0.3 * setup.object.friction))
+        first, second = (env.reset(seed=3, options={"setup": given})[0] for given in (setup, other))
+    if obs == "points":
+        np.testing.assert_array_equal(first["points"], second["points"])
+        first, second = first["deploy"], second["deploy"]
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_critic_sees_mass_and_friction_by_their_names():
+    with make(obs="privileged") as env:
+        setup = easy()
+        heavy = replace(setup, object=replace(setup.object, mass=1.5 * setup.object.mass))
+        first, second = (env.reset(seed=3, options={"setup": given})[0] for given in (setup, heavy))
+        slices = env.unwrapped.slices
+        assert sum(part.stop - part.start for part in slices.values()) == env.observation_space.shape[0]
+    differs = {name for name, part in slices.items() if not np.array_equal(first[part], second[part])}
+    assert differs == {"object_mass"}
+    assert first[slices["object_mass"]] == pytest.approx(setup.object.mass)
+
+
+def test_the_hand_hides_the_object_at_times_and_the_mask_says_so():
+    with make() as env:
+        seen = []
+        for seed in range(4):
+            env.reset(seed=seed)
+            where, place = env.unwrapped.slices["object_seen"], env.unwrapped.slices["object_pos"]
+            rows, over = [], False
+            while not over and len(rows) < 60:
+                row, _, over, *_ = env.step(CLOSED)
+                rows.append(row)
+            rows = np.array(rows)
+            hidden = rows[1:, where][:, 0] == 0
+            held = (rows[1:, place] == rows[:-1, place]).all(axis=1)
+            np.testing.assert_array_equal(hidden, held)  # a camera that sees has noise
+            seen.append(hidden.mean())
+    assert 0.1 < np.mean(seen) < 0.9
+
+
+# The wrist -------------------------------------------------------------------------------------------------------------
+
+
+def test_no_hand_starts_inside_of_anything():
+    """The open hand waits, and the object stays where it stands."""
+    for split in ("train", "test", "real"):
+        with make(objects=split, wrist="free") as env:
+            for seed in range(8):
+                env.reset(seed=seed)
+                rest = action_from_synergy(env.unwrapped.episodes.setups[0].synergy)
+                env.action_space.seed(seed)
+                choice = np.sign(env.action_space.sample()[6:])  # the corners of what can be chosen
+                env.step(np.concatenate([rest, choice]).astype(np.float32))
+                place = env.unwrapped.state.object_pos.copy()
+                for _ in range(5):
+                    env.step(np.concatenate([rest, choice]).astype(np.float32))
+                state = env.unwrapped.state
+                assert not state.touching.any(), f"{split} {seed}"
+                assert np.linalg.norm(state.object_pos - place) < 2e-3, f"{split} {seed}"
+
+
+def test_the_first_action_moves_a_free_wrist_and_later_ones_do_not():
+    with make(wrist="free", obs="privileged") as env:
+        assert env.action_space.shape == (10,)
+        for seed in range(6):
+            env.reset(seed=seed)
+            before = env.unwrapped.episodes.setups[0]
+            rest = action_from_synergy(before.synergy)
+            env.step(np.concatenate([rest, [0.2, -0.3, 0.4, 0.5]]).astype(np.float32))
+            after = env.unwrapped.episodes.setups[0]
+            assert after.yaw - before.yaw == pytest.approx(-0.25)
+            env.step(np.concatenate([rest, [-1, -1, -1, -1]]).astype(np.float32))
+            assert env.unwrapped.episodes.setups[0] is after
+            world = [setup.hand_rotation @ setup.position for setup in (before, after)]
+            turn = np.array([[np.cos(0.25), -np.sin(0.25), 0], [np.sin(0.25), np.cos(0.25), 0], [0, 0, 1]])
+            moved = world[0] - turn @ world[1]
+            free = [0.006, -0.009, 0.012]
+            assert np.abs(moved - free).max() < 0.03, "but for what the open hand must stay clear of"
+            assert np.allclose(moved, free) or not np.allclose(after.position, placing.moved(before, np.zeros(3), 0.25).position)
+
+
+def test_a_wrist_that_is_left_alone_is_the_scripted_one():
+    with make(wrist="free") as free, make() as script:
+        for seed in range(3):
+            np.testing.assert_array_equal(free.reset(seed=seed)[0], script.reset(seed=seed)[0])
+            for _ in range(30):
+                first, second = free.step(np.append(CLOSED, np.zeros(4, np.float32))), script.step(CLOSED)
+                np.testing.assert_allclose(first[0], second[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("action", "error", "match"),
+    [
+        (np.zeros(6), ShapeError, r"shape \(..., 10\)"),
+        (np.append(np.zeros(9), 1.5), WorkspaceError, r"wrist_yaw = 1.5"),
+        (np.append(np.zeros(9), np.nan), WorkspaceError, "wrist_yaw = nan"),
+    ],
+)
+def test_a_bad_action_of_a_free_wrist_says_so(action, error, match):
+    with make(wrist="free") as env:
+        env.reset(seed=0)
+        with pytest.raises(error, match=match):
+            env.step(action)
+
+
+# Options ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"objects": "reel"}, ("reel", "train, test, real")),
+        ({"wrist": "loose"}, ("loose", "script, free")),
+        ({"hands": "left"}, ("left", "nominal, train, test")),
+        ({"obs": "touch"}, ("touch", "load, points")),
+    ],
+)
+def test_what_there_is_not_is_named_in_one_line(options, words):
+    with pytest.raises(HpacError) as error:
+        make(**options)
+    assert all(word in str(error.value) for word in words)
+    assert "\n" not in str(error.value)
+
+
+def test_other_tasks_have_no_load():
+    with pytest.raises(HpacError, match="obs 'load' is not one of deploy, privileged, image"):
+        gymnasium.make("HPAC-Grasp-v0", obs="load")
+
+
+@pytest.mark.parametrize("body", ["twin", "light"])
+def test_episodes_have_hands_of_their_set_that_nobody_is_told(body):
+    with make(hands="train", body=body) as env, make(body=body) as nominal:
+        names = set()
+        for seed in range(6):
+            (first, _), (usual, _) = env.reset(seed=seed), nominal.reset(seed=seed)
+            setup = env.unwrapped.episodes.setups[0]
+            names.add(setup.hand.name)
+            assert any(setup.hand is variant.hand for variant in hand_set("train"))
+            assert setup.hand_settings.armature == BODIES[body].armature
+            assert setup.hand_settings.slack != BODIES[body].slack
+            np.testing.assert_array_equal(first, usual)
+        assert len(names) > 3
+    with pytest.raises(HpacError, match="give either"):
+        make(hands="test", hand=replace(HPAC, name="mine"))
+
+
+def test_many_hands_at_once_are_as_many_single_ones():
+    envs = gymnasium.make_vec(f"hpac_gym:{ID}", num_envs=3, engine="mujoco", wrist="free", obs="load")
+    together, _ = envs.reset(seed=5)
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (40, 3, 10)).astype(np.float32)
+    told = [together] + [envs.step(action)[0] for action in actions]
+    envs.close()
+    with make(wrist="free", obs="load") as env:
+        for world in range(3):
+            rows, over = [env.reset(seed=5 + world)[0]], False
+            for action in actions[:, world]:
+                row, _, over, *_ = env.step(action)
+                rows.append(row)
+                if over:
+                    break
+            np.testing.assert_array_equal(np.array(rows), np.array(told)[: len(rows), world])

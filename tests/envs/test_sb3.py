@@ -1,0 +1,112 @@
+"""`HandVecEnv` against Stable-Baselines3's own `DummyVecEnv`, to the bit."""
+
+from functools import partial
+
+import gymnasium
+import numpy as np
+import pytest
+from stable_baselines3 import PPO, SAC, HerReplayBuffer
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.envs.randomization import PRESETS
+from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.errors import ParameterError
+
+GRASP, POSTURE = "HPAC-Grasp-v0", "HPAC-Posture-v0"
+
+
+def pair(name: str, num_envs: int = 3, **options) -> tuple[HandVecEnv, DummyVecEnv]:
+    options = options | {"engine": "mujoco"}
+    return HandVecEnv(name, num_envs, **options), DummyVecEnv([partial(gymnasium.make, name, **options)] * num_envs)
+
+
+def actions(steps: int, num_envs: int = 3) -> np.ndarray:
+    """One hand stays open and loses nothing in time, the others flail."""
+    drawn = np.random.default_rng(0).uniform(-1, 1, (steps, num_envs, 6)).astype(np.float32)
+    drawn[:, 0] = 0.1 * drawn[:, 0] - 0.9
+    return drawn
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "steps"),
+    [
+        (GRASP, {"randomize": "full"}, 70), (GRASP, {"max_episode_steps": 5}, 12), (POSTURE, {"max_episode_steps": 7}, 16),
+        (GRASP, {"obs": "image", "max_episode_steps": 2}, 3),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_everything_that_a_learner_reads_is_as_in_dummy_vec_env(name, options, steps):
+    ours, its = pair(name, **options)
+    assert (ours.observation_space, ours.action_space) == (its.observation_space, its.action_space)
+    for venv in (ours, its):
+        venv.seed(7)
+    np.testing.assert_equal(ours.reset(), dict_or_array(its.reset()))
+    np.testing.assert_equal(_plain(ours.reset_infos), _plain(its.reset_infos))
+    ended = truncated = 0
+    for action in actions(steps):
+        (seen, rewards, dones, infos), expected = ours.step(action), its.step(action)
+        np.testing.assert_equal(seen, dict_or_array(expected[0]))
+        for one, other in ((rewards, expected[1]), (dones, expected[2])):
+            assert one.dtype == other.dtype
+            np.testing.assert_array_equal(one, other)
+        for info, other, done in zip(infos, expected[3], dones, strict=True):
+            assert info["TimeLimit.truncated"] == other["TimeLimit.truncated"]
+            if done:
+                np.testing.assert_equal(_plain(info), _plain(other))
+                ended, truncated = ended + 1, truncated + info["TimeLimit.truncated"]
+            else:
+                assert set(info) == {"TimeLimit.truncated"}
+        np.testing.assert_equal(_plain(ours.reset_infos), _plain(its.reset_infos))
+    assert ended >= 3
+    assert (truncated > 0) == ("max_episode_steps" in options)
+    ours.close()
+    its.close()
+
+
+def dict_or_array(seen):
+    return dict(seen) if isinstance(seen, dict) else seen
+
+
+def _plain(value):
+    """Lists for arrays, since a vector environment stacks what a single one gives as a list."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_plain(part) for part in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def test_attributes_and_methods_reach_the_environments_that_are_named():
+    envs = HandVecEnv(GRASP, 3, engine="mujoco")
+    assert envs.get_attr("obs") == ["deploy"] * 3
+    assert envs.has_attr("task")
+    assert not envs.has_attr("nonsense")
+    envs.set_attr("randomization", "full", indices=[0, 2])
+    assert envs.get_attr("randomization") == [PRESETS["full"], PRESETS["nominal"], PRESETS["full"]]
+    envs.reset()
+    assert [bool(info.get("randomized")) for info in envs.reset_infos] == [True, False, True]
+    with pytest.raises(AttributeError, match=r"'reward' cannot be set.*randomization"):
+        envs.envs.set_attr("reward", "sparse")
+    with pytest.raises(ParameterError, match="2 values were given for 3"):
+        envs.envs.set_attr("randomization", ["full", "hand"])
+    envs.set_options([{"setup": None}, {}, {}])
+    with pytest.raises(ParameterError, match="same options"):
+        envs.reset()
+    assert envs.env_is_wrapped(gymnasium.Wrapper) == [False] * 3
+    assert envs.get_images() == [None] * 3
+    envs.close()
+
+
+def test_a_learner_of_each_kind_learns_on_it():
+    """PPO through the usual wrappers, and hindsight replay, which asks for rewards by `env_method`."""
+    envs = VecNormalize(VecMonitor(HandVecEnv(GRASP, 4, engine="mujoco")))
+    learner = PPO("MlpPolicy", envs, n_steps=70, batch_size=70, n_epochs=1, seed=0, device="cpu")
+    learner.learn(280)
+    assert len(learner.ep_info_buffer) >= 4
+    assert len(learner.ep_success_buffer) >= 4
+    envs.close()
+    goals = HandVecEnv(POSTURE, 2, engine="mujoco")
+    replay = SAC("MultiInputPolicy", goals, replay_buffer_class=HerReplayBuffer, learning_starts=90, seed=0, device="cpu")
+    replay.learn(96)
+    goals.close()

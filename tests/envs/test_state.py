@@ -1,0 +1,99 @@
+"""`save_state` and `restore_state`: the same actions from a saved state give the same steps, to the bit."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.errors import EpisodeError
+from hpac_gym.physics.simulation import ENGINES
+
+GRASP, PICK_PLACE, POSTURE = "HPAC-Grasp-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0"
+
+
+def closing(steps: int, rng: np.random.Generator) -> np.ndarray:
+    """A hand that closes with some noise, which touches, pushes and sometimes holds."""
+    share = np.clip(np.arange(1, steps + 1) / 14, 0, 1)[:, None]
+    goal = np.array([0.3, 1, 1, 1, 1, 0.5])
+    action = -1 + share * (goal + 1) + rng.uniform(-0.2, 0.2, (steps, 6))
+    action[:, 5] = 0.5
+    return np.clip(action, -1, 1).astype(np.float32)
+
+
+def told(env: gymnasium.Env, actions: np.ndarray) -> list:
+    """What the steps return, until the episode is over."""
+    rows = []
+    for action in actions:
+        rows.append(env.step(action))
+        if rows[-1][2]:
+            break
+    return rows
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("name", "options", "steps"),
+    [(GRASP, {"obs": "privileged", "randomize": "full"}, 48), ("HPAC-GraspAny-v0", {"obs": "load", "wrist": "free"}, 14),
+     (PICK_PLACE, {"randomize": "link"}, 40), (POSTURE, {}, 12)],
+    ids=str,
+)  # fmt: skip
+def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(name, options, steps, engine):
+    """Saved at the start, in contact and while lifting; each restored after another future, from which it has to come back."""
+    env = gymnasium.make(name, engine=engine, **options).unwrapped
+    rng = np.random.default_rng(3)
+    actions = closing(steps, rng)
+    if env.action_space.shape != (6,):  # the wrist's place, which is chosen once more after the first state
+        actions = np.concatenate([actions, np.full((steps, 4), 0.5, np.float32)], axis=1)
+    env.reset(seed=5)
+    saved, rows = [(0, env.save_state())], []
+    for number, action in enumerate(actions, 1):
+        rows.append(env.step(action))
+        if rows[-1][2]:
+            break
+        if number in (11, 26, 38):
+            saved.append((number, env.save_state()))
+    for number, state in (*reversed(saved), saved[0]):
+        env.restore_state(state)
+        told(env, rng.uniform(-1, 1, (4, *env.action_space.shape)).astype(np.float32))
+        env.restore_state(state)
+        np.testing.assert_equal(told(env, actions[number : number + 10]), rows[number : number + 10])
+    env.close()
+
+
+def test_a_state_of_another_episode_or_environment_is_refused():
+    env, other = (gymnasium.make(GRASP).unwrapped for _ in range(2))
+    with pytest.raises(EpisodeError, match="reset"):
+        env.save_state()
+    env.reset(seed=0)
+    other.reset(seed=0)
+    state = env.save_state()
+    env.restore_state(state)
+    with pytest.raises(EpisodeError, match="only in the episode"):
+        other.restore_state(state)
+    env.reset(seed=0)
+    with pytest.raises(EpisodeError, match="only in the episode"):
+        env.restore_state(state)
+    env.close()
+    with pytest.raises(EpisodeError, match="closed"):
+        env.restore_state(state)
+    other.close()
+
+
+def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end():
+    env = gymnasium.make(GRASP).unwrapped
+    env.reset(seed=0)
+    state, still = env.save_state(), np.full((64, 6), -1, np.float32)
+    first = told(env, still)
+    with pytest.raises(EpisodeError, match="reset"):
+        env.step(still[0])
+    env.restore_state(state)
+    np.testing.assert_equal(told(env, still), first)
+    env.close()
+
+
+def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire():
+    env = gymnasium.make("HPAC-Posture-v0", transmit=lambda command: command).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(EpisodeError, match="transmit"):
+        env.save_state()
+    env.close()

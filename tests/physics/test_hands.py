@@ -1,0 +1,214 @@
+"""The family of hands: what is drawn, what both engines make of it, and that no world feels whose hand is beside its own."""
+
+import dataclasses
+from functools import partial
+
+import mujoco
+import numpy as np
+import pytest
+
+from hpac_gym.body.geometry import HPAC_GEOMETRY
+from hpac_gym.body.hands import SERVO_ZERO, SIZES, HandVariant, hand_set
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import DIGITS, HPAC, JOINT_INDEX, JOINTS, SERVOS, servo_from_synergy, synergy_from_servo
+from hpac_gym.physics.conformance import free_space
+from hpac_gym.physics.engine import SceneSetup, SceneState
+from hpac_gym.physics.mjcf import mass_matrix
+from hpac_gym.physics.mujoco.engine import MuJoCoEngine
+from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
+from hpac_gym.physics.simulation import ENGINES, Simulation, make_engine
+from hpac_gym.physics.tendons import Tendons
+from hpac_gym.tasks.grasp import Grasp
+
+ALL = hand_set("train") + hand_set("test")
+CLOSED = np.array([0.7, *HPAC.synergy_max[1:5], 1.2])
+ROOTS = [JOINT_INDEX[name] for name in SERVOS]
+
+engines = pytest.mark.parametrize("engine", ENGINES)
+
+
+def setup(variant: HandVariant | None, seed: int = 0, body: str = "twin") -> SceneSetup:
+    """A grasp with one of the hands; None is the nominal one."""
+    drawn = dataclasses.replace(Grasp().setup(np.random.default_rng(seed)), hand_settings=BODIES[body])
+    if variant is None:
+        return drawn
+    settings = variant.over(drawn.hand_settings)
+    return dataclasses.replace(drawn, hand=variant.hand, geometry=variant.geometry, hand_settings=settings)
+
+
+def test_the_sets_are_as_large_and_as_broken_as_stated_and_share_no_hand():
+    assert {name: len(hand_set(name)) for name in SIZES} == SIZES == {"train": 32, "test": 8}
+    assert len({variant.name for variant in ALL}) == len({variant.geometry for variant in ALL}) == 40
+    assert hand_set.__wrapped__("test") == hand_set("test")
+    for name, count in SIZES.items():
+        weakest = np.array([min(variant.strength) for variant in hand_set(name)])
+        assert ((weakest > 0) & (weakest < 1)).sum() == count / 4
+        assert (weakest == 0).sum() == count / 8
+    slack = np.array([variant.slack for variant in ALL])
+    assert 0 <= slack.min() < 3e-4
+    assert 2.7e-3 < slack.max() <= 3e-3
+    zero = np.abs([variant.servo_zero for variant in ALL])
+    assert 0.9 * SERVO_ZERO < zero.max() <= SERVO_ZERO
+    with pytest.raises(ParameterError, match="hand set 'held_out' is not one of train, test"):
+        hand_set("held_out")
+
+
+def test_lengths_paths_and_pulleys_scale_together():
+    for variant in ALL:
+        for digit, nominal in zip(variant.geometry.digits, HPAC_GEOMETRY.digits, strict=True):
+            lengths = np.array([link.length / old.length for link, old in zip(digit.phalanges, nominal.phalanges, strict=True)])
+            assert (np.abs(lengths - 1) < 0.2).all()
+            tendon, old = variant.hand.digits[digit.name], HPAC.digits[digit.name]
+            paths = np.array(tendon.path_length) / old.path_length
+            np.testing.assert_allclose(paths, lengths[1:2] if digit.name == "thumb" else lengths[:2])
+            np.testing.assert_allclose(tendon.rigid_ratio, old.rigid_ratio)
+            assert np.linalg.norm(digit.pad) > np.linalg.norm(nominal.pad) * 0.8
+
+
+def test_no_hand_leaves_table_1_or_is_too_stiff_for_the_explicit_engine():
+    for variant in ALL:
+        hand = variant.hand
+        np.testing.assert_array_equal(hand.joint_max, HPAC.joint_max)
+        assert (hand.elastic_ratio * hand.synergy_max[hand.servo_of_joint] <= hand.joint_max).all()
+        inertia = mass_matrix(variant.geometry, BODIES["twin"].armature, hand.synergy_max / 2, hand)
+        law = Tendons(hand, inertia, 1 / 120, BODIES["twin"].damping)
+        matrices = [law.stiffness_matrix(share * hand.synergy_max) for share in np.linspace(0.0, 1.0, 11)]
+        mode = max(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max() for matrix in matrices)
+        assert np.sqrt(mode) / 120 < 1.5
+
+
+def test_mujoco_loads_the_links_of_every_hand():
+    """All in one batch, after every world had another hand before."""
+    engine = MuJoCoEngine(len(ALL))
+    for hands in (reversed(ALL), ALL):
+        engine.reset(range(len(ALL)), [setup(variant) for variant in hands])
+    assert len(engine._groups) == 1
+    for world, variant in enumerate(ALL):
+        model, data = engine.single(world)
+        for phalanx in variant.geometry.phalanges:
+            link, geom, (_, _, end) = model.body(phalanx.link), model.geom(phalanx.link), phalanx.capsule.end
+            np.testing.assert_allclose(link.mass, phalanx.mass, rtol=1e-8)
+            np.testing.assert_allclose(link.pos, phalanx.origin, atol=1e-9)
+            np.testing.assert_allclose(geom.size[:2], [phalanx.capsule.radius, end / 2], rtol=1e-8)
+            np.testing.assert_allclose(geom.pos, [0, 0, end / 2], atol=1e-10)
+        chords = [model.tendon_length0[model.tendon(f"{digit}_drive").id] for digit in DIGITS]
+        np.testing.assert_allclose(chords, variant.hand.rest_chord, rtol=1e-8)
+        full, joints = np.zeros((model.nv, model.nv)), [model.joint(name) for name in JOINTS]
+        for joint in joints:
+            data.qpos[joint.qposadr[0]] = 0.0
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        dofs = [joint.dofadr[0] for joint in joints]
+        wanted = mass_matrix(variant.geometry, BODIES["twin"].armature, np.zeros(6), variant.hand)
+        np.testing.assert_allclose(full[np.ix_(dofs, dofs)], wanted, rtol=1e-7, atol=1e-11)
+
+
+@pytest.mark.pybullet
+@pytest.mark.parametrize("variant", [ALL[0], ALL[13], ALL[35]], ids=lambda variant: variant.name)
+def test_pybullet_loads_the_links_of_a_hand(variant):
+    import pybullet
+
+    engine = make_engine("pybullet")
+    for other in (ALL[5], variant):
+        engine.reset([0], [setup(other)])
+    hand, client = engine.scenes[0].hand, engine.scenes[0].world.client
+    for phalanx in variant.geometry.phalanges:
+        index, (_, _, end) = hand.link_index[phalanx.link], phalanx.capsule.end
+        mass, *_ = pybullet.getDynamicsInfo(hand.body, index, client)
+        assert mass == pytest.approx(phalanx.mass, rel=1e-6)
+        shape = pybullet.getCollisionShapeData(hand.body, index, client)[0]
+        assert shape[3][:2] == pytest.approx((end, phalanx.capsule.radius), rel=1e-6)
+        if phalanx.parent != "palm":
+            frame = np.array(pybullet.getJointInfo(hand.body, index, client)[14])
+            parent = next(link for link in variant.geometry.phalanges if link.link == phalanx.parent)
+            assert frame[2] == pytest.approx(parent.length - parent.capsule.end[2] / 2, rel=1e-6)  # from the parent's middle
+    engine.close()
+
+
+def test_no_hand_touches_itself_at_the_start_wherever_the_thumb_is():
+    engine = MuJoCoEngine(len(ALL))
+    for cmc in np.linspace(0.0, HPAC.synergy_max[-1], 8):
+        opened = np.array([0.0, 0.0, 0.0, 0.0, 0.0, cmc])
+        starts = [dataclasses.replace(setup(variant), object=None, synergy=opened) for variant in ALL]
+        engine.reset(range(len(ALL)), starts)
+        for world, variant in enumerate(ALL):
+            _, data = engine.single(world)
+            assert data.ncon == 0, f"{variant.name} with CMC at {cmc:.2f} rad"
+
+
+@pytest.mark.parametrize(("engine", "body"), [("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light")])
+@pytest.mark.parametrize("variant", [ALL[26], ALL[36]], ids=lambda variant: variant.name)
+def test_free_space_keeps_to_equations_12_and_13_of_the_hand_itself(engine, body, variant):
+    make = partial(make_engine, engine)
+    manifold, command, speed = free_space(make, BODIES[body], WorldSettings(), 6, 0, variant.hand, variant.geometry)
+    assert manifold < 1e-3
+    assert command < 0.4  # the drives are softer than the nominal one's
+    assert speed < 0.05
+    assert np.abs(HPAC.elastic_ratio - variant.hand.elastic_ratio).max() > 4e-3  # another hand's law would be seen
+
+
+@engines
+def test_no_world_feels_whose_hand_is_beside_its_own_or_was_there_before(engine):
+    chosen = [None, ALL[3], None, ALL[38], ALL[3]]
+
+    def close(simulation: Simulation) -> list[SceneState]:
+        n, states = simulation.engine.num_worlds, []
+        simulation.command(np.tile(servo_from_synergy(CLOSED), (n, 1)), 0.6)
+        for _ in range(3):
+            simulation.advance(np.zeros((n, 30, 3)))
+            states.append(simulation.state())
+        return states
+
+    together = Simulation(make_engine(engine, len(chosen)))
+    together.reset(range(len(chosen)), [setup(variant) for variant in reversed([*chosen[1:], ALL[20]])])
+    close(together)
+    together.reset(range(len(chosen)), [setup(variant) for variant in chosen])
+    found = close(together)
+    for world, variant in enumerate(chosen[:4]):
+        alone = Simulation(make_engine(engine))
+        alone.reset([0], [setup(variant)])
+        for one, other in zip(close(alone), found, strict=True):
+            for field in dataclasses.fields(SceneState):
+                np.testing.assert_array_equal(getattr(one, field.name)[0], getattr(other, field.name)[world], err_msg=field.name)
+        alone.engine.close()
+    np.testing.assert_array_equal(found[-1].joint_pos[1], found[-1].joint_pos[4])
+    assert np.abs(found[-1].joint_pos[0] - found[-1].joint_pos[1]).max() > 0.02
+    together.engine.close()
+
+
+@engines
+def test_a_dead_digit_does_not_pull_a_weak_one_pulls_its_share_and_a_servo_zero_moves_the_hand(engine):
+    """Closing on a can; the fourth hand is empty, and its servos' commands know nothing of their zeros."""
+    zero = (0.0, 0.05, -0.03, 0.04, 0.0, -0.05)
+    plain, empty = setup(None), SceneSetup(None, synergy=np.array([0.3, 0.4, 0.5, 0.4, 0.3, 0.6]))
+    broken = [
+        HandSettings(),
+        HandSettings(strength=(1.0, 1.0, 0.0, 1.0, 1.0)),
+        HandSettings(strength=(1.0, 1.0, 0.4, 1.0, 1.0)),
+    ]
+    starts = [dataclasses.replace(plain, hand_settings=settings) for settings in broken]
+    shifted = dataclasses.replace(empty, hand_settings=HandSettings(servo_zero=zero))
+    simulation = Simulation(make_engine(engine, 4))
+    simulation.reset(range(4), [*starts, shifted])
+    first = simulation.state()
+    servo = servo_from_synergy(empty.synergy)
+    np.testing.assert_allclose(first.horn[3], servo + zero)
+    np.testing.assert_allclose(first.joint_pos[3, ROOTS], synergy_from_servo(servo + zero), atol=1e-9)
+    command = np.tile(servo_from_synergy(CLOSED), (4, 1))
+    command[3] = servo_from_synergy(empty.synergy * 1.2)
+    simulation.command(command, 0.5)
+    simulation.rest(1.5)
+    state = simulation.state()
+    np.testing.assert_allclose(state.joint_pos[3, ROOTS], synergy_from_servo(command[3] + zero), atol=6e-3)
+    middle = DIGITS.index("middle")
+    assert state.tension[0].max() == pytest.approx(40.0, abs=0.1)
+    assert (state.tension[1:3, middle] <= np.array([0.0, 16.0]) + 1e-9).all()
+    assert state.joint_pos[1, JOINT_INDEX["middle_mcp"]] < 0.35
+    assert state.joint_pos[0, JOINT_INDEX["middle_mcp"]] > 0.5
+    simulation.engine.close()
+
+
+def test_settings_that_no_hand_has_are_refused():
+    for change in ({"slack": (-1e-3,) * 5}, {"strength": (1.0, 1.0, 1.2, 1.0, 1.0)}, {"servo_zero": (0.0,) * 5}):
+        with pytest.raises(ValueError, match=f"{next(iter(change))} = .* values in"):
+            HandSettings(**change)

@@ -1,0 +1,122 @@
+"""A closure is a way to close the hand, told by its numbers; a policy file says in which ranges they lie."""
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.model import SERVO_INDEX
+from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
+from hpac_gym.policies.made_for import difference, made_for
+
+CMC, THUMB = SERVO_INDEX["thumb_cmc"], SERVO_INDEX["thumb_mp"]
+RNG = np.random.default_rng(0)
+
+
+def way(closures: Closures, decision, steps: int = 64) -> np.ndarray:
+    """Actions of one closure, shape (steps, 6)."""
+    return closures.actions(np.repeat([decision], steps, axis=0), np.arange(steps))
+
+
+def test_a_closure_goes_from_open_to_its_goals_and_stays_there():
+    closures = Closures()
+    for decision in RNG.uniform(-1, 1, (50, 8)):
+        actions = way(closures, decision)
+        low, high = closures.bounds
+        goals = (low + (decision + 1) / 2 * (high - low))[:6]
+        digits = np.delete(actions, CMC, axis=1)
+        assert np.all(np.diff(digits, axis=0) >= -1e-12)
+        assert digits[0].max() < 0
+        np.testing.assert_allclose(actions[30], goals)
+        np.testing.assert_array_equal(actions[30:], np.repeat(actions[30:31], 34, axis=0))
+        assert np.all(actions[:, CMC] == goals[CMC])
+
+
+def test_the_delay_holds_back_the_thumb_or_the_fingers():
+    closures = Closures(duration=(10, 10))
+    late, early = (way(closures, [0, 0, 0, 0, 0, 0, 0, lead]) for lead in (1, -1))
+    assert np.all(late[:8, THUMB] == -1)
+    assert np.all(early[:8, 1:5] == -1)
+    np.testing.assert_allclose(late[8:, THUMB], late[:-8, 1])
+    np.testing.assert_allclose(early[8:, 1], early[:-8, THUMB])
+
+
+def test_a_closure_with_a_release_begins_and_lets_go_when_it_is_told():
+    closures = Closures(thumb_delay=(0, 0), begin=(6, 18), release=(40, 50))
+    assert closures.names[-2:] == ("begin", "release")
+    digits = np.delete(way(closures, [*np.zeros(8), 1, -1]), CMC, axis=1)
+    assert np.all(digits[:18] == -1)
+    assert np.all(digits[36:41] > 0)
+    assert np.all(digits[41:] == -1)
+
+
+def test_all_worlds_at_once_are_what_each_is_alone():
+    closures, decisions, steps = Closures(), RNG.uniform(-1, 1, (20, 8)), RNG.integers(0, 64, 20)
+    together = closures.actions(decisions, steps)
+    alone = [closures.actions([decision], [step])[0] for decision, step in zip(decisions, steps, strict=True)]
+    np.testing.assert_array_equal(together, alone)
+    assert np.all(np.abs(together) <= 1)
+
+
+def test_a_policy_of_closures_decides_once_an_episode():
+    closures, asked = Closures(), []
+
+    def actor(seen):
+        asked.append(seen)
+        return np.full(8, seen[0])
+
+    policy = LearnedPolicy(actor, closures=closures)
+    for first in (0.5, -0.5):
+        policy.reset(0)
+        acted = [policy.act(np.array([first + step])) for step in range(5)]
+        np.testing.assert_allclose(acted, way(closures, np.full(8, first), 5), atol=1e-7)
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(
+    ("ranges", "complaint"),
+    [
+        ({"goal": [1.0, -1.0]}, r"closure range goal = \(1.0, -1.0\) must be two ordered numbers"),
+        ({"goal": [0.0]}, "goal"),
+        ({"goal": ["low", "high"]}, "ranges are none"),
+        ({"duration": [1.0, float("nan")]}, "duration"),
+        ({"speed": [0.0, 1.0]}, "a closure has no speed"),
+        ({"begin": [0.0, 1.0]}, "both begin"),
+    ],
+)
+def test_ranges_that_are_none_are_refused(ranges, complaint):
+    with pytest.raises(PolicyError, match=complaint):
+        Closures.of(ranges)
+
+
+@pytest.fixture(scope="module")
+def described():
+    env = gymnasium.make("HPAC-Grasp-v0", engine="mujoco")
+    yield made_for(env)
+    env.close()
+
+
+def test_an_environment_differs_from_itself_in_nothing(described):
+    assert len(described["observation"]) == 44
+    assert difference(described, described) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"control_hz": 50}, "control_hz was 50, and is 20"),
+        ({"hand_sha256": "0"}, "hand_sha256 was 0"),
+        ({"action": ["index_mcp"]}, "action was"),
+    ],
+)
+def test_a_file_for_another_rate_hand_or_layout_is_told_by_its_difference(described, change, told):
+    assert difference(described | change, described).startswith(told)
+
+
+def test_the_first_entry_that_differs_is_named(described):
+    entries = [list(entry) for entry in described["observation"]]
+    entries[21][4] = 9.0
+    said = difference(described | {"observation": entries}, described)
+    assert said == "observation entry 21 was object_pos x [0.05 m] -4…9, and is object_pos x [0.05 m] -4…4"
+    assert difference(described | {"observation": entries[:-1]}, described) is not None
+    assert difference(described, described | {"observation": described["observation"][:-1]}).endswith("and is none")

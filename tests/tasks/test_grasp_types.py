@@ -1,0 +1,161 @@
+"""The sixteen grasp types: each is its posture, executed; and a rule tells a grasp from one that only holds."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import (
+    HPAC,
+    JOINT_INDEX,
+    POSTURES,
+    action_from_synergy,
+    joints_from_synergy,
+    reach,
+    servo_from_action,
+)
+from hpac_gym.tasks.grasp_data import GRASPS, GraspError
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspOfType, Hold, Hole, Moment, Rule, data_text, grasp_types_from_toml
+
+NAMES = list(GRASPS)
+TIPS = {digit: f"{joint}_link" for digit, joint in zip(HPAC.digits, ("thumb_ip", *(f"{f}_dip" for f in list(HPAC.digits)[1:])),
+                                                       strict=True)}  # fmt: skip
+
+
+def test_there_is_a_type_for_each_grasp_posture_of_the_paper():
+    assert list(GRASP_TYPES) == NAMES == [name for name, posture in POSTURES.items() if posture.kind == "grasp"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_type_closes_to_its_posture_by_eqs_14_and_15_without_retuning(name: str):
+    """What the closure ends in is the servo command u* of the posture's q_d, and the posture is one that six servos reach."""
+    taken = reach(POSTURES[name].target_joint_pos)
+    closed = GRASP_TYPES[name].start.closed
+    np.testing.assert_allclose(servo_from_action(action_from_synergy(closed)), taken.servo, atol=1e-9)
+    np.testing.assert_allclose(joints_from_synergy(closed), taken.joint_pos, atol=1e-9)
+    assert taken.distance < 0.01
+
+
+def test_the_named_grasps_of_v0_stay_as_they_are():
+    """Frozen: their closed shapes are their own data and not the postures, which may still be improved."""
+    numbers = np.array([[*grasp.closed, *grasp.preshape, *grasp.position, *grasp.hand_rpy] for grasp in GRASPS.values()])
+    assert hashlib.sha256(np.round(1e6 * numbers).astype(np.int64).tobytes()).hexdigest()[:16] == "d9dcee7cd29a09c0"
+
+
+def moment(
+    force: dict[str, float], normal=(1.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), rotation=None, centre=(0.5, 0.0, 0.0)
+) -> Moment:
+    """Contacts of some links with one normal and one point, the hand open."""
+    count = len(force)
+    spread = [np.tile(np.asarray(vector, float), (count, 1)) for vector in (point, normal)]
+    turn = np.eye(3) if rotation is None else rotation
+    return Moment(tuple(force), np.array(list(force.values())), *spread, turn, np.array(centre), np.zeros(15))
+
+
+def hold(*moments: Moment) -> Hold:
+    return Hold(moments=list(moments))
+
+
+PINCH = {TIPS["thumb"]: 3.0, TIPS["index"]: 3.0}
+TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+TILTED = TURNED[:, [2, 1, 0]] * [1, 1, -1]
+
+
+@pytest.mark.parametrize(
+    ("rule", "good", "bad"),
+    [
+        (Rule(touch=("thumb", "index")), hold(moment(PINCH)), hold(moment({TIPS["index"]: 3.0}))),
+        (Rule(fingers=1), hold(moment(PINCH)), hold(moment({TIPS["thumb"]: 3.0}))),
+        (Rule(digits=2), hold(moment(PINCH)), hold(moment({TIPS["thumb"]: 3.0, "palm": 1.0}))),
+        (Rule(never=("palm",)), hold(moment(PINCH)), hold(moment(PINCH | {"palm": 0.1}))),
+        (Rule(tips=True), hold(moment(PINCH)), hold(moment(PINCH | {"index_mcp_link": 3.0}))),
+        (Rule(force=4.0), hold(moment(PINCH)), hold(moment({TIPS["thumb"]: 3.0}))),
+        (Rule(), hold(moment(PINCH), moment(PINCH)), hold(moment(PINCH), moment(PINCH, rotation=TURNED))),
+        (Rule(turn_deg=180, tilt_deg=20), hold(moment(PINCH, rotation=TURNED)), hold(moment(PINCH, rotation=TILTED))),
+        (Rule(axis="x", along=0.7), hold(moment(PINCH)), hold(moment(PINCH, normal=(0.0, 1.0, 0.0)))),
+        (Rule(axis="z", across=0.7), hold(moment(PINCH)), hold(moment(PINCH, normal=(0.0, 0.0, 1.0)))),
+        (Rule(side="index"), hold(moment(PINCH, normal=(0.0, 1.0, 0.0))), hold(moment(PINCH))),
+        (
+            Rule(button=0.04, press=2.0),
+            hold(moment(PINCH, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.05))),
+            hold(moment(PINCH, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.03))),
+        ),
+        (
+            Rule(button=0.04, press=2.0),
+            hold(moment({TIPS["thumb"]: 3.0}, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.05))),
+            hold(moment({TIPS["thumb"]: 3.0}, point=(0.0, 0.0, 0.05))),
+        ),
+    ],
+    ids=["touch", "fingers", "digits", "never", "tips", "force", "turn", "tilt", "along", "across", "side", "button", "pressed"],
+)  # fmt: skip
+def test_a_rule_tells_a_good_hold_from_a_bad_one(rule: Rule, good: Hold, bad: Hold):
+    assert rule.kept(good), rule.clauses(good)
+    assert not rule.kept(bad), rule.clauses(bad)
+    assert all(0 <= value <= 1 for found in (good, bad) for value in rule.clauses(found).values())
+
+
+def test_a_part_touches_if_it_does_in_half_of_the_hold():
+    rule, without = Rule(touch=("thumb",)), moment({TIPS["index"]: 3.0})
+    assert rule.kept(hold(moment(PINCH), without))
+    assert not rule.kept(hold(moment(PINCH), without, without))
+
+
+def test_a_digit_goes_through_a_ring_that_is_put_over_it_and_not_through_one_beside_it():
+    """The open index lies along z of the hand, its last two links from z = 137 to 188 mm at y = 35 to 40 mm."""
+    ring = Hole(centre=(0.0, 0.0, 0.0), axis="z", half=(0.014, 0.014))
+    rule = Rule(through=("index",), holes=(ring,))
+    assert rule.kept(hold(moment(PINCH, centre=(0.0, 0.038, 0.165))))
+    assert not rule.kept(hold(moment({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165)))), "it must touch, too"
+    without = [moment({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165))] * 4
+    assert not rule.kept(hold(moment(PINCH, centre=(0.0, 0.038, 0.165)), *without)), "a fifth of the hold is not enough"
+    assert not rule.kept(hold(moment(PINCH, centre=(0.0, 0.060, 0.165))))
+    assert not rule.kept(hold(moment(PINCH, centre=(0.0, 0.038, 0.200)))), "beyond its tip"
+    assert ring.outside(np.array([0.02, 0.0, -0.01]), np.array([0.02, 0.0, 0.01])) == pytest.approx(0.006)
+
+
+def test_rules_that_tell_nothing_or_contradict_the_hand_are_refused():
+    for changed, message in (
+        ({"touch": ("toe",)}, "touch has toe, which is none of palm, thumb"),
+        ({"through": ("palm",)}, "through has palm"),
+        ({"fingers": 5}, "fingers 5 and digits 0 must be 0 to 4"),
+        ({"across": 1.5}, "across 1.5 must be 0 to 1"),
+        ({"press": -1.0}, "press -1.0 N must be at least 0"),
+        ({"axis": "w"}, "axis 'w' must be x, y or z"),
+    ):
+        with pytest.raises(ParameterError, match=message):
+            Rule(**changed)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[rod]", "[rod", "grasp types: "),
+        ("[rod]", "[club]", "grasp type club: there is no posture of this name"),
+        ("[rod]\n", "[rod]\nclosed = [0, 0, 0, 0, 0, 0]\n", "grasp type rod: unknown fields closed; the posture rod says"),
+        ("[rod.rule]\n", "[rod.rule]\ntoes = 3\n", "grasp type rod: .*toes"),
+        ("[rod.rule]\n", '[rod.rule]\nnever = ["toe"]\n', "grasp type rod: never has toe"),
+        ('object = "conduit"', 'object = "club"', "grasp rod: object 'club' is none of"),
+    ],
+)
+def test_a_bad_file_of_types_is_refused_by_name(old: str, new: str, message: str):
+    text = data_text()
+    assert old in text
+    with pytest.raises(ParameterError, match=message):
+        grasp_types_from_toml(text.replace(old, new, 1).replace("[rod.rule]", "[club.rule]" if "club]" in new else "[rod.rule]"))
+
+
+def test_an_unknown_type_is_named():
+    with pytest.raises(GraspError, match="no grasp type 'club'; there are large_cylinder"):
+        GraspOfType("club")
+
+
+def test_the_task_draws_the_types_own_start():
+    setup = GraspOfType("press").setup(np.random.default_rng(0))
+    kind = GRASP_TYPES["press"].start
+    np.testing.assert_array_equal(setup.synergy, kind.preshape)
+    assert np.abs(setup.position - kind.position).max() <= max(kind.position_noise)
+    assert setup.object.model.name == "spray_can"
+    assert GraspOfType("press", "large").rule.button == pytest.approx(1.08 * GraspOfType("press").rule.button)
+    assert GraspOfType("tape_roll", "small").rule.holes[0].half[0] == pytest.approx(0.92 * 0.019)
+    assert POSTURES["press"].target_joint_pos[JOINT_INDEX["thumb_cmc"]] > 0

@@ -1,0 +1,170 @@
+"""What the camera sees past the hand, and what the servos tell."""
+
+import numpy as np
+import pytest
+
+from hpac_gym.body.geometry import HPAC_GEOMETRY as GEOMETRY
+from hpac_gym.body.geometry import link_poses
+from hpac_gym.body.hands import hand_set
+from hpac_gym.body.object_models import Solid, load_object_models
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.model import HPAC, JOINTS
+from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.occlusion import SKIN, Skeleton, covered, surface
+from hpac_gym.tasks.senses import POINTS, Senses, ServoSenses, eye_offset
+
+CENTRE = np.array([0.03, 0.0, 0.10])
+FRONT = Viewpoint(distance=0.4, yaw_deg=180.0, pitch_deg=0.0)
+"""In front of the palm of a hand in its usual orientation."""
+
+
+def test_the_skeleton_is_where_forward_kinematics_puts_the_links():
+    rng = np.random.default_rng(0)
+    joint_pos = rng.uniform(0, 1.5, (4, len(JOINTS)))
+    bodies = [GEOMETRY, hand_set("train")[3].geometry, GEOMETRY, hand_set("test")[0].geometry]
+    skeleton = Skeleton(4)
+    for world, body in enumerate(bodies):
+        skeleton.fit(world, body)
+    first, second = skeleton.segments(joint_pos, np.arange(4))
+    for world, (angles, body) in enumerate(zip(joint_pos, bodies, strict=True)):
+        expected = []
+        for digit in body.digits:
+            own = np.array([angles[JOINTS.index(phalanx.joint)] for phalanx in digit.phalanges])
+            for phalanx, (place, rotation) in zip(digit.phalanges, link_poses(digit, own), strict=True):
+                expected.append((place, place + rotation @ phalanx.capsule.end))
+        np.testing.assert_allclose(first[world, :15], [start for start, _ in expected], atol=1e-12)
+        np.testing.assert_allclose(second[world, :15], [end for _, end in expected], atol=1e-12)
+
+
+def test_the_palm_s_capsules_fill_its_box():
+    first, second = Skeleton(1).segments(np.zeros((1, len(JOINTS))), np.array([0]))
+    box = GEOMETRY.palm_solids[0]
+    inside = np.random.default_rng(1).uniform(-0.3, 0.3, (200, 3)) * box.size + box.center
+    aside = np.array([0.2, 0.0, 0.0])
+    radius = Skeleton(1).radius
+    hidden = [covered((point - aside)[None], (point + aside)[None, None], first, second, radius)[0, 0] for point in inside]
+    assert np.mean(hidden) > 0.97
+
+
+def test_a_capsule_covers_what_is_behind_it_and_nothing_else():
+    """Against points along the ray, sampled one by one."""
+    rng = np.random.default_rng(2)
+    eye, points = rng.uniform(-1, 1, (3, 3)), rng.uniform(-1, 1, (3, 40, 3))
+    first, second, radius = rng.uniform(-1, 1, (3, 5, 3)), rng.uniform(-1, 1, (3, 5, 3)), np.full((3, 5), 0.3)
+    found = covered(eye, points, first, second, radius)
+    way, along = np.linspace(0, 1, 400)[:, None], np.linspace(0, 1, 400)[:, None, None]
+    for world in range(3):
+        bones = (first[world] + along * (second[world] - first[world])).reshape(-1, 3)
+        for index in range(40):
+            ray = eye[world] + way * (points[world, index] - eye[world])
+            nearest = np.sqrt(((ray[:, None] - bones[None, ::7]) ** 2).sum(axis=2).min())
+            if abs(nearest - SKIN * 0.3) > 0.02:
+                assert found[world, index] == (nearest < SKIN * 0.3)
+    assert 0.1 < found.mean() < 0.9
+
+
+@pytest.mark.parametrize("kind", ["box", "cylinder", "sphere", "capsule"])
+def test_points_of_a_surface_lie_on_it_and_are_spread_evenly(kind):
+    size = {"box": (0.02, 0.04, 0.06), "sphere": (0.04, 0.04, 0.04)}.get(kind, (0.03, 0.03, 0.08))
+    solid = Solid(kind, 1.0, size, np.array([0.01, 0.0, 0.0]), np.eye(3))
+    points, normals = surface(kind, [solid], 4000)
+    half = np.array(size) / 2
+    own = points - solid.center
+    if kind == "box":
+        np.testing.assert_allclose(np.abs(own / half).max(axis=1), 1.0)
+    elif kind == "cylinder":
+        np.testing.assert_allclose(np.maximum(np.hypot(*own.T[:2]) / half[0], np.abs(own[:, 2]) / half[2]), 1.0)
+    else:
+        core = own - np.clip(own, [0, 0, half[0] - half[2]], [0, 0, half[2] - half[0]]) * [0, 0, 1]
+        np.testing.assert_allclose(np.linalg.norm(core, axis=1), half[0])
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    assert ((own * normals).sum(axis=1) > 0).all()
+    np.testing.assert_allclose(normals.mean(axis=0), 0.0, atol=0.05)  # a closed surface's normals cancel out
+
+
+def test_no_point_of_a_surface_is_inside_another_solid():
+    model = load_object_models()["spray_can"]
+    points, _ = surface("spray_can", model.solids, 500)
+    for solid in model.solids:
+        own, half = (points - solid.center) @ solid.rotation, np.array(solid.size) / 2
+        inside = (np.hypot(own[:, 0], own[:, 1]) < 0.99 * half[0]) & (np.abs(own[:, 2]) < 0.99 * half[2])
+        assert not inside.any()
+
+
+def ball(depth: float, beyond: float = 0.12) -> SceneSetup:
+    """A ball at a distance from the palm, and at a distance from the wrist along the fingers [m]."""
+    spec = ObjectSpec("sphere", (0.02, 0.02, 0.02), 0.1, 0.7)
+    return SceneSetup(spec, position=np.array([depth, 0.0, beyond]))
+
+
+def state_of(setup: SceneSetup, joint_pos: np.ndarray) -> SceneState:
+    state = SceneState.empty(1)
+    state.joint_pos[:], state.object_pos[:], state.object_rotation[:] = joint_pos, setup.position, setup.hand_rotation.T
+    return state
+
+
+def senses(setup: SceneSetup, noise: CameraNoise = CameraNoise(0, 0, 0), **options) -> Senses:
+    made = Senses(1, noise, FRONT, CENTRE, **options)
+    made.start(0, setup, 1.0, np.random.default_rng(0))
+    return made
+
+
+OPEN, FIST = np.zeros(len(JOINTS)), np.minimum(HPAC.joint_max, 1.2)
+
+
+def test_a_fist_in_front_of_the_ball_hides_it_and_the_last_look_stays():
+    setup, behind = ball(0.06), ball(0.03, 0.085)
+    eyes = senses(setup)
+    seen = eyes.look(state_of(setup, OPEN), [0])
+    np.testing.assert_allclose(seen["position"][0], setup.position)
+    assert seen["visible"][0] == 1
+    seen = eyes.look(state_of(behind, FIST), [0])
+    assert seen["visible"][0] == 0
+    np.testing.assert_allclose(seen["position"][0], setup.position)
+    assert not eyes.points(state_of(behind, FIST))[0, :, 3].all()
+    seen = eyes.look(state_of(behind, OPEN), [0])
+    assert seen["visible"][0] == 1
+    np.testing.assert_allclose(seen["position"][0], behind.position)
+
+
+def test_the_first_look_is_taken_before_the_hand_comes():
+    setup = ball(0.03, 0.085)
+    seen = senses(setup).look(state_of(setup, FIST), [0])
+    assert seen["visible"][0] == 0
+    np.testing.assert_allclose(seen["position"][0], setup.position)
+
+
+def test_points_are_of_the_camera_s_side():
+    setup = ball(0.06)
+    eyes = senses(setup)
+    eyes.look(state_of(setup, OPEN), [0])
+    points = eyes.points(state_of(setup, OPEN))[0]
+    assert points.shape == (POINTS, 4)
+    assert (points[:, 3] == 1).sum() > 50
+    places = points[points[:, 3] == 1, :3] * 0.05 + [0.045, 0.005, 0.1125]
+    np.testing.assert_allclose(np.linalg.norm(places - setup.position, axis=1), 0.02, atol=1e-6)
+    towards = CENTRE + setup.hand_rotation.T @ eye_offset(FRONT) - setup.position
+    assert ((places - setup.position) @ towards > 0).all()
+    assert (points[points[:, 3] == 0] == 0).all()
+
+
+def test_a_servo_tells_its_load_in_steps_now_and_then_with_its_error():
+    setup, servos = ball(0.06), ServoSenses(load_noise=0.0, load_bias=0.0)
+    eyes, state = senses(setup, servos=servos), state_of(setup, OPEN)
+    told = []
+    for step in range(4):
+        state.tension[:] = 5.0 * (step + 1)
+        state.horn[:] = 0.3
+        told.append(eyes.look(state, [0]))
+    exact = 5.0 * HPAC.servo_radius[:5] / servos.stall_torque
+    np.testing.assert_allclose(told[0]["load"][0], exact, atol=servos.load_step / 2)
+    np.testing.assert_array_equal(told[1]["load"], told[0]["load"])  # ten readings a second
+    np.testing.assert_allclose(told[2]["load"][0], 3 * exact, atol=servos.load_step / 2)
+    steps = told[2]["load"] / servos.load_step
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    np.testing.assert_allclose(told[0]["horn"], 0.3, atol=servos.horn_step / 2)
+    wrong = [senses(setup, servos=ServoSenses(load_noise=0.0)) for _ in range(2)]
+    first, second = (eyes.look(state, [0])["load"] for eyes in wrong)
+    np.testing.assert_array_equal(first, second)
+    assert np.abs(first[0] - 4 * exact).max() > 0.01

@@ -1,0 +1,112 @@
+"""Search a winning closure for every held-out seed of HPAC-Grasp-v0, and the best blind one: ``python -m tools.closures``.
+
+For each seed closures are drawn, from a generator of the seed's own, until one holds the object or so many were tried. What is
+done is written at once, seed by seed, and a second call goes on where the first one ended. ``--blind`` instead prints the
+closure that holds the most episodes of training seeds, halving the field round by round, judged on the held-out ones.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+
+from agents.command import command_parser
+from hpac import run, whole_number
+from hpac_gym.evaluation import closures
+from hpac_gym.evaluation.closures import COLUMNS, FILE, Closure, Try, share_found
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.evaluation.workers import worker_pool
+
+ENV_ID = "HPAC-Grasp-v0"
+TARGET = Path(closures.__file__).parent / "data" / FILE
+ROUNDS = ((512, 8), (128, 24), (32, 80), (8, 250))
+"""How many closures are left in each round of the search for a blind one, and how many episodes each then meets."""
+
+_env: gymnasium.Env
+
+
+def prepare(engine: str) -> None:
+    """Make this process's environment."""
+    global _env
+    _env = gymnasium.make(f"hpac_gym:{ENV_ID}", engine=engine)
+
+
+def holds(closure: Closure, seed: int) -> bool:
+    """Whether a closure holds the object of a seed to the end."""
+    _env.reset(seed=seed)
+    step, over = 0, False
+    while not over:
+        step += 1
+        *_, over, _, info = _env.step(closure.action(step))
+    return bool(info["is_success"])
+
+
+def search(seed: int, most: int) -> Try:
+    """The first of at most so many closures that wins a seed."""
+    rng = np.random.default_rng([seed, 2])
+    for tries in range(1, most + 1):
+        closure = Closure.drawn(rng)
+        if holds(closure, seed):
+            return Try(seed, tries, closure)
+    return Try(seed, most, None)
+
+
+def wins(closure: Closure, first_seed: int, episodes: int) -> int:
+    """In how many episodes a closure holds the object."""
+    return sum(holds(closure, first_seed + number) for number in range(episodes))
+
+
+def search_all(work, seeds: range, most: int) -> None:
+    """Write the winning closures that the file does not have yet."""
+    rows = TARGET.read_text(encoding="utf-8").splitlines() if TARGET.exists() else [",".join(COLUMNS)]
+    known = {found.seed: found for found in map(Try.of_row, rows[1:])}
+    missing = [seed for seed in seeds if seed not in known]
+    for found in work(search, ((seed, most) for seed in missing)):
+        known[found.seed] = found
+        ordered = [known[seed].row() for seed in sorted(known)]
+        TARGET.write_text("\n".join([",".join(COLUMNS), *ordered, ""]), encoding="utf-8")
+    tries = [known[seed] for seed in seeds]
+    for within in sorted({1, 4, 16, 64, most}):
+        print(_rate(f"best of {within}", round(share_found(tries, within) * len(tries)), len(tries)))
+
+
+def search_blind(work, seeds: range) -> None:
+    """Print the best blind closure of ``ROUNDS``."""
+    rng, first = np.random.default_rng(0), 0
+    field = [Closure.drawn(rng) for _ in range(ROUNDS[0][0])]
+    for left, episodes in ROUNDS:
+        field = field[:left]
+        counts = list(work(wins, ((closure, first, episodes) for closure in field)))
+        field = [field[place] for place in np.argsort(counts)[::-1]]
+        print(f"{left} closures, {episodes} episodes each: the best holds {max(counts)}", file=sys.stderr)
+        first += episodes
+    held = sum(work(wins, ((field[0], seed, 1) for seed in seeds)))
+    print(f"{field[0]}\n{_rate('best blind closure', held, len(seeds))}")
+
+
+def _rate(name: str, won: int, trials: int) -> str:
+    low, high = wilson_interval(won, trials)
+    return f"{name}: {won / trials:.1%} ({low:.1%} … {high:.1%})"
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("tools.closures", __doc__)
+    parser.add_argument("--blind", action="store_true", help="search the best blind closure instead")
+    parser.add_argument("--seeds", type=whole_number(1), default=400, help=f"how many, from {HELD_OUT_SEED} on")
+    parser.add_argument("--tries", type=whole_number(1), default=256, help="closures for each seed at most")
+    parser.add_argument("--engine", default="pybullet", help="which engine judges")
+    parser.add_argument("--workers", type=whole_number(1), default=1, help="processes")
+    args = parser.parse_args(argv)
+    seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + args.seeds)
+    with worker_pool(args.workers, prepare, (args.engine,)) as work:
+        partial(search_blind, work, seeds)() if args.blind else search_all(work, seeds, args.tries)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))

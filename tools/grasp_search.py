@@ -1,0 +1,149 @@
+"""Search for a grasp type: ``python -m tools.grasp_search NAME`` moves the posture, the object's place and the wrist's turn.
+
+An evolution strategy: each generation draws candidates about a mean, runs each in the engines given, on seeds that no later
+judgement uses, with the nominal hand and with ``randomize="hand"``, and moves the mean towards the best quarter. What is found is
+written to the data of posture and type with ``--write``; ``python -m tools.grasp_types`` judges it on other seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hpac_gym.evaluation.grasp_types import TypeTrial, run_types
+from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy
+from hpac_gym.model.checks import Array
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspType
+
+ROOT = Path(__file__).parents[1] / "hpac_gym"
+POSTURES_FILE, TYPES_FILE = ROOT / "model/data/postures.toml", ROOT / "tasks/data/grasp_types.toml"
+SEARCH_SEED = 5_000_000
+"""First seed of the search; the judgement begins at 1,000,000 and stays far below."""
+SPREAD = np.array([0.15] * 6 + [0.10] * 6 + [0.005] * 3 + [0.10] * 3)
+"""First standard deviation of the closed synergy and the first shape [rad], the place [m], and the turn [rad]."""
+SHRINK = 0.9
+ELITE = 4
+"""One candidate of so many is kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A type that is searched: what differs from its data."""
+
+    numbers: Array
+    """Closed synergy (6,), first shape (6,) [rad], place (3,) [m], turn of the wrist as a rotation vector (3,) [rad]."""
+
+    def of(self, kind: GraspType) -> GraspType:
+        """The type with these numbers."""
+        closed, preshape = (np.clip(part, HPAC.synergy_min, HPAC.synergy_max).round(3) for part in np.split(self.numbers[:12], 2))
+        turn = Rotation.from_euler("xyz", kind.start.hand_rpy) * Rotation.from_rotvec(self.numbers[15:])
+        rpy = np.radians(np.degrees(turn.as_euler("xyz")).round(1))
+        return replace(
+            kind,
+            start=replace(
+                kind.start, closed=closed, preshape=preshape,
+                position=tuple(self.numbers[12:15].round(4).tolist()), hand_rpy=tuple(rpy.tolist()),
+            ),
+        )  # fmt: skip
+
+
+def score(trial: TypeTrial) -> float:
+    """How good an episode was, 0 to about 5: even one that failed has a slope towards what is wanted."""
+    kept = [*trial.clauses.values(), 1.0]
+    return 2.0 * trial.success + 0.5 * trial.held + trial.share + float(np.mean(kept)) + min(kept) - 2.0 * (not trial.free)
+
+
+def search(
+    name: str, generations: int, population: int, engines: list[str], fixed: list[int], rng: np.random.Generator, spread: float
+) -> GraspType:
+    """The best type that was found."""
+    kind = GRASP_TYPES[name]
+    start = kind.start
+    mean = np.concatenate([start.closed, start.preshape, start.position, np.zeros(3)])
+    sigma = spread * SPREAD.copy()
+    sigma[fixed] = 0.0
+    for generation in range(generations):
+        drawn = mean + sigma * rng.standard_normal((population, len(mean)))
+        drawn[0] = mean
+        points, wins, spoiled = np.zeros(population), np.zeros(population), 0
+        for number, engine in enumerate(engines):
+            engine, body, randomize = engine.split("/")
+            seeds = [SEARCH_SEED + 100 * generation + number] * population
+            worlds = population if engine == "mujoco" else 1
+            types = [Candidate(numbers).of(kind) for numbers in drawn]
+            for index, trial in run_types(types, seeds, engine=engine, body=body, randomize=randomize, num_worlds=worlds):
+                points[index] += score(trial) / len(engines)
+                wins[index] += trial.success
+                spoiled += not trial.free
+        best = np.argsort(-points)[: population // ELITE]
+        weights = np.linspace(1.0, 0.3, len(best))
+        mean = weights @ drawn[best] / weights.sum()
+        sigma *= SHRINK
+        print(
+            f"{name} {generation + 1}/{generations}: best {points[best[0]]:.2f}, mean {points[0]:.2f}, successes "
+            f"{wins[0]:.0f} and {wins[best[0]]:.0f} of {len(engines)}, elite {wins[best].sum():.0f} of "
+            f"{len(engines) * len(best)}, {spoiled} start in touch", file=sys.stderr, flush=True,
+        )  # fmt: skip
+    return Candidate(mean).of(kind)
+
+
+def write(found: GraspType) -> None:
+    """Put what was found into the posture's and the type's data."""
+    name, start = found.start.name, found.start
+    joints = np.minimum(joints_from_synergy(start.closed).round(3), np.floor(1e3 * HPAC.joint_max) / 1e3)
+    parts = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
+    targets = {digit: [joints[JOINT_INDEX[f"{digit}_{part}"]] for part in names] for digit, names in parts.items()}
+    _replace(POSTURES_FILE, name, targets)
+    _replace(
+        TYPES_FILE, name,
+        {
+            "hand_rpy_deg": np.degrees(start.hand_rpy).round(1).tolist(),
+            "position": list(start.position),
+            "preshape": start.preshape.tolist(),
+        },
+    )  # fmt: skip
+
+
+def _replace(path: Path, table: str, values: dict[str, list[float]]) -> None:
+    before, head, rest = path.read_text(encoding="utf-8").partition(f"[{table}]\n")
+    body, *after = re.split(r"(?m)^(?=\[)", rest, maxsplit=1)
+    for key, value in values.items():
+        text = ", ".join(f"{number:g}" for number in value)
+        body, count = re.subn(rf"(?m)^{key} = \[[^\]]*\]", f"{key} = [{text}]", body)
+        if count != 1:
+            raise ValueError(f"{path}: [{table}] has {key} {count} times")
+    path.write_text(before + head + body + "".join(after), encoding="utf-8")
+
+
+def main() -> None:
+    """Search one type, and print or write it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", choices=list(GRASP_TYPES), metavar="NAME")
+    parser.add_argument("--generations", type=int, default=12)
+    parser.add_argument("--population", type=int, default=24)
+    parser.add_argument("--engines", nargs="+", default=["mujoco/twin/nominal", "mujoco/light/hand", "pybullet/twin/hand"],
+                        help="ENGINE/BODY/RANDOMIZE, one episode of each for every candidate (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--fixed", nargs="*", type=int, default=[], help="numbers of a candidate that stay as they are")
+    parser.add_argument("--spread", type=float, default=1.0, help="factor of the first standard deviation")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", action="store_true", help="put what was found into the data")
+    options = parser.parse_args()
+    found = search(
+        options.name, options.generations, options.population, options.engines, options.fixed,
+        np.random.default_rng(options.seed), options.spread,
+    )  # fmt: skip
+    start = found.start
+    print(f"closed = {start.closed.tolist()}\npreshape = {start.preshape.tolist()}\nposition = {list(start.position)}")
+    print(f"hand_rpy_deg = {np.degrees(start.hand_rpy).round(1).tolist()}")
+    if options.write:
+        write(found)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Judge the sixteen grasp types: ``python -m tools.grasp_types`` writes ``docs/grasp_types.json`` for the tables of the page.
+
+Every type is run on the same held-out seeds, which no search has seen, in every engine and body, on the nominal hand and on
+randomized ones. The file names the data that it was taken on: a test is red when the data has changed since.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+from collections import Counter
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpac_gym.evaluation.grasp_types import run_types
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.model import POSTURES
+from hpac_gym.physics.engine import PARTS
+from hpac_gym.progress import progress
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, data_text
+
+RESULTS = Path(__file__).parents[1] / "docs" / "grasp_types.json"
+SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
+HANDS = ("nominal", "hand", "full")
+WORLDS = 20
+"""Worlds that MuJoCo steps at once."""
+
+
+def fingerprint(name: str) -> str:
+    """Of all data that a type's results hang on: its posture, and its entry in the file of types."""
+    entry = data_text().split(f"[{name}]\n")[1].split("\n[")
+    body = "[".join(part for index, part in enumerate(entry) if index == 0 or part.startswith(f"{name}."))
+    return hashlib.sha256(POSTURES[name].target_joint_pos.tobytes() + body.strip().encode()).hexdigest()[:16]
+
+
+def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
+    """Episodes of one type in one set-up: successes, what was held, which clauses failed, and by which parts it was held."""
+    engine, body = set_up.split("/")
+    seeds = [HELD_OUT_SEED + index for index in range(episodes)]
+    worlds = WORLDS if engine == "mujoco" else 1
+    types = [GRASP_TYPES[name]] * episodes
+    trials = [trial for _, trial in run_types(types, seeds, engine=engine, body=body, randomize=hand, num_worlds=worlds)]
+    wins = [trial for trial in trials if trial.success]
+    failed = Counter(clause for trial in trials if trial.held for clause, kept in trial.clauses.items() if kept < 1)
+
+    def mean(what: str) -> dict[str, float]:
+        return {part: round(float(np.mean([getattr(trial, what)[part] for trial in wins])), 2) for part in PARTS} if wins else {}
+
+    return {
+        "episodes": episodes,
+        "held": sum(trial.held for trial in trials),
+        "successes": len(wins),
+        "in_touch_at_the_start": sum(not trial.free for trial in trials),
+        "failed_clauses_of_held": dict(failed.most_common()),
+        "touched": mean("touched"),
+        "force_newton": mean("force"),
+    }
+
+
+def results() -> dict[str, Any]:
+    """What the file says, by type."""
+    return json.loads(RESULTS.read_text(encoding="utf-8"))
+
+
+def text_of(found: dict[str, Any]) -> str:
+    """The file's text: a line for each type, hand and set-up."""
+    types = []
+    for name, entry in found.items():
+        rows = [f'  "data": "{entry["data"]}"']
+        for hand in filter(entry.__contains__, HANDS):
+            cells = ",\n".join(f'   "{set_up}": {json.dumps(row)}' for set_up, row in entry[hand].items())
+            rows.append(f'  "{hand}": {{\n{cells}\n  }}')
+        types.append(f' "{name}": {{\n' + ",\n".join(rows) + "\n }")
+    return "{\n" + ",\n".join(types) + "\n}\n"
+
+
+def rule_table() -> str:
+    """How each grasp is executed and what makes it the one that it is called."""
+    rows = []
+    for name, kind in GRASP_TYPES.items():
+        words = "; ".join(term for term, _ in kind.rule.terms())
+        rows.append([f"`{name}`", str(POSTURES[name].panel), kind.start.object.about, kind.start.about, words])
+    return _table(["grasp", "panel", "object", "held as", "rule"], rows)
+
+
+def success_table(hand: str) -> str:
+    """Success with its Wilson 95 % interval in every engine and body; what was held without keeping to the rule in brackets."""
+    found = {name: entry[hand] for name, entry in results().items()}
+    whole = {
+        set_up: {key: sum(entry[set_up][key] for entry in found.values()) for key in ("successes", "held", "episodes")}
+        for set_up in SET_UPS
+    }
+    rows = []
+    for name, entry in {**found, "all": whole}.items():
+        cells = []
+        for row in (entry[set_up] for set_up in SET_UPS):
+            low, high = wilson_interval(row["successes"], row["episodes"])
+            besides = f" (held {row['held']})" if row["held"] > row["successes"] else ""
+            cells.append(f"{row['successes']} of {row['episodes']}, {low:.0%} … {high:.0%}{besides}")
+        rows.append([f"`{name}`" if name in GRASP_TYPES else name, *cells])
+    return _table(["grasp", *SET_UPS], rows)
+
+
+def contact_table() -> str:
+    """Which parts touch in the hold of the nominal hand's successes, and how hard."""
+    rows = []
+    for name, entry in results().items():
+        shares, forces = (entry["nominal"][SET_UPS[0]][key] for key in ("touched", "force_newton"))
+        cells = [f"{shares[part]:.0%}, {forces[part]:.1f} N" if shares.get(part) else "–" for part in PARTS]
+        rows.append([f"`{name}`", *cells])
+    return _table(["grasp", *PARTS], rows)
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows))
+
+
+TABLES = {
+    "types": rule_table,
+    "contacts": contact_table,
+    **{f"types-{hand}": partial(success_table, hand) for hand in HANDS},
+}
+"""The tables of ``docs/grasps.md`` by name."""
+
+
+def main() -> None:
+    """Judge types and write the file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--types", nargs="+", default=list(GRASP_TYPES), choices=list(GRASP_TYPES), metavar="NAME")
+    parser.add_argument("-n", "--episodes", type=int, default=20, help="of each type on the nominal hand (default: %(default)s)")
+    parser.add_argument("-m", "--randomized", type=int, default=10, help="on each randomized hand (default: %(default)s)")
+    parser.add_argument("--hands", nargs="+", default=list(HANDS), choices=HANDS)
+    parser.add_argument("--out", type=Path, default=RESULTS, help="file to write; others in it stay (default: %(default)s)")
+    options = parser.parse_args()
+    found = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
+    cells = [(name, set_up, hand) for name in options.types for hand in options.hands for set_up in SET_UPS]
+    for name, set_up, hand in progress(cells, "types", sys.stderr.isatty()):
+        entry, count = found.setdefault(name, {}), options.episodes if hand == "nominal" else options.randomized
+        if entry.get("data") != fingerprint(name):
+            entry.clear()
+            entry["data"] = fingerprint(name)  # results on other data are none
+        entry.setdefault(hand, {})[set_up] = row = judge(name, set_up, hand, count)
+        print(f"{name} {hand} {set_up}: {row['successes']} of {row['episodes']}, held {row['held']}, "
+              f"in touch {row['in_touch_at_the_start']} {row['failed_clauses_of_held']}", flush=True)  # fmt: skip
+        ordered = {name: found[name] for name in GRASP_TYPES if name in found}
+        options.out.write_text(text_of(ordered), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,290 @@
+"""Finds the poses in which the objects of `hpac_gym.body.object_sets` stay by themselves: ``python -m tools.resting_poses``.
+
+Every object is dropped in MuJoCo onto a level table in `DROPS` random orientations, and set down on each of its six sides.
+What it comes to rest in is a pose; poses of the same heights are one. A pose is kept if the object, set down in it, comes
+back from a tilt by `NUDGE` towards each of eight sides, and if it keeps still in both engines of `hpac_gym`. Writes
+``hpac_gym/body/data/resting_poses.toml``, which hangs on the processor in its last digits, so that no test compares it; tests
+check that both engines keep the poses.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hpac_gym.body.object_models import ObjectModel
+from hpac_gym.body.object_sets import RestingObject, RestingPose, resting, split_models
+from hpac_gym.body.objects import ObjectSpec, Support
+from hpac_gym.model.checks import Array
+from hpac_gym.output import write_text
+from hpac_gym.physics.engine import HAND_POSITION, POST, SUPPORT_FRICTION, Engine, SceneSetup, matrix_from_quaternion
+from hpac_gym.physics.mjcf import CONTACT
+from hpac_gym.physics.mujoco.model import geom_size, quaternion_from_matrix
+from hpac_gym.physics.simulation import ENGINES, make_engine
+from hpac_gym.progress import progress
+
+FILE = Path(__file__).parents[1] / "hpac_gym" / "body" / "data" / "resting_poses.toml"
+DROPS, SEED = 40, 12
+NUDGE = math.radians(5)
+"""Tilt from which an object must come back [rad]."""
+SAME = 0.0015
+"""Poses whose heights differ by less than this, of the origin, of the mass centre and of the top, are the same [m]."""
+MAX_POSES = 4
+HIGH = 0.120
+"""What is higher than this can be gripped from the side above a table, the hand being 90 mm wide. Lower things that stand
+upright, the z-axis of their own frame vertical, get a stand [m]."""
+HEADER = """\
+# Written by python -m tools.resting_poses: the ways in which objects stay by themselves, found by letting them come to rest.
+# poses: quaternion xyzw of the object in the world, then the share of random drops that ended like this (0: set down so alone).
+"""
+_SIDES = Rotation.from_rotvec(np.array([[0, 0, 0], [math.pi, 0, 0], *((a * math.pi / 2, b * math.pi / 2, 0) for a, b in
+                                        ((1, 0), (-1, 0), (0, 1), (0, -1)))]))  # fmt: skip
+_PLACE = np.array([-0.30, 0.0, 0.20])
+"""Of an object in the world, behind the wrist [m]."""
+_STEPS = 20
+"""Physics steps of 2 ms between two looks at the speed; five slow looks in a row are rest."""
+_ROLLING = "0.002 0.0005"
+"""Friction against twisting and rolling [m]; without it a ball would never rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An orientation that an object came to rest in."""
+
+    rotation: Array
+    """From the object's axes to the world's, shape (3, 3)."""
+    heights: Array
+    """Of the origin, the mass centre and the top above the table, shape (3,) [m]."""
+
+    @classmethod
+    def of(cls, model: ObjectModel, rotation: Array) -> Found:
+        """The heights of an object that lies on its lowest point."""
+        low, high = model.turned_bounds(rotation)
+        return cls(rotation, np.array([-low[2], (rotation @ model.center_of_mass)[2] - low[2], high[2] - low[2]]))
+
+    def same_as(self, other: Found) -> bool:
+        """Whether both are the same pose, but for a turn about the vertical and symmetries of the object."""
+        return bool(np.abs(self.heights - other.heights).max() < SAME)
+
+
+class Table:
+    """An object in MuJoCo above a table, or above the post of a stand."""
+
+    def __init__(self, model: ObjectModel, friction: float, post: bool = False) -> None:
+        root = Xml.Element("mujoco")
+        Xml.SubElement(root, "option", timestep="0.002", cone="elliptic")
+        world = Xml.SubElement(root, "worldbody")
+        size = " ".join(map(repr, (*POST.half_width, 0.1))) if post else "0.5 0.5 0.1"
+        contact = CONTACT | {"condim": "6", "friction": f"{SUPPORT_FRICTION * friction} {_ROLLING}"}
+        Xml.SubElement(world, "geom", type="box", size=size, pos="0 0 -0.1", priority="1", **contact)
+        if post:
+            Xml.SubElement(world, "geom", type="box", size="0.5 0.5 0.01", pos="0 0 -0.4", priority="1", **contact)
+        body = Xml.SubElement(world, "body", name="object")
+        Xml.SubElement(body, "freejoint")
+        inertia = model.inertia
+        entries = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+        numbers = {"pos": _text(model.center_of_mass), "mass": repr(model.mass), "fullinertia": _text(entries)}
+        Xml.SubElement(body, "inertial", numbers)
+        for solid in model.solids:
+            shape = {"type": solid.kind, "size": _text(geom_size(solid, 1.0)), "pos": _text(solid.center)}
+            Xml.SubElement(body, "geom", shape | {"quat": _text(quaternion_from_matrix(solid.rotation))})
+        self.object = model
+        self.model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
+        self.data = mujoco.MjData(self.model)
+
+    def rest(self, rotation: Array, drop: float = 0.0, seconds: float = 4.0) -> Found | None:
+        """Where the object comes to rest, let go in an orientation with its lowest point at a height [m]; None if it does not."""
+        model, data = self.model, self.data
+        mujoco.mj_resetData(model, data)
+        data.qpos[2] = drop - self.object.turned_bounds(rotation)[0][2]
+        data.qpos[3:] = quaternion_from_matrix(rotation)
+        still = 0
+        for _ in range(round(seconds / model.opt.timestep / _STEPS)):
+            mujoco.mj_step(model, data, _STEPS)
+            slow = np.abs(data.qvel[:3]).max() < 2e-3 and np.abs(data.qvel[3:]).max() < 0.05
+            still = still + 1 if slow and data.ncon else 0
+            if still == 5:
+                break
+        found = Found.of(self.object, data.body("object").xmat.reshape(3, 3).copy())
+        # What fell off the post, or over it with its hollow, lies lower.
+        return found if still and abs(data.qpos[2] - found.heights[0]) < SAME else None
+
+    def keeps(self, pose: Found) -> bool:
+        """Whether the object stays in a pose, and comes back to it from a tilt towards each of eight sides."""
+        def comes_back(turn: Rotation) -> bool:
+            found = self.rest((turn * Rotation.from_matrix(pose.rotation)).as_matrix())
+            return found is not None and found.same_as(pose)
+
+        angles = np.arange(8) * math.pi / 4
+        nudges = [NUDGE * np.array([math.cos(angle), math.sin(angle), 0.0]) for angle in angles]
+        return all(comes_back(Rotation.from_rotvec(nudge)) for nudge in [np.zeros(3), *nudges])
+
+
+def stable_poses(model: ObjectModel, friction: float, drops: int = DROPS) -> list[tuple[Found, float]]:
+    """The stable poses of an object on a table, and the share of random drops that ended in each, the most usual first."""
+    rng, table = np.random.default_rng([SEED, *model.name.encode()]), Table(model, friction)
+    counts: list[list] = []
+
+    def count(rotation: Array, drop: float, random: int) -> None:
+        found = table.rest(rotation, drop)
+        if found is None:
+            return
+        known = next((entry for entry in counts if entry[0].same_as(found)), None)
+        if known is None:
+            counts.append([found, random])
+        else:
+            known[1] += random
+
+    for turn in _SIDES:  # first, so that what is the same as one of these poses is written like it
+        count(turn.as_matrix(), 0.001, 0)
+    for turn in Rotation.random(drops, rng):
+        count(turn.as_matrix(), 0.02, 1)
+    merged: list[list] = []
+    for found, number in counts:
+        found = _levelled(model, found)
+        known = next((entry for entry in merged if entry[0].same_as(found)), None)
+        if known is None:
+            merged.append([found, number])
+        else:
+            known[1] += number
+    kept = [(found, number / drops) for found, number in merged if table.keeps(found)]
+    return sorted(kept, key=lambda entry: -entry[1])[:MAX_POSES]
+
+
+def _levelled(model: ObjectModel, found: Found) -> Found:
+    """The same pose with an axis exactly vertical that is so within 1.5 degrees, and its longer side along the world's x."""
+    down = found.rotation.T @ [0.0, 0.0, -1.0]
+    axis = np.zeros(3)
+    axis[np.argmax(np.abs(down))] = np.sign(down[np.argmax(np.abs(down))])
+    if down @ axis > math.cos(math.radians(1.5)):
+        down = axis
+    turn = Rotation.align_vectors([[0.0, 0.0, -1.0]], [down])[0]
+    best = min(range(180), key=lambda angle: _footprint(model, turn, angle))
+    return Found.of(model, (Rotation.from_euler("z", best, degrees=True) * turn).as_matrix())
+
+
+def _footprint(model: ObjectModel, turn: Rotation, angle: int) -> tuple[float, float]:
+    low, high = model.turned_bounds((Rotation.from_euler("z", angle, degrees=True) * turn).as_matrix())
+    x, y = (high - low)[:2]
+    return round(x * y, 7), round(-x, 5)
+
+
+def needs_stand(pose: Found, model: ObjectModel) -> bool:
+    """Whether an object stands upright on an end, but too low for a hand beside it that shall not touch the table."""
+    x, y, z = model.size
+    return abs(pose.rotation[2, 2]) > 0.999 and 1.1 * max(x, y) < z < HIGH
+
+
+def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
+    """What the file says of an object.
+
+    Raises:
+        RuntimeError: It has no stable pose.
+    """
+    poses = stable_poses(model, friction)
+    if not poses:
+        raise RuntimeError(f"{model.name} has no stable pose")
+    on_post = Table(model, friction, post=True)
+    raised = [(pose, share) for pose, share in poses if needs_stand(pose, model) and on_post.keeps(pose)]
+    numbers = []
+    for pose, share in raised or poses:
+        quaternion = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
+        numbers.append([*(round(float(value), 6) + 0.0 for value in quaternion), round(share, 3)])
+    return {"stand": bool(raised), "poses": numbers}
+
+
+def every_object() -> list[tuple[ObjectModel, float]]:
+    """The objects of all splits, and their friction."""
+    return [given for models in split_models().values() for given in models.values()]
+
+
+def setup_of(thing: RestingObject, pose: RestingPose) -> SceneSetup:
+    """The object at rest behind the wrist, away from the hand, on a board or on a post."""
+    rotation = matrix_from_quaternion(pose.quaternion)
+    side = pose.height / np.abs(rotation[2]).sum()  # half of a cube that is as high as the object's origin in this pose
+    spec = ObjectSpec("box", (side, side, side), thing.model.mass, thing.friction, thing.model)
+    place = SceneSetup(None).hand_rotation.T @ (_PLACE - HAND_POSITION)
+    support = POST if thing.stand else Support((0.15, 0.15))
+    return SceneSetup(spec, place, object_quaternion=pose.quaternion, support=support)
+
+
+def restless(physics: Engine, entries: list[tuple[RestingObject, RestingPose]]) -> list[int]:
+    """Which of some objects in a pose leave it, or move by more than 5 mm, in 2 s; what is round may roll by so much.
+
+    Args:
+        physics: an engine with at least as many worlds.
+        entries: objects and poses.
+    """
+    worlds, k = physics.num_worlds, round(2.0 / physics.dt)
+    setups = [setup_of(*entry) for entry in entries]
+    physics.reset(range(worlds), [*setups, *setups[:1] * (worlds - len(setups))])
+    before, still = physics.state(), np.zeros((worlds, k, 6))
+    physics.advance(still, still, np.zeros((worlds, k, 3)))
+    after = physics.state()
+    to_world, found = SceneSetup(None).hand_rotation, []
+    for index, (thing, _) in enumerate(entries):
+        way = np.linalg.norm(after.object_pos[index] - before.object_pos[index])
+        first, last = (Found.of(thing.model, to_world @ state.object_rotation[index]) for state in (before, after))
+        if way > 0.005 or not last.same_as(first):
+            found.append(index)
+    return found
+
+
+def without_restless(models: list[tuple[ObjectModel, float]], entries: dict[str, dict[str, Any]]) -> None:
+    """Take out the poses of some objects in which an engine does not keep them still.
+
+    Raises:
+        RuntimeError: An object has no other pose.
+    """
+    jobs = [(model.name, numbers, resting(model, friction, {"stand": entries[model.name]["stand"], "poses": [numbers]}))
+            for model, friction in models for numbers in entries[model.name]["poses"]]  # fmt: skip
+    bad, engines = set(), [make_engine(name, 8) for name in ENGINES]
+    for start in progress(range(0, len(jobs), 8), "Both engines"):
+        things = [(thing, thing.poses[0]) for *_, thing in jobs[start : start + 8]]
+        bad |= {start + index for physics in engines for index in restless(physics, things)}
+    for physics in engines:
+        physics.close()
+    for name, numbers, _ in (jobs[index] for index in bad):
+        entries[name]["poses"].remove(numbers)
+        print(f"{name}: an engine does not keep it still in {numbers}")
+        if not entries[name]["poses"]:
+            raise RuntimeError(f"{name} has no other pose")
+
+
+def _text(values: Array | list[float]) -> str:
+    return " ".join(map(repr, map(float, values)))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Find the poses and write the file."""
+    parser = argparse.ArgumentParser(prog="python -m tools.resting_poses", description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", help="of objects, or how names begin, whose poses to find anew (default: all)")
+    parser.add_argument("--recheck", action="store_true", help="find none, but try those in the file in both engines")
+    given = parser.parse_args(argv)
+    names, objects = tuple(given.names) or ("",), every_object()
+    entries = tomllib.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
+    wanted = [entry for entry in objects if entry[0].name.startswith(names)]
+    if not given.recheck:
+        entries |= {model.name: poses_of(model, friction) for model, friction in progress(wanted, "Resting poses")}
+    without_restless(wanted, entries)
+    text = HEADER
+    for name in (model.name for model, _ in objects if model.name in entries):
+        stand, poses = str(entries[name]["stand"]).lower(), "".join(f"    {numbers},\n" for numbers in entries[name]["poses"])
+        text += f"\n[{name}]\nstand = {stand}\nposes = [\n{poses}]\n"
+    write_text(FILE, text)
+    print(f"{FILE}: poses of {len(wanted)} objects of {len(objects)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
