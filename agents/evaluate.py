@@ -164,8 +164,7 @@ def table(summary: dict[str, Any]) -> str:
             f"| {name} | {numbers['episodes']} | {numbers['success_rate']:.1%} | {low:.1%} … {high:.1%} "
             f"| {numbers['return_mean']:.2f} | {phases} |"
         )
-    foreign = {"mujoco", "light", "hand", "link", "full"} & {str(value) for value in summary.get("options", {}).values()}
-    if (scale := scale_of(summary["env_id"])) and not foreign:  # its ends were measured on PyBullet, nominal
+    if scale := scale_of(summary["env_id"], summary.get("options")):
         scores = ", ".join(f"{name} {scale.score(row['success_rate']):.2f}" for name, row in summary["policies"].items())
         ends = f"0 at a random closure ({scale.floor:.1%}) and 1 at the best of many ({scale.ceiling:.1%})"
         lines += ["", f"Score, {ends}: {scores}."]

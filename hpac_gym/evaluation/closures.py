@@ -7,10 +7,11 @@ seed holds the object; the ceiling is how often any of those tried does, which o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from functools import lru_cache
 from importlib.resources import files
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from hpac_gym.model import SERVO_INDEX, SERVOS
 
 FILE = "grasp_closures.csv"
 COLUMNS = ("seed", "tries", *SERVOS, "steps", "lead")
+MEASURED_WITH = {"engine": "pybullet", "body": "twin", "randomize": "nominal"}
+"""Options of the environment in which the closures were tried."""
 _THUMB, _CMC = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
 
 
@@ -110,9 +113,10 @@ def winning_closures() -> tuple[Try, ...]:
     return tuple(map(Try.of_row, rows))
 
 
-def scale_of(env_id: str) -> Scale | None:
-    """The scale of an id, with or without its module; None for one that has none."""
-    if env_id.rpartition(":")[2] != "HPAC-Grasp-v0":
+def scale_of(env_id: str, options: Mapping[str, Any] | None = None) -> Scale | None:
+    """The scale of an id, with or without its module; None without one, or with options that it was not measured with."""
+    given = MEASURED_WITH | dict(options or {})
+    if env_id.rpartition(":")[2] != "HPAC-Grasp-v0" or any(given[name] != value for name, value in MEASURED_WITH.items()):
         return None
     tries = winning_closures()
     return Scale(share_found(tries, 1), share_found(tries, max(found.tries for found in tries)))

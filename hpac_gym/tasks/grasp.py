@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp_data import NOMINAL, named_grasp
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, setting
 from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, PRIVILEGED_TERMS, Moment, RewardTerm, Term, progress_terms
 
 PALM_SURFACE = 0.0125
@@ -169,14 +168,6 @@ class Grasp(Task):
 
     def _carry(self, now: Moment) -> Array:
         return np.where(now.phase == CLOSE, 0.0, self.config.weights.carry * self.grip.firmness)
-
-    def sparse_reward(self, now: Moment) -> Array:
-        """1 on success, 0 otherwise, shape (n,)."""
-        return (now.outcome == SUCCESS).astype(float)
-
-    def report(self, now: Moment) -> dict[str, Any]:
-        """What `info` says of a step."""
-        return scene_report(self, now)
 
 
 class GraspByName(Grasp):

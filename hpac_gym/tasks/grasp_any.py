@@ -310,10 +310,6 @@ class GraspAny(Task):
 
     # What is told --------------------------------------------------------------------------------------------------
 
-    def sparse_reward(self, now: Moment) -> Array:
-        """1 on success, 0 otherwise, shape (n,)."""
-        return (now.outcome == SUCCESS).astype(float)
-
     def report(self, now: Moment) -> dict[str, Any]:
         """What `info` says of a step."""
         return scene_report(self, now) | {

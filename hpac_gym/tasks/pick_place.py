@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import minimum_jerk, phase_at
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, setting
 from hpac_gym.tasks.terms import (
     AXES,
     COMMAND_TERMS,
@@ -271,14 +270,6 @@ class PickPlace(Task):
     def _set_down(self, now: Moment) -> Array:
         weights, free = self.config.weights, ~now.state.touching.any(axis=1)
         return np.where((now.phase == PLACE) & self._standing, weights.place + weights.release * free, 0.0)
-
-    def sparse_reward(self, now: Moment) -> Array:
-        """1 on success, 0 otherwise, shape (n,)."""
-        return (now.outcome == SUCCESS).astype(float)
-
-    def report(self, now: Moment) -> dict[str, Any]:
-        """What `info` says of a step."""
-        return scene_report(self, now)
 
 
 @lru_cache(maxsize=64)

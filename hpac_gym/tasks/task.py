@@ -85,12 +85,12 @@ class Task(Protocol):
         ...
 
     def sparse_reward(self, now: Moment) -> Array:
-        """The reward that only tells whether the aim is reached, shape (n,)."""
-        ...
+        """The reward that only tells whether the aim is reached, shape (n,): 1 on success, 0 otherwise."""
+        return (now.outcome == SUCCESS).astype(float)
 
     def report(self, now: Moment) -> Mapping[str, Any]:
         """What `info` says of a step: arrays of shape (n,), by name."""
-        ...
+        return scene_report(self, now)
 
 
 def setting(default: Any, meaning: str, **more: Any) -> Any:
