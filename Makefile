@@ -22,6 +22,8 @@ need-compiler = $(if $(shell command -v $(firstword $(CC))),,$(error \
 .DEFAULT_GOAL := help
 .PHONY: help setup compiler firmware test test-all demo bench generate wheel lint clean
 MAKEFLAGS += --no-print-directory
+# Some two hundred processes of the tests share compiled modules, even where the user has none written.
+unexport PYTHONDONTWRITEBYTECODE
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/\1|\2/p' Makefile | while IFS='|' read -r name text; do printf '  %-10s %s\n' "$$name" "$$text"; done
@@ -36,7 +38,7 @@ $(STAMP):
 	@$(PIP) torch==2.13.0
 	@echo "Set-up: the other dependencies and the project"
 	@$(PIP) hatchling
-	@$(PIP) --no-build-isolation --editable '.[train,study,grasps,objects,video,onnx,test]'
+	@$(PIP) --no-build-isolation --editable '.[train,study,grasps,objects,video,onnx,data,test]'
 	@rm -f $(VENV)/.setup-* && touch $@
 
 compiler:
@@ -47,8 +49,12 @@ firmware: compiler ## build the firmware core and its host board
 	@$(MAKE) -C firmware CC='$(CC)'
 
 test: compiler setup firmware ## pass all the tests but the slow ones
-	@$(MAKE) -C firmware -j 2 CC='$(CC)' check
-	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+	@echo "The firmware's checks run beside the other tests; their verdict, or all that they say if they fail, stands at the end."
+	@$(MAKE) -C firmware CC='$(CC)' check >firmware/build/check.log 2>&1 & checks=$$!; \
+	$(BIN)/python -m pytest $(PYTEST_ARGS); tested=$$?; \
+	wait $$checks; checked=$$?; log=firmware/build/check.log; \
+	if [ $$checked = 0 ]; then tail -n 1 $$log; else cat $$log; fi; \
+	exit $$((tested || checked))
 
 test-all: compiler setup firmware ## pass all the tests, slow ones and firmware mutants too
 	@$(MAKE) -C firmware CC='$(CC)' check-all

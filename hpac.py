@@ -45,6 +45,7 @@ COMMANDS = (
     Command("grasps", "judge a policy at the sixteen named grasps", "hpac_gym.evaluation.commands:add_grasps", "grasps"),
     Command("physics", "hold every engine and body against the paper and statics", "hpac_gym.physics.conformance:add_arguments"),
     Command("posture", "show, draw or send a gesture or grasp shape of the paper", "hpac:add_posture", "study"),
+    Command("record", "write episodes of a policy as a Minari dataset", "hpac_gym.evaluation.dataset:add_arguments", "data"),
     Command("safety", "measure the safety claims now, each beside its control", "hpac_gym.bridge.commands:add_safety"),
     Command("study", "how far the compensation holds on hands as they are made", "hpac_gym.study.study:add_arguments", "study"),
     Command("sweep", "the paper's experiment, or the same figures of a record", "hpac_gym.study.sweep:add_arguments", "study"),

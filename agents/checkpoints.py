@@ -19,7 +19,8 @@ from agents.errors import RunError
 
 _PREFIX = "checkpoint-"
 _UNFINISHED = ".unfinished"
-_TRIALS = ("seen", "decisions", "survived")
+_TRIALS = ("seen", "decisions", "survived", "came_to")
+_SCALES = ("mean", "scale", "mean_came_to", "scale_came_to")
 
 
 def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Path:
@@ -36,7 +37,7 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
         unfinished.mkdir(parents=True)
         torch.save(learner.weights(), unfinished / "weights.pt")
         arrays = {name: getattr(trials, name)[: trials.count] for name in _TRIALS}
-        np.savez(unfinished / "arrays.npz", mean=learner.mean, scale=learner.scale, **arrays)
+        np.savez(unfinished / "arrays.npz", **{name: getattr(learner, name) for name in _SCALES}, **arrays)
         state = {"episodes": trials.count, "updates": learner.updates, **state}
         (unfinished / "state.json").write_text(json.dumps(state, indent=2) + "\n")
         for path in (*unfinished.iterdir(), unfinished):
@@ -79,7 +80,9 @@ def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
         learner.load_weights(weights)
         learner.trials.count = 0
         learner.trials.add(*(arrays[name] for name in _TRIALS))
-        learner.mean, learner.scale, learner.updates = arrays["mean"], arrays["scale"], state["updates"]
+        for name in _SCALES:
+            setattr(learner, name, arrays[name])
+        learner.updates = state["updates"]
     except Exception as error:  # whatever a damaged file makes its reader raise
         raise RunError(f"checkpoint '{path}' is damaged or of another recipe: {error}") from error
     return state

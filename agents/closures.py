@@ -2,14 +2,17 @@
 
 An episode is one trial of one closure: it gets through so many of the task's phases, and holds the object if it gets through
 all. Two things are fitted to all trials so far. Critics see everything that a simulation knows, the true object with its mass
-and friction too, and predict for each phase whether a closure that has come so far gets through it. The actor sees only what a
-real hand has. It draws its closures from a distribution that it moves to where the critics predict success; how wide that stays
-is set by the entropy that it aims at, which falls along the training.
+and friction too, and predict for each phase whether a closure that has come so far gets through it. They also predict what the
+simulation will know at the end of the closing, such as joint angles, contact forces and the object's place, which tells
+more about a trial than its outcome alone. The actor sees only what a real hand has. It draws its closures from a distribution
+that it moves to where the critics predict success; how wide that stays is set by the entropy that it aims at, which falls
+along the training.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -39,7 +42,7 @@ DRAWS = 4
 SURE = 0.7
 """Predicted success from which a trial is not wanted for certain."""
 SMALLEST_SCALE = 0.05
-"""What hardly varies, as the noise of an angle, is not blown up to the size of what does; units make all entries of order one."""
+"""Of an observed entry; units make all entries of order one."""
 
 
 @dataclass(slots=True)
@@ -50,24 +53,28 @@ class Trials:
         seen: the first observation of the episode, *privileged*, shape (n, k).
         decisions: the closure, −1…1, shape (n, m).
         survived: how many phases of the task it got through, shape (n,).
+        came_to: what only a simulation knows at the end of the closing, or of the trial, shape (n, k − deployed).
         count: how many rows hold a trial.
     """
 
     seen: np.ndarray
     decisions: np.ndarray
     survived: np.ndarray
+    came_to: np.ndarray
     count: int = 0
 
     @classmethod
-    def empty(cls, size: int, observed: int, decided: int) -> Trials:
+    def empty(cls, size: int, observed: int, deployed: int, decided: int) -> Trials:
         """Room for so many trials."""
-        return cls(np.zeros((size, observed), np.float32), np.zeros((size, decided), np.float32), np.zeros(size, np.int64))
+        seen, decisions, came_to = (np.zeros((size, width), np.float32) for width in (observed, decided, observed - deployed))
+        return cls(seen, decisions, np.zeros(size, np.int64), came_to)
 
-    def add(self, seen: np.ndarray, decisions: np.ndarray, survived: np.ndarray) -> None:
-        """Append trials; those for which there is no room are left out."""
-        rows = slice(self.count, self.count + len(survived))
+    def add(self, *trials: np.ndarray) -> None:
+        """Append `seen`, `decisions`, `survived` and `came_to` of trials; those for which there is no room are left out."""
+        rows = slice(self.count, self.count + len(trials[0]))
         room = len(self.survived[rows])
-        self.seen[rows], self.decisions[rows], self.survived[rows] = seen[:room], decisions[:room], survived[:room]
+        for kept, given in zip((self.seen, self.decisions, self.survived, self.came_to), trials, strict=True):
+            kept[rows] = given[:room]
         self.count += room
 
 
@@ -90,26 +97,30 @@ class Worlds:
     def __init__(self, env_id: str, count: int, closures: Closures, seed: int, **options: Any) -> None:
         task = TASKS[env_id]()
         self.deployed, self.phases = sum(len(term.labels) for term in task.terms), len(task.phases)
+        self._close = task.phases.index("close")
         self._episodes = Episodes(task, count, checked_options(obs="privileged", **options))
         self._generators = [np.random.default_rng(seed + world) for world in range(count)]
         self._closures = closures
         self.first_seen = np.zeros((count, *self._episodes.observation_space.shape), np.float32)
+        self._came_to = self.first_seen[:, self.deployed :].copy()
         self._decisions, self._steps = np.zeros((count, len(closures.names))), np.zeros(count, dtype=int)
         self._fresh = np.ones(count, dtype=bool)
+        self._thread = ThreadPoolExecutor(1)
 
     @property
     def observed(self) -> int:
         """How many values a *privileged* observation has; the first `deployed` of them are the *deploy* ones."""
         return self.first_seen.shape[1]
 
-    def step(self, learner: Learner) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
         """Pass one control period in all worlds.
 
         Args:
             learner: decides on first observations, and which of these trials it wants to see.
+            meanwhile: called while another thread runs the physics, so that two cores have work.
 
         Returns:
-            The trials that ended: first observations, decisions, and how many phases they got through.
+            The trials that ended, as `Trials.add` takes them.
         """
         worlds = np.flatnonzero(self._fresh)
         for _ in range(DRAWS):
@@ -120,15 +131,23 @@ class Worlds:
             self._decisions[worlds] = learner.decide(self.first_seen[worlds])
             worlds = worlds[~learner.wanted(self.first_seen[worlds], self._decisions[worlds])]
         phase = self._episodes.now.phase.copy()
-        self._episodes.step(self._closures.actions(self._decisions, self._steps).astype(np.float32))
+        actions = self._closures.actions(self._decisions, self._steps).astype(np.float32)
+        physics = self._thread.submit(self._episodes.step, actions)
+        if meanwhile:
+            meanwhile()
+        physics.result()
         self._steps += 1
+        closing = phase <= self._close
+        self._came_to[closing] = self._episodes.observe()[closing, self.deployed :]
         self._fresh = self._episodes.outcome != RUNNING
         ended = np.flatnonzero(self._fresh)
         held = self._episodes.outcome[ended] == SUCCESS
-        return self.first_seen[ended], self._decisions[ended], np.where(held, self.phases, phase[ended])
+        survived = np.where(held, self.phases, phase[ended])
+        return self.first_seen[ended], self._decisions[ended], survived, self._came_to[ended]
 
     def close(self) -> None:
         """Free the physics. Closing twice is no error."""
+        self._thread.shutdown()
         self._episodes.close()
 
 
@@ -216,9 +235,11 @@ class Learner:
         decided = len(recipe.closures.names)
         torch.manual_seed(recipe.seed)
         self._rng = np.random.default_rng(recipe.seed)
-        self.trials = Trials.empty(recipe.episodes, observed, decided)
+        self.trials = Trials.empty(recipe.episodes, observed, deployed, decided)
         self.mean, self.scale = np.zeros(observed, np.float32), np.ones(observed, np.float32)
-        self.critics = Critics(recipe.critics, [observed + decided, *recipe.hidden, phases], recipe.dropout)
+        self.mean_came_to, self.scale_came_to = self.mean[deployed:], self.scale[deployed:]
+        predicted = phases + observed - deployed
+        self.critics = Critics(recipe.critics, [observed + decided, *recipe.hidden, predicted], recipe.dropout)
         self.actor = Spread(deployed, recipe.hidden, decided)
         self.log_weight = torch.tensor(-3.0, requires_grad=True)
         fused = {"fused": True}
@@ -264,9 +285,8 @@ class Learner:
         if trials.count < recipe.random_episodes:
             return
         if self.updates == 0:
-            seen = trials.seen[: trials.count].astype(float)
-            self.mean = seen.mean(axis=0).astype(np.float32)
-            self.scale = np.maximum(seen.std(axis=0), SMALLEST_SCALE).astype(np.float32)
+            self.mean, self.scale = _mean_and_scale(trials.seen[: trials.count])
+            self.mean_came_to, self.scale_came_to = _mean_and_scale(trials.came_to[: trials.count])
         for name in ("critics", "actor"):
             for group in self.optimizers[name].param_groups:
                 group["lr"] = recipe.learning_rate * max(0.05, 1.0 - share)
@@ -282,10 +302,12 @@ class Learner:
         recipe, trials = self._recipe, self.trials
         rows = self._rng.integers(trials.count, size=(recipe.critics, recipe.batch_size))
         seen, survived = self._scaled(trials.seen[rows]), torch.from_numpy(trials.survived[rows])[:, :, None]
-        odds = self.critics(torch.cat([seen, torch.from_numpy(trials.decisions[rows])], -1), fitting=True)
+        predicted = self.critics(torch.cat([seen, torch.from_numpy(trials.decisions[rows])], -1), fitting=True)
+        odds, came_to = predicted.split([len(self._phases), trials.came_to.shape[1]], -1)
         through, reached = (survived > self._phases).float(), (survived >= self._phases).float()
         losses = reached * functional.binary_cross_entropy_with_logits(odds, through, reduction="none")
-        self._descend("critics", losses.sum(-1).mean())
+        truth = torch.from_numpy(_scaled(trials.came_to[rows], self.mean_came_to, self.scale_came_to))
+        self._descend("critics", losses.sum(-1).mean() + recipe.aftermath * functional.mse_loss(came_to, truth))
 
         self.critics.requires_grad_(False)  # the actor moves along their slope; they themselves stay
         decisions, log_density = self.actor(seen[0, :, : self._deployed])
@@ -299,7 +321,8 @@ class Learner:
 
     def _success(self, scaled: Tensor, decisions: Tensor) -> Tensor:
         """Logarithm of the probability of getting through all phases, by each critic, shape (critics, n)."""
-        return functional.logsigmoid(self.critics(torch.cat([scaled, decisions], -1))).sum(-1)
+        odds = self.critics(torch.cat([scaled, decisions], -1))[..., : len(self._phases)]
+        return functional.logsigmoid(odds).sum(-1)
 
     def _descend(self, name: str, loss: Tensor) -> None:
         optimizer = self.optimizers[name]
@@ -308,7 +331,7 @@ class Learner:
         optimizer.step()
 
     def _scaled(self, seen: np.ndarray) -> Tensor:
-        return torch.from_numpy(np.clip((seen - self.mean) / self.scale, -OBSERVATION_CLIP, OBSERVATION_CLIP))
+        return torch.from_numpy(_scaled(seen, self.mean, self.scale))
 
     def weights(self) -> dict[str, Any]:
         """What PyTorch saves and `load_weights` takes: networks, optimisers and the weight of the entropy."""
@@ -334,3 +357,13 @@ class Learner:
             layers=tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers),
             mean_clip=MEAN_CLIP,
         )
+
+
+def _mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of each column; one that hardly varies, such as the noise of an angle, is not blown up."""
+    values = values.astype(float)
+    return values.mean(axis=0).astype(np.float32), np.maximum(values.std(axis=0), SMALLEST_SCALE).astype(np.float32)
+
+
+def _scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    return np.clip((values - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP)

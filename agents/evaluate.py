@@ -25,7 +25,7 @@ from tqdm import tqdm
 from agents.command import command_parser, minutes
 from agents.tasks import make_task
 from hpac import run, whole_number
-from hpac_gym.envs.options import GRASP, PICK_PLACE
+from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
 from hpac_gym.evaluation.closures import scale_of
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -46,13 +46,14 @@ OPTIONS = ("engine", "body", "randomize")
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """How one episode ended: ``phase`` is the task's own name for where, if it tells."""
+    """How one episode ended: ``phase`` is the task's own name for where, ``holding_force`` [N] its score, if it tells."""
 
     seed: int
     success: bool
     total_reward: float
     steps: int
     phase: str | None
+    holding_force: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +107,16 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
                 continue
             rewards[place].append(float(gained[place]))
             if terminated[place] or truncated[place]:
-                told = {name: infos[name][place] for name in ("is_success", "phase")}
+                told = {name: infos[name][place] for name in ("is_success", "phase", "holding_force") if name in infos}
                 episodes[place] = _episode(seeds[place], rewards[place], told, None)
     return [episodes[place] for place in range(len(seeds))]
 
 
 def _episode(seed: int, rewards: Sequence[float], told: Mapping[str, Any], otherwise: Any) -> Episode:
     phase = told.get("phase", otherwise)
-    success = bool(told["is_success"])
-    return Episode(seed, success, sum(rewards), len(rewards), None if phase is None else _phase_name(phase))
+    success, force = bool(told["is_success"]), told.get("holding_force")
+    force = None if force is None else float(force)
+    return Episode(seed, success, sum(rewards), len(rewards), None if phase is None else _phase_name(phase), force)
 
 
 def evaluate(
@@ -260,7 +262,7 @@ def _results(
 
 def _on_mujoco(env_id: str, options: Mapping[str, Any]) -> bool:
     """Whether an environment has a batch of its own."""
-    return env_id.rpartition(":")[2] in (GRASP, PICK_PLACE) and (options.get("engine") or default_engine()) == "mujoco"
+    return env_id.rpartition(":")[2] in (GRASP, GRASP_ANY, PICK_PLACE) and (options.get("engine") or default_engine()) == "mujoco"
 
 
 class _Bench:

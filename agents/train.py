@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from dataclasses import asdict, fields, replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from platform import python_version
@@ -91,10 +92,9 @@ def train(
     going, saved = learner.trials.count < recipe.episodes, done
     while going:
         for worlds in all_worlds:
-            trials = worlds.step(learner)
+            trials = worlds.step(learner, partial(learner.learn, progress.share))
             learner.trials.add(*trials)
             going = progress.add((trials[2] == worlds.phases).tolist(), learner.entropy)
-            learner.learn(progress.share)
         if learner.trials.count >= saved + recipe.checkpoint_every:
             saved = learner.trials.count
             save()

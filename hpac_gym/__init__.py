@@ -22,6 +22,12 @@ else:
         max_episode_steps=145,
     )
     register(
+        id="HPAC-GraspType-v0",
+        entry_point="hpac_gym.envs:grasp_type",
+        vector_entry_point="hpac_gym.envs:grasp_type_vector",
+        max_episode_steps=65,
+    )
+    register(
         id="HPAC-PickPlace-v0",
         entry_point="hpac_gym.envs:pick_place",
         vector_entry_point="hpac_gym.envs:pick_place_vector",

@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -40,8 +41,18 @@ def pytest_ignore_collect(collection_path: Path) -> bool | None:
     return _needs_pybullet(collection_path) or None
 
 
+@pytest.fixture(scope="session")
+def runs_here() -> Callable[[Path], bool]:
+    """Whether the tests of a file run on this machine."""
+    return lambda path: PYBULLET or not _needs_pybullet(path)
+
+
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the longest tests; leave out those that need PyBullet, by their marker or a parameter, where it is missing."""
+    """Begin with the longest tests; leave out those that need PyBullet, by their marker or a parameter, where it is missing.
+
+    Comes after pytest has left out the slow ones, which are not counted again.
+    """
     items.sort(key=lambda item: item.path.name != LONGEST)
     if PYBULLET:
         return

@@ -4,6 +4,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -48,7 +49,7 @@ NEEDS = {
     "envs.sb3": {"numpy", "gymnasium", "stable_baselines3"},
     "bridge": {"numpy", "serial", "hpac"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime"},
-    "evaluation": {"numpy", "gymnasium", "PIL", "hpac"},
+    "evaluation": {"numpy", "gymnasium", "PIL", "minari", "hpac"},
     "study": {"numpy", "scipy", "matplotlib", "hpac"},
 }
 ENGINES = {"physics.pybullet": "pybullet", "physics.mujoco": "mujoco"}
@@ -63,8 +64,13 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports_of(path: Path, lazy: bool = True) -> Iterator[str]:
+@cache
+def imports_of(path: Path, lazy: bool = True) -> tuple[str, ...]:
     """The dotted names that a module imports, relative ones resolved and submodules spelled out; with those in functions."""
+    return tuple(_imports_of(path, lazy))
+
+
+def _imports_of(path: Path, lazy: bool) -> Iterator[str]:
     package = module_name(path).split(".")
     package = package if path.name == "__init__.py" else package[:-1]
     tree = ast.parse(path.read_text(encoding="utf-8"))

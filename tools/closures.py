@@ -24,8 +24,8 @@ from hpac_gym.evaluation.workers import worker_pool
 
 ENV_ID = "HPAC-Grasp-v0"
 TARGET = Path(closures.__file__).parent / "data" / FILE
-ROUNDS = ((512, 8), (128, 24), (32, 80), (8, 250))
-"""How many closures are left in each round of the search for a blind one, and how many episodes each then meets."""
+ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
+"""How many closures are left in each round of the search for a blind one, and how many more episodes each then meets."""
 
 _env: gymnasium.Env
 
@@ -77,16 +77,18 @@ def search_all(work, seeds: range, most: int) -> None:
 
 def search_blind(work, seeds: range) -> None:
     """Print the best blind closure of ``ROUNDS``."""
-    rng, first = np.random.default_rng(0), 0
-    field = [Closure.drawn(rng) for _ in range(ROUNDS[0][0])]
+    rng, met = np.random.default_rng(0), 0
+    field = [(0, Closure.drawn(rng)) for _ in range(ROUNDS[0][0])]
     for left, episodes in ROUNDS:
         field = field[:left]
-        counts = list(work(wins, ((closure, first, episodes) for closure in field)))
-        field = [field[place] for place in np.argsort(counts)[::-1]]
-        print(f"{left} closures, {episodes} episodes each: the best holds {max(counts)}", file=sys.stderr)
-        first += episodes
-    held = sum(work(wins, ((field[0], seed, 1) for seed in seeds)))
-    print(f"{field[0]}\n{_rate('best blind closure', held, len(seeds))}")
+        won = work(wins, [(closure, met, episodes) for _, closure in field])
+        field = sorted(((held + more, closure) for (held, closure), more in zip(field, won, strict=True)),
+                       key=lambda entry: -entry[0])  # fmt: skip
+        met += episodes
+        print(f"{left} closures: the best has held {field[0][0]} of {met} episodes", file=sys.stderr, flush=True)
+    best = field[0][1]
+    held = sum(work(wins, [(best, seed, 1) for seed in seeds]))
+    print(f"{best}\n{_rate('best blind closure', held, len(seeds))}")
 
 
 def _rate(name: str, won: int, trials: int) -> str:

@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.body.object_models import ObjectModel
-from hpac_gym.envs.options import GRASP, GRASP_ANY, OPTIONS, PICK_PLACE, POSTURE, Option
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, OPTIONS, PICK_PLACE, POSTURE, Option
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -22,6 +22,7 @@ from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_data import GRASPS
+from hpac_gym.tasks.grasp_types import GraspByType
 from hpac_gym.tasks.pick_place import PickPlace
 from hpac_gym.tasks.posture import Posture
 from hpac_gym.tasks.task import CONTROL_HZ, Task
@@ -184,6 +185,7 @@ PAGES: dict[str, Makers] = {
     "environments/README.md": {"randomization": randomization_table},
     "environments/grasp.md": task_tables(GRASP, Grasp()) | {"scale": scale_table},
     "environments/grasp_any.md": task_tables(GRASP_ANY, GraspAny()),
+    "environments/grasp_type.md": task_tables(GRASP_TYPE, GraspByType()),
     "environments/pick_place.md": task_tables(PICK_PLACE, PickPlace()),
     "environments/posture.md": task_tables(POSTURE, Posture(reachable=True)),
     "grasps.md": {"objects": object_table, **TYPE_TABLES},

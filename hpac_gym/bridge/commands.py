@@ -79,7 +79,7 @@ def _add_hand(parser: argparse.ArgumentParser, required: bool = True) -> None:
 
 
 def connector(port: str, hand: Hand, stack: ExitStack) -> str | Callable[[], Transport]:
-    """What a `HandLink` opens for a `--port`; starts a firmware where it names one."""
+    """The `port` argument of a `HandLink` for a `--port`; starts the firmware if it names one."""
     if port == "virtual":
         return VirtualHand(config=config_of(hand)).connect
     if port == "host":
@@ -199,7 +199,7 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
 
     Args:
         port: as the commands take it.
-        command: where the servos shall go.
+        command: target angles and duration of the move.
         hand: whose limits the firmware must have been built with.
 
     Raises:

@@ -32,7 +32,7 @@ _PREEMPT_TIMEOUT = 3.0
 
 _LAST_WORDS = ("clear",) * 6 + ("estop",) * 4
 _LAST_WORDS_UNGREETED = ("hello", "clear") * 3
-"""To a device that never answered: it may be no hand, or one that an earlier session left in a fault that holds."""
+"""Messages to a device that never answered: it may be no hand, or one that an earlier session left in a fault that holds."""
 
 
 class Turns:

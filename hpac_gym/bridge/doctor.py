@@ -32,7 +32,7 @@ _FAULT_STEPS = {
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is known about one port."""
+    """Diagnosis of one port."""
 
     port: str
     healthy: bool
@@ -61,7 +61,7 @@ class _Heard:
 
 
 class _Echo(Exception):
-    """What was sent came back."""
+    """The device sends back what it receives."""
 
 
 def find_ports() -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import secrets
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -51,7 +50,7 @@ class LinkStatistics:
     connections: int = 0
     """Handshakes that succeeded."""
     round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=_ROUND_TRIPS_KEPT), repr=False)
-    """From writing a frame to its answer, repeats left out [s]."""
+    """Times from writing a frame to its answer, repeats left out [s]."""
 
     def round_trip(self, percentile: float) -> float:
         """A percentile of the round trips [s]; NaN before the first."""
@@ -120,14 +119,13 @@ class Exchange:
 
     Args:
         known: learns from every frame.
-        check: called whenever a call goes on; raises `StoppedError` when the call shall end.
+        check: called at every step of a call; raises `StoppedError` when the call must end.
 
     Attributes:
         session: nonce of this controller's HELLO, which ties its other messages to it.
         sent: how often each message has been written, by name.
         refused: the latest refusal of a message that was sent without waiting for an answer, or None.
         host_frames: frames of a host's types that came back: an echo.
-        owner: process that opened the transport.
     """
 
     def __init__(
@@ -144,7 +142,6 @@ class Exchange:
         self.sent: dict[str, int] = dict.fromkeys(MESSAGES, 0)
         self.refused: Frame | None = None
         self.host_frames = 0
-        self.owner = os.getpid()
         self._statistics = statistics
         self._known = known
         self._check = check
@@ -211,7 +208,7 @@ class Exchange:
         return Frame(name, self._seq, flags, ours | dict(fields or {}))
 
     def _write(self, frame: Frame) -> None:
-        """To the port first: nothing else may stand between an intent and the hand."""
+        """Write a frame to the port before anything else is done with it: nothing may stand between an intent and the hand."""
         data = encode(frame)
         self.sent[frame.name] += 1
         self._known.about_to_send(frame.name)

@@ -244,7 +244,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Write or check the generated files; the exit status tells whether they are up to date."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
-    parser.add_argument("--hand", help="hand parameter file (TOML) whose limits the firmware shall enforce")
+    parser.add_argument("--hand", help="hand parameter file (TOML) whose limits the firmware enforces")
     options = parser.parse_args(arguments)
     hand = load_hand(options.hand) if options.hand else HPAC
     wanted = generated(hand)

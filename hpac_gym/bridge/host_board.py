@@ -83,7 +83,13 @@ class HostBoard:
         rmtree(self._folder, ignore_errors=True)
 
     def connect(self) -> SerialTransport:
-        """A serial transport to this board, for `HandLink(board.connect)`."""
+        """A serial transport to this board, for `HandLink(board.connect)`.
+
+        Raises:
+            PortError: The board has ended; its pseudo-terminal may be another program's by now.
+        """
+        if self.process.poll() is not None:
+            raise PortError(f"{self.port}: no such port; the board behind it has ended")
         return SerialTransport(self.port)
 
     def pulses(self) -> np.ndarray:

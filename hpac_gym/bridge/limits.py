@@ -23,7 +23,7 @@ HASHED_CONSTANTS = ("angle_tolerance_urad", "time_tolerance_us", "rate_excess_pe
 
 @dataclass(frozen=True, slots=True)
 class ServoLimits:
-    """What one servo may do, in the units of the firmware."""
+    """Limits of one servo, in the units of the firmware."""
 
     name: str
     min_urad: int

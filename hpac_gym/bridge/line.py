@@ -1,4 +1,4 @@
-"""A line to one hand: opened, lost and opened again; asked, stopped, cleared; and ended without pulses."""
+"""A connection to one hand that can be opened again: status, e-stop and clear; it ends with the hand without pulses."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
 
 
 class Line:
-    """What anybody may do with a hand, whether it is armed or not: look at it, stop it, clear it, and let it go safely.
+    """A connection that may look at a hand, stop it, clear it and let it go safely, whether it is armed or not.
 
     `HandLink` is a line that also drives the hand, and tells more.
 

@@ -1,4 +1,4 @@
-"""What the hand says about itself, in SI units and names, and what is known of it from that."""
+"""Reports of the hand about itself, in SI units and names, and the state of the hand that is known from them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COUNTERS = ("accepted", "refused", "bad_crc", "bad_frame", "bad_version", "overr
 
 @dataclass(frozen=True, slots=True)
 class HandInfo:
-    """What the hand answers to HELLO."""
+    """The hand's answer to HELLO."""
 
     firmware_version: str
     limits_hash: int
@@ -29,7 +29,7 @@ class HandInfo:
     """Why the chip last started, of `protocol.Reset`."""
     boot_count: int
     state: str
-    """Of `protocol.State`, at the time of the answer."""
+    """Name of the state at the time of the answer, of `protocol.State`."""
     session: int
     """The nonce of the HELLO whose session is in force; 0 for none."""
     trim_ns: tuple[int, ...]
@@ -69,14 +69,14 @@ class HandInfo:
 
 @dataclass(frozen=True, slots=True)
 class HandStatus:
-    """What the hand does now."""
+    """The hand's answer to STATUS."""
 
     uptime: float
     """Time since boot [s], modulo 49 days."""
     state: str
-    """Of `protocol.State`."""
+    """Name of the state, of `protocol.State`."""
     fault: str
-    """Of `protocol.Fault`; `none` without one."""
+    """Name of the fault, of `protocol.Fault`; `none` without one."""
     attached: tuple[str, ...]
     """Names of the servos that get pulses."""
     moving: bool
@@ -133,7 +133,7 @@ class KnownState:
         self.may_have_power = True
 
     def about_to_send(self, name: str) -> None:
-        """From the first byte of ARM on, the hand may have pulses."""
+        """Note a message before its first byte goes out: from ARM on, the hand may have pulses."""
         self.may_have_power = self.may_have_power or name == "arm"
 
     def take_in(self, frame: Frame, answered: str | None = None) -> None:
@@ -154,12 +154,12 @@ class KnownState:
 
     @property
     def armed(self) -> bool:
-        """Whether the hand has said that it is armed."""
+        """True once the hand has said that it is armed."""
         return self.state == State.armed.name
 
     @property
     def in_fault(self) -> bool:
-        """Whether the hand has said that a fault has latched."""
+        """True once the hand has said that a fault has latched."""
         return self.state == State.fault.name
 
     def refusal(self, name: str, ack: Frame) -> RejectedError:

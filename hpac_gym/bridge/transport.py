@@ -1,4 +1,4 @@
-"""Where bytes go: a serial port or pseudo-terminal, or a TCP socket. `virtual_hand` has the in-process one.
+"""Transports of bytes: a serial port or pseudo-terminal, or a TCP socket. `virtual_hand` has the in-process one.
 
 A transport also owns the clock, so that a link over a virtual hand runs in virtual time and none of it sleeps.
 """
@@ -18,7 +18,7 @@ READ_SIZE = 4096
 
 
 class Transport(Protocol):
-    """What a `HandLink` needs of a connection. Every method raises `PortError` once the other end has gone."""
+    """The methods that a `HandLink` needs of a connection. Each raises `PortError` once the other end has gone."""
 
     def read(self, timeout: float) -> bytes:
         """Bytes as soon as there are any; none after `timeout` [s]."""

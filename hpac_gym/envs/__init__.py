@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.envs.hand_env import HandEnv, PostureEnv, posture_task
-from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE, POSTURE, POSTURE_V0
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V0
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError
@@ -22,9 +22,10 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.simulation import default_engine
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import settings_from
-from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
+from hpac_gym.tasks.grasp import OBJECT_RANGES, Grasp, GraspByName, GraspConfig
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, GraspError
+from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.tasks.posture import Posture, PostureConfig
 from hpac_gym.tasks.scripted import ScriptedClosure, ScriptedPickPlace, scripted_closure
@@ -37,8 +38,10 @@ __all__ = [
     "GraspAny",
     "GraspAnyConfig",
     "GraspByName",
+    "GraspByType",
     "GraspConfig",
     "GraspError",
+    "GraspTypeConfig",
     "HandEnv",
     "HandVectorEnv",
     "ObjectSpec",
@@ -71,9 +74,12 @@ def grasp_task(
 
     Raises:
         GraspError: No grasp or variant has that name, a variant of no named grasp is asked for, or another object for one.
-        ParameterError: No such object; or a config that is none, with ranges for a named grasp, or with too long an episode.
+        ParameterError: No such object; or a config that is none, with ranges for a named grasp, with ranges of the object for an
+            object of one's own, or with too long an episode.
     """
     chosen = settings_from(GraspConfig(), config, "config")
+    ranges = [field.name for field in fields(chosen) if "bounds" in field.metadata and field.name != "drop_distance"]
+    ranges = [name for name in ranges if getattr(chosen, name) != getattr(GraspConfig(), name)]
     if object is not None:
         if grasp is not None:
             raise GraspError(f"grasp {grasp!r} has its own object: give either grasp or object")
@@ -83,13 +89,14 @@ def grasp_task(
             raise ParameterError(f"object {object!r}: {error}") from None
         if not isinstance(object, ObjectSpec):
             raise ParameterError(f"object {object!r} is neither an ObjectSpec, as own_object gives one, nor a dictionary for it")
+        if other := [name for name in ranges if name in OBJECT_RANGES]:
+            raise ParameterError(f"config {', '.join(other)}: an object of one's own has its own size, mass and friction")
     if grasp is None and variant != NOMINAL:
         raise GraspError(f"variant {variant!r} needs a named grasp: grasp=NAME")
     if grasp is None:
         return _fitting(Grasp(chosen, object=object), GRASP)
-    drawn = [field.name for field in fields(chosen) if "bounds" in field.metadata and field.name != "drop_distance"]
-    if other := [name for name in drawn if getattr(chosen, name) != getattr(GraspConfig(), name)]:
-        raise ParameterError(f"config {', '.join(other)}: a named grasp such as {grasp!r} has its own object, place and hand")
+    if ranges:
+        raise ParameterError(f"config {', '.join(ranges)}: a named grasp such as {grasp!r} has its own object, place and hand")
     return _fitting(GraspByName(grasp, variant, chosen), GRASP)
 
 
@@ -139,6 +146,21 @@ def grasp_any(
     return HandEnv(grasp_any_task(objects, wrist, _only(hands, options), config), **options)
 
 
+def grasp_type_task(
+    types: str | Sequence[str] = "all", objects: str = "train", wrist: str = "free",
+    config: GraspTypeConfig | Mapping | None = None,
+) -> Task:  # fmt: skip
+    """The task of `HPAC-GraspType-v0`; the first three as for `GraspByType`, `config` and errors as for `grasp_task`."""
+    return _fitting(GraspByType(types, objects, wrist, settings_from(GraspTypeConfig(), config, "config")), GRASP_TYPE)
+
+
+def grasp_type(
+    types: str | Sequence[str] = "all", objects: str = "train", wrist: str = "free", config: Any = None, **options: Any
+) -> HandEnv:
+    """`HPAC-GraspType-v0`; arguments of `grasp_type_task` and options of `HandEnv`."""
+    return HandEnv(grasp_type_task(types, objects, wrist, config), **options)
+
+
 def pick_place(config: Any = None, **options: Any) -> HandEnv:
     """`HPAC-PickPlace-v0`; the argument of `pick_place_task` and options of `HandEnv`."""
     return HandEnv(pick_place_task(config), **options)
@@ -158,6 +180,15 @@ def grasp_any_vector(
     """`HPAC-GraspAny-v0` as a vector environment; arguments of `grasp_any_task`, options of `HandVectorEnv`."""
     task_options = {"objects": objects, "wrist": wrist, "hands": _only(hands, options), "config": config}
     return _vector(GRASP_ANY, grasp_any_task(**task_options), num_envs, task_options, **options)
+
+
+def grasp_type_vector(
+    num_envs: int = 1, types: str | Sequence[str] = "all", objects: str = "train", wrist: str = "free", config: Any = None,
+    **options: Any,
+) -> VectorEnv:  # fmt: skip
+    """`HPAC-GraspType-v0` as a vector environment; arguments of `grasp_type_task`, options of `HandVectorEnv`."""
+    task_options = {"types": types, "objects": objects, "wrist": wrist, "config": config}
+    return _vector(GRASP_TYPE, grasp_type_task(**task_options), num_envs, task_options, **options)
 
 
 def pick_place_vector(num_envs: int = 1, config: Any = None, **options: Any) -> VectorEnv:

@@ -41,8 +41,6 @@ IMAGE_SIZE = 84
 VIEW_TARGET = np.array([0.03, 0.0, 0.10])
 """What pictures are centred on, in the hand frame [m]."""
 
-_CHOICE_BOUNDS = np.full(4, -1.0), np.ones(4)
-
 Transmit = Callable[[ServoCommand], ServoCommand]
 _NO_CHOICE = HandSettings()
 
@@ -169,17 +167,17 @@ class Episodes:
             servo, self._predicted[world], self._last_action[world] = self._start_of(*map(float, setup.synergy))
             self._servo[world] = self._arrived[world] = servo
 
-    def _choose(self, choices: Array) -> None:
-        """Set the scenes anew in which an episode's first action chooses the wrist's place, shape (n, 4)."""
+    def _choose(self, actions: Array) -> None:
+        """Set the scenes anew in which an episode's first action chooses the wrist's place."""
         worlds = np.flatnonzero((self._step == 0) & (self.outcome == RUNNING)).tolist()
         if worlds:
-            self._begin(worlds, [self.task.chosen(self.setups[world], choices[world]) for world in worlds])
+            self._begin(worlds, [self.task.chosen(self.setups[world], actions[world]) for world in worlds])
 
     def step(self, actions: NDArray) -> Array:
         """Carry out one action in every world for one control period, and judge it.
 
         Args:
-            actions: shape (n, 6), −1…1; with a free wrist (n, 10).
+            actions: shape (n, 6), −1…1; more with a free wrist.
 
         Returns:
             Rewards, shape (n,).
@@ -194,7 +192,9 @@ class Episodes:
         try:
             target = servo_from_action(actions, self.options.hand)
             if self.task.wrist_actions:
-                self._choose(as_bounded_array(choices, *_CHOICE_BOUNDS, self.task.wrist_actions, "action", "(no unit)", 1e-6))
+                one = np.ones(len(self.task.wrist_actions))
+                as_bounded_array(choices, -one, one, self.task.wrist_actions, "action", "(no unit)", 1e-6)
+                self._choose(every)
         except WorkspaceError as error:
             if np.isnan(every).any():
                 raise
@@ -208,6 +208,7 @@ class Episodes:
         self._step += 1
 
         state, phase = self.simulation.state(), self.now.phase
+        self.task.watch(state, self.dt, self.simulation.engine.contacts)
         self.outcome = self.task.judge(state, self.dt)
         change = np.asarray(actions, dtype=float) - self._last_action
         self._last_action = np.array(actions, dtype=float)  # the caller may write the next one over it

@@ -22,11 +22,13 @@ from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import settings_from
 from hpac_gym.tasks.grasp_any import HANDS, WRISTS
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, OBJECTS, TYPE_SPLITS
+from hpac_gym.tasks.grasp_types import WRISTS as TYPE_WRISTS
 from hpac_gym.tasks.task import Task
 
 RENDER_MODES = ["human", "rgb_array"]
-GRASP, GRASP_ANY, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
-    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
+GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
+    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
 )  # fmt: skip
 _SETUP_ARRAYS = {"position": 3, "synergy": 6, "hand_quaternion": 4, "object_quaternion": 4, "target": 3}
 
@@ -58,12 +60,19 @@ OPTIONS = (
            ids=(GRASP_ANY,)),
     Option("wrist", WRISTS, "script", "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
            "episode move it, by four numbers more", ids=(GRASP_ANY,)),
+    Option("types", (*TYPE_SPLITS, *GRASP_TYPES), "all", "the types that an episode may ask for: all sixteen, those to train on, "
+           "those held out, one, or several", others="list of names", ids=(GRASP_TYPE,)),
+    Option("objects", OBJECTS, "train", "*train* has the types' own objects, *test* draws one of their held-out variants, on "
+           "which nothing may be trained", ids=(GRASP_TYPE,)),
+    Option("wrist", TYPE_WRISTS, "free", "*free* lets the first action of an episode say where the wrist goes, by six numbers "
+           "more; *script* puts it where the type wants it", ids=(GRASP_TYPE,)),
     Option("object", (None,), None, "an object of one's own in place of the primitive, as `own_object` makes one of a file; a "
            "dictionary has the arguments of `own_object`", others="`hpac_gym.body.objects.ObjectSpec`, dictionary", ids=(GRASP,)),
     Option("hand", (), HPAC, "the hand's parameters; `HPAC` is the hand of the paper, `hpac_gym.model.HPAC`, and a hand file is "
            "what `hpac calibrate` writes", others="`hpac_gym.model.Hand`, path of a hand file"),
     Option("obs", ("deploy", "privileged", "image"), "deploy", "what is observed: what the real hand has, for a critic also what "
-           "only a simulation knows, or a picture beside the deployed vector", ids=(GRASP, PICK_PLACE, POSTURE_V0, POSTURE)),
+           "only a simulation knows, or a picture beside the deployed vector",
+           ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE)),
     Option("obs", ("deploy", "load", "points", "privileged", "image"), "deploy", "what is observed: what a hand and a camera "
            "give; beside that what the servos tell, points of the object's surface that the camera sees, what only a simulation "
            "knows, or a picture", ids=(GRASP_ANY,)),
@@ -71,17 +80,17 @@ OPTIONS = (
     *(
         Option("randomize", (None, *PRESETS), default, "what else differs between episodes: a preset, or ranges by name; None is "
                '"nominal", which changes nothing', others="`hpac_gym.envs.Randomization`, dictionary of ranges", ids=ids)
-        for default, ids in (("hand", (POSTURE,)), (None, (GRASP, GRASP_ANY, PICK_PLACE, POSTURE_V0)))
+        for default, ids in (("hand", (POSTURE,)), (None, (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0)))
     ),
     Option("noise", (None,), None, "of the camera that sees the object, standard deviations: `position`, of each coordinate of "
            "the place [m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
            + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
-           others="`hpac_gym.envs.CameraNoise`, dictionary of its fields", ids=(GRASP, GRASP_ANY, PICK_PLACE)),
+           others="`hpac_gym.envs.CameraNoise`, dictionary of its fields", ids=(GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE)),
     *(
         Option("config", (None,), None, "ranges that episodes are drawn from, and what judges and rewards them; None is as on "
                "this page", others=f"`hpac_gym.envs.{kind}`, dictionary of its fields", ids=(env_id,))
-        for env_id, kind in ((GRASP, "GraspConfig"), (GRASP_ANY, "GraspAnyConfig"), (PICK_PLACE, "PickPlaceConfig"),
-                             (POSTURE_V0, "PostureConfig"), (POSTURE, "PostureConfig"))
+        for env_id, kind in ((GRASP, "GraspConfig"), (GRASP_ANY, "GraspAnyConfig"), (GRASP_TYPE, "GraspTypeConfig"),
+                             (PICK_PLACE, "PickPlaceConfig"), (POSTURE_V0, "PostureConfig"), (POSTURE, "PostureConfig"))
     ),
     Option("engine", (None, *ENGINES), None, "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere"),
     Option("body", tuple(BODIES), "twin", "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "

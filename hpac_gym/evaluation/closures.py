@@ -14,20 +14,28 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hpac_gym.model import SERVO_INDEX, SERVOS
+from hpac_gym.policies import Closures
 
 FILE = "grasp_closures.csv"
 COLUMNS = ("seed", "tries", *SERVOS, "steps", "lead")
 MEASURED_WITH = {"engine": "pybullet", "body": "twin", "randomize": "nominal"}
 """Options of the environment in which the closures were tried."""
-_THUMB, _CMC = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
+CLOSURES = Closures(goal=(-1.0, 1.0), duration=(0.0, 32.0), thumb_delay=(-8.0, 8.0))
+_CMC = SERVO_INDEX["thumb_cmc"]
+
+
+def decision_of(closures: Closures, values: ArrayLike) -> NDArray[np.float64]:
+    """The decision, −1…1, that stands for the numbers of a closure, both of shape (..., len(closures.names))."""
+    low, high = closures.bounds
+    return 2 * (np.asarray(values) - low) / (high - low) - 1
 
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """All digits close at one speed, the thumb earlier or later than the fingers: a `hpac_gym.policies.Policy` of one step.
+    """One of `CLOSURES`, in numbers that are told and written down; a thumb that leads begins partly closed.
 
     Attributes:
         goal: the last action, shape (6,), −1…1; that of the CMC is held all the time.
@@ -49,11 +57,26 @@ class Closure:
 
     def action(self, step: int) -> NDArray[np.float32]:
         """The action of a control step, counted from 1, shape (6,)."""
-        begin, goal = np.zeros(len(SERVOS)), np.array(self.goal)
-        begin[_THUMB] = self.lead
-        action = -1.0 + np.clip((step - begin) / self.steps, 0.0, 1.0) * (goal + 1.0)
-        action[_CMC] = goal[_CMC]
-        return action.astype(np.float32)
+        decision = decision_of(CLOSURES, [*self.goal, self.steps, self.lead])
+        return CLOSURES.actions([decision], [step - 1 + max(-self.lead, 0.0)])[0].astype(np.float32)
+
+
+BLIND = Closure((0.786, 0.502, 0.372, 0.107, -0.113, 0.438), steps=10.68, lead=5.71)
+"""Held the most of 176 training episodes, of 128 closures; `python -m tools.closures --blind` found it."""
+
+
+class Blind:
+    """The policy that closes as `BLIND` in every episode, whatever it sees; made for an environment, as `load_policy` asks."""
+
+    def __init__(self, env: object) -> None:
+        pass
+
+    def reset(self, seed: int) -> None:
+        self._step = 0
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        self._step += 1
+        return BLIND.action(self._step)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,10 @@
-"""How sure a success rate is."""
+"""How sure a success rate is, of one policy and over the runs of a training."""
 
+from collections.abc import Callable
 from math import sqrt
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 Z_95 = 1.959963984540054  # the standard normal's 97.5 % quantile
 
@@ -39,3 +43,53 @@ def paired_difference(only_first: int, only_second: int, trials: int, z: float =
     centre = (first - second) / total
     half = z * sqrt((first + second) - (first - second) ** 2 / total) / total
     return (only_first - only_second) / trials, max(-1.0, centre - half), min(1.0, centre + half)
+
+
+def interquartile_mean(scores: ArrayLike) -> NDArray[np.float64]:
+    """Mean of the middle half of all scores: of n, the n // 4 lowest and as many of the highest are left out.
+
+    Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", section 4.3, as in `rliable`.
+
+    Args:
+        scores: shape (..., runs, tasks).
+
+    Returns:
+        Shape (...).
+    """
+    scores = np.asarray(scores, float)
+    ordered = np.sort(scores.reshape(*scores.shape[:-2], -1))
+    cut = ordered.shape[-1] // 4
+    return ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
+
+
+def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
+    """How probable it is that a run of the first scores higher than one of the second, ties counting half.
+
+    The same paper, section 4.3: the mean over tasks of Mann and Whitney's U by the number of pairs.
+
+    Args:
+        first: shape (..., runs, tasks).
+        second: shape (..., other runs, tasks).
+
+    Returns:
+        Shape (...).
+    """
+    gap = np.asarray(first, float)[..., :, None, :] - np.asarray(second, float)[..., None, :, :]
+    return (np.sign(gap) + 1).mean(axis=(-3, -2, -1)) / 2
+
+
+def stratified_bootstrap(
+    statistic: Callable[..., NDArray[np.float64]], *scores: ArrayLike, draws: int = 10_000, seed: int = 0
+) -> tuple[float, float]:
+    """The 95 % percentile interval of a statistic: of each task, runs are drawn with replacement, as many as there are.
+
+    Args:
+        statistic: of arrays of scores with a leading axis.
+        scores: each of shape (runs, tasks).
+        draws: how often all runs are drawn.
+        seed: of these draws, so that the same scores give the same interval.
+    """
+    rng, tables = np.random.default_rng(seed), [np.asarray(table, float)[None] for table in scores]
+    drawn = [np.take_along_axis(t, rng.integers(t.shape[1], size=(draws, *t.shape[1:])), axis=1) for t in tables]
+    low, high = np.percentile(statistic(*drawn), (2.5, 97.5))
+    return float(low), float(high)

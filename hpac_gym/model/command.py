@@ -21,7 +21,7 @@ _ACTION_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class ServoCommand:
-    """Where all six servos shall be, and how long the move takes: they arrive together.
+    """Target angles of all six servos and the duration of the move, at whose end they arrive together.
 
     Raises:
         ShapeError: `servo` is not six finite numbers.
@@ -120,7 +120,7 @@ def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
-    # One product a row: BLAS rounds a row of a larger product in another way, and n hands shall move as one does.
+    # One product a row: BLAS rounds a row of a larger product in another way, and n hands must move as one does.
     synergy = (joint_pos[..., None, :] @ hand.synergy_projection.T)[..., 0, :]
     np.maximum(synergy, hand.synergy_min, out=synergy)
     np.minimum(synergy, hand.synergy_max, out=synergy)
@@ -151,7 +151,7 @@ def servo_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def move_duration(servo_from: ArrayLike, servo_to: ArrayLike, hand: Hand = HPAC) -> float:
-    """How long the synchronised move between two servo poses takes at the rate limit.
+    """Duration of the synchronised move between two servo poses at the rate limit.
 
     The longest travel sets it and all six arrive together: one policy for every task, as in the paper.
 
@@ -174,14 +174,14 @@ def _duration_of(travel: Array, hand: Hand) -> float:
 
 
 def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC) -> Array:
-    """How far the servos get within one control period on their straight way to a target.
+    """Servo angles after one control period on the straight way to a target.
 
     A policy changes its mind every period, so each command goes only as far along the straight line to the target as the
     rate limit lets it, and ends exactly when the next one starts.
 
     Args:
         servo: where the servos were last commanded, finite, shape (..., 6) [rad].
-        target: where they shall go, finite, shape (..., 6) [rad].
+        target: their target angles, finite, shape (..., 6) [rad].
         period: control period, positive [s].
 
     Returns:
@@ -204,7 +204,6 @@ def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Han
     return ServoCommand(streamed_servo(servo, target, period, hand), period)
 
 
-def minimum_jerk(share: ArrayLike) -> Array:
+def minimum_jerk(share: Array | float) -> Array | float:
     """Share of the way that a move of least jerk has gone after a share of its time: 10s³ − 15s⁴ + 6s⁵, any shape."""
-    share = np.asarray(share, dtype=float)
     return share**3 * (10 - 15 * share + 6 * share**2)

@@ -139,7 +139,7 @@ class Friction:
     """
 
     joint: float = 0.0
-    """Of every joint's bearing [N·m]."""
+    """Friction torque of every joint's bearing [N·m]."""
     tendon: float = 0.0
     """Share of the tendons' load that each joint's guides hold back."""
 
@@ -151,7 +151,7 @@ class Friction:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What a sweep of one hand told beyond the numbers of the paper's model; all zero for a hand that was never swept.
+    """Results of a sweep of one hand beyond the numbers of the paper's model; all zero for a hand that was never swept.
 
     The paper's maps, Eqs. (1)–(15), do not use it. `hpac_gym.model.settled` does.
 
@@ -162,7 +162,7 @@ class Calibration:
     servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
     """Where each servo's horn stands when it is commanded to 0 [rad]."""
     friction: tuple[Friction, ...] = (Friction(),) * len(DIGITS)
-    """Of each digit."""
+    """Friction of each digit."""
 
     def __post_init__(self) -> None:
         for name, length in (("servo_zero", len(SERVOS)), ("friction", len(DIGITS))):
@@ -198,7 +198,7 @@ class Hand:
     sources: Mapping[str, str] = field(default_factory=dict, compare=False)
     """Where each number comes from, by field name."""
     calibration: Calibration = Calibration()
-    """What a sweep told beyond the paper's model."""
+    """Results of a sweep beyond the paper's model."""
 
     def __post_init__(self) -> None:
         for name, wanted in (("digits", DIGITS), ("workspace", JOINTS)):

@@ -46,7 +46,7 @@ class Posture:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """What six servos make of a posture."""
+    """A posture as far as six servos can take it up."""
 
     joint_pos: Array
     """The posture that the hand takes, on its elastic manifold, shape (15,) [rad]."""
@@ -89,7 +89,7 @@ def posture(name: str) -> Posture:
 
 
 def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
-    """What the hand makes of a target: clipped by Eq. (14), projected onto its manifold by Eq. (15).
+    """Reachable posture nearest to a target: clipped by Eq. (14), then projected onto the elastic manifold by Eq. (15).
 
     Args:
         target_joint_pos: q_d, shape (15,) [rad].

@@ -29,6 +29,7 @@ from hpac_gym.model import (
     joints_from_synergy,
     servo_from_synergy,
 )
+from hpac_gym.model.command import minimum_jerk
 from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup
 from hpac_gym.physics.mjcf import mass_matrix
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
@@ -131,7 +132,7 @@ def held_cylinder(make: Factory, settings: HandSettings, world: WorldSettings, s
     share = np.linspace(0.0, 1.0, round(0.6 / world.dt) + 1)[1:]
     path = np.zeros((1, round((0.6 + 0.5) / world.dt), 3))
     path[0, :, 2] = 0.06
-    path[0, : len(share), 2] *= share**3 * (10 - 15 * share + 6 * share**2)
+    path[0, : len(share), 2] *= minimum_jerk(share)
     hands.advance(path)
     start = hands.state()
     hands.advance(np.broadcast_to(path[:, -1:], (1, round(seconds / world.dt), 3)))
@@ -143,7 +144,7 @@ def held_cylinder(make: Factory, settings: HandSettings, world: WorldSettings, s
 
 
 def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> float:
-    """How far the most drooping finger's MCP hangs with the palm down and all servos at rest [rad]."""
+    """Angle of the most drooping finger's MCP with the palm down and all servos at rest [rad]."""
     hands = _hands(make, 1, SceneSetup(None, hand_settings=settings, hand_quaternion=_PALM_DOWN), world)
     hands.rest(4.0)
     joints = hands.state().joint_pos[0]
@@ -173,16 +174,19 @@ def stiffest_mode(settings: HandSettings, world: WorldSettings) -> float:
     return float(np.sqrt(max(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max() for matrix in stiffness)) * world.dt)
 
 
-def figures(make: Factory, body: str = "twin", world: WorldSettings = WorldSettings()) -> list[Figure]:
+def figures(
+    make: Factory, body: str = "twin", world: WorldSettings = WorldSettings(), postures: int = 25
+) -> list[Figure]:
     """All figures of an engine and a body, with the marks that they are held to.
 
     Args:
         make: makes the engine.
         body: one of `BODIES`.
         world: its rate is what is measured.
+        postures: number of random postures in free space.
     """
     settings = BODIES[body]
-    manifold, command, free_speed = free_space(make, settings, world)
+    manifold, command, free_speed = free_space(make, settings, world, postures)
     blocked, blocked_speed = np.max([blocked_fingertip(make, settings, world, finger) for finger in FINGERS], axis=0)
     creep, held_speed = held_cylinder(make, settings, world)
     speed = max(free_speed, blocked_speed, held_speed)

@@ -29,11 +29,11 @@ HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
 POST = Support((0.012, 0.012))
 """What an object stands on unless its setup has a support; this post does not turn with it."""
 TARGET_HALF_WIDTH = 0.05
-"""Of the post at a setup's target [m]."""
+"""Half the width of the post at a setup's target [m]."""
 SUPPORT_FRICTION = 0.8
-"""Of posts, walls and table; the object's multiplies it."""
+"""Coulomb coefficient of posts, walls and table; the object's multiplies it."""
 TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
-"""Of the table [m]."""
+"""Half the size of the table along x, y and z [m]."""
 GREY, GREEN, WOOD = (0.55, 0.55, 0.58, 1.0), (0.45, 0.62, 0.48, 1.0), (0.78, 0.70, 0.58, 1.0)
 """Colours of posts and walls, of the target's post and of the table, RGBA."""
 OBJECT_COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
@@ -49,7 +49,7 @@ class PhysicsError(HpacError, RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class SceneSetup:
-    """What one episode starts with."""
+    """Start of one episode: hand, object and what stands around them."""
 
     object: ObjectSpec | None
     """None for the hand alone, held at its palm: no object, no support, no table, no wrist."""
@@ -61,7 +61,7 @@ class SceneSetup:
     """Hand at the start, shape (6,) [rad]."""
     hand: Hand = HPAC
     geometry: Geometry = HPAC_GEOMETRY
-    """Of the hand's body."""
+    """Geometry of the hand's body."""
     hand_settings: HandSettings = HandSettings()
     hand_quaternion: tuple[float, float, float, float] = HAND_QUATERNION
     """Orientation of the hand's frame in the world, xyzw."""
@@ -70,15 +70,17 @@ class SceneSetup:
     support: Support | None = None
     """What the object stands on; None is `POST`."""
     target: Array | None = None
-    """Centre of the object where it shall stand later, on a post of its own, as `position`; None for nowhere."""
+    """Later place of the object's centre, on a post of its own, in the hand frame, shape (3,) [m]; None for none."""
     goal: Array | None = None
     """Joint angles to reach, shape (15,) [rad], for a task that asks for a posture; physics does not look at it."""
     fixed: bool = False
-    """Whether the object is held where it is for ever, without a support: an obstacle for measurements."""
+    """True holds the object where it is for ever, without a support: an obstacle for measurements."""
     rest_height: float | None = None
-    """Of the object's centre above what it stands on [m]; None is that of its bounding box."""
+    """Height of the object's centre above what it stands on [m]; None is that of its bounding box."""
     pull: Array | None = None
     """Direction in the world of a force that a task may apply in the end, shape (3,); physics does not look at it."""
+    grasp: str | None = None
+    """Name of the grasp type that is asked for; physics does not look at it."""
 
     @property
     def hand_rotation(self) -> Array:
@@ -87,7 +89,7 @@ class SceneSetup:
 
     @property
     def stand_height(self) -> float:
-        """Of the object's centre above what it stands on [m]."""
+        """Height of the object's centre above what it stands on [m]."""
         if self.rest_height is not None:
             return self.rest_height
         return float(np.abs(matrix_from_quaternion(self.object_quaternion)[2]) @ self.object.half_extents)
@@ -105,25 +107,25 @@ class SceneState:
     """All that tasks, observations and rewards read of n worlds. Arrays with a leading axis n."""
 
     time: Array
-    """Since the episode began, shape (n,) [s]."""
+    """Time since the episode began, shape (n,) [s]."""
     joint_pos: Array
     """True joint angles, shape (n, 15) [rad]."""
     joint_vel: Array
     """Shape (n, 15) [rad/s]."""
     horn: Array
-    """Where the servos' horns are, shape (n, 6) [rad]; `Simulation` fills it in."""
+    """Angles of the servos' horns, shape (n, 6) [rad]; `Simulation` fills it in."""
     tension: Array
-    """Of the driving tendons, shape (n, 5) [N]."""
+    """Tension of the driving tendons, shape (n, 5) [N]."""
     palm_offset: Array
-    """How far the wrist is from where it started, along the world's axes, shape (n, 3) [m]."""
+    """Offset of the wrist from its start, along the world's axes, shape (n, 3) [m]."""
     object_pos: Array
     """Centre of the object in the hand frame, shape (n, 3) [m]."""
     object_rotation: Array
-    """From the object's axes to the hand's, shape (n, 3, 3)."""
+    """Rotation from the object's axes to the hand's, shape (n, 3, 3)."""
     object_vel: Array
-    """Against the world, along the axes of the hand frame, shape (n, 3) [m/s]."""
+    """Velocity of the object against the world, along the axes of the hand frame, shape (n, 3) [m/s]."""
     object_spin: Array
-    """Against the world, along the axes of the hand frame, shape (n, 3) [rad/s]."""
+    """Angular velocity of the object against the world, along the axes of the hand frame, shape (n, 3) [rad/s]."""
     touching: NDArray[np.bool_]
     """Whether each of `PARTS` touches the object, shape (n, 6)."""
     contact_force: Array
@@ -147,25 +149,25 @@ _FIELDS = [(_SHAPES.get(entry.name, (3,)), bool if entry.name in _FLAGS else flo
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """Where the hand touches the object of one world, in the world's frame."""
+    """Contacts between the hand and the object of one world, in the world's frame."""
 
     point: Array
-    """On the object, shape (m, 3) [m]."""
+    """Points on the object, shape (m, 3) [m]."""
     normal: Array
     """Unit vectors into the object, shape (m, 3)."""
     force: Array
-    """Along the normals, shape (m,) [N]."""
+    """Forces along the normals, shape (m,) [N]."""
     link: tuple[str, ...]
-    """Of the hand: "palm", or "{joint}_link"."""
+    """Links of the hand: "palm", or "{joint}_link"."""
     centre: Array
-    """Of the object, shape (3,) [m]."""
+    """Centre of the object, shape (3,) [m]."""
     friction: float
     """Coulomb coefficient between skin and object."""
 
 
 @dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """Where a picture is taken from, and how large it is.
+    """Place of a camera and size of its picture.
 
     Raises:
         ValueError: A size or distance that is not positive.
@@ -176,7 +178,7 @@ class Viewpoint:
     height: int = 360
     """[px]"""
     distance: float = 0.31
-    """From the target [m]."""
+    """Distance from the target [m]."""
     yaw_deg: float = 160.0
     pitch_deg: float = -20.0
     field_of_view_deg: float = 42.0
@@ -222,7 +224,7 @@ class Engine(Protocol):
         ...
 
     def state(self) -> SceneState:
-        """What holds now in every world; arrays that no later call changes."""
+        """State of every world now, in arrays that no later call changes."""
         ...
 
     def contacts(self, world: int) -> Contacts:
@@ -271,7 +273,7 @@ Placed = tuple[Array, Array]
 def support_boxes(
     setup: SceneSetup, matrix: Callable[[Sequence[float]], Array] = matrix_from_quaternion
 ) -> tuple[list[Placed], Array, Placed | None, tuple[float, float, float, float]]:
-    """What the object of a setup stands on.
+    """Boxes that the object of a setup stands on.
 
     Args:
         setup: with an object that is not fixed.

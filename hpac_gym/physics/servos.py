@@ -57,7 +57,7 @@ class Servos:
 
     @property
     def commanded(self) -> Array:
-        """Where the ramps stand now, shape (n, 6) [rad]."""
+        """Commanded angles now, on their ramps to the targets, shape (n, 6) [rad]."""
         return self._start + np.minimum(self._elapsed / self._duration, 1.0) * self._way
 
     def command(self, servo: Array, duration: float) -> None:

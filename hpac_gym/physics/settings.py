@@ -13,7 +13,7 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, slots=True)
 class ServoSettings:
-    """What a servo's data sheet says.
+    """Numbers of a servo's data sheet.
 
     Raises:
         ValueError: A speed that is not positive, or a negative dead band or lag.
@@ -24,7 +24,7 @@ class ServoSettings:
     dead_band: float = 2e-3
     """Error that the servo leaves alone [rad]; chosen: 1.3 µs of pulse, a digital servo."""
     lag: float = 0.0
-    """From the ramp to the servo's answer: transport, electronics, filtering [s]. In whole physics steps."""
+    """Delay from the ramp to the servo's answer: transport, electronics, filtering [s]. In whole physics steps."""
 
     def __post_init__(self) -> None:
         if not (self.speed > 0 and self.dead_band >= 0 and self.lag >= 0):
@@ -35,7 +35,7 @@ class ServoSettings:
 
 @dataclass(frozen=True, slots=True)
 class Damping:
-    """How the tendons lose energy.
+    """Damping of tendons and joints.
 
     Raises:
         ValueError: A negative value.
@@ -56,9 +56,13 @@ class Damping:
             )
 
 
+TIGHTEST = 1e-4
+"""Most that a driving tendon can be too short [m]: with the stiffness of `hpac.toml` it pulls with 25 N at rest."""
+
+
 @dataclass(frozen=True, slots=True)
 class HandSettings:
-    """What the simulated hand has beyond the model's parameters.
+    """Settings of the simulated hand beyond the model's parameters.
 
     Raises:
         ValueError: Slack, strength or servo zero has the wrong number of values or leaves its bounds.
@@ -67,7 +71,7 @@ class HandSettings:
     servo: ServoSettings = ServoSettings()
     damping: Damping = Damping()
     slack: tuple[float, ...] = (0.0,) * 5
-    """What each driving tendon has to wind up before it pulls, by digit [m]."""
+    """What each driving tendon has to wind up before it pulls, by digit [m]; negative for one that already pulls at rest."""
     strength: tuple[float, ...] = (1.0,) * 5
     """Share of its stall force with which each driving tendon pulls, by digit; 0 is a dead digit, whose servo turns in vain."""
     servo_zero: tuple[float, ...] = (0.0,) * 6
@@ -84,7 +88,7 @@ class HandSettings:
     """Coulomb coefficient of the hand's skin; the object's multiplies it."""
 
     def __post_init__(self) -> None:
-        bounds = {"slack": (5, 0.0, inf, "m"), "strength": (5, 0.0, 1.0, "(no unit)"), "servo_zero": (6, -pi, pi, "rad")}
+        bounds = {"slack": (5, -TIGHTEST, inf, "m"), "strength": (5, 0.0, 1.0, "(no unit)"), "servo_zero": (6, -pi, pi, "rad")}
         for name, (size, low, high, unit) in bounds.items():
             given = getattr(self, name)
             if not (len(given) == size and all(low <= value <= high for value in given)):
@@ -108,7 +112,7 @@ of 2.3e-8 kg·m²: 3 g of iron, 8 mm wide. At 120 Hz the fingers are calm from 3
 
 @dataclass(frozen=True, slots=True)
 class WorldSettings:
-    """How the world is integrated; `docs/physics.md` has the measurements behind the numbers.
+    """Settings of the integration; `docs/physics.md` has the measurements behind the numbers.
 
     Raises:
         ValueError: A rate that is not positive, negative iterations, or an error reduction that is no share.

@@ -67,7 +67,7 @@ class Simulation:
         self.advance(np.zeros((self.engine.num_worlds, round(seconds / self.engine.dt), 3)))
 
     def state(self) -> SceneState:
-        """What holds now in every world."""
+        """State of every world now."""
         state = self.engine.state()
         state.horn = self.servos.horn + self.servos.zero
         return state

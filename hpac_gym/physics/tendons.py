@@ -80,7 +80,7 @@ class Drive:
     limit: float
     """What the servo can pull [N]."""
     viscosity: float = 0.0
-    """Of the stretch's rate [N·s/m]."""
+    """Tension per rate of the stretch [N·s/m]."""
     brake: float = 0.0
     """The same, of a slack tendon against flexion that is faster than the servo's [N·s/m]."""
 
@@ -169,7 +169,7 @@ class Tendons:
         self._cmc_viscosity = float(cmc)
 
     def stiffness_matrix(self, synergy: Array) -> Array:
-        """How the joint torques answer to the joint angles where all drives are taut, shape (15, 15) [N·m/rad].
+        """Stiffness of the joints with all drives taut, −∂torque/∂angle, shape (15, 15) [N·m/rad].
 
         Args:
             synergy: angles of the driven joints, shape (6,) [rad]; the drives' moment arms depend on them.
@@ -181,7 +181,7 @@ class Tendons:
         return matrix
 
     def load(self, joint_pos: ArrayLike, tension: Sequence[float]) -> Array:
-        """What the tendons and the spring press every joint's guides with: their torques, added without their signs.
+        """Load of tendons and spring on every joint's guides: their torques, added without their signs.
 
         Args:
             joint_pos: q, shape (15,) [rad].

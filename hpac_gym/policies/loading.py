@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 
 import gymnasium
@@ -14,16 +15,28 @@ from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
 
 def load_policy(name: str, env: gymnasium.Env) -> Policy:
-    """The policy ``random``, ``scripted``, or of a policy file, for this environment.
+    """A policy for this environment.
+
+    Args:
+        name: ``random``, ``scripted``, a policy file, or ``module:function``, which gets the environment and returns a policy;
+            ``module:function:text`` gets the text too, such as the path of a file of its own.
+        env: what the policy is to act in.
 
     Raises:
         PolicyError: No policy has that name; the file is missing, damaged, or made for another environment.
     """
     if name in BASELINES:
         return BASELINES[name](env)
-    if not Path(name).exists():
+    if Path(name).exists():
+        return LearnedPolicy.of(policy_file_for(name, env))
+    module, *rest = name.split(":", 2)
+    if not rest:
         raise PolicyError(f"no policy file '{name}', and it is none of the baselines {', '.join(BASELINES)}")
-    return LearnedPolicy.of(policy_file_for(name, env))
+    try:
+        make = getattr(import_module(module), rest[0])
+    except (ImportError, AttributeError, ValueError) as error:
+        raise PolicyError(f"no policy '{name}': {error}") from None
+    return make(env, *rest[1:])
 
 
 def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:

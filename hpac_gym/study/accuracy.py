@@ -1,15 +1,18 @@
-"""How well a model predicts a sweep: residuals, mean absolute error, and the workspace that a sweep shows."""
+"""Accuracy of a model on a sweep: residuals, mean absolute errors, the workspace that the sweep shows, and the figures."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand, elastic_joints_from_servo, rigid_joints_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.study.processing import Points
 from hpac_gym.study.record import PHASES, joints_of_servo
+from hpac_gym.study.results import GREEN, GREY, RED, label
 
 EVALUATED = tuple(name for name in JOINTS if name.endswith(("_ip", "_pip", "_dip")))
 """The paper's nine joints: the thumb's IP, and PIP and DIP of the four long fingers."""
@@ -19,8 +22,6 @@ FIGURE = tuple(name for name in JOINTS if name != "thumb_cmc")
 
 ALL_BELOW_DEG = 0.23
 """The paper: "all nine evaluated joints achieve an MAE below 0.23°"."""
-
-FLEXION = PHASES.index("flexion")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,25 +38,22 @@ class Residuals:
     """Against q_comp = H(u)u − b(q), shape (k,) [rad]."""
 
 
-def residuals(points: Points, hand: Hand = HPAC, phase: int = FLEXION) -> dict[str, Residuals]:
-    """Residuals of every joint at the points of its own servo's sweep, of all trials.
+def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
+    """Residuals of every joint at the points of its own servo's flexion, of all trials.
 
     Args:
         points: the sweep.
         hand: the model under test; none of the sweep goes into it.
-        phase: index in `PHASES`.
     """
     rigid, elastic = rigid_joints_from_servo(points.servo, hand), elastic_joints_from_servo(points.servo, hand)
     found = {}
     for servo in range(len(SERVOS)):
-        rows = (points.swept == servo) & (points.phase == phase)
+        rows = (points.swept == servo) & (points.phase == PHASES.index("flexion"))
         for joint in joints_of_servo(servo) if rows.any() else ():
             seen = np.flatnonzero(rows)[~np.isnan(points.joint_pos[rows, joint])]
             if seen.size:
-                measured = points.joint_pos[seen, joint]
-                found[JOINTS[joint]] = Residuals(
-                    points.servo[seen, servo], measured, measured - rigid[seen, joint], measured - elastic[seen, joint]
-                )
+                measured, angles = points.joint_pos[seen, joint], points.servo[seen, servo]
+                found[JOINTS[joint]] = Residuals(angles, measured, measured - rigid[seen, joint], measured - elastic[seen, joint])
     return {name: found[name] for name in JOINTS if name in found}
 
 
@@ -92,7 +90,7 @@ PRINTED = (
 
 
 def met(errors: Accuracy) -> dict[str, bool]:
-    """Which of the `PRINTED` figures a sweep shows."""
+    """Tell for each of the `PRINTED` figures whether a sweep shows it."""
     before, after = ({name: errors.mae_deg[kind][name] for name in EVALUATED} for kind in ("uncompensated", "compensated"))
     largest = {name: errors.max_residual_deg["uncompensated"][name] for name in EVALUATED}
     gain = {name: before[name] - after[name] for name in EVALUATED}
@@ -108,7 +106,68 @@ def met(errors: Accuracy) -> dict[str, bool]:
 
 def workspace(points: Points) -> dict[str, tuple[float, float]]:
     """Table I of a sweep: smallest and largest angle of each joint while its servo moved [rad]."""
-    table = {}
-    for name, found in residuals(points).items():
-        table[name] = (float(found.measured.min()), float(found.measured.max()))
-    return table
+    return {name: (float(found.measured.min()), float(found.measured.max())) for name, found in residuals(points).items()}
+
+
+# The paper's two figures -----------------------------------------------------------------
+
+_KINDS = (("uncompensated", RED, "o"), ("compensated", GREEN, "s"))
+
+
+def residual_figure(found: Mapping[str, Residuals]) -> Figure:
+    """The paper's residual figure: nine joints over their servo's angle, red uncompensated, green compensated.
+
+    The axis shows ±2° as the paper's does, or more where the data needs it. Single points far from all others are left out of
+    the axis and counted in the panel's title.
+    """
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    axes = figure.subplots(3, 3, sharey=True).flat
+    limit = residual_limit(found)
+    for axis, name in zip(axes, EVALUATED, strict=True):
+        axis.set_title(label(name), fontsize=10)
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+        axis.set_ylim(-limit, limit)
+        if name not in found:
+            axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", color=GREY)
+            continue
+        beyond = 0
+        for kind, color, marker in _KINDS:
+            values = np.degrees(getattr(found[name], kind))
+            beyond += int((np.abs(values) > limit).sum())
+            axis.plot(np.degrees(found[name].servo), values, marker, color=color, markersize=3, label=kind)
+        if beyond:
+            axis.set_title(f"{label(name)} ({beyond} points beyond ±{limit:g}° left out)", fontsize=9)
+    figure.supxlabel("servo angle u [°]")
+    figure.supylabel("residual q_meas − q_model [°]")
+    handles, labels = next(axis.get_legend_handles_labels() for axis in figure.axes if axis.get_legend_handles_labels()[0])
+    figure.legend(handles, labels, loc="outside right upper", frameon=False)
+    return figure
+
+
+def residual_limit(found: Mapping[str, Residuals]) -> float:
+    """Half of the residual figure's axis: the paper's 2°, or a round number that holds 98 % of all points [°]."""
+    values = np.concatenate([np.degrees(np.abs(getattr(found[name], kind))) for name in found if name in EVALUATED
+                             for kind, *_ in _KINDS])  # fmt: skip
+    needed = float(np.quantile(values, 0.98))
+    if float(values.max()) <= 1.5 * needed:
+        needed = float(values.max())
+    steps = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 60.0, 180.0)
+    return next(step for step in steps if step >= needed)
+
+
+def mae_figure(errors: Accuracy) -> Figure:
+    """The paper's bar figure: mean absolute error of each joint, red without and green with compensation.
+
+    MP and MCP stand beside the nine joints as in the paper; the model does not compensate them, so their bars are equal.
+    """
+    names = list(errors.mae_deg["uncompensated"])
+    figure = Figure(figsize=(13, 4), layout="constrained")
+    axis = figure.subplots()
+    for shift, (kind, color, _) in zip((-0.2, 0.2), _KINDS, strict=True):
+        values = [errors.mae_deg[kind][name] for name in names]
+        bars = axis.bar(np.arange(len(names)) + shift, values, 0.38, color=color, label=kind)
+        axis.bar_label(bars, fmt="%.2f", fontsize=8)
+    axis.set_xticks(np.arange(len(names)), [label(name) for name in names], rotation=25)
+    axis.set_ylabel("mean absolute error [°]")
+    axis.legend(frameon=False)
+    return figure

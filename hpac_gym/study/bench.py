@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Hand
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.study.population import Built
-from hpac_gym.study.quasistatic import follow
-from hpac_gym.study.record import PHASES, Sweep, concatenate
+from hpac_gym.study.quasistatic import Built, hand_course
+from hpac_gym.study.record import PHASES, Sweep, concatenate, joints_of_servo
 
 THUMB_CLEAR = 1.2
 """CMC angle at which the thumb can bend over its whole range and touches neither finger nor palm [rad]."""
@@ -34,7 +33,7 @@ def rest_pose(swept: str) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class JointCamera:
-    """What measures the joint angles: one sample a frame, with white noise and a slow drift of each joint.
+    """Camera that measures the joint angles: one sample a frame, with white noise and a slow drift of each joint.
 
     The other errors are common to all joints of a frame, or of the whole record, and zero by default.
 
@@ -59,14 +58,10 @@ class JointCamera:
     def __post_init__(self) -> None:
         errors = (self.noise, self.drift, self.common_scale, self.common_wander)
         if not (self.rate_hz > 0 and self.wander_time > 0 and min(errors) >= 0 and 0 <= self.outliers <= 1):
-            raise ParameterError(
-                f"camera: rate_hz = {self.rate_hz} Hz and wander_time = {self.wander_time} s must be greater than 0, noise = "
-                f"{self.noise} rad, drift = {self.drift} rad/s, common_scale = {self.common_scale} and common_wander = "
-                f"{self.common_wander} rad not below it, outliers = {self.outliers} a share"
-            )
+            raise ParameterError(f"{self}: rate_hz [Hz], wander_time [s] must be greater than 0, errors at least 0, outliers 0…1")
 
     def seen(self, joint_pos: Array, time: Array, rng: np.random.Generator) -> Array:
-        """What the camera makes of true angles, shape (n, joints) [rad], at times (n,) [s]."""
+        """Measured angles for true angles of shape (n, joints) [rad] at times (n,) [s]."""
         drift = rng.normal(0.0, self.drift, joint_pos.shape[1]) * time[:, None]
         seen = joint_pos + drift + rng.normal(0.0, self.noise, joint_pos.shape)
         if self.common_scale:
@@ -80,18 +75,15 @@ class JointCamera:
     def _wander(self, time: Array, rng: np.random.Generator) -> Array:
         """A first-order Gauss–Markov process, shape (n,) [rad]."""
         kept = np.exp(-np.diff(time, prepend=time[0]) / self.wander_time)
-        fresh = self.common_wander * rng.standard_normal(len(time))
-        wander = np.empty(len(time))
-        level = fresh[0]
-        for i, (share, new) in enumerate(zip(kept, fresh, strict=True)):
-            level = share * level + np.sqrt(1 - share**2) * new
-            wander[i] = level
+        wander = self.common_wander * rng.standard_normal(len(time))
+        for i in range(1, len(time)):
+            wander[i] = kept[i] * wander[i - 1] + np.sqrt(1 - kept[i] ** 2) * wander[i]
         return wander
 
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """How a servo is swept: rest, K points one after the other, back to rest.
+    """Course of a servo sweep: rest, K points one after the other, back to rest.
 
     Raises:
         ParameterError: Fewer than two points, a hold that leaves no time to move, or a negative rest.
@@ -126,7 +118,6 @@ def metal_sweeps(
     camera: JointCamera = CAMERA,
     protocol: Protocol = PROTOCOL,
     servos: tuple[str, ...] = SERVOS,
-    base: Hand = HPAC,
 ) -> list[Sweep]:
     """Records of hands in metal: the rest poses and the held samples of every point; nothing is recorded in motion.
 
@@ -136,57 +127,41 @@ def metal_sweeps(
         camera: what measures.
         protocol: how the servos are swept.
         servos: which ones.
-        base: the hand that the commands are made for.
     """
+    point, phase = np.arange(protocol.points), np.full(protocol.points, _FLEXION)
+    if protocol.both_directions:
+        point, phase = np.concatenate([point, point[::-1]]), np.repeat([_FLEXION, _EXTENSION], protocol.points)
     parts: list[list[Sweep]] = [[] for _ in built]
     for name in servos:
         swept = SERVOS.index(name)
-        up = np.linspace(base.servo_min[swept], base.servo_max[swept], protocol.points)
-        angles = np.concatenate([up, up[::-1]]) if protocol.both_directions else up
-        course = metal_course(built, swept, angles)
-        for number in range(len(built)):
+        servo = np.zeros((len(point), len(SERVOS)))
+        servo[:, swept] = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], protocol.points)[point]
+        course = hand_course(built, servo, _STEPS, [swept])
+        for number, joint_pos in enumerate(course):
             rng = np.random.default_rng([seed, number, swept])
-            parts[number].append(_segment(swept, angles, course[number], rng, camera, protocol))
+            parts[number].append(_segment(swept, phase, point, servo[:, swept], joint_pos, rng, camera, protocol))
     return [concatenate(segments) for segments in parts]
 
 
-def metal_course(built: Sequence[Built], swept: int, angles: Array) -> Array:
-    """True joint angles of hands in metal along angles of one servo from the open hand, shape (hands, k, 15) [rad]."""
-    course = np.zeros((len(built), len(angles), len(JOINTS)))
-    if SERVOS[swept] == "thumb_cmc":
-        course[:, :, JOINT_INDEX["thumb_cmc"]] = np.array([item.hand.cmc_gain for item in built])[:, None] * angles
-        return course
-    name = list(HPAC.digits)[swept]
-    knots = np.arange(len(angles))
-    path = np.interp(np.arange(0, len(angles) - 1 + 0.5 / _STEPS, 1 / _STEPS), knots, angles)
-    digits, metal = [item.hand.digits[name] for item in built], [item.metal[swept] for item in built]
-    found = follow(digits, metal, np.repeat(path[:, None], len(built), axis=1))[::_STEPS]
-    course[:, :, [JOINT_INDEX[joint] for joint in digits[0].joints]] = found.transpose(1, 0, 2)
-    return course
-
-
 def _segment(
-    swept: int, angles: Array, course: Array, rng: np.random.Generator, camera: JointCamera, protocol: Protocol
-) -> Sweep:
+    swept: int, phase: np.ndarray, point: np.ndarray, angles: Array, joint_pos: Array,
+    rng: np.random.Generator, camera: JointCamera, protocol: Protocol,
+) -> Sweep:  # fmt: skip
     """A record's rows of one servo: rest, the held samples of each angle, rest."""
     rest = round(protocol.rest * camera.rate_hz)
     held = max(round(protocol.hold * camera.rate_hz) - 1, 1)
-    pose = rest_pose(SERVOS[swept])
-    still = np.zeros(len(JOINTS))
-    still[JOINT_INDEX["thumb_cmc"]] = pose[SERVO_INDEX["thumb_cmc"]]
-    count = len(angles)
-    start = np.arange(rest) / camera.rate_hz
-    ends = protocol.rest + protocol.seconds_per_point * np.arange(1, count + 1)
+
+    def recorded(values: np.ndarray, at_rest: float) -> np.ndarray:
+        return np.pad(np.repeat(values, held), rest, constant_values=at_rest)
+
+    ends = protocol.rest + protocol.seconds_per_point * np.arange(1, len(angles) + 1)
     holds = (ends[:, None] - np.arange(held)[::-1] / camera.rate_hz).ravel()
-    time = np.concatenate([start, holds, holds[-1] + (1 + np.arange(rest)) / camera.rate_hz])
-    back = count // 2 if protocol.both_directions else count
-    ways = np.where(np.arange(count) < back, _FLEXION, _EXTENSION)
-    numbers = np.where(ways == _FLEXION, np.arange(count), count - 1 - np.arange(count))
-    phase = np.concatenate([np.full(rest, _REST), np.repeat(ways, held), np.full(rest, _REST)])
-    point = np.concatenate([np.full(rest, -1), np.repeat(numbers, held), np.full(rest, -1)])
-    servo, joint_pos = np.tile(pose, (len(time), 1)), np.tile(still, (len(time), 1))
-    servo[phase != _REST, swept] = np.repeat(angles, held)
-    measured = [JOINT_INDEX[name] for name in JOINTS if HPAC.servo_of_joint[JOINT_INDEX[name]] == swept]
-    joint_pos[np.ix_(phase != _REST, measured)] = np.repeat(course[:, measured], held, axis=0)
-    joint_pos = camera.seen(joint_pos, time, rng)
-    return Sweep(np.zeros(len(time), dtype=int), np.full(len(time), swept), phase, point, time, servo, joint_pos)
+    time = np.concatenate([np.arange(rest) / camera.rate_hz, holds, holds[-1] + (1 + np.arange(rest)) / camera.rate_hz])
+    servo, measured = np.tile(rest_pose(SERVOS[swept]), (len(time), 1)), np.zeros((len(time), len(JOINTS)))
+    measured[:, JOINT_INDEX["thumb_cmc"]] = servo[:, SERVO_INDEX["thumb_cmc"]]
+    servo[:, swept] = recorded(angles, 0.0)
+    for joint in joints_of_servo(swept):
+        measured[:, joint] = recorded(joint_pos[:, joint], 0.0)
+    measured = camera.seen(measured, time, rng)
+    zeros = np.zeros(len(time), dtype=int)
+    return Sweep(zeros, zeros + swept, recorded(phase, _REST), recorded(point, -1), time, servo, measured)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,11 @@ from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_join
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 from hpac_gym.output import write_text
-from hpac_gym.study import figures
 from hpac_gym.study.combinations import SweptDigit, values
-from hpac_gym.study.identification import HELD_OUT_EVERY, SPREAD, Identification, held_out_rows, identify
+from hpac_gym.study.identification import HELD_OUT_EVERY, SPREAD, DigitFit, Identification, held_out_rows, identify
 from hpac_gym.study.judging import judged
 from hpac_gym.study.record import read_sweep
+from hpac_gym.study.results import BLUE, GREEN, GREY, RED, label, markdown, save
 from hpac_gym.study.samples import DigitSamples
 
 OUT = Path("runs/calibrate/hand.toml")
@@ -53,8 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     write_text(folder / "report.md", text)
     write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
     caption = f"{written.name}, {arguments.record.name}"
-    figures.save(fit_figure(found, base, written), folder / "fit.png", f"{caption}; points, every {HELD_OUT_EVERY}th held out")
-    figures.save(estimate_figure(found, base), folder / "estimates.png", f"{caption}; bars are 95 % intervals")
+    save(fit_figure(found, base, written), folder / "fit.png", f"{caption}; points, every {HELD_OUT_EVERY}th held out")
+    save(estimate_figure(found, base), folder / "estimates.png", f"{caption}; bars are 95 % intervals")
     print(json.dumps(result) if arguments.json else f"{text}\nwritten: {arguments.out}, {folder}")
     return 0
 
@@ -74,57 +75,47 @@ def named(found: Identification, base: Hand, record: str) -> Hand:
 
 @dataclass(frozen=True, slots=True)
 class FileError:
-    """How far the written file misses a joint at the points that were held out of its fit."""
+    """Error of the written file for one joint, at the points that were held out of its fit."""
 
     mean_abs_deg: float
     max_deg: float
     papers_map_deg: float
     """Mean absolute error of Eqs. (5), (12) with the file's numbers, without drive stretch, zero and friction."""
     noise_deg: float
-    """Of one camera sample."""
+    """Standard deviation of one camera sample."""
     points: int
 
 
-def residuals(found: Identification, hand: Hand) -> dict[str, tuple[DigitSamples, Array]]:
-    """Points less a hand's prediction, by joint: the digit's samples and the residuals (k,) [rad]."""
+def papers_map(servo: Array, hand: Hand, direction: float) -> Array:
+    """Joint angles of Eqs. (5), (12), with the arguments of `settled_joints_from_servo`."""
+    return elastic_joints_from_servo(np.clip(servo, hand.servo_min, hand.servo_max), hand)
+
+
+def residuals(
+    found: Identification, hand: Hand, model: Callable = settled_joints_from_servo
+) -> dict[str, tuple[DigitSamples, Array]]:
+    """Points less what a hand makes of them, by joint: the digit's samples and the residuals (k,) [rad]."""
     table = {}
-    for column, (joints, samples) in found.samples.items():
-        rest = samples.joint_pos - prediction(hand, column, samples)[:, [JOINT_INDEX[joint] for joint in joints]]
-        table |= {joint: (samples, rest[:, i]) for i, joint in enumerate(joints) if joint not in samples.missing}
+    for column, samples in found.samples.items():
+        servo, predicted = np.zeros((len(samples.servo), len(SERVOS))), np.empty((len(samples.servo), len(JOINTS)))
+        servo[:, column] = samples.servo
+        for direction in (FLEXION, EXTENSION):
+            rows = samples.direction == direction
+            predicted[rows] = model(servo[rows], hand, direction)
+        rest = samples.joint_pos - predicted[:, [JOINT_INDEX[joint] for joint in samples.joints]]
+        table |= {joint: (samples, rest[:, i]) for i, joint in enumerate(samples.joints) if joint not in samples.missing}
     return {name: table[name] for name in JOINTS if name in table}
-
-
-def prediction(hand: Hand, column: int, samples: DigitSamples) -> Array:
-    """Where a hand's joints rest at the points of one servo's sweep, shape (k, 15) [rad]."""
-    servo = np.zeros((len(samples.servo), len(SERVOS)))
-    servo[:, column] = samples.servo
-    angles = np.empty((len(samples.servo), len(JOINTS)))
-    for direction in (FLEXION, EXTENSION):
-        rows = samples.direction == direction
-        angles[rows] = settled_joints_from_servo(servo[rows], hand, direction)
-    return angles
 
 
 def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
     """Errors at the held-out points, by joint."""
-    bare = replace(written, calibration=HPAC.calibration)
-    table = {}
+    table, by_papers = {}, residuals(found, written, papers_map)
     for name, (samples, rest) in residuals(found, written).items():
-        column = written.servo_of_joint[JOINT_INDEX[name]]
-        joints = found.samples[column][0]
         rows = held_out_rows(samples) & ~np.isnan(rest)
-        if not rows.any():
-            continue
-        servo = np.zeros((len(rest), len(SERVOS)))
-        servo[:, column] = np.clip(samples.servo, written.servo_min[column], written.servo_max[column])
-        papers = samples.joint_pos[:, joints.index(name)] - elastic_joints_from_servo(servo, bare)[:, JOINT_INDEX[name]]
-        table[name] = FileError(
-            float(np.degrees(np.abs(rest[rows]).mean())),
-            float(np.degrees(np.abs(rest[rows]).max())),
-            float(np.degrees(np.abs(papers[rows]).mean())),
-            float(np.degrees(samples.noise[joints.index(name)])),
-            int(rows.sum()),
-        )
+        if rows.any():
+            off, papers_off = (np.degrees(np.abs(values[rows])) for values in (rest, by_papers[name][1]))
+            noise = np.degrees(samples.noise[samples.joints.index(name)])
+            table[name] = FileError(*map(float, (off.mean(), off.max(), papers_off.mean(), noise)), int(rows.sum()))
     return table
 
 
@@ -163,17 +154,15 @@ def report(found: Identification, base: Hand, errors: dict[str, FileError], rema
     lines = [f"# Calibration about {base.name}", ""]
     if worst:
         mean = np.mean([error.mean_abs_deg for error in errors.values()])
+        told = ("file, mean error [°]", "largest", "paper's map with the file's numbers", "camera noise", "points held out")
+        cells = {name: (*(f"{value:.3f}" for value in astuple(error)[:-1]), error.points) for name, error in errors.items()}
         lines += [
             f"The written file misses the points that were held out of its fit by {mean:.3f}° on average and "
             f"{worst.mean_abs_deg:.3f}° at the worst joint.",
             "",
-            "| joint | file, mean error [°] | largest | paper's map with the file's numbers | camera noise | points held out |",
-            "|---|--:|--:|--:|--:|--:|",
+            markdown(("joint", *told), [(label(name), *row) for name, row in cells.items()]),
+            "",
         ]
-        for name, error in errors.items():
-            cells = (error.mean_abs_deg, error.max_deg, error.papers_map_deg, error.noise_deg)
-            lines.append(f"| {figures.label(name)} | {' | '.join(f'{cell:.3f}' for cell in cells)} | {error.points} |")
-        lines.append("")
     for name, fit in found.fits.items():
         lines += _digit_report(name, fit, base)
     if found.cmc:
@@ -186,13 +175,13 @@ def report(found: Identification, base: Hand, errors: dict[str, FileError], rema
     return "\n".join(lines) + "\n"
 
 
-def _digit_report(name: str, fit, base: Hand) -> list[str]:
-    design = values(SweptDigit(base.digits[name]))
-    lines = [f"## {name}", "", "| combination | formula | design | found | 95 % interval | told by the data |"]
-    lines.append("|---|---|--:|--:|---|--:|")
-    for item, nominal in zip(fit.estimates, design, strict=True):
-        cells = (item.name, item.formula, f"{nominal:.4g}", f"{item.value:.4g}", f"{item.low:.4g} … {item.high:.4g}")
-        lines.append(f"| {' | '.join(cells)} | {item.told:.0%} |")
+def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
+    head = ("combination", "formula", "design", "found", "95 % interval", "told by the data")
+    rows = [
+        (item.name, item.formula, f"{nominal:.4g}", f"{item.value:.4g}", f"{item.low:.4g} … {item.high:.4g}", f"{item.told:.0%}")
+        for item, nominal in zip(fit.estimates, values(SweptDigit(base.digits[name])), strict=True)
+    ]
+    lines = [f"## {name}", "", markdown(head, rows)]
     samples = fit.samples
     lines += ["", f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times as "
               f"much about the fit as their samples explain."]  # fmt: skip
@@ -209,16 +198,15 @@ def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
     """Residuals of the points against the design and against the written file, joint by joint; held-out points are rings."""
     figure = Figure(figsize=(13, 9), layout="constrained")
     axes = list(figure.subplots(3, 5).flat)
-    designed = residuals(found, base)
-    table = residuals(found, written)
+    designed, table = (residuals(found, hand) for hand in (base, written))
     for axis, (name, (samples, rest)) in zip(axes, table.items(), strict=False):
         angle, out = np.degrees(samples.servo), held_out_rows(samples)
-        axis.plot(angle, np.degrees(designed[name][1]), ".", color=figures.RED, markersize=4, label="design")
-        axis.plot(angle[~out], np.degrees(rest[~out]), ".", color=figures.GREEN, markersize=4, label="file, fitted points")
-        axis.plot(angle[out], np.degrees(rest[out]), "o", color=figures.GREEN, markersize=4, fillstyle="none",
+        axis.plot(angle, np.degrees(designed[name][1]), ".", color=RED, markersize=4, label="design")
+        axis.plot(angle[~out], np.degrees(rest[~out]), ".", color=GREEN, markersize=4, label="file, fitted points")
+        axis.plot(angle[out], np.degrees(rest[out]), "o", color=GREEN, markersize=4, fillstyle="none",
                   label="file, held-out points")  # fmt: skip
-        axis.axhline(0.0, color=figures.GREY, linewidth=0.8)
-        axis.set_title(figures.label(name), fontsize=9)
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+        axis.set_title(label(name), fontsize=9)
     for axis in axes[len(table) :]:
         axis.set_axis_off()
     figure.supxlabel("servo angle u [°]")
@@ -236,10 +224,10 @@ def estimate_figure(found: Identification, base: Hand) -> Figure:
         shown = [(item, nominal) for item, nominal in zip(fit.estimates, design, strict=True) if item.name != "servo_zero"]
         for row, (item, nominal) in enumerate(shown):
             alpha = 0.25 + 0.75 * item.told
-            axis.plot(np.array([item.low, item.high]) / nominal, [row, row], color=figures.BLUE, linewidth=3, alpha=alpha)
-            axis.plot(item.value / nominal, row, "o", color=figures.BLUE, alpha=alpha)
+            axis.plot(np.array([item.low, item.high]) / nominal, [row, row], color=BLUE, linewidth=3, alpha=alpha)
+            axis.plot(item.value / nominal, row, "o", color=BLUE, alpha=alpha)
         axis.set_yticks(range(len(shown)), [item.name for item, _ in shown], fontsize=8)
-        axis.axvline(1.0, color=figures.GREY, linewidth=0.8)
+        axis.axvline(1.0, color=GREY, linewidth=0.8)
         axis.set_xscale("log")
         axis.set_xlim(0.2, 5.0)
         axis.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])

@@ -1,4 +1,4 @@
-"""What a free-space sweep can say about a digit: dimensionless combinations of its parameters, friction and the servo's zero.
+"""The numbers of a digit that a free-space sweep can tell: dimensionless combinations, friction and the servo's zero.
 
 Angles carry no scale of length or force: multiply every length of a digit, or every stiffness and friction, by one factor and
 no angle changes. The combinations below are what is left. A hand is made from them by keeping the base hand's d₁, root radius,

@@ -2,75 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, Hand
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.model.files import hand_from_toml, hand_to_toml
 from hpac_gym.model.parameters import Friction
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.progress import progress
-from hpac_gym.study.bench import JointCamera, Protocol, metal_course, metal_sweeps
+from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.combinations import SweptDigit, combinations, values
-from hpac_gym.study.identification import Identification, IdentificationError, identify
+from hpac_gym.study.identification import IdentificationError, identify
 from hpac_gym.study.judging import judged
-from hpac_gym.study.population import Built
-from hpac_gym.study.quasistatic import Metal
+from hpac_gym.study.populations import FIT_LAWS, FRICTION, OTHER_LAWS, SERVO, ZERO, geometry, varied_digit, varied_metal
+from hpac_gym.study.processing import points
+from hpac_gym.study.quasistatic import Built, Metal, hand_course
 from hpac_gym.study.record import RecordError, Sweep
+from hpac_gym.study.results import Column, Part, markdown, rows_of, table
 from hpac_gym.study.rig import Rig, settings_of
 
-GEOMETRY = ("d1", "d2", "alpha", "servo_radius", "joint_radius", "path_length")
-STIFFNESS = ("spring_stiffness", "tendon_stiffness", "drive_stiffness")
+REACH = {
+    **geometry(0.05), "path_length": 0.05, "spring_stiffness": 0.2, "tendon_stiffness": 0.2, "drive_stiffness": 0.2
+}  # fmt: skip
+"""Hidden hands are drawn evenly within so much of the nominal numbers."""
+DEAD_BAND = 5e-4
+LAWS = {"laws of the fit": replace(FIT_LAWS, dead_band=DEAD_BAND), "other laws": OTHER_LAWS}
+"""Hidden hands in metal whose physics is that of the fit, and whose physics is not."""
 CAMERA = JointCamera(outliers=0.02)
-NOISE_MARK, ERROR_MARK_DEG = 1.3, 0.1
-"""The marks of a good file: a mean error below 1.3 times the noise of a camera sample, or below 0.1°."""
+MARK_DEG = max(0.1, 1.3 * float(np.degrees(CAMERA.noise)))
+"""The mark of a good file: a mean error below 1.3 times the noise of a camera sample, or below 0.1°."""
 DROPPED = 0.02
 """Share of the frames that the records lack."""
-TRUTH_POINTS = 41
-
-LAWS = {
-    "laws of the fit": Metal(servo_stiffness=20.0, joint_friction=1e-3, tendon_friction=0.03, dead_band=5e-4),
-    "other laws": Metal(
-        first_segment=1.0, servo_stiffness=20.0, joint_friction=1e-3, cable_friction=0.05, guide_radius=0.5e-3, dead_band=1e-3
-    ),
-}
-"""Hidden hands in metal whose physics is that of the fit, and whose physics is not: EA/L in both segments, a return cable that
-loses tension at every joint, guide pins of 1 mm."""
+NEAR_STOP = np.deg2rad(0.3)
+"""In the physics engine, a joint so near to its stop [rad] may rest at it."""
 
 
-def hidden_hands(count: int, seed: int, metal: Metal, stops: bool = True) -> list[Built]:
-    """Hands drawn evenly: ±20 % on stiffnesses, ±5 % on geometry; zeros of 0.5°, frictions and servos to a factor of 1.5.
+def hidden_hands(count: int, seed: int, metal: Metal) -> list[Built]:
+    """Hands about the nominal one, with Table I's stops; zeros of 0.5°, frictions and servos to a factor of 1.5.
 
     Args:
         count: hands; hand i of a seed is the same for any count.
         seed: of the draw.
         metal: the middle of what the model leaves out.
-        stops: joints stop at Table I's bounds.
     """
     built = []
     for number in range(count):
         rng = np.random.default_rng([seed, number])
         digits, metals = {}, []
         for name, digit in HPAC.digits.items():
-            changed = {}
-            for field in (*GEOMETRY, *STIFFNESS):
-                value, reach = getattr(digit, field), 0.2 if field in STIFFNESS else 0.05
-                factor = 1 + rng.uniform(-reach, reach, np.shape(value))
-                changed[field] = tuple((factor * value).tolist()) if isinstance(value, tuple) else float(factor * value)
-            digits[name] = replace(digit, **changed)
-            scale = np.exp(rng.normal(0.0, np.log(1.5), 4))
-            metals.append(replace(
-                metal,
-                servo_zero=np.deg2rad(0.5) * rng.standard_normal(),
-                servo_stiffness=metal.servo_stiffness * scale[0],
-                joint_friction=metal.joint_friction * scale[1],
-                tendon_friction=metal.tendon_friction * scale[2],
-                cable_friction=metal.cable_friction * scale[3],
-                stop=tuple(HPAC.workspace[joint][1] for joint in digit.joints) if stops else (),
-            ))  # fmt: skip
+            digits[name] = varied_digit(digit, REACH, partial(rng.uniform, -1.0, 1.0))
+            factors = np.exp(rng.normal(0.0, np.log(1.5), 4))
+            stopped = replace(metal, stop=tuple(HPAC.workspace[joint][1] for joint in digit.joints))
+            metals.append(varied_metal(stopped, ZERO * rng.standard_normal(), factors))
         built.append(Built(replace(HPAC, digits=digits), tuple(metals)))
     return built
 
@@ -86,39 +73,25 @@ def swept_digit(built: Built, column: int) -> SweptDigit:
     return SweptDigit(replace(digit, drive_stiffness=drive), friction, metal.servo_zero - metal.dead_band)
 
 
-def without_frames(record: Sweep, share: float, rng: np.random.Generator) -> Sweep:
-    """The record without some of its frames."""
-    return record[np.flatnonzero(rng.random(len(record)) >= share)]
+# Calibrated and judged -----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class HiddenHand:
-    """What calibration made of one hidden hand."""
+    """Result of the calibration of one hidden hand."""
 
     error_deg: Array
     """Mean absolute error of the written file against the truth where no joint is at a stop, by joint, NaN for the CMC [°]."""
-    inside: dict[str, list[bool]]
+    inside: Mapping[str, list[bool]]
     """Whether the intervals hold the truth, by combination, over the digits; empty where the laws have no such number."""
-    told: dict[str, list[float]]
+    told: Mapping[str, list[float]]
     stops_missed: int
     """Digits with a joint at its stop for two points or more, of which the report says nothing."""
-    refused: str = ""
-
-
-def calibrated(record: Sweep) -> tuple[Identification, Hand]:
-    """What ``hpac calibrate`` does to a record: judged, fitted, written and read again.
-
-    Raises:
-        RecordError: The record cannot be of a hand of this design.
-        IdentificationError: It supports no fit.
-    """
-    judged(record, HPAC)
-    found = identify(record, hold_out=True)
-    return found, hand_from_toml(hand_to_toml(found.hand), "the calibrated hand")
+    refused: bool = False
 
 
 def judge_hand(built: Built, record: Sweep, truth: Array, servo: Array, know_truth: bool) -> HiddenHand:
-    """Calibrate one hidden hand and compare with the truth.
+    """Judge a hidden hand's record, fit it, write the file as ``hpac calibrate`` does, and compare that file with the truth.
 
     Args:
         built: the hand.
@@ -127,17 +100,19 @@ def judge_hand(built: Built, record: Sweep, truth: Array, servo: Array, know_tru
         servo: at these angles of all servos, shape (k, 6) [rad].
         know_truth: the hand obeys the laws of the fit, so that its combinations have true values.
     """
+    errors = np.full(len(JOINTS), np.nan)
     try:
-        found, written = calibrated(record)
-    except (RecordError, IdentificationError) as error:
-        return HiddenHand(np.full(15, np.nan), {}, {}, 0, str(error))
-    predicted = settled_joints_from_servo(servo, written)
-    errors, inside, told, missed = np.full(15, np.nan), {}, {}, 0
+        judged(record, HPAC)
+        found = identify(record, hold_out=True)
+        written = hand_from_toml(hand_to_toml(found.hand), "the calibrated hand")
+    except (RecordError, IdentificationError):
+        return HiddenHand(errors, {}, {}, 0, refused=True)
+    off = np.degrees(np.abs(settled_joints_from_servo(servo, written) - truth))
+    inside, told, missed = {}, {}, 0
     for column, (name, digit) in enumerate(built.hand.digits.items()):
         joints = [JOINT_INDEX[joint] for joint in digit.joints]
-        stop = np.array(built.metal[column].stop or [np.inf] * len(joints))
-        free = (truth[:, joints] < stop - 1e-6).all(axis=1)
-        errors[joints] = np.degrees(np.abs(predicted - truth)[np.ix_(free, joints)].mean(axis=0))
+        free = (truth[:, joints] < np.array(built.metal[column].stop) - 1e-6).all(axis=1)
+        errors[joints] = off[np.ix_(free, joints)].mean(axis=0)
         if name not in found.fits:
             continue
         fit = found.fits[name]
@@ -149,76 +124,21 @@ def judge_hand(built: Built, record: Sweep, truth: Array, servo: Array, know_tru
     return HiddenHand(errors, inside, told, missed)
 
 
+def without_frames(record: Sweep, seed: int, number: int) -> Sweep:
+    """The record of a hand without some of its frames."""
+    rng = np.random.default_rng([seed, number, 9])
+    return record[np.flatnonzero(rng.random(len(record)) >= DROPPED)]
+
+
 def run_hidden(count: int, seed: int, laws: str, shown: bool = False) -> list[HiddenHand]:
-    """Calibrate hidden hands in metal."""
+    """Calibrate hidden hands in metal that obey one of the `LAWS`."""
     built = hidden_hands(count, seed, LAWS[laws])
     records = metal_sweeps(built, seed, CAMERA, servos=SERVOS[:-1])
-    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, TRUTH_POINTS)
-    truth = np.zeros((count, len(servo), 15))
-    for column in range(len(HPAC.digits)):
-        truth += metal_course(built, column, servo[:, column])
+    truth = hand_course(built, SERVO, 2)
     return [
-        judge_hand(
-            built[i], without_frames(records[i], DROPPED, np.random.default_rng([seed, i, 9])), truth[i], servo, "fit" in laws
-        )
+        judge_hand(built[i], without_frames(records[i], seed, i), truth[i], SERVO, laws == "laws of the fit")
         for i in progress(range(count), f"hidden hands, {laws}", shown)
     ]
-
-
-@dataclass(frozen=True, slots=True)
-class HiddenSummary:
-    """All hidden hands of one kind."""
-
-    hands: int
-    refused: int
-    median_deg: float
-    """Over all joints and hands, of the written file's mean error."""
-    worst_deg: float
-    within: float
-    """Share of the joints below 1.3 times the noise of a camera sample or below 0.1°."""
-    coverage: dict[str, float]
-    told: dict[str, float]
-    stops_missed: int
-
-
-def summarised(hands: Sequence[HiddenHand]) -> HiddenSummary:
-    """Median, worst and coverage."""
-    errors = np.concatenate([hand.error_deg for hand in hands])
-    errors = errors[~np.isnan(errors)]
-    names = [item.name for digit in ("index", "thumb") for item in combinations(HPAC.digits[digit])]
-    mark = max(ERROR_MARK_DEG, NOISE_MARK * float(np.degrees(CAMERA.noise)))
-
-    def pooled(what: str) -> dict[str, float]:
-        table = {}
-        for name in dict.fromkeys(names):
-            hits = [x for hand in hands for x in getattr(hand, what).get(name, ())]
-            if hits:
-                table[name] = float(np.mean(hits))
-        return table
-
-    return HiddenSummary(
-        len(hands),
-        sum(bool(hand.refused) for hand in hands),
-        float(np.median(errors)),
-        float(errors.max()),
-        float((errors <= mark).mean()),
-        pooled("inside"),
-        pooled("told"),
-        sum(hand.stops_missed for hand in hands),
-    )
-
-
-def physics_hand(built: Built, seed: int, protocol: Protocol) -> tuple[Sweep, Sweep]:
-    """A record of a hidden hand in the physics engine, and what a perfect camera would have seen of it."""
-    metal = built.metal[0]
-    settings = settings_of(metal.joint_friction, metal.dead_band, metal.tendon_friction)
-    zero = (*(item.servo_zero for item in built.metal), 0.0)
-    rig = Rig(built.hand, settings, JointCamera(noise=0.0, drift=0.0), protocol, servo_zero=zero)
-    perfect = rig.sweep(np.random.default_rng(seed), servos=SERVOS[:-1])
-    seen = perfect.joint_pos.copy()
-    for rows in perfect.segments():
-        seen[rows] = CAMERA.seen(seen[rows], perfect.time[rows], np.random.default_rng([seed, int(rows[0])]))
-    return perfect.with_joint_pos(seen), perfect
 
 
 def run_hidden_in_physics(count: int, seed: int, shown: bool = False) -> list[HiddenHand]:
@@ -227,26 +147,72 @@ def run_hidden_in_physics(count: int, seed: int, shown: bool = False) -> list[Hi
     The truth is what a perfect camera saw of the same sweep at the sampling points.
     """
     hands = []
-    middle = Metal(joint_friction=1e-3, tendon_friction=0.03, dead_band=5e-4)
-    for number in progress(range(count), "hidden hands in the physics engine", shown):
-        built = hidden_hands(number + 1, seed, middle)[number]
+    hidden = list(enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND))))
+    for number, built in progress(hidden, "hidden hands in the physics engine", shown):
         first = built.metal[0]
+        settings = settings_of(first.joint_friction, first.dead_band, first.tendon_friction)
+        zero = (*(item.servo_zero for item in built.metal), 0.0)
+        rig = Rig(built.hand, settings, JointCamera(noise=0.0, drift=0.0), servo_zero=zero)
+        perfect = rig.sweep(np.random.default_rng(seed + number), servos=SERVOS[:-1])
+        seen = perfect.joint_pos.copy()
+        for rows in perfect.segments():
+            seen[rows] = CAMERA.seen(seen[rows], perfect.time[rows], np.random.default_rng([seed + number, int(rows[0])]))
+        held = points(perfect)
+        servo, truth = np.zeros((rig.protocol.points, len(SERVOS))), np.zeros((rig.protocol.points, len(JOINTS)))
+        for column, digit in enumerate(built.hand.digits.values()):
+            joints = [JOINT_INDEX[joint] for joint in digit.joints]
+            servo[:, column] = held.servo[held.swept == column, column]
+            truth[:, joints] = held.joint_pos[held.swept == column][:, joints]
         metal = tuple(
-            replace(item, joint_friction=first.joint_friction, tendon_friction=first.tendon_friction) for item in built.metal
-        )
-        built = Built(built.hand, metal)
-        record, perfect = physics_hand(built, seed + number, Protocol())
-        flexed = (perfect.point >= 0) & (perfect.phase == 1)
-        servo, truth = np.zeros((31, 6)), np.zeros((31, 15))
-        for column in range(5):
-            joints = [JOINT_INDEX[joint] for joint in list(HPAC.digits.values())[column].joints]
-            for point in range(31):
-                rows = np.flatnonzero(flexed & (perfect.swept == column) & (perfect.point == point))
-                servo[point, column] = perfect.servo[rows, column].mean()
-                truth[np.ix_([point], joints)] = perfect.joint_pos[np.ix_(rows, joints)].mean(axis=0)
-        near = Built(built.hand, tuple(
-            replace(item, stop=tuple(angle - np.deg2rad(0.3) for angle in item.stop)) for item in built.metal
-        ))  # fmt: skip
-        record = without_frames(record, DROPPED, np.random.default_rng([seed, number, 9]))
-        hands.append(judge_hand(near, record, truth, servo, know_truth=True))
+            replace(item, joint_friction=first.joint_friction, tendon_friction=first.tendon_friction,
+                    stop=tuple(angle - NEAR_STOP for angle in item.stop)) for item in built.metal
+        )  # fmt: skip
+        record = without_frames(perfect.with_joint_pos(seen), seed, number)
+        hands.append(judge_hand(Built(built.hand, metal), record, truth, servo, know_truth=True))
     return hands
+
+
+# All hands of one kind ------------------------------------------------------------------
+
+
+def _errors(hands: Sequence[HiddenHand]) -> Array:
+    errors = np.concatenate([hand.error_deg for hand in hands])
+    return errors[~np.isnan(errors)]
+
+
+def _pooled(tables: Sequence[Mapping[str, list[float]]]) -> dict[str, float]:
+    """Means by combination, over hands and digits."""
+    names = dict.fromkeys(item.name for digit in ("index", "thumb") for item in combinations(HPAC.digits[digit]))
+    pooled = {name: [value for entry in tables for value in entry.get(name, ())] for name in names}
+    return {name: float(np.mean(values)) for name, values in pooled.items() if values}
+
+
+COLUMNS = (
+    Column("hands", "hands", len),
+    Column("refused", "refused", lambda hands: sum(hand.refused for hand in hands)),
+    Column("median_deg", "file's error, median [°]", lambda hands: float(np.median(_errors(hands))), "{:.3f}"),
+    Column("worst_deg", "worst joint", lambda hands: float(_errors(hands).max()), "{:.3f}"),
+    Column("within", "joints within the mark", lambda hands: float((_errors(hands) <= MARK_DEG).mean()), "{:.1%}"),
+    Column("stops_missed", "stops missed", lambda hands: sum(hand.stops_missed for hand in hands)),
+)
+COVERAGE = (
+    Column("coverage", "", lambda hands: _pooled([hand.inside for hand in hands])),
+    Column("told", "", lambda hands: _pooled([hand.told for hand in hands])),
+)
+"""The intervals, for which the page has a table of its own."""
+
+
+def calibration(count: int, seed: int, in_physics: int = 0, shown: bool = False) -> Part:
+    """`hpac calibrate` on hidden hands of every kind: `count` of each law in metal, `in_physics` in the physics engine."""
+    found = {laws: run_hidden(count, seed, laws, shown) for laws in LAWS}
+    if in_physics:
+        found["physics engine"] = run_hidden_in_physics(in_physics, seed, shown)
+    rows = rows_of((*COLUMNS, *COVERAGE), found)
+    lines = [f"## `hpac calibrate` on hidden hands, seed {seed}", "", table("hidden", COLUMNS, rows), ""]
+    fit = rows["laws of the fit"]
+    body = [(name, f"{share:.0%}", f"{fit['told'][name]:.0%}") for name, share in fit["coverage"].items()]
+    lines += [markdown(("combination", "95 % interval holds the truth", "told by the data"), body), ""]
+    if in_physics:
+        shares = rows["physics engine"]["coverage"].values()
+        lines += [f"In the physics engine {np.mean(list(shares)):.0%} of the intervals hold the truth.", ""]
+    return Part("\n".join(lines), rows)

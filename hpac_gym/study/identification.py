@@ -28,7 +28,7 @@ SPREAD = 0.15
 RADIUS_SPREAD = 1e-3
 """The same of radius ratios that are known to be the design's: a workshop's tolerance."""
 ORDER_SPREAD = 1.0
-"""Of the logarithm of the frictions, of which nobody knows more than the order."""
+"""Standard deviation of the logarithm of the frictions, of which nobody knows more than the order."""
 DRIVE_SPREAD = 1.0
 """Standard deviation of the drive's stretch over the design's: the servo gives way too, and nobody prints by how much."""
 ZERO_SPREAD = np.deg2rad(1.0)
@@ -48,7 +48,6 @@ _BOUND = 4.0  # standard deviations of the prior
 _TIED = 0.5  # correlation of two estimates' errors, from where one cannot be told without the other
 _STRAIGHT = np.pi - 0.02  # rad, guides in line
 _NOTHING = 1e-7  # of a combination that the paper's model does not have
-_SCALINGS = 1  # rounds in which the deviations are scaled to the residuals, before the last fit
 
 
 class IdentificationError(HpacError, ValueError):
@@ -63,7 +62,7 @@ class Estimate:
     formula: str
     value: float
     low: float
-    """Of the 95 % interval."""
+    """Lower end of the 95 % interval."""
     high: float
     told: float
     """How much of the prior's uncertainty the data took away, 0…1."""
@@ -71,7 +70,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class DigitFit:
-    """What a record says about one digit."""
+    """One digit as a record shows it."""
 
     swept: SweptDigit
     estimates: tuple[Estimate, ...]
@@ -84,7 +83,7 @@ class DigitFit:
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """What a record says about a hand."""
+    """A hand as a record shows it."""
 
     hand: Hand
     """With its `calibration`, and with a workspace that ends where stops were found."""
@@ -97,13 +96,10 @@ class Identification:
     cmc_samples: DigitSamples | None
 
     @property
-    def samples(self) -> dict[int, tuple[tuple[str, ...], DigitSamples]]:
-        """Joints and points of every servo whose sweep was fitted, by the servo's index."""
-        table = {
-            column: (digit.joints, self.fits[name].samples)
-            for column, (name, digit) in enumerate(self.hand.digits.items()) if name in self.fits
-        }  # fmt: skip
-        return table | ({len(SERVOS) - 1: (("thumb_cmc",), self.cmc_samples)} if self.cmc_samples else {})
+    def samples(self) -> dict[int, DigitSamples]:
+        """Points of every servo whose sweep was fitted, by the servo's index."""
+        fitted = {column: self.fits[name].samples for column, name in enumerate(self.hand.digits) if name in self.fits}
+        return fitted | ({len(SERVOS) - 1: self.cmc_samples} if self.cmc_samples else {})
 
 
 def identify(
@@ -138,9 +134,10 @@ def identify(
     for servo, (name, digit) in progress(list(enumerate(base.digits.items())), "digits", shown):
         try:
             samples = _enough(record, servo, digit.joints, base, least_points)
-            fit = _fit_digit(samples, digit, _Prior.about(digit, spread, radii_known, papers_model), hold_out)
+            prior = _Prior.about(digit, spread, radii_known, papers_model)
+            fit = _fit_digit(samples, digit, prior, hold_out)
             if radii_known:
-                _check_radii(fit, digit, spread)
+                _check_radii(fit, prior)
             fits[name] = fit
         except IdentificationError as error:
             kept[name] = str(error)
@@ -156,7 +153,7 @@ def identify(
 
 
 def held_out_rows(samples: DigitSamples) -> np.ndarray:
-    """Which points judge the fit, shape (k,): every fourth sampling point, neither the first nor the last."""
+    """Mask of the points that judge the fit, shape (k,): every fourth sampling point, neither the first nor the last."""
     return samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
 
 
@@ -209,9 +206,10 @@ def _identified_hand(base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate,
 
 @dataclass(frozen=True, slots=True)
 class _Prior:
-    """What is known of the combinations before the sweep: normal, in the logarithm of each, or in the number itself."""
+    """Knowledge of the combinations before the sweep: normal, in the logarithm of each or in the number itself."""
 
     known: tuple[Combination, ...]
+    linear: np.ndarray
     centre: Array
     sigma: Array
     lower: Array
@@ -220,29 +218,25 @@ class _Prior:
     @classmethod
     def about(cls, base: Digit, spread: float, radii_known: bool, papers_model: bool) -> _Prior:
         known = combinations(base)
-        linear = np.array([item.linear for item in known])
+        names, linear = [item.name for item in known], np.array([item.linear for item in known])
         design = values(SweptDigit(base))
-        centre = np.where(linear, design, np.log(np.where(linear, 1.0, design)))
         sigma = np.array([spread * item.spread if item.spread else ORDER_SPREAD for item in known])
-        names = [item.name for item in known]
-        zero, drive = names.index("servo_zero"), names.index("drive_stretch")
+        zero, drive, alpha, tendon = map(names.index, ("servo_zero", "drive_stretch", "alpha", "tendon_friction"))
         sigma[zero], sigma[drive] = ZERO_SPREAD, DRIVE_SPREAD * design[drive]
         if radii_known:
-            sigma[[item.name.endswith("_ratio") for item in known]] = RADIUS_SPREAD
+            sigma[[name.endswith("_ratio") for name in names]] = RADIUS_SPREAD
         if papers_model:
-            left_out = [item.name in ("drive_stretch", "friction", "tendon_friction", "servo_zero") for item in known]
-            centre[left_out] = np.where(linear, _NOTHING, np.log(_NOTHING))[left_out]
-            sigma[left_out] = 0.1 * _NOTHING
+            left_out = [drive, names.index("friction"), tendon, zero]
+            design[left_out], sigma[left_out] = _NOTHING, 0.1 * _NOTHING
+        centre = np.where(linear, design, np.log(np.where(linear, 1.0, design)))
         lower, upper = centre - _BOUND * sigma, centre + _BOUND * sigma
         lower[drive] = max(lower[drive], 0.1 * _NOTHING)  # a tendon that is as good as rigid
-        upper[names.index("alpha")] = min(upper[names.index("alpha")], np.log(_STRAIGHT))
-        upper[names.index("tendon_friction")] = min(upper[names.index("tendon_friction")], np.log(0.5))
-        return cls(known, centre, sigma, lower, upper)
+        upper[alpha], upper[tendon] = min(upper[alpha], np.log(_STRAIGHT)), min(upper[tendon], np.log(0.5))
+        return cls(known, linear, centre, sigma, lower, upper)
 
     def values(self, unknowns: Array) -> Array:
         """The combinations' own values."""
-        linear = np.array([item.linear for item in self.known])
-        return np.where(linear, unknowns, np.exp(np.where(linear, 0.0, unknowns)))
+        return np.where(self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,7 +282,7 @@ class _Problem:
 
 
 def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:
-    """Where a digit rests at the points of a sweep, each reached in its direction, shape (k, joints) [rad]."""
+    """Angles at which a digit rests at the points of a sweep, each reached in its direction, shape (k, joints) [rad]."""
     angles = np.empty_like(samples.joint_pos)
     for direction in (FLEXION, EXTENSION):
         rows = samples.direction == direction
@@ -311,30 +305,23 @@ def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool
     fitted = samples.only(np.flatnonzero(~held_out_rows(samples))) if hold_out else samples
     problem = _Problem(fitted, base, prior)
     count = len(prior.centre)
-    solution, scale = np.concatenate([prior.centre, np.zeros(2 * fitted.joint_pos.shape[1])]), 1.0
-    for _ in range(_SCALINGS):
-        solution = problem.solve(solution, scale).x
-        misfit = problem.misfit(solution)
-        scale = max(1.4826 * float(np.median(np.abs(misfit / fitted.deviation[problem.seen]))), 1.0)
-    result = problem.solve(solution, scale)
+    start = np.concatenate([prior.centre, np.zeros(2 * fitted.joint_pos.shape[1])])
+    first = problem.solve(start, 1.0).x
+    scatter = problem.misfit(first) / fitted.deviation[problem.seen]
+    scale = max(1.4826 * float(np.median(np.abs(scatter))), 1.0)
+    result = problem.solve(first, scale)
     worst = 1.4826 * float(np.median(np.abs(problem.misfit(result.x))))
     if worst > WORST_FIT:
         raise IdentificationError(
             f"the model misses the points by {np.degrees(worst):.2g}°, more than {np.degrees(WORST_FIT):.2g}°"
         )
-    covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
-    return DigitFit(
-        digit_with(base, prior.values(result.x[:count])),
-        _estimates(prior, result.x[:count], covariance),
-        samples,
-        scale,
-        _confounded(prior, covariance),
-    )
+    found, covariance = result.x[:count], np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
+    swept = digit_with(base, prior.values(found))
+    return DigitFit(swept, _estimates(prior, found, covariance), samples, scale, _confounded(prior, covariance))
 
 
-def _check_radii(fit: DigitFit, base: Digit, spread: float) -> None:
+def _check_radii(fit: DigitFit, prior: _Prior) -> None:
     """Refuse known radii that would make the tendon's strain one that the design cannot have."""
-    prior = _Prior.about(base, spread, radii_known=True, papers_model=False)
     for item, centre, sigma in zip(fit.estimates, prior.centre, prior.sigma, strict=True):
         if item.name.endswith(("_strain", "_ratio")) and abs(np.log(item.value) - centre) > _CONTRADICTION * sigma:
             factor = item.value / np.exp(centre)

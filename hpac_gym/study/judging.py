@@ -1,15 +1,12 @@
-"""Whether a record can be of a hand at all: what `hpac sweep` and `hpac calibrate` refuse, before they believe a number."""
+"""Checks whether a record can be of this hand at all, which `hpac sweep` and `hpac calibrate` make before anything else."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
-from scipy import stats
 
 from hpac_gym.model import JOINTS, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
-from hpac_gym.study.processing import FAR, LEAST_NOISE, without_drift
+from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
 from hpac_gym.study.record import PHASES, RecordError, Sweep, joints_of_servo
 
 LEAST_REST = 5
@@ -21,7 +18,7 @@ RATIO_TOLERANCE = 0.15
 MOST_GARBAGE = 0.1
 """Share of a joint's samples that may lie far from the others of their sampling point."""
 MOST_NOISE = np.deg2rad(1.0)
-"""Of a sample about the others of its sampling point [rad]."""
+"""Largest noise of a sample about the others of its sampling point [rad]."""
 SHOWN = 3
 """Faults that the message spells out."""
 _HINT = "are labels exchanged?"
@@ -43,13 +40,24 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
     faults, remarks = [], []
     for rows in sweep.segments():
         flexed = rows[(sweep.phase[rows] == _FLEXION) & (sweep.point[rows] >= 0)]
+        if not flexed.size:
+            continue
         swept = int(sweep.swept[rows[0]])
-        fault = _fault_of_segment(sweep, rows, flexed, swept)
-        if fault:
-            faults.append(fault)
+        where = f"trial {sweep.trial[rows[0]]}, sweep of {SERVOS[swept]}"
+        rest = int((sweep.phase[rows] == PHASES.index("rest")).sum())
+        travel = np.ptp(sweep.servo[flexed], axis=0)
+        moved = int(travel.argmax())
+        if rest < LEAST_REST:
+            faults.append(
+                f"{where}: {rest} samples are marked 'rest', at least {LEAST_REST} are needed to take out offset and drift"
+            )
+        elif moved != swept:
+            turns = f"servo {SERVOS[moved]} moves {travel[moved]:.2f} rad, {SERVOS[swept]} {travel[swept]:.2f} rad"
+            faults.append(f"{where}: {turns}; {_HINT}")
         elif len(np.unique(sweep.point[flexed])) >= 3:
-            faults += _faults_of_joints(corrected, flexed, swept, base)
-            remarks += _remarks(corrected, flexed, swept, base)
+            found = _judged_joints(corrected, flexed, swept, base)
+            faults += found[0]
+            remarks += found[1]
     if faults:
         told = list(dict.fromkeys(faults))
         more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
@@ -57,26 +65,23 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
     return list(dict.fromkeys(remarks))
 
 
-def point_medians(sweep: Sweep, rows: np.ndarray, joint: int) -> tuple[Array, Array, Array]:
-    """Median of a joint at each sampling point, and how far each sample is off it.
+def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
+    """Medians of the joints at each sampling point, and how far each sample is off them.
 
     Args:
         sweep: the record.
         rows: samples at the sampling points of one phase of one segment.
-        joint: index in `JOINTS`.
 
     Returns:
-        Servo angles (points, 6) [rad], medians (points,) [rad], deviations (samples,) [rad]; NaN where nothing was measured.
+        Servo angles (points, 6), medians (points, 15), deviations (samples, 15) [rad]; NaN where nothing was measured.
     """
     points, place = np.unique(sweep.point[rows], return_inverse=True)
-    values = sweep.joint_pos[rows, joint]
-    medians, servo = np.full(len(points), np.nan), np.empty((len(points), len(SERVOS)))
+    measured = sweep.joint_pos[rows]
+    medians = np.full((len(points), len(JOINTS)), np.nan)
     for number in range(len(points)):
-        mine = place == number
-        servo[number] = sweep.servo[rows[mine]].mean(axis=0)
-        if not np.isnan(values[mine]).all():
-            medians[number] = np.nanmedian(values[mine])
-    return servo, medians, values - medians[place]
+        seen = ~np.isnan(measured[place == number]).all(axis=0)
+        medians[number, seen] = np.nanmedian(measured[place == number][:, seen], axis=0)
+    return group_means(sweep.servo[rows], place)[0], medians, measured - medians[place]
 
 
 def noise_of(deviations: Array) -> float:
@@ -85,86 +90,55 @@ def noise_of(deviations: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(seen))), LEAST_NOISE) if seen.size else LEAST_NOISE
 
 
-def _fault_of_segment(sweep: Sweep, rows: np.ndarray, flexed: np.ndarray, swept: int) -> str:
-    where = f"trial {sweep.trial[rows[0]]}, sweep of {SERVOS[swept]}"
-    if not flexed.size:
-        return ""
-    rest = int((sweep.phase[rows] == PHASES.index("rest")).sum())
-    if rest < LEAST_REST:
-        return f"{where}: {rest} samples are marked 'rest', at least {LEAST_REST} are needed to take out offset and drift"
-    travel = np.ptp(sweep.servo[flexed], axis=0)
-    if travel.argmax() != swept:
-        moved = int(travel.argmax())
-        return f"{where}: servo {SERVOS[moved]} moves {travel[moved]:.2f} rad, {SERVOS[swept]} {travel[swept]:.2f} rad; {_HINT}"
-    return ""
-
-
-def _faults_of_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> Iterator[str]:
-    where = f"sweep of {SERVOS[swept]}"
-    design = elastic_joints_from_servo(np.clip(point_medians(sweep, rows, 0)[0], base.servo_min, base.servo_max), base)
-    own, well = joints_of_servo(swept), True
+def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tuple[list[str], list[str]]:
+    """Faults and remarks of the joints that a servo moves, from the sampling points of its flexion."""
+    servo, medians, deviations = point_medians(sweep, rows)
+    design = elastic_joints_from_servo(np.clip(servo, base.servo_min, base.servo_max), base)
+    travel, wanted = _travel(medians), _travel(np.where(np.isnan(medians), np.nan, design))
+    own, where, faults, remarks = joints_of_servo(swept), f"sweep of {SERVOS[swept]}", [], []
+    movers = ", ".join(JOINTS[joint] for joint in np.flatnonzero(travel > 0.2) if joint not in own)
     for joint in own:
-        _, medians, deviations = point_medians(sweep, rows, joint)
-        seen = ~np.isnan(medians)
-        if seen.sum() < 3:
+        if np.isnan(travel[joint]):
             continue
-        noise = noise_of(deviations)
+        noise, share = noise_of(deviations[:, joint]), travel[joint] / wanted[joint]
+        garbage = (np.abs(deviations[:, joint]) > FAR * noise).sum() / (~np.isnan(deviations[:, joint])).sum()
         if noise > MOST_NOISE:
-            well = False
-            yield f"{where}: {JOINTS[joint]} is measured to {np.degrees(noise):.1f}°, {np.degrees(MOST_NOISE):.0f}° is needed"
-            continue
-        garbage = float((np.abs(deviations[~np.isnan(deviations)]) > FAR * noise).mean())
-        if garbage > MOST_GARBAGE:
-            well = False
-            yield (
+            faults.append(
+                f"{where}: {JOINTS[joint]} is measured to {np.degrees(noise):.1f}°, {np.degrees(MOST_NOISE):.0f}° is needed"
+            )
+        elif garbage > MOST_GARBAGE:
+            faults.append(
                 f"{where}: {garbage:.0%} of the samples of {JOINTS[joint]} lie more than {np.degrees(FAR * noise):.1f}° from the "
                 f"others of their point, {MOST_GARBAGE:.0%} may"
             )
-            continue
-        share = _travel(medians[seen]) / _travel(design[seen, joint])
-        if not LEAST_SHARE <= share <= MOST_SHARE:
-            well = False
-            movers = [JOINTS[other] for other in range(len(JOINTS)) if other not in own and _moves(sweep, rows, other)]
-            others = f", while {', '.join(movers)} move" if movers else ""
-            yield f"{where}: {JOINTS[joint]} turns {share:.2f} of what the design's does{others}; does it rest, or {_HINT}"
-    if well and SERVOS[swept] != "thumb_cmc":
-        for joint, ratio, wanted in _ratios(sweep, rows, swept, base):
-            if abs(np.log(ratio / wanted)) > np.log1p(RATIO_TOLERANCE):
-                yield (
-                    f"{where}: {JOINTS[joint]} turns {ratio:.2f} rad for each rad of {SERVOS[swept]}, the design's "
-                    f"{wanted:.2f} within {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?"
-                )
-
-
-def _remarks(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> Iterator[str]:
-    if SERVOS[swept] == "thumb_cmc":
-        return
-    for joint, ratio, wanted in _ratios(sweep, rows, swept, base):
-        if wanted < 1 < ratio and JOINTS[joint].endswith("_dip"):
-            yield (
-                f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, the design's {wanted:.3f}: exchanged "
-                f"labels of the two look like this, and so do radii that are off by some percent; the record cannot tell which"
+        elif not LEAST_SHARE <= share <= MOST_SHARE:
+            others = f", while {movers} move" if movers else ""
+            faults.append(
+                f"{where}: {JOINTS[joint]} turns {share:.2f} of what the design's does{others}; does it rest, or {_HINT}"
             )
-
-
-def _ratios(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> Iterator[tuple[int, float, float]]:
-    """Joint, its angle over the root joint's, and the design's, for the joints beyond the root that can be compared."""
+    if faults:
+        return faults, remarks
     root = JOINTS.index(SERVOS[swept])
-    medians = {joint: point_medians(sweep, rows, joint)[1] for joint in joints_of_servo(swept)}
-    for joint, values in medians.items():
-        seen = ~np.isnan(values) & ~np.isnan(medians[root])
-        if joint == root or seen.sum() < 3 or _travel(medians[root][seen]) < 0.1 or _travel(values[seen]) < 0.1:
+    for joint in own:
+        pair = medians[:, [root, joint]]
+        pair = pair[~np.isnan(pair).any(axis=1)]
+        if joint == root or not (_travel(pair) >= 0.1).all():
             continue
-        ratio = float(stats.theilslopes(values[seen], medians[root][seen]).slope)
-        yield joint, max(ratio, 1e-3), float(base.elastic_ratio[joint])
+        from scipy import stats  # takes half a second to load
+
+        ratio, wanted = max(float(stats.theilslopes(pair[:, 1], pair[:, 0]).slope), 1e-3), base.elastic_ratio[joint]
+        turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, the design's {wanted:.3f}"
+        if abs(np.log(ratio / wanted)) > np.log1p(RATIO_TOLERANCE):
+            faults.append(f"{where}: {turns} within {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?")
+        elif wanted < 1 < ratio and JOINTS[joint].endswith("_dip"):
+            remarks.append(
+                f"{turns}: exchanged labels of the two look like this, and so do radii that are off by some percent; "
+                f"the record cannot tell which"
+            )
+    return faults, remarks
 
 
-def _travel(values: Array) -> float:
-    low, high = np.quantile(values, (0.05, 0.95))
-    return float(high - low)
-
-
-def _moves(sweep: Sweep, rows: np.ndarray, joint: int) -> bool:
-    medians = point_medians(sweep, rows, joint)[1]
-    seen = medians[~np.isnan(medians)]
-    return seen.size >= 3 and _travel(seen) > 0.2
+def _travel(medians: Array) -> Array:
+    """Range over which each joint turns, its extreme points left out, shape (joints,) [rad]; NaN for fewer than three points."""
+    seen = [column[~np.isnan(column)] for column in medians.T]
+    return np.array([np.ptp(np.quantile(values, (0.05, 0.95))) if values.size >= 3 else np.nan for values in seen])

@@ -25,7 +25,7 @@ from hpac_gym.model import (
 )
 from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
 from hpac_gym.progress import progress
-from hpac_gym.study import figures
+from hpac_gym.study.results import save
 from hpac_gym.study.rig import HAND, UPRIGHT, WORLD, HandOnStand
 
 SHEET_COLUMNS = 6
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(table(shown[0], hand))
     sheet = arguments.out or (Path("runs/postures.png") if arguments.name == "all" else None)
     if sheet:
-        draw(shown, sheet, hand, label="" if arguments.json else "contact sheet")
+        draw(shown, sheet, hand, not arguments.json)
         if not arguments.json:
             print(f"drawn to {sheet}")
     if arguments.port and not everything:
@@ -107,7 +107,7 @@ def table(item: Posture, hand: Hand = HPAC) -> str:
     return "\n".join(lines)
 
 
-def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC, label: str = "") -> None:
+def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC, progress_shown: bool = False) -> None:
     """A contact sheet of postures that the simulated hand took from open, by its servos."""
     columns = min(SHEET_COLUMNS, len(items))
     rows = -(-len(items) // columns)
@@ -115,10 +115,10 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC, label: str = "
     axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
     for axis in axes:
         axis.set_axis_off()
-    for axis, item in zip(axes, progress(items, label, bool(label)), strict=False):
+    for axis, item in zip(axes, progress(items, "contact sheet", progress_shown), strict=False):
         axis.imshow(picture(item, hand))
         axis.set_title(f"{item.panel} {item.name.replace('_', ' ')}", fontsize=8)
-    figures.save(figure, path, picture=True)
+    save(figure, path, picture=True)
 
 
 def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
@@ -134,6 +134,6 @@ def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand
     sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals)
     sim.reset(np.zeros(len(SERVOS)))
     command = command_to(item, hand)
-    sim.command(command)
+    sim.command(command.servo, command.duration)
     sim.step(command.duration + SETTLE)
     return sim

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal
 
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import JOINTS
@@ -104,6 +103,8 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
         RecordError: Fewer samples than the filter needs at its ends.
     """
+    from scipy import signal  # takes a second to load, and most commands filter nothing
+
     if not 0 < cutoff_hz < rate_hz / 2:
         raise WorkspaceError(f"cut-off = {cutoff_hz} Hz must lie between 0 and {rate_hz / 2:g} Hz")
     sections = signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
@@ -140,7 +141,7 @@ def without_drift(sweep: Sweep) -> Sweep:
 
 
 def near_median(values: Array) -> np.ndarray:
-    """Which samples of something that stands still lie within `FAR` robust standard deviations of the median; NaN does not."""
+    """Mask of the samples of a joint at rest within `FAR` robust standard deviations of their median; False for NaN."""
     if np.isnan(values).all():
         return np.zeros(len(values), dtype=bool)
     off = np.abs(values - np.nanmedian(values))
@@ -159,12 +160,23 @@ def points(sweep: Sweep) -> Points:
     keys = np.stack([sweep.trial, sweep.swept, sweep.phase, sweep.point], axis=1)[held]
     unique, group = np.unique(keys, axis=0, return_inverse=True)
     group = group.reshape(-1)
-    count = np.bincount(group)[:, None]
-    measured = sweep.joint_pos[held]
-    seen = ~np.isnan(measured)
-    servo, joint_pos, samples = np.zeros((len(unique), 6)), np.zeros((len(unique), 15)), np.zeros((len(unique), 15))
-    np.add.at(servo, group, sweep.servo[held])
-    np.add.at(joint_pos, group, np.where(seen, measured, 0.0))
-    np.add.at(samples, group, seen)
+    servo, joint_pos = (group_means(values[held], group)[0] for values in (sweep.servo, sweep.joint_pos))
+    return Points(*unique.T[:3], servo, joint_pos)
+
+
+def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:
+    """Means of the rows of every group, and how many values went into each, NaN left out.
+
+    Args:
+        values: shape (n, m).
+        group: number of each row's group, shape (n,).
+
+    Returns:
+        Means and counts, shape (groups, m); NaN is the mean of nothing.
+    """
+    seen = ~np.isnan(values)
+    total, count = np.zeros((2, group.max() + 1, values.shape[1]))
+    np.add.at(total, group, np.where(seen, values, 0.0))
+    np.add.at(count, group, seen)
     with np.errstate(invalid="ignore"):
-        return Points(unique[:, 0], unique[:, 1], unique[:, 2], servo / count, joint_pos / samples)
+        return total / count, count

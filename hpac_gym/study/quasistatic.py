@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model import JOINT_INDEX, JOINTS, Digit, Hand
+from hpac_gym.model import JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
 
 _ROUNDS = 3000
@@ -33,78 +33,58 @@ class SettleError(HpacError, RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Metal:
-    """How one digit is built, beyond the numbers of the model."""
+    """Build of one digit, beyond the numbers of the model."""
 
     first_segment: float = 2.0
     """Stiffness of a finger's first coupling segment over EA/L: 2 is this project's reading of Eq. (12), 1 the plain one."""
     servo_stiffness: float = np.inf
-    """Of the servo at its horn [N·m/rad]."""
+    """Stiffness of the servo at its horn [N·m/rad]."""
     servo_zero: float = 0.0
     """Where the horn stands when the servo is commanded to 0 [rad]."""
     dead_band: float = 0.0
     """Error that the servo leaves alone [rad]."""
     joint_friction: float = 0.0
-    """Of every joint's bearing [N·m]."""
+    """Friction torque of every joint's bearing [N·m]."""
     tendon_friction: float = 0.0
     """Share of the tendons' load that each joint's guides hold back."""
     cable_friction: float = 0.0
     """Coefficient μ with which the return cable slides round the joints: its tension changes by e^(μ Σq) up to a joint."""
     guide_radius: float = 0.0
-    """Of the two pins over which the driving tendon runs [m]."""
+    """Radius of the two pins over which the driving tendon runs [m]."""
     stop: tuple[float, ...] = ()
     """Angles at which the joints meet their stops, root first [rad]; none if empty."""
 
 
 @dataclass(frozen=True, slots=True)
+class Built:
+    """One hand in metal."""
+
+    hand: Hand
+    metal: tuple[Metal, ...]
+    """One entry for each digit."""
+
+
 class _Digits:
     """Numbers of many digits with the same number of joints, each of shape (n,) or (n, joints)."""
 
-    radius: Array
-    segment: Array
-    spring: Array
-    alpha: Array
-    guide_sum: Array
-    guide_product: Array
-    rest_path: Array
-    hub: Array
-    drive: Array
-    limit: Array
-    guide_radius: Array
-    joint_friction: Array
-    tendon_friction: Array
-    cable_friction: Array
-    stop: Array
+    def __init__(self, digits: Sequence[Digit], metal: Sequence[Metal]) -> None:
+        def column(items: Sequence[Digit | Metal], name: str) -> Array:
+            return np.array([getattr(item, name) for item in items], dtype=float)
 
-    @classmethod
-    def of(cls, digits: Sequence[Digit], metal: Sequence[Metal]) -> _Digits:
-        def column(values) -> Array:
-            return np.array(list(values), dtype=float)
-
-        segments = len(digits[0].path_length)
-        length = column(digit.path_length for digit in digits)
-        factor = np.ones_like(length)
-        if segments > 1:
-            factor[:, 0] = column(item.first_segment for item in metal)
-        stiffness = column(digit.tendon_stiffness for digit in digits)[:, None] / length
-        d1, d2, alpha, hub = (column(getattr(digit, name) for digit in digits) for name in ("d1", "d2", "alpha", "servo_radius"))
-        servo = column(item.servo_stiffness for item in metal)
-        return cls(
-            radius=column(digit.joint_radius for digit in digits),
-            segment=factor * stiffness,
-            spring=column(digit.spring_stiffness for digit in digits),
-            alpha=alpha,
-            guide_sum=d1**2 + d2**2,
-            guide_product=2 * d1 * d2,
-            rest_path=np.sqrt(d1**2 + d2**2 - 2 * d1 * d2 * np.cos(alpha)),
-            hub=hub,
-            drive=1 / (1 / column(digit.drive_stiffness for digit in digits) + hub**2 / servo),
-            limit=column(digit.tension_limit for digit in digits),
-            guide_radius=column(item.guide_radius for item in metal),
-            joint_friction=column(item.joint_friction for item in metal),
-            tendon_friction=column(item.tendon_friction for item in metal),
-            cable_friction=column(item.cable_friction for item in metal),
-            stop=column(item.stop or [np.inf] * (segments + 1) for item in metal),
+        self.joint_friction, self.tendon_friction, self.cable_friction, self.guide_radius = (
+            column(metal, name) for name in ("joint_friction", "tendon_friction", "cable_friction", "guide_radius")
         )
+        self.radius, self.spring, self.alpha, self.hub, self.limit = (
+            column(digits, name) for name in ("joint_radius", "spring_stiffness", "alpha", "servo_radius", "tension_limit")
+        )
+        self.stop = np.array([item.stop or [np.inf] * self.radius.shape[1] for item in metal])
+        self.segment = column(digits, "tendon_stiffness")[:, None] / column(digits, "path_length")
+        if self.segment.shape[1] > 1:
+            self.segment[:, 0] *= column(metal, "first_segment")
+        self.drive = 1 / (1 / column(digits, "drive_stiffness") + self.hub**2 / column(metal, "servo_stiffness"))
+        d1, d2 = column(digits, "d1"), column(digits, "d2")
+        self.guide_sum, self.guide_product = d1**2 + d2**2, 2 * d1 * d2
+        self.rest_path = np.sqrt(self.guide_sum - self.guide_product * np.cos(self.alpha))
 
     def path_and_arm(self, root: Array) -> tuple[Array, Array]:
         """Free length of the driving tendon between the guides, and its moment arm, for root angles (n,), both (n,) [m].
@@ -133,7 +113,7 @@ def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array) -> Arr
     Raises:
         SettleError: A digit does not come to rest.
     """
-    numbers = _Digits.of(digits, metal)
+    numbers = _Digits(digits, metal)
     zero, dead_band = (np.array([getattr(item, name) for item in metal]) for name in ("servo_zero", "dead_band"))
     joint_pos, horn = np.zeros_like(numbers.radius), np.zeros(len(digits))
     course = np.empty((len(servo), *joint_pos.shape))
@@ -145,7 +125,7 @@ def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array) -> Arr
 
 
 def _rest(before: Array, numbers: _Digits, horn: Array) -> Array:
-    """Where digits come to rest, from where they were, shape (n, joints): joint by joint until none moves any more."""
+    """Angles at which digits come to rest from angles `before`, shape (n, joints): joint by joint until none moves any more."""
     joint_pos = before.copy()
     for _ in range(_ROUNDS):
         last = joint_pos.copy()
@@ -203,22 +183,31 @@ def _balance(joint: int, joint_pos: Array, numbers: _Digits, horn: Array, agains
     return angle
 
 
-def hand_course(hands: Sequence[Hand], metal: Sequence[Sequence[Metal]], servo: Array) -> Array:
-    """Joint angles of many hands along one slow path of all servos from the open hand.
+def hand_course(built: Sequence[Built], servo: Array, steps: int = 1, servos: Sequence[int] = range(len(SERVOS))) -> Array:
+    """Joint angles of hands in metal along slow paths of their servos from the open hand.
 
     Args:
-        hands: the built hands.
-        metal: of each hand, its five digits'.
-        servo: shape (steps, 6) [rad].
+        built: the hands.
+        servo: commanded angles, shape (k, 6), or (hands, k, 6) where every hand has a path of its own [rad].
+        steps: from one row of `servo` to the next.
+        servos: indices of those that move; the joints of the others are left at 0.
 
     Returns:
-        Shape (hands, steps, 15) [rad].
+        Shape (hands, k, 15) [rad].
+
+    Raises:
+        SettleError: A digit does not come to rest.
     """
-    course = np.zeros((len(hands), len(servo), len(JOINTS)))
-    for column, name in enumerate(hands[0].digits):
-        digits = [hand.digits[name] for hand in hands]
-        path = np.repeat(servo[:, column, None], len(hands), axis=1)
-        found = follow(digits, [items[column] for items in metal], path)
-        course[:, :, [JOINT_INDEX[joint] for joint in digits[0].joints]] = found.transpose(1, 0, 2)
-    course[:, :, JOINT_INDEX["thumb_cmc"]] = np.array([hand.cmc_gain for hand in hands])[:, None] * servo[:, -1]
+    servo = np.broadcast_to(servo, (len(built), *servo.shape[-2:]))
+    rows = np.arange(servo.shape[1])
+    fine = np.arange(0, rows[-1] + 0.5 / steps, 1 / steps)
+    course = np.zeros((*servo.shape[:2], len(JOINTS)))
+    for column, name in enumerate(built[0].hand.digits):
+        if column in servos:
+            digits = [item.hand.digits[name] for item in built]
+            path = np.stack([np.interp(fine, rows, angles) for angles in servo[:, :, column]], axis=1)
+            found = follow(digits, [item.metal[column] for item in built], path)[::steps]
+            course[:, :, [JOINT_INDEX[joint] for joint in digits[0].joints]] = found.transpose(1, 0, 2)
+    if len(SERVOS) - 1 in servos:
+        course[:, :, JOINT_INDEX["thumb_cmc"]] = np.array([[item.hand.cmc_gain] for item in built]) * servo[:, :, -1]
     return course

@@ -1,7 +1,4 @@
-"""The record of a servo sweep, and its file `sweep.csv`: the same for a simulated hand and for a real one.
-
-`docs/study.md` describes the format for whoever writes one.
-"""
+"""The record of a servo sweep, and its file `sweep.csv` (`docs/study.md`): the same for a simulated hand and for a real one."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model import JOINTS, SERVOS
+from hpac_gym.model import HPAC, JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
 
@@ -79,11 +76,7 @@ def concatenate(parts: list[Sweep]) -> Sweep:
 
 def joints_of_servo(servo: int) -> list[int]:
     """Indices in `JOINTS` of what a servo moves."""
-    name = SERVOS[servo]
-    if name == "thumb_cmc":
-        return [JOINTS.index(name)]
-    digit = name.split("_")[0]
-    return [index for index, joint in enumerate(JOINTS) if joint.startswith(digit) and joint != "thumb_cmc"]
+    return np.flatnonzero(HPAC.servo_of_joint == servo).tolist()
 
 
 # Writing -----------------------------------------------------------------------
@@ -137,81 +130,63 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
     if not lines or lines[0].strip() != HEADER:
         raise RecordError(f"row 1 must be {HEADER!r}, not {lines[0][:60] if lines else ''!r}")
     numbers = [number for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    cells = list(csv.reader(lines[number - 1] for number in numbers))
-    if len(cells) < 2:
+    table = list(zip(numbers, csv.reader(lines[number - 1] for number in numbers), strict=True))
+    if len(table) < 2:
         raise RecordError("no rows of data")
-    columns, rows, numbers = [name.strip() for name in cells[0]], cells[1:], numbers[1:]
+    names, rows = [name.strip() for name in table[0][1]], table[1:]
+    for number, cells in rows:
+        if len(cells) != len(names):
+            raise RecordError(f"row {number} has {len(cells)} cells, the header {len(names)}")
+    columns = {}
     for name in COLUMNS:
-        absent = allow_missing and name in JOINT_COLUMNS and name not in columns and f"{name[:-3]}deg" not in columns
-        if columns.count(name) != 1 and not absent:
-            found = [column for column in columns if column.removesuffix("_deg") == name.removesuffix("_rad")]
-            fault = "there twice" if name in columns else f"missing; {found[0]} is in degrees" if found else "missing"
-            raise RecordError(f"column {name} is {fault}")
-    for number, row in zip(numbers, rows, strict=True):
-        if len(row) != len(columns):
-            raise RecordError(f"row {number} has {len(row)} cells, the header {len(columns)}")
-    table = _Table({name: [row[i].strip() for row in rows] for i, name in enumerate(columns)}, numbers)
-    sweep = Sweep(
-        trial=table.integers("trial"),
-        swept=table.words("swept", SERVOS),
-        phase=table.words("phase", PHASES),
-        point=table.integers("point"),
-        time=table.numbers("time_s"),
-        servo=np.stack([table.angles(name) for name in SERVO_COLUMNS], axis=1),
-        joint_pos=np.stack([table.angles(name) for name in JOINT_COLUMNS], axis=1),
-    )
-    _check_time(sweep, numbers)
+        in_degrees = name.replace("_rad", "_deg")
+        if names.count(name) == 1:
+            columns[name] = _column(name, [(number, cells[names.index(name)].strip()) for number, cells in rows])
+        elif allow_missing and name in JOINT_COLUMNS and name not in names and in_degrees not in names:
+            columns[name] = np.full(len(rows), np.nan)
+        else:
+            degrees = f"; {in_degrees} is in degrees" if in_degrees in names and in_degrees != name else ""
+            raise RecordError(f"column {name} is {'there twice' if name in names else f'missing{degrees}'}")
+    servo, joint_pos = (np.stack([columns[name] for name in group], axis=1) for group in (SERVO_COLUMNS, JOINT_COLUMNS))
+    sweep = Sweep(*(columns[name] for name in (*LABELS, "time_s")), servo, joint_pos)
+    for segment in sweep.segments():
+        late = segment[1:][np.diff(sweep.time[segment]) <= 0]
+        if late.size:
+            before, now = sweep.time[late[0] - 1], sweep.time[late[0]]
+            raise RecordError(f"column time_s, row {rows[late[0]][0]}: {now:g} s does not follow {before:g} s")
     return sweep
 
 
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """The cells of a file by column, and the file's row numbers, which errors name."""
-
-    cells: dict[str, list[str]]
-    rows: list[int]
-
-    def numbers(self, column: str) -> Array:
-        values = np.full(len(self.rows), np.nan)
-        for index, cell in enumerate(self.cells.get(column, [""] * len(self.rows))):
-            if not cell and column in JOINT_COLUMNS:
-                continue
-            try:
-                values[index] = float(cell)
-            except ValueError:
-                raise RecordError(f"column {column}, row {self.rows[index]}: {cell!r} is not a number") from None
-            if not np.isfinite(values[index]):
-                raise RecordError(f"column {column}, row {self.rows[index]}: {cell} is not a finite number")
-        return values
-
-    def angles(self, column: str) -> Array:
-        values = self.numbers(column)
-        large = np.flatnonzero(np.abs(values) > ANGLE_LIMIT)
-        if large.size:
-            raise RecordError(
-                f"column {column}, row {self.rows[large[0]]}: {values[large[0]]:g} rad is beyond {ANGLE_LIMIT:.4g} rad; "
-                f"is it in degrees?"
-            )
-        return values
-
-    def integers(self, column: str) -> np.ndarray:
-        values = self.numbers(column)
-        broken = np.flatnonzero(values != np.round(values))
-        if broken.size:
-            raise RecordError(f"column {column}, row {self.rows[broken[0]]}: {values[broken[0]]:g} is not a whole number")
-        return values.astype(int)
-
-    def words(self, column: str, known: tuple[str, ...]) -> np.ndarray:
-        for index, cell in enumerate(self.cells[column]):
-            if cell not in known:
-                raise RecordError(f"column {column}, row {self.rows[index]}: {cell!r} is none of {', '.join(known)}")
-        return np.array([known.index(cell) for cell in self.cells[column]])
+def _column(name: str, cells: list[tuple[int, str]]) -> np.ndarray:
+    """The values of a column, from its cells and their rows in the file."""
+    values = []
+    for row, cell in cells:
+        try:
+            values.append(_value(name, cell))
+        except ValueError as error:
+            raise RecordError(f"column {name}, row {row}: {error}") from None
+    return np.array(values)
 
 
-def _check_time(sweep: Sweep, numbers: list[int]) -> None:
-    for rows in sweep.segments():
-        late = np.flatnonzero(np.diff(sweep.time[rows]) <= 0)
-        if late.size:
-            row = rows[late[0] + 1]
-            before, now = sweep.time[row - 1], sweep.time[row]
-            raise RecordError(f"column time_s, row {numbers[row]}: {now:g} s does not follow {before:g} s")
+def _value(name: str, cell: str) -> float | int:
+    """A cell's value; the ValueError says what is wrong with it."""
+    words = {"swept": SERVOS, "phase": PHASES}.get(name)
+    if words:
+        if cell not in words:
+            raise ValueError(f"{cell!r} is none of {', '.join(words)}")
+        return words.index(cell)
+    if not cell and name in JOINT_COLUMNS:
+        return np.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        raise ValueError(f"{cell!r} is not a number") from None
+    if not np.isfinite(value):
+        raise ValueError(f"{cell} is not a finite number")
+    if name in LABELS:
+        if value != round(value):
+            raise ValueError(f"{value:g} is not a whole number")
+        return round(value)
+    if name != "time_s" and abs(value) > ANGLE_LIMIT:
+        raise ValueError(f"{value:g} rad is beyond {ANGLE_LIMIT:.4g} rad; is it in degrees?")
+    return value

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, Digit, Hand
+from hpac_gym.model import HPAC, Digit
 from hpac_gym.study.bench import JointCamera, Protocol
-from hpac_gym.study.population import varied_hand
+from hpac_gym.study.populations import varied_hand
 from hpac_gym.study.rig import Rig, settings_of
 
 REFERENCE_FILE = Path(__file__).parent / "data" / "reference.toml"
@@ -31,14 +31,14 @@ _FIELDS = {
 
 @dataclass(frozen=True, slots=True)
 class TrialSettings:
-    """What differs between two trials of one hand."""
+    """Differences between two trials of one hand."""
 
     tendon_friction: float
     """Share of the tendons' load that every joint's guides hold back."""
     friction_spread: float
     """Relative standard deviation of the frictions."""
     seat: float
-    """Standard deviation of where a driving tendon seats on its hub [m]."""
+    """Standard deviation of where a driving tendon seats on its hub, loose or tight [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +50,11 @@ class Reference:
     seed: int
     trials: TrialSettings
     servo_lag: float
-    """From the command to the servo's answer, in tracking [s]."""
+    """Delay from the command to the servo's answer, in tracking [s]."""
 
 
-def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = HPAC, seed: int | None = None) -> Reference:
-    """The reference hand that a TOML file describes, about the hand `base`; `seed` draws another one than the file's.
+def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, seed: int | None = None) -> Reference:
+    """The reference hand that a TOML file describes, about the nominal one; `seed` draws another one than the file's.
 
     Raises:
         ParameterError: The file cannot be read, is not TOML, or lacks a number, or has one that is unknown or negative.
@@ -72,7 +72,7 @@ def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, base: Hand = H
     camera, protocol = table["camera"], dict(table["protocol"])
     cutoff_hz = protocol.pop("cutoff_hz")
     rig = Rig(
-        hand=varied_hand(base, table["tolerance"], np.random.default_rng(seed)),
+        hand=varied_hand(HPAC, table["tolerance"], np.random.default_rng(seed)),
         settings=settings_of(**table["physics"]),
         camera=JointCamera(camera["rate_hz"], math.radians(camera["noise_deg"]), math.radians(camera["drift_deg_per_min"]) / 60),
         protocol=Protocol(**protocol),

@@ -5,13 +5,12 @@ The stand turns the hand so that the swept digit bends in a horizontal plane: it
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hpac_gym.body.geometry import link_poses, load_geometry
-from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand, ServoCommand, servo_from_synergy, stream_command
+from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import Damping, HandSettings, ServoSettings, WorldSettings
@@ -22,21 +21,19 @@ from hpac_gym.study.record import PHASES, Sweep, concatenate
 
 _REST, _FLEXION, _EXTENSION = range(len(PHASES))
 
-
-CONTROL_HZ = 20.0
 WORLD = WorldSettings(physics_hz=640, error_reduction=0.2)
-"""Finer than what ships, so that a hand with twice the tendon stiffness is integrated as well."""
+"""Finer steps than in the environments, so that a hand with twice the tendon stiffness is integrated as well."""
 
 HAND = HandSettings(armature=(1e-3, 3e-4, 3e-4), damping=Damping(0.4, overrun=0.0))
-"""At this rate a hand needs less armature to be integrated than what ships has."""
+"""The simulated hand of the rig: at this rate the integration needs less armature than in the environments."""
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 """Orientation of a hand whose fingers point upwards, quaternion xyzw."""
 
 
-def settings_of(joint_friction: float, dead_band: float, tendon_friction: float = 0.0, lag: float = 0.0) -> HandSettings:
-    """The rig's hand with friction [N·m, share of the load] and servos with a dead band [rad] and a lag [s]."""
-    servo = ServoSettings(dead_band=dead_band, lag=lag)
+def settings_of(joint_friction: float, dead_band: float, tendon_friction: float = 0.0) -> HandSettings:
+    """The rig's hand with friction [N·m, share of the load] and servos with a dead band [rad]."""
+    servo = ServoSettings(dead_band=dead_band)
     return replace(HAND, joint_friction=joint_friction, tendon_friction=tendon_friction, servo=servo)
 
 
@@ -63,41 +60,30 @@ class HandOnStand:
     """
 
     def __init__(
-        self,
-        hand: Hand,
-        settings: HandSettings,
-        world: WorldSettings,
-        orientation: tuple[float, float, float, float],
-        visuals: bool = False,
+        self, hand: Hand, settings: HandSettings, world: WorldSettings, orientation: tuple[float, ...], visuals: bool = False
     ) -> None:
         self._setup = SceneSetup(None, hand=hand, hand_settings=settings, hand_quaternion=orientation)
         self.simulation = Simulation(make_engine(default_engine(), 1, world, visuals))
+        self.close = self.simulation.engine.close
+        self.step = self.simulation.rest  # let a time pass [s], in whole physics steps
 
     def reset(self, synergy: Array) -> None:
         """Put the hand at rest at a synergy, shape (6,) [rad]."""
         self.simulation.reset([0], [replace(self._setup, synergy=synergy)])
 
-    def command(self, command: ServoCommand) -> None:
-        """Start a move."""
-        self.simulation.command(command.servo[None], command.duration)
-
-    def step(self, seconds: float) -> None:
-        """Let time pass, in whole physics steps."""
-        self.simulation.rest(seconds)
+    def command(self, servo: Array, seconds: float) -> None:
+        """Start a move to servo angles, shape (6,) [rad], that takes a time."""
+        self.simulation.command(servo[None], seconds)
 
     @property
     def commanded(self) -> Array:
-        """Where the servos are told to be now, shape (6,) [rad]."""
+        """Commanded servo angles now, on their way to the target, shape (6,) [rad]."""
         return self.simulation.servos.commanded[0]
 
     @property
     def joint_pos(self) -> Array:
         """True joint angles, shape (15,) [rad]."""
         return self.simulation.state().joint_pos[0]
-
-    def close(self) -> None:
-        """Free the engine."""
-        self.simulation.engine.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,26 +98,23 @@ class Rig:
     servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
     """Where each servo's horn stands when it is commanded to 0 [rad]; at rest the tendons are slack all the same."""
 
-    def sweep(
-        self, rng: np.random.Generator, trial: int = 0, servos: tuple[str, ...] = SERVOS, label: str = "", base: Hand = HPAC
-    ) -> Sweep:
-        """Sweep one servo after the other over the range of `base`, the others at rest, and record every frame.
+    def sweep(self, rng: np.random.Generator, trial: int = 0, servos: tuple[str, ...] = SERVOS, label: str = "") -> Sweep:
+        """Sweep one servo after the other over the nominal hand's range, the others at rest, and record every frame.
 
         Args:
             rng: the camera's noise.
             trial: the number that the rows carry.
             servos: which ones.
             label: shown beside the progress bar, none if empty.
-            base: the hand that the commands are made for.
         """
         parts = []
         for name in progress(servos, label, bool(label)):
             sim = HandOnStand(self.hand, self.settings, self.world, tuple(upright(name)))
-            parts.append(self._segment(sim, SERVOS.index(name), trial, rng, base))
+            parts.append(self._segment(sim, SERVOS.index(name), trial, rng))
             sim.close()
         return concatenate(parts)
 
-    def _segment(self, sim: HandOnStand, swept: int, trial: int, rng: np.random.Generator, base: Hand) -> Sweep:
+    def _segment(self, sim: HandOnStand, swept: int, trial: int, rng: np.random.Generator) -> Sweep:
         period, zero = 1.0 / self.camera.rate_hz, np.array(self.servo_zero)
         labels, commanded, measured = [], [], []
 
@@ -150,12 +133,12 @@ class Rig:
             target = rest_pose(SERVOS[swept])
             target[swept] = angle
             moving = self.protocol.seconds_per_point - self.protocol.hold
-            sim.command(ServoCommand(target + zero, moving))
+            sim.command(target + zero, moving)
             record(moving, phase)
             record(self.protocol.hold, phase, point)
             labels[-1] = (phase, -1)  # so that the point's samples lie evenly about the middle of the hold
 
-        angles = np.linspace(base.servo_min[swept], base.servo_max[swept], self.protocol.points)
+        angles = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], self.protocol.points)
         rest()
         for point, angle in enumerate(angles):
             go_to(angle, _FLEXION, point)
@@ -172,46 +155,6 @@ class Rig:
         phase, point = np.array(labels).T
         joint_pos = self.camera.seen(np.array(measured), time, rng)
         return Sweep(np.full(count, trial), np.full(count, swept), phase, point, time, np.array(commanded), joint_pos)
-
-    def stream(
-        self,
-        start: Array,
-        steps: int,
-        target: Callable[[int, Array], Array],
-        rng: np.random.Generator,
-        control_hz: float = CONTROL_HZ,
-    ) -> tuple[Array, Array]:
-        """Move the hand by a new servo target every control period, and watch it.
-
-        Args:
-            start: synergy in which the hand starts at rest, shape (6,) [rad].
-            steps: control periods.
-            target: gives the servo angles (6,) [rad] for the end of period k, from k and from what the camera saw of the joints
-                one period before it began, shape (15,) [rad].
-            rng: the camera's noise.
-            control_hz: control periods a second.
-
-        Returns:
-            Times (n,) [s] and what the camera saw (n, 15) [rad], four samples a period.
-        """
-        period, samples = 1 / control_hz, 4
-        seen = []
-        world = replace(self.world, collisions=False)  # all five digits move at once, and thumb and index would meet
-        sim = HandOnStand(self.hand, self.settings, world, UPRIGHT)
-        servo = servo_from_synergy(start)
-        sim.reset(start)
-        noise = rng.normal(0.0, self.camera.noise, (steps * samples, len(JOINTS)))
-        late = sim.joint_pos
-        for step in range(steps):
-            command = stream_command(servo, target(step, late), period)
-            late = seen[-1] if seen else late  # what the next period will know
-            servo = command.servo
-            sim.command(command)
-            for _ in range(samples):
-                sim.step(period / samples)
-                seen.append(sim.joint_pos + noise[len(seen)])
-        sim.close()
-        return period / samples * np.arange(1, len(seen) + 1), np.array(seen)
 
     def with_protocol(self, **changes: object) -> Rig:
         """The same rig with another protocol."""

@@ -7,7 +7,7 @@ hands whose physics is in none of the models (`OTHER_METAL`); the race at home i
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,32 +17,25 @@ from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, elastic_joints_from_servo,
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.progress import progress
-from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.identification import identify
-from hpac_gym.study.intervals import Mean, mean_of
-from hpac_gym.study.population import STIFFNESS, ZERO, Workshop, build, geometry
-from hpac_gym.study.quasistatic import Metal, hand_course
+from hpac_gym.study.populations import FIT_LAWS, NINE, OTHER_LAWS, SERVO, STIFFNESS, ZERO, Workshop, build, geometry
+from hpac_gym.study.quasistatic import hand_course
 from hpac_gym.study.record import PHASES, Sweep
+from hpac_gym.study.results import Mean, Part, markdown, mean_of
 from hpac_gym.study.samples import digit_samples
 
 SAMPLES = (3, 4, 6, 8, 16, 31)
 """Training points of each servo."""
 DEGREE = 4
 UNITS = 6
-TRUTH_POINTS = 41
 
-OTHER_METAL = Workshop(
-    {**STIFFNESS, **geometry(0.005)},
-    ZERO,
-    Metal(first_segment=1.0, servo_stiffness=20.0, joint_friction=1e-3, cable_friction=0.05, guide_radius=0.5e-3, dead_band=1e-3),
-)
-"""Hands whose physics is not the model's: EA/L in both segments, servos that give way and stop short, a return cable that loses
-tension at every joint, guide pins of 1 mm. All of it is chosen."""
-HOME_METAL = Workshop(
-    {**STIFFNESS, **geometry(0.005)}, ZERO, Metal(servo_stiffness=20.0, joint_friction=1e-3, tendon_friction=0.03)
-)
+OTHER_METAL = Workshop({**STIFFNESS, **geometry(0.005)}, ZERO, OTHER_LAWS)
+"""Hands whose physics is not the model's. All of it is chosen."""
+HOME_METAL = replace(OTHER_METAL, metal=FIT_LAWS)
 """Hands of the same tolerances that obey the laws of the fit."""
+RACES = {"rivals": ("physics that is not the model's", OTHER_METAL), "rivals-at-home": ("physics of the fit", HOME_METAL)}
+"""Title and hands of every race, by the name of the part."""
 COMMON_ERRORS = JointCamera(common_scale=0.002, common_wander=np.deg2rad(0.05), outliers=0.005)
 """A camera with errors that all joints share: 0.2 % of scale, 0.05° that wander within seconds; and 0.5 % mistaken markers."""
 Predictor = Callable[[Array], Array]
@@ -138,7 +131,7 @@ class Race:
     trained: dict[str, dict[int, Mean]]
     untrained: dict[str, Mean]
     camera: Mean
-    """What the camera's scale alone leaves, to whoever believes it: 0 for a camera without that error."""
+    """What the camera's scale alone leaves, to whoever believes it."""
     hands: int
 
     def winners(self) -> dict[int, str]:
@@ -149,10 +142,7 @@ class Race:
         return {n: min(means, key=lambda name: means[name][n]) for n in numbers}
 
 
-def run_race(
-    workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES, camera: JointCamera = COMMON_ERRORS,
-    shown: bool = False,
-) -> Race:  # fmt: skip
+def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES, shown: bool = False) -> Race:
     """Fit every method to random points of one sweep of each hand, and judge it on where that hand's joints are.
 
     Args:
@@ -160,52 +150,43 @@ def run_race(
         hands: how many; each has another choice of the training points.
         seed: of hands, camera, choices and the network's first weights.
         samples: numbers of training points of each servo.
-        camera: what measured the sweep.
         shown: draw a progress bar.
     """
     built = build(workshop, hands, seed)
-    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, TRUTH_POINTS)
-    truth = hand_course([item.hand for item in built], [item.metal for item in built], servo)
-    records = metal_sweeps(built, seed, camera, servos=SERVOS[:-1])
-    untrained = {name: mean_of([_error(model(servo), angles) for angles in truth]) for name, model in UNTRAINED.items()}
+    truth = hand_course(built, SERVO)
+    records = metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1])
+    untrained = {name: mean_of([_error(model(SERVO), angles) for angles in truth]) for name, model in UNTRAINED.items()}
     errors: dict[str, dict[int, list[float]]] = {name: {n: [] for n in samples} for name in (*RIVALS, *IDENTIFIED)}
     for number, hand in progress([(n, h) for n in samples for h in range(hands)], "rivals", shown):
         rng = np.random.default_rng([seed, number, hand])
-        for name, value in _errors_of_hand(records[hand], truth[hand], servo, number, rng).items():
+        for name, value in _errors_of_hand(records[hand], truth[hand], number, rng).items():
             errors[name][number].append(value)
-    scale = [camera.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(angles), angles) for angles in truth]
+    scale = [COMMON_ERRORS.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(angles), angles) for angles in truth]
     trained = {name: {n: mean_of(values) for n, values in table.items()} for name, table in errors.items()}
     return Race(trained, untrained, mean_of(scale), hands)
 
 
-def _errors_of_hand(record: Sweep, truth: Array, servo: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
+def _errors_of_hand(record: Sweep, truth: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
     """Every method's error for one hand. All get the same points: means of the samples without those far from the others."""
-    chosen, found = {}, {}
+    few = record.phase == PHASES.index("rest")
     predicted = {name: np.zeros_like(truth) for name in RIVALS}
     for swept, digit in enumerate(HPAC.digits.values()):
         samples = digit_samples(record, swept, digit.joints)
         which = _chosen(len(samples.servo), number, rng)
-        chosen[swept] = samples.point[which]
+        few |= (record.swept == swept) & np.isin(record.point, samples.point[which])
         joints = [JOINT_INDEX[joint] for joint in digit.joints]
         for name, fit in RIVALS.items():
             predictor = fit(samples.servo[which], samples.joint_pos[which], rng, _model_of(swept, joints))
-            predicted[name][:, joints] = predictor(servo[:, swept])
-    for name in RIVALS:
-        found[name] = _error(predicted[name], truth)
-    few = _only(record, chosen)
+            predicted[name][:, joints] = predictor(SERVO[:, swept])
     for name, papers in IDENTIFIED.items():
-        hand = identify(few, least_points=min(SAMPLES), papers_model=papers).hand
-        found[name] = _error(settled_joints_from_servo(servo, hand), truth)
-    return found
+        hand = identify(record[few], least_points=min(SAMPLES), papers_model=papers).hand
+        predicted[name] = settled_joints_from_servo(SERVO, hand)
+    return {name: _error(angles, truth) for name, angles in predicted.items()}
 
 
 def _model_of(swept: int, joints: list[int]) -> Predictor:
-    def model(angle: Array) -> Array:
-        servo = np.zeros((len(angle), len(SERVOS)))
-        servo[:, swept] = angle
-        return elastic_joints_from_servo(servo)[:, joints]
-
-    return model
+    """The nominal paper's model of what one servo moves."""
+    return lambda angle: elastic_joints_from_servo(angle[:, None] * np.eye(len(SERVOS))[swept])[:, joints]
 
 
 def _chosen(available: int, number: int, rng: np.random.Generator) -> np.ndarray:
@@ -214,18 +195,24 @@ def _chosen(available: int, number: int, rng: np.random.Generator) -> np.ndarray
     return np.sort(np.concatenate([[0, available - 1], inner]))
 
 
-def _only(train: Sweep, chosen: dict[int, np.ndarray]) -> Sweep:
-    flexion = (train.phase == PHASES.index("flexion")) & (train.point >= 0)
-    wanted = np.zeros(len(train), dtype=bool)
-    for servo, which in chosen.items():
-        wanted |= (train.swept == servo) & np.isin(train.point, which)
-    return train[~flexion | wanted]
-
-
 def _error(predicted: Array, truth: Array) -> float:
     """Mean over the nine joints of the mean absolute error [°]."""
-    columns = [JOINT_INDEX[name] for name in EVALUATED]
-    return float(np.degrees(np.abs(predicted[:, columns] - truth[:, columns]).mean()))
+    return float(np.degrees(np.abs(predicted - truth)[:, NINE].mean()))
+
+
+def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES, shown: bool = False) -> Part:
+    """The race on one of the `RACES`, with its figure."""
+    title, workshop = RACES[stem]
+    found = run_race(workshop, count, seed, samples, shown)
+    lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
+    lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
+    body = [(name, *table.values()) for name, table in found.trained.items()]
+    body += [(f"{name}, untrained", value, *[""] * (len(samples) - 1)) for name, value in found.untrained.items()]
+    body.append(("best", *found.winners().values()))
+    lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
+    lines += [f"The camera's scale alone, which no method can see, leaves {found.camera}°.", ""]
+    caption = f"{count} hands in metal, {title}, camera with common errors, seed {seed}"
+    return Part("\n".join(lines), found, {stem: race_figure(found)}, caption)
 
 
 def race_figure(race: Race) -> Figure:

@@ -1,4 +1,4 @@
-"""What a record says about one digit, point by point: means of the samples that belong together, stops found, drift left open."""
+"""The points of one digit in a record: means of the samples that belong together, stops found, drift left open."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_join
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION
 from hpac_gym.study.judging import noise_of, point_medians
-from hpac_gym.study.processing import FAR, LEAST_NOISE, without_drift
+from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
 from hpac_gym.study.record import PHASES, Sweep
 
 STOP_SLOPE = 0.3
@@ -25,6 +25,8 @@ TURNED = 0.1
 class DigitSamples:
     """Points of one servo's sweeps, each the mean of its samples."""
 
+    joints: tuple[str, ...]
+    """What the servo moves, root first."""
     servo: Array
     """Commanded angle, shape (k,) [rad]."""
     direction: Array
@@ -36,9 +38,9 @@ class DigitSamples:
     deviation: Array
     """Standard deviation of that mean as the samples' own scatter tells it, shape (k, joints) [rad]."""
     line: Array
-    """What the rest poses leave open of the drift, for unit noise of a sample: offset and slope, shape (k, 2)."""
+    """Uncertainty of the drift, for unit noise of a sample: of its offset and its slope, shape (k, 2)."""
     noise: Array
-    """Of one sample, by joint [rad]."""
+    """Standard deviation of one sample, by joint [rad]."""
     samples: int
     outliers: int
     """Samples that lie far from the others of their point."""
@@ -51,14 +53,15 @@ class DigitSamples:
 
     def only(self, rows: np.ndarray) -> DigitSamples:
         """The same with some of the points."""
-        names = ("servo", "direction", "point", "joint_pos", "deviation", "line")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        return replace(self, **{name: getattr(self, name)[rows] for name in _OF_POINTS})
+
+
+_OF_POINTS = ("servo", "direction", "point", "joint_pos", "deviation", "line")
 
 
 def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand = HPAC) -> DigitSamples | None:
     """The points of a servo's sweeps, none if none of the joints is measured in them."""
     corrected = without_drift(record)
-    columns = [JOINT_INDEX[name] for name in joints]
     parts = []
     for rows in record.segments():
         if record.swept[rows[0]] != servo:
@@ -66,46 +69,42 @@ def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand
         for phase, direction in (("flexion", FLEXION), ("extension", EXTENSION)):
             held = rows[(record.phase[rows] == PHASES.index(phase)) & (record.point[rows] >= 0)]
             if held.size:
-                parts.append(_phase_points(corrected, rows, held, columns, direction))
-    seen = [bool(parts) and any((~np.isnan(part.joint_pos[:, i])).any() for part in parts) for i in range(len(joints))]
-    if not any(seen):
+                parts.append(_phase_points(corrected, rows, held, joints, direction))
+    unseen = [all(np.isnan(part.joint_pos[:, i]).all() for part in parts) for i in range(len(joints))]
+    if all(unseen):
         return None
-    missing = tuple(name for name, any_seen in zip(joints, seen, strict=True) if not any_seen)
-    noise = np.nanmean([part.noise for part in parts], axis=0)
-    whole = DigitSamples(
-        *(np.concatenate([getattr(part, name) for part in parts])
-          for name in ("servo", "direction", "point", "joint_pos", "deviation", "line")),
-        noise, sum(part.samples for part in parts), sum(part.outliers for part in parts), missing, {}, 0,
-    )  # fmt: skip
-    return _without_turns(_without_stops(whole, servo, joints, base), base.servo_max[servo] - base.servo_min[servo])
+    whole = replace(
+        parts[0],
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_POINTS},
+        noise=np.mean([part.noise for part in parts], axis=0),
+        samples=sum(part.samples for part in parts),
+        outliers=sum(part.outliers for part in parts),
+        missing=tuple(name for name, never in zip(joints, unseen, strict=True) if never),
+    )
+    return _without_turns(_without_stops(whole, servo, base), base.servo_max[servo] - base.servo_min[servo])
 
 
-def _phase_points(sweep: Sweep, segment: np.ndarray, rows: np.ndarray, columns: list[int], direction: float) -> DigitSamples:
+def _phase_points(
+    sweep: Sweep, segment: np.ndarray, rows: np.ndarray, joints: tuple[str, ...], direction: float
+) -> DigitSamples:
+    columns = [JOINT_INDEX[name] for name in joints]
     numbers, place = np.unique(sweep.point[rows], return_inverse=True)
-    count = len(numbers)
-    mean, deviation = np.full((count, len(columns)), np.nan), np.full((count, len(columns)), np.nan)
-    noise, samples, outliers = np.full(len(columns), np.nan), 0, 0
-    for i, joint in enumerate(columns):
-        _, _, off = point_medians(sweep, rows, joint)
-        far = FAR * noise_of(off)
-        near = np.abs(off) <= far  # False where NaN
-        samples += int((~np.isnan(off)).sum())
-        outliers += int((np.abs(off) > far).sum())
-        values, kept = sweep.joint_pos[rows[near], joint], np.bincount(place[near], minlength=count)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean[:, i] = np.bincount(place[near], weights=values, minlength=count) / kept
-            freedom = max(kept.sum() - (kept > 0).sum(), 1)
-            noise[i] = max(np.sqrt(((values - mean[place[near], i]) ** 2).sum() / freedom), LEAST_NOISE)
-            deviation[:, i] = noise[i] / np.sqrt(kept)
-        mean[kept == 0, i] = deviation[kept == 0, i] = np.nan
-    time = np.bincount(place, weights=sweep.time[rows]) / np.bincount(place)
-    angle = np.bincount(place, weights=sweep.servo[rows, sweep.swept[rows[0]]]) / np.bincount(place)
-    line = _open_line(sweep, segment, time)
-    return DigitSamples(angle, np.full(count, direction), numbers, mean, deviation, line, noise, samples, outliers, (), {}, 0)
+    off = np.abs(point_medians(sweep, rows)[2][:, columns])
+    far = FAR * np.array([noise_of(values) for values in off.T])
+    values = np.where(off <= far, sweep.joint_pos[np.ix_(rows, columns)], np.nan)
+    mean, kept = group_means(values, place)
+    freedom = np.maximum(kept.sum(axis=0) - (kept > 0).sum(axis=0), 1)
+    noise = np.maximum(np.sqrt(np.nansum((values - mean[place]) ** 2, axis=0) / freedom), LEAST_NOISE)
+    time, servo = sweep.time[rows], sweep.servo[rows, sweep.swept[rows[0]]]
+    time, servo = group_means(np.stack([time, servo], axis=1), place)[0].T
+    return DigitSamples(
+        joints, servo, np.full(len(numbers), direction), numbers, mean, noise / np.sqrt(np.where(kept > 0, kept, np.nan)),
+        _open_line(sweep, segment, time), noise, int((~np.isnan(off)).sum()), int((off > far).sum()), (), {}, 0,
+    )  # fmt: skip
 
 
 def _open_line(sweep: Sweep, segment: np.ndarray, time: Array) -> Array:
-    """What the rest poses leave open of a segment's drift line at given times, shape (k, 2): offset and slope, decorrelated."""
+    """Uncertainty that the rest poses leave in a segment's drift line, shape (k, 2): offset and slope, decorrelated."""
     line = np.zeros((len(time), 2))
     rest = segment[sweep.phase[segment] == PHASES.index("rest")]
     if rest.size < 2:
@@ -117,7 +116,7 @@ def _open_line(sweep: Sweep, segment: np.ndarray, time: Array) -> Array:
     return line
 
 
-def _without_stops(samples: DigitSamples, servo: int, joints: tuple[str, ...], base: Hand) -> DigitSamples:
+def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSamples:
     """Leave out the points at which a joint of the digit rests at a stop: beyond them the digit is another mechanism."""
     rows = np.flatnonzero(samples.direction == FLEXION)
     rows = rows[np.argsort(samples.servo[rows], kind="stable")]
@@ -128,16 +127,14 @@ def _without_stops(samples: DigitSamples, servo: int, joints: tuple[str, ...], b
     command[:, servo] = np.clip(angles, base.servo_min[servo], base.servo_max[servo])
     design = elastic_joints_from_servo(command, base)
     found, starts, limit = {}, {}, np.inf
-    for i, name in enumerate(joints):
+    for i, name in enumerate(samples.joints):
         if name in samples.missing:
             continue
         course = np.array([np.nanmean(part) for part in np.split(samples.joint_pos[rows, i], first[1:])])
         rate = np.diff(course) / np.diff(design[:, JOINTS.index(name)])
         usual = np.nanmedian(rate)
-        resting = rate < STOP_SLOPE * usual
-        start = len(rate)
-        while start > 0 and resting[start - 1]:
-            start -= 1
+        turning = np.flatnonzero(~(rate < STOP_SLOPE * usual))
+        start = turning[-1] + 1 if turning.size else 0
         if start < len(rate):
             found[name], starts[name] = float(np.nanmean(course[start:])), start
         if start > 0 and rate[start - 1] < BEFORE_STOP * usual:

@@ -1,4 +1,4 @@
-"""How often the reference sweep shows the paper's printed figures: other draws of the same tolerances, other sweep speeds."""
+"""The share of reference sweeps that show the paper's printed figures, over other draws of the tolerances and other speeds."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from hpac_gym.model import SERVOS
 from hpac_gym.progress import progress
-from hpac_gym.study.accuracy import EVALUATED, PRINTED, accuracy, met, residuals
-from hpac_gym.study.population import Range, range_of
+from hpac_gym.study.accuracy import ALL_BELOW_DEG, EVALUATED, PRINTED, accuracy, met, residuals
 from hpac_gym.study.processing import points, processed
 from hpac_gym.study.reference import load_reference
+from hpac_gym.study.results import Column, Part, range_of, rows_of, table
 
 SPEEDS = {0.75: 1.0, 1.5: 1.0, 3.0: 0.5, 6.0: 0.2}
 """Seconds per point, and what share of the seeds is swept so: a slow sweep takes long. The reference file's is 1.5 s."""
@@ -46,43 +46,31 @@ def run_seed(reference_file: str | os.PathLike[str], seed: int, seconds_per_poin
     )
 
 
-def run_seeds(
-    reference_file: str | os.PathLike[str],
-    count: int,
-    speeds: Mapping[float, float] = SPEEDS,
-    shown: bool = False,
-) -> list[SeedRun]:
-    """Seeds 0 … count − 1 at every speed, of a slow one the first of them."""
+def _of_all(count: int, runs: list[SeedRun]) -> str:
+    return f"{count} of {len(runs)}"
+
+
+COLUMNS = (
+    Column("seeds", "seeds", len),
+    Column("uncompensated", "index DIP without [°]", lambda runs: range_of([run.index_dip[0] for run in runs])),
+    Column("compensated", "with", lambda runs: range_of([run.index_dip[1] for run in runs])),
+    Column("worst_joint", "worst of nine", lambda runs: range_of([run.worst_joint for run in runs])),
+    Column("met", f"nine below {ALL_BELOW_DEG}°", lambda runs: _of_all(sum(run.met[PRINTED[3]] for run in runs), runs)),
+    Column("all_met", "all five printed", lambda runs: _of_all(sum(all(run.met.values()) for run in runs), runs)),
+)
+
+
+def seeds(reference_file: str | os.PathLike[str], count: int, speeds: Mapping[float, float], shown: bool = False) -> Part:
+    """Seeds 0 … count − 1 at every speed, of a slow one the first of them.
+
+    Args:
+        reference_file: the tolerances and the camera.
+        count: seeds.
+        speeds: share of the seeds by seconds per point.
+        shown: draw a progress bar.
+    """
     jobs = [(seed, seconds) for seconds, share in speeds.items() for seed in range(max(round(share * count), 1))]
-    return [run_seed(reference_file, seed, seconds) for seed, seconds in progress(jobs, "seeds and speeds", shown)]
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedRow:
-    """All seeds at one speed."""
-
-    uncompensated: Range
-    compensated: Range
-    """Of the index DIP [°]."""
-    worst_joint: Range
-    met: dict[str, int]
-    """Seeds that show each `PRINTED` figure."""
-    all_met: int
-    seeds: int
-
-
-def by_speed(runs: list[SeedRun]) -> dict[float, SpeedRow]:
-    """The runs of each speed [s per point] in one row."""
-    table = {}
-    for seconds in sorted({run.seconds_per_point for run in runs}):
-        mine = [run for run in runs if run.seconds_per_point == seconds]
-        before, after = np.array([run.index_dip for run in mine]).T
-        table[seconds] = SpeedRow(
-            range_of(before),
-            range_of(after),
-            range_of(np.array([run.worst_joint for run in mine])),
-            {name: sum(run.met[name] for run in mine) for name in PRINTED},
-            sum(all(run.met.values()) for run in mine),
-            len(mine),
-        )
-    return table
+    runs = [run_seed(reference_file, seed, seconds) for seed, seconds in progress(jobs, "seeds and speeds", shown)]
+    rows = {f"{speed:g}": [run for run in runs if run.seconds_per_point == speed] for speed in sorted(speeds)}
+    title = "## The reference sweep, other seeds and speeds; median and the middle 95 % of the seeds"
+    return Part(f"{title}\n\n{table('seconds a point', COLUMNS, rows_of(COLUMNS, rows))}\n", runs)

@@ -3,37 +3,32 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
+from hpac_gym.model import HPAC, JOINT_INDEX, Hand, load_hand
 from hpac_gym.output import write_text
-from hpac_gym.study import figures
-from hpac_gym.study.accuracy import Accuracy, accuracy, residuals, workspace
+from hpac_gym.study.accuracy import Accuracy, accuracy, mae_figure, residual_figure, residuals, workspace
 from hpac_gym.study.judging import judged
 from hpac_gym.study.processing import CUTOFF_HZ, points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
 from hpac_gym.study.reference import REFERENCE_FILE, Reference, load_reference
+from hpac_gym.study.results import label, markdown, save
 
 WORKSPACE_STREAM, EVALUATION_STREAM = 0, 1
 """Streams of the camera's noise: two separate sweeps."""
-
-
 WORKSPACE_POINTS = 21
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    folder = Path("runs/sweep")
     parser.add_argument("--record", type=Path, metavar="CSV", help="evaluate this record, sweep nothing")
     parser.add_argument("--hand", type=Path, metavar="TOML", help="the model under test (default: the nominal hand)")
     parser.add_argument("--reference", type=Path, default=REFERENCE_FILE, metavar="TOML", help="the simulated hand and camera")
-    parser.add_argument("--out", type=Path, default=folder, metavar="DIR", help="where results go (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("runs/sweep"), metavar="DIR", help="where results go (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.set_defaults(run=run)
 
@@ -62,9 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     errors = accuracy(found)
     result |= asdict(errors)
     text = "\n".join([accuracy_table(errors), *(f"\nRemark: {remark}." for remark in result.get("remarks", ())), "", text])
-    figures.save(figures.residual_figure(found), out / "residuals.png", caption)
-    figures.save(figures.mae_figure(errors), out / "mae.png", caption)
-    write_text(out / "accuracy.csv", accuracy_csv(errors))
+    save(residual_figure(found), out / "residuals.png", caption)
+    save(mae_figure(errors), out / "mae.png", caption)
     write_text(out / "accuracy.md", accuracy_table(errors) + "\n")
     write_text(out / "sweep.json", json.dumps(result, indent=2) + "\n")
     print(json.dumps(result) if arguments.json else f"{text}\nwritten to {out}")
@@ -78,35 +72,18 @@ def simulate(reference: Reference, stream: int, label: str = "", **protocol: obj
 
 def accuracy_table(errors: Accuracy) -> str:
     """The errors as a Markdown table."""
-    lines = ["| joint | MAE uncompensated [°] | compensated | largest uncompensated [°] | compensated |", "|---|--:|--:|--:|--:|"]
-    for name in errors.mae_deg["compensated"]:
-        cells = [table[kind][name] for table in (errors.mae_deg, errors.max_residual_deg) for kind in table]
-        lines.append(f"| {figures.label(name)} | {' | '.join(f'{cell:.2f}' for cell in cells)} |")
-    return "\n".join(lines)
-
-
-def accuracy_csv(errors: Accuracy) -> str:
-    """The errors for a spreadsheet, one joint a row."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    kinds = list(errors.mae_deg)
-    writer.writerow(["joint", *(f"mae_{kind}_deg" for kind in kinds), *(f"max_residual_{kind}_deg" for kind in kinds)])
-    for name in errors.mae_deg[kinds[0]]:
-        values = [table[kind][name] for table in (errors.mae_deg, errors.max_residual_deg) for kind in kinds]
-        writer.writerow([name, *(f"{value:.4f}" for value in values)])
-    return text.getvalue()
+    head = ("joint", "MAE uncompensated [°]", "compensated", "largest uncompensated [°]", "compensated")
+    columns = [table[kind] for table in (errors.mae_deg, errors.max_residual_deg) for kind in table]
+    return markdown(head, [(label(name), *(f"{column[name]:.2f}" for column in columns)) for name in columns[0]])
 
 
 def workspace_table(table: dict[str, tuple[float, float]], hand: Hand) -> str:
     """Measured workspace in the form of Table I, beside the paper's, with what the rigid map makes of Table I's driven joint."""
-    lines = ["| finger joint | label | measured [q_min, q_max] (rad) | Table I (rad) | short of Table I [°] | rigid map (rad) |"]
-    lines.append("|---|---|---|---|--:|--:|")
+    head = ("finger joint", "label", "measured [q_min, q_max] (rad)", "Table I (rad)", "short of Table I [°]", "rigid map (rad)")
     rigid = hand.synergy_max.take(hand.servo_of_joint) * hand.rigid_ratio
+    rows = []
     for name, (low, high) in table.items():
-        lower, upper = hand.workspace[name]
-        measured = f"[{low + 0.0:.2f}, {high:.2f}]".replace("-0.00", "0.00")
-        lines.append(
-            f"| {figures.label(name)} | q{JOINTS.index(name) + 1} | {measured} | [{lower:.2f}, {upper:.2f}] | "
-            f"{np.degrees(upper - high):.1f} | {rigid[JOINTS.index(name)]:.3f} |"
-        )
-    return "\n".join(lines) + "\n"
+        joint, (lower, upper) = JOINT_INDEX[name], hand.workspace[name]
+        bounds = f"[{low:z.2f}, {high:z.2f}]", f"[{lower:.2f}, {upper:.2f}]"
+        rows.append((label(name), f"q{joint + 1}", *bounds, f"{np.degrees(upper - high):.1f}", f"{rigid[joint]:.3f}"))
+    return markdown(head, rows) + "\n"

@@ -6,30 +6,32 @@ either direction, and shifts the command by it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, joints_from_synergy, servo_from_synergy
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, joints_from_synergy, servo_from_synergy, stream_command
 from hpac_gym.model.checks import Array
 from hpac_gym.model.command import minimum_jerk
 from hpac_gym.progress import progress
-from hpac_gym.study import figures
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.bench import THUMB_CLEAR
-from hpac_gym.study.intervals import Mean, mean_of
 from hpac_gym.study.reference import Reference
-from hpac_gym.study.rig import CONTROL_HZ
+from hpac_gym.study.results import GREEN, RED, Mean, Part, markdown, mean_of
+from hpac_gym.study.rig import UPRIGHT, HandOnStand
 
+CONTROL_HZ = 20.0
 RATES_HZ = (0.25, 0.5, 1.0)
 MIDDLE, AMPLITUDE = 0.5, 0.3
-"""Of the driven joints' range."""
+"""Shares of the driven joints' range."""
 WARM_UP = 3.0
 """Periods before the error counts, in which the camera's loop learns."""
 PERIODS = 3.0
 LONGEST_LAG = 0.3  # s, that is looked for
+SAMPLES = 4  # of the camera, a control period
 
 Profile = Callable[[Array], Array]
 
@@ -40,7 +42,7 @@ def sine(phase: Array) -> Array:
 
 
 def back_and_forth(phase: Array) -> Array:
-    """From −1 to 1 and back in one period, each half a minimum jerk."""
+    """Course from −1 to 1 and back in one period, each half a minimum-jerk move."""
     phase = np.asarray(phase) % 1.0
     return 2 * minimum_jerk(np.where(phase < 0.5, 2 * phase, 2 - 2 * phase)) - 1
 
@@ -60,7 +62,7 @@ class Track:
     """Shape (n, 15) [rad]."""
 
 
-def synergy_of(profile: Profile, rate_hz: float, time: Array) -> Array:
+def synergy_of(profile: Profile, rate_hz: float, time: Array | float) -> Array:
     """The commanded synergies: fingers and thumb about half of their range, CMC at rest where the thumb is clear."""
     span = HPAC.synergy_max - HPAC.synergy_min
     synergy = HPAC.synergy_min + (MIDDLE + AMPLITUDE * profile(rate_hz * np.asarray(time)))[..., None] * span
@@ -70,7 +72,7 @@ def synergy_of(profile: Profile, rate_hz: float, time: Array) -> Array:
 
 @dataclass(slots=True)
 class Observer:
-    """What the command lacks, learned from the camera: a lag, and for either direction an offset, of every digit.
+    """Correction of the command, learned from the camera: a lag, and for either direction an offset of every digit.
 
     A digit's error is that of its joints in units of its root joint, averaged. It is explained as offset − lag · rate by
     normalised least mean squares; the lag is what all digits share.
@@ -79,7 +81,7 @@ class Observer:
     lag: float = 0.0
     """[s]"""
     offset: Array = field(default_factory=lambda: np.zeros((2, 5)))
-    """Of each digit in flexion and in extension, shape (2, 5) [rad]."""
+    """Offset of each digit in flexion and in extension, shape (2, 5) [rad]."""
     lag_gain: float = 0.05
     offset_gain: float = 0.1
     """Share of an error that one frame corrects."""
@@ -109,7 +111,7 @@ def root_error(seen: Array, wanted: Array) -> Array:
 
 
 def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random.Generator, closed: bool = False) -> Track:
-    """Stream a profile to the reference hand at the control rate and watch it.
+    """Stream a profile to the reference hand at the control rate and watch it, four samples a control period.
 
     Args:
         reference: the hand, with its tendon friction and servo lag.
@@ -118,46 +120,49 @@ def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random
         rng: the camera's noise.
         closed: the camera's frame of the period before corrects the command.
     """
-    settings = replace(
-        reference.rig.settings,
-        tendon_friction=reference.trials.tendon_friction,
-        servo=replace(reference.rig.settings.servo, lag=reference.servo_lag),
-    )
-    period, observer = 1 / CONTROL_HZ, Observer()
+    rig, observer = reference.rig, Observer()
+    servo_settings = replace(rig.settings.servo, lag=reference.servo_lag)
+    settings = replace(rig.settings, tendon_friction=reference.trials.tendon_friction, servo=servo_settings)
+    world = replace(rig.world, collisions=False)  # all five digits move at once, and thumb and index would meet
+    period, steps = 1 / CONTROL_HZ, int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
+    noise = rng.normal(0.0, rig.camera.noise, (steps * SAMPLES, len(JOINTS)))
 
-    def synergy(time: float) -> Array:
-        return synergy_of(profile, rate_hz, np.array(time))
+    synergy = partial(synergy_of, profile, rate_hz)
 
     def rate(time: float) -> Array:
         return (synergy(time + 0.01) - synergy(time - 0.01))[:-1] / 0.02
 
-    def target(step: int, seen: Array) -> Array:
+    sim = HandOnStand(rig.hand, settings, world, UPRIGHT)
+    sim.reset(synergy(0.0))
+    servo, seen = servo_from_synergy(synergy(0.0)), []
+    for step in range(steps):
         now, then = (step - 1) * period, (step + 1) * period
-        if closed and step > 1:
-            observer.update(root_error(seen, joints_from_synergy(synergy(now))), rate(now))
+        if closed and step > 1:  # the frame at the end of the period before the last
+            observer.update(root_error(seen[-1 - SAMPLES], joints_from_synergy(synergy(now))), rate(now))
         wanted = synergy(then + observer.lag)
         wanted[:-1] -= observer.correction(rate(then + observer.lag))
-        return servo_from_synergy(np.clip(wanted, HPAC.synergy_min, HPAC.synergy_max))
-
-    steps = int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
-    time, seen = replace(reference.rig, settings=settings).stream(synergy(0.0), steps, target, rng)
+        target = servo_from_synergy(np.clip(wanted, HPAC.synergy_min, HPAC.synergy_max))
+        servo = stream_command(servo, target, period).servo
+        sim.command(servo, period)
+        for _ in range(SAMPLES):
+            sim.step(period / SAMPLES)
+            seen.append(sim.joint_pos + noise[len(seen)])
+    sim.close()
+    time = period / SAMPLES * np.arange(1, len(seen) + 1)
     counts = time > WARM_UP / rate_hz
-    return Track(time[counts], joints_from_synergy(synergy_of(profile, rate_hz, time[counts])), seen[counts])
+    return Track(time[counts], joints_from_synergy(synergy(time[counts])), np.array(seen)[counts])
 
 
 def lag(time: Array, wanted: Array, measured: Array) -> float:
     """The delay that makes a wanted course fit a measured one best in least squares, offset aside [s]."""
     delays = np.arange(0.0, LONGEST_LAG, 2e-3)
-    errors = []
     inside = time > time[0] + LONGEST_LAG
-    for delay in delays:
-        difference = measured[inside] - np.interp(time[inside] - delay, time, wanted)
-        errors.append(difference.var())
+    errors = [np.var(measured[inside] - np.interp(time[inside] - delay, time, wanted)) for delay in delays]
     best = int(np.argmin(errors))
-    if 0 < best < len(delays) - 1:
-        before, here, after = errors[best - 1 : best + 2]
-        return float(delays[best] + 1e-3 * (before - after) / (before - 2 * here + after))
-    return float(delays[best])
+    if not 0 < best < len(delays) - 1:
+        return float(delays[best])
+    before, here, after = errors[best - 1 : best + 2]
+    return float(delays[best] + 1e-3 * (before - after) / (before - 2 * here + after))
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,38 +179,37 @@ class Tracked:
     """By joint, and `mean` over the joints."""
 
 
-def run_tracking(
-    reference: Reference, count: int, seed: int, rates_hz: tuple[float, ...] = RATES_HZ, shown: bool = False
-) -> list[Tracked]:
-    """Both profiles at every rate, open loop and closed, several runs each.
-
-    Args:
-        reference: the hand, with its tendon friction and servo lag.
-        count: runs; friction and the camera's noise differ.
-        seed: of both.
-        rates_hz: of the profiles' periods.
-        shown: draw a progress bar.
-    """
-    found = []
-    jobs = [(name, rate, closed) for name in PROFILES for rate in rates_hz for closed in (False, True)]
-    for name, rate_hz, closed in progress(jobs, "tracking", shown):
-        lags, errors = {joint: [] for joint in EVALUATED}, {joint: [] for joint in EVALUATED}
-        for run in range(count):
-            rng = np.random.default_rng([seed, run])
-            factor = max(1 + reference.trials.friction_spread * rng.standard_normal(), 0.0)
-            trials = replace(reference.trials, tendon_friction=factor * reference.trials.tendon_friction)
-            seen = track(replace(reference, trials=trials), PROFILES[name], rate_hz, rng, closed)
-            for joint in EVALUATED:
-                column = JOINTS.index(joint)
-                lags[joint].append(lag(seen.time, seen.wanted[:, column], seen.measured[:, column]))
-                error = seen.measured[:, column] - seen.wanted[:, column]
-                errors[joint].append(np.degrees(np.sqrt(np.mean(error**2))))
-        found.append(Tracked(name, rate_hz, closed, _means(lags), _means(errors)))
-    return found
+def run_tracking(reference: Reference, name: str, rate_hz: float, closed: bool, count: int, seed: int) -> Tracked:
+    """Several runs of one of the `PROFILES`, in which friction and the camera's noise differ."""
+    lags, errors = {joint: [] for joint in EVALUATED}, {joint: [] for joint in EVALUATED}
+    for run in range(count):
+        rng = np.random.default_rng([seed, run])
+        factor = max(1 + reference.trials.friction_spread * rng.standard_normal(), 0.0)
+        trials = replace(reference.trials, tendon_friction=factor * reference.trials.tendon_friction)
+        seen = track(replace(reference, trials=trials), PROFILES[name], rate_hz, rng, closed)
+        for joint in EVALUATED:
+            wanted, measured = seen.wanted[:, JOINT_INDEX[joint]], seen.measured[:, JOINT_INDEX[joint]]
+            lags[joint].append(lag(seen.time, wanted, measured))
+            errors[joint].append(np.degrees(np.sqrt(np.mean((measured - wanted) ** 2))))
+    return Tracked(name, rate_hz, closed, _means(lags), _means(errors))
 
 
 def _means(runs: dict[str, list[float]]) -> dict[str, Mean]:
     return {**{name: mean_of(values) for name, values in runs.items()}, "mean": mean_of(np.mean(list(runs.values()), axis=0))}
+
+
+def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[float] = RATES_HZ, shown: bool = False) -> Part:
+    """Both profiles at every rate, open loop and closed, several runs each."""
+    jobs = [(name, rate, closed) for name in PROFILES for rate in rates_hz for closed in (False, True)]
+    found = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking", shown)]
+    body = []
+    for item in found:
+        late, loop = item.lag_s["mean"], "camera at 20 Hz" if item.closed else "open"
+        lags = f"{1e3 * late.mean:.1f} [{1e3 * late.low:.1f}, {1e3 * late.high:.1f}]"
+        body.append((item.profile.replace("_", " "), f"{item.rate_hz:g}", loop, lags, item.rms_deg["mean"]))
+    text = f"## Tracking, mean over the nine joints: {count} runs, seed {seed}; mean and 95 % interval\n\n"
+    text += markdown(("command", "rate [Hz]", "loop", "lag [ms]", "RMS error [°]"), body) + "\n"
+    return Part(text, found, {"tracking": tracking_figure(found)}, f"reference hand, {count} runs, seed {seed}")
 
 
 def tracking_figure(found: list[Tracked]) -> Figure:
@@ -213,7 +217,7 @@ def tracking_figure(found: list[Tracked]) -> Figure:
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     axes = figure.subplots(1, len(PROFILES), sharey=True)
     for axis, profile in zip(axes, PROFILES, strict=True):
-        for closed, color, name in ((False, figures.RED, "open loop"), (True, figures.GREEN, "camera in the loop, 20 Hz")):
+        for closed, color, name in ((False, RED, "open loop"), (True, GREEN, "camera in the loop, 20 Hz")):
             runs = [item for item in found if item.profile == profile and item.closed == closed]
             rates = [item.rate_hz for item in runs]
             for joint in EVALUATED:

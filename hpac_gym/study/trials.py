@@ -10,11 +10,10 @@ from matplotlib.figure import Figure
 from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.progress import progress
-from hpac_gym.study import figures
-from hpac_gym.study.intervals import Mean, mean_of
 from hpac_gym.study.processing import Points, points, processed
 from hpac_gym.study.record import PHASES, Sweep, concatenate, joints_of_servo
 from hpac_gym.study.reference import Reference
+from hpac_gym.study.results import BLUE, GREY, Column, Mean, Part, label, mean_of, rows_of, table
 
 DRIVEN = (0.1, 0.9)
 """The part of the servo's range over which a hysteresis is averaged: neither end, where the direction turns."""
@@ -57,13 +56,8 @@ def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, .
     return concatenate(parts)
 
 
-def by_joint(record: Sweep, cutoff_hz: float) -> dict[str, JointTrials]:
-    """The trials of every joint that was swept, processed as the paper does."""
-    return by_joint_of_points(points(processed(record, cutoff_hz)))
-
-
-def by_joint_of_points(found: Points) -> dict[str, JointTrials]:
-    """The trials of every joint, one row a trial, in the order of the points."""
+def by_joint(found: Points) -> dict[str, JointTrials]:
+    """The trials of every joint that was swept, one row a trial, in the order of the points."""
     return {
         JOINTS[joint]: JointTrials(
             _table(found, int(servo), found.servo[:, servo], "flexion")[0],
@@ -87,25 +81,33 @@ def hysteresis_width(joint: JointTrials) -> Array:
     return (joint.extension - joint.flexion)[:, inside].mean(axis=1)
 
 
-def hysteresis_deg(joints: dict[str, JointTrials]) -> dict[str, Mean]:
-    """Width by joint, with its interval over trials [°]."""
-    return {name: mean_of(np.degrees(hysteresis_width(joint))) for name, joint in joints.items()}
-
-
-def spread_deg(joints: dict[str, JointTrials]) -> dict[str, Mean]:
+def spread_deg(joint: JointTrials) -> Mean:
     """Root mean square over the points of the trial-to-trial standard deviation, jackknifed over trials [°]."""
-    found = {}
-    for name, joint in joints.items():
-        whole = _rms_spread(joint.flexion)
-        count = len(joint.flexion)
-        left = [count * whole - (count - 1) * _rms_spread(np.delete(joint.flexion, trial, axis=0)) for trial in range(count)]
-        interval = mean_of(np.degrees(left))
-        found[name] = replace(interval, mean=float(np.degrees(whole)), low=max(interval.low, 0.0))
-    return found
+    count, whole = len(joint.flexion), _rms_spread(joint.flexion)
+    left = [count * whole - (count - 1) * _rms_spread(np.delete(joint.flexion, trial, axis=0)) for trial in range(count)]
+    interval = mean_of(np.degrees(left))
+    return replace(interval, mean=float(np.degrees(whole)), low=max(interval.low, 0.0))
 
 
 def _rms_spread(flexion: Array) -> float:
     return float(np.sqrt((flexion.std(axis=0, ddof=1) ** 2).mean()))
+
+
+COLUMNS = (
+    Column("hysteresis_width_deg", "hysteresis width [°]", lambda joint: mean_of(np.degrees(hysteresis_width(joint)))),
+    Column("trial_to_trial_sd_deg", "trial-to-trial standard deviation [°]", spread_deg),
+)
+
+
+def trials(reference: Reference, count: int, seed: int, shown: bool = False) -> Part:
+    """Hysteresis and repeatability of every joint."""
+    joints = by_joint(points(processed(run_trials(reference, count, seed, shown=shown), reference.cutoff_hz)))
+    rows = rows_of(COLUMNS, joints)
+    labelled = {label(name): row for name, row in rows.items()}
+    text = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval\n\n"
+    text += table("joint", COLUMNS, labelled) + "\n"
+    data = {column.key: {name: row[column.key] for name, row in rows.items()} for column in COLUMNS}
+    return Part(text, data, {"hysteresis": hysteresis_figure(joints)}, f"reference hand, {count} trials, seed {seed}")
 
 
 def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:
@@ -113,23 +115,9 @@ def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:
     figure = Figure(figsize=(13, 8), layout="constrained")
     for axis, (name, joint) in zip(figure.subplots(3, 5, sharey=True).flat, joints.items(), strict=False):
         width = np.degrees(joint.extension - joint.flexion)
-        axis.plot(np.degrees(joint.servo), width.T, color=figures.BLUE, linewidth=0.9, alpha=0.7)
-        axis.axhline(0.0, color=figures.GREY, linewidth=0.8)
-        axis.set_title(figures.label(name), fontsize=9)
+        axis.plot(np.degrees(joint.servo), width.T, color=BLUE, linewidth=0.9, alpha=0.7)
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+        axis.set_title(label(name), fontsize=9)
     figure.supxlabel("servo angle [°]")
     figure.supylabel("extension − flexion [°]")
-    return figure
-
-
-def spread_figure(joints: dict[str, JointTrials]) -> Figure:
-    """Trial-to-trial standard deviation by joint, with intervals."""
-    found = spread_deg(joints)
-    figure = Figure(figsize=(11, 4), layout="constrained")
-    axis = figure.subplots()
-    means = np.array([value.mean for value in found.values()])
-    bounds = np.array([[value.low, value.high] for value in found.values()])
-    axis.bar(range(len(found)), means, color=figures.BLUE)
-    axis.errorbar(range(len(found)), means, np.abs(bounds.T - means), fmt="none", color="black", capsize=3)
-    axis.set_xticks(range(len(found)), [figures.label(name) for name in found], rotation=35)
-    axis.set_ylabel("trial-to-trial standard deviation [°]")
     return figure

@@ -15,7 +15,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds
-from hpac_gym.tasks.grasp_data import NOMINAL, named_grasp
+from hpac_gym.tasks.grasp_data import NOMINAL, NamedGrasp, Variant, named_grasp
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
 from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, setting
@@ -25,6 +25,8 @@ PALM_SURFACE = 0.0125
 """Distance of the palm's surface from the yz-plane of the hand frame [m]."""
 
 CLOSE = PHASES.index("close")
+OBJECT_RANGES = ("radius", "sphere_radius", "half_height", "mass", "friction")
+"""Fields of `GraspConfig` that draw the object itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +95,13 @@ class Grasp(Task):
         self.config, self.timetable, self.object = config, config.timetable, object
         self.duration = self.timetable.ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
-        weights = config.weights
-        self.reward_terms = (
+        self.reward_terms = self._rewards()
+
+    def _rewards(self) -> tuple[RewardTerm, ...]:
+        weights = self.config.weights
+        return (
             contact_term(weights, CLOSE),
-            RewardTerm("push", f"while closing: {weights.push:g} · min(displacement / drop_distance, 1)", self._push),
+            self._push_term(),
             RewardTerm("carry", f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free "
                        "of its support", self._carry),
             effort_term(weights),
@@ -162,9 +167,13 @@ class Grasp(Task):
         over = state.time >= self.duration - dt / 2
         return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
 
-    def _push(self, now: Moment) -> Array:
-        share = np.minimum(self._moved / self.config.drop_distance, 1.0)
-        return np.where(now.phase == CLOSE, self.config.weights.push * share, 0.0)
+    def _push_term(self) -> RewardTerm:
+        weight = self.config.weights.push
+
+        def value(now: Moment) -> Array:
+            return np.where(now.phase == CLOSE, weight * np.minimum(self._moved / self.config.drop_distance, 1.0), 0.0)
+
+        return RewardTerm("push", f"while closing: {weight:g} · min(displacement / drop_distance, 1)", value)
 
     def _carry(self, now: Moment) -> Array:
         return np.where(now.phase == CLOSE, 0.0, self.config.weights.carry * self.grip.firmness)
@@ -189,27 +198,33 @@ class GraspByName(Grasp):
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: where in the hand the object stands, and its turn about the vertical."""
-        grasp, variant = self.grasp, self.variant
-        model = variant.object or grasp.object
-        spec = ObjectSpec(
-            model.shape,
-            tuple(variant.scale * half for half in model.half_extents),
-            variant.mass * model.mass,
-            variant.friction * grasp.friction,
-            model.name,
-            variant.scale,
-        )
-        noise = rng.uniform(-1.0, 1.0, 4)
-        return SceneSetup(
-            spec,
-            np.array(grasp.position) + noise[:3] * grasp.position_noise,
-            float(noise[3] * grasp.yaw_noise),
-            grasp.preshape,
-            hand,
-            hand_quaternion=quaternion_from_rpy(grasp.hand_rpy),
-            object_quaternion=quaternion_from_rpy(grasp.object_rpy),
-            support=_scaled(grasp.support, variant.scale),
-        )
+        return setup_of_grasp(self.grasp, self.variant, rng, hand)
+
+
+def setup_of_grasp(
+    grasp: NamedGrasp, variant: Variant, rng: np.random.Generator, hand: Hand = HPAC, spread: float = 1.0
+) -> SceneSetup:
+    """Draw one episode of a named grasp, with `spread` times the noise of its place and turn."""
+    model = variant.object or grasp.object
+    spec = ObjectSpec(
+        model.shape,
+        tuple(variant.scale * half for half in model.half_extents),
+        variant.mass * model.mass,
+        variant.friction * grasp.friction,
+        model.name,
+        variant.scale,
+    )
+    noise = spread * rng.uniform(-1.0, 1.0, 4)
+    return SceneSetup(
+        spec,
+        np.array(grasp.position) + noise[:3] * grasp.position_noise,
+        float(noise[3] * grasp.yaw_noise),
+        grasp.preshape,
+        hand,
+        hand_quaternion=quaternion_from_rpy(grasp.hand_rpy),
+        object_quaternion=quaternion_from_rpy(grasp.object_rpy),
+        support=_scaled(grasp.support, variant.scale),
+    )
 
 
 def quaternion_from_rpy(rpy: tuple[float, float, float]) -> tuple[float, float, float, float]:

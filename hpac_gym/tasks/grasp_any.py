@@ -233,9 +233,9 @@ class GraspAny(Task):
         variant = self._hands[rng.integers(len(self._hands))]
         return replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=variant.over(setup.hand_settings))
 
-    def chosen(self, setup: SceneSetup, choice: Array) -> SceneSetup:
-        """The setup with the wrist where an episode's first action puts it, a choice of shape (4,), −1…1."""
-        way = WRIST_REACH * choice
+    def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
+        """The setup with the wrist where the last four numbers of an episode's first action put it."""
+        way = WRIST_REACH * action[-len(WRIST_REACH) :]
         return placing.moved(setup, way[:3], float(way[3])) if way.any() else setup
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:

@@ -1,13 +1,12 @@
-"""The sixteen grasps as the paper runs them: a posture q_d, executed, and what makes each grasp the one that it is called.
+"""HPAC-GraspType-v0: the sixteen grasps as the paper runs them, one policy for all, judged by what each is called.
 
 A grasp type has no hand shape of its own: its hand closes to the posture of the same name in `hpac_gym.model.POSTURES` by
 Eqs. (14) and (15), without retuning, and the object stands where that posture wants it. ``data/grasp_types.toml`` says where,
-and which parts of the hand must and must not touch the object.
+and by which rule the grasp is judged (`hpac_gym.tasks.grasp_rules`).
 """
 
 from __future__ import annotations
 
-import itertools
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,303 +15,55 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from hpac_gym.body.geometry import link_poses, load_geometry
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
-    DIGITS,
     FINGERS,
     HPAC,
-    JOINT_INDEX,
     POSTURES,
+    SERVOS,
     Hand,
     clip_synergy,
     clip_to_workspace,
+    joints_from_synergy,
+    synergy_from_action,
     synergy_from_joints,
 )
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import PARTS, Contacts, SceneState
-from hpac_gym.tasks.grasp import GraspByName, GraspConfig
+from hpac_gym.physics.engine import HAND_QUATERNION, PARTS, POST, Contacts, SceneSetup, SceneState, matrix_from_quaternion
+from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
+from hpac_gym.tasks.config import check_bounds
+from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_grasp
 from hpac_gym.tasks.grasp_data import NOMINAL, GraspError, NamedGrasp, grasps_from_toml
+from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, moment_of
+from hpac_gym.tasks.occlusion import Skeleton
+from hpac_gym.tasks.phases import Timetable
+from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, Moment, RewardTerm, Term, progress_terms
 
-TOUCHES = 0.5
-"""A part touches the object if it does in at least this share of the hold."""
-SPARES = 0.1
-"""A part does not touch the object if it does in no more than this share of the hold, or of the force."""
-_AXES = "xyz"
-_GEOMETRY = load_geometry()
-_TIPS = tuple(digit.phalanges[-1].link for digit in _GEOMETRY.digits)
-_BEYOND_ROOT = tuple(phalanx.link for digit in _GEOMETRY.digits for phalanx in digit.phalanges[1:])
-
-
-@dataclass(frozen=True, slots=True)
-class Hole:
-    """An opening of an object that a digit can be put through."""
-
-    centre: tuple[float, float, float]
-    """In the object's frame [m]."""
-    axis: str
-    """Of the object's frame, normal to the opening."""
-    half: tuple[float, float]
-    """Half axes of the opening's ellipse, along the two other axes in their order [m]."""
-
-    def outside(self, start: Array, end: Array) -> float:
-        """How far a segment in the object's frame misses the opening: 0 if it goes through, infinity beside its plane [m]."""
-        normal = _AXES.index(self.axis)
-        across = [index for index in range(3) if index != normal]
-        before, after = start[normal] - self.centre[normal], end[normal] - self.centre[normal]
-        if before * after > 0:
-            return np.inf
-        share = before / (before - after) if before != after else 0.0
-        point = (start + share * (end - start) - self.centre)[across]
-        distance = float(np.linalg.norm(point / self.half))
-        return 0.0 if distance <= 1 else float(np.linalg.norm(point) * (1 - 1 / distance))
-
-
-@dataclass(frozen=True, slots=True)
-class Rule:
-    """What makes a grasp the one that it is called. Parts are `hpac_gym.physics.engine.PARTS`."""
-
-    touch: tuple[str, ...] = ()
-    """Parts that all touch the object."""
-    fingers: int = 0
-    """Number of fingers, without the thumb, that touch it."""
-    digits: int = 0
-    """Number of digits, with the thumb, that touch it."""
-    never: tuple[str, ...] = ()
-    """Parts that do not touch it."""
-    tips: bool = False
-    """Whether only the last links of digits touch it."""
-    force: float = 0.0
-    """Least sum of all contact forces, mean of the hold [N]."""
-    turn_deg: float = 20.0
-    """The object turns in the hand by no more than this while it is held [deg]."""
-    tilt_deg: float = 180.0
-    """The object's z axis is no farther than this from where it was in the hand when the hand began to close [deg]."""
-    axis: str = "z"
-    """Axis of the object for the two shares of force."""
-    along: float = 0.0
-    """Least share of the contact force along that axis."""
-    across: float = 0.0
-    """Least share of the contact force across that axis."""
-    side: str = ""
-    """A finger that is touched on its side, not on its pad."""
-    button: float = np.inf
-    """Height in the object's frame above which its button is [m]."""
-    press: float = 0.0
-    """Least force that presses the button down along −z [N]."""
-    holes: tuple[Hole, ...] = ()
-    """Its openings."""
-    through: tuple[str, ...] = ()
-    """Digits that each go through an opening and touch the object."""
-
-    def __post_init__(self) -> None:
-        for name, allowed in (("touch", PARTS), ("never", PARTS), ("through", DIGITS)):
-            if unknown := set(getattr(self, name)) - set(allowed):
-                raise ParameterError(f"{name} has {', '.join(sorted(unknown))}, which is none of {', '.join(allowed)}")
-        if self.axis not in _AXES or self.side not in ("", *FINGERS):
-            raise ParameterError(f"axis {self.axis!r} must be x, y or z, and side {self.side!r} a finger")
-        if not (0 <= self.fingers <= len(FINGERS) and 0 <= self.digits <= len(DIGITS)):
-            bounds = f"0 to {len(FINGERS)} and 0 to {len(DIGITS)}"
-            raise ParameterError(f"fingers {self.fingers} and digits {self.digits} must be {bounds}")
-        if not (0 <= self.along <= 1 and 0 <= self.across <= 1):
-            raise ParameterError(f"along {self.along} and across {self.across} must be 0 to 1")
-        if not (self.force >= 0 and self.press >= 0 and self.turn_deg > 0 and self.tilt_deg > 0):
-            angles = f"turn {self.turn_deg} and tilt {self.tilt_deg} deg greater than 0"
-            raise ParameterError(f"force {self.force} and press {self.press} N must be at least 0, {angles}")
-
-    def scaled(self, scale: float) -> Rule:
-        """The rule for an object of another size, its own being 1."""
-        holes = tuple(
-            Hole(tuple(scale * np.array(hole.centre)), hole.axis, tuple(scale * np.array(hole.half))) for hole in self.holes
-        )
-        return replace(self, button=scale * self.button, holes=holes)
-
-    def terms(self) -> list[tuple[str, Callable[[Hold], float]]]:
-        """The rule's clauses in words, each with how far a hold keeps to it: 1 or more keeps it, less is a share of the way."""
-        found: list[tuple[str, Callable[[Hold], float]]] = []
-        for part in self.touch:
-            found.append((f"{part} touches", lambda hold, part=part: hold.touched[part] / TOUCHES))
-        if self.fingers:
-            found.append((f"{self.fingers} fingers touch", lambda hold: hold.most(FINGERS, self.fingers)))
-        if self.digits:
-            found.append((f"{self.digits} digits touch", lambda hold: hold.most(DIGITS, self.digits)))
-        for part in self.never:
-            found.append((f"{part} does not touch", lambda hold, part=part: _at_most(hold.touched[part], SPARES)))
-        if self.tips:
-            found.append(("only last links touch", lambda hold: _at_most(hold.off_tips, SPARES)))
-        if self.force:
-            found.append((f"held with {self.force:g} N", lambda hold: hold.force / self.force))
-        found.append((f"turns by at most {self.turn_deg:g}°", lambda hold: self.turn_deg / max(hold.turn_deg, 1e-9)))
-        if self.tilt_deg < 180:
-            found.append((f"axis within {self.tilt_deg:g}°", lambda hold: self.tilt_deg / max(hold.tilt_deg, 1e-9)))
-        if self.along:
-            found.append((f"held along {self.axis}", lambda hold: hold.along(self.axis) / self.along))
-        if self.across:
-            found.append((f"held across {self.axis}", lambda hold: _at_most(hold.along(self.axis), 1 - self.across)))
-        if self.side:
-            found.append((f"side of the {self.side}", lambda hold: hold.on_side(self.side) / TOUCHES))
-        if self.press:
-            found.append((f"button pressed with {self.press:g} N", lambda hold: hold.pressed(self.button) / self.press))
-        for digit in self.through:
-            found.append((f"{digit} through an opening", lambda hold, digit=digit: hold.through(self.holes, digit) / TOUCHES))
-        return found
-
-    def clauses(self, hold: Hold) -> dict[str, float]:
-        """How far a hold keeps to each clause of the rule: 1 keeps it, less is a share of the way there."""
-        return {name: min(value(hold), 1.0) for name, value in self.terms()}
-
-    def kept(self, hold: Hold) -> bool:
-        """Whether a hold keeps to all clauses."""
-        return all(value >= 1.0 for value in self.clauses(hold).values())
-
-
-def _at_most(value: float, limit: float) -> float:
-    return 1.0 if value <= limit else (1.0 - value) / (1.0 - limit) * 0.99
-
-
-@dataclass(slots=True)
-class Hold:
-    """What was seen of contacts while an object was held: a list of moments, added one by one."""
-
-    moments: list[Moment] = field(default_factory=list)
-    start: Array = field(default_factory=lambda: np.eye(3))
-    """Rotation of the object in the hand when the hand began to close, shape (3, 3)."""
-
-    def see(self, contacts: Contacts, state: SceneState, world: int, hand_rotation: Array) -> None:
-        """Add a moment of one world's state."""
-        rotation = state.object_rotation[world].copy()
-        to_object = (hand_rotation @ rotation).T
-        self.moments.append(
-            Moment(
-                contacts.link, contacts.force, (contacts.point - contacts.centre) @ to_object.T, contacts.normal @ to_object.T,
-                rotation, state.object_pos[world].copy(), state.joint_pos[world].copy(),
-            )
-        )  # fmt: skip
-
-    @property
-    def touched(self) -> dict[str, float]:
-        """Share of the moments in which each part touches."""
-        return {part: float(np.mean([any(_part(link) == part for link in now.links) for now in self.moments])) for part in PARTS}
-
-    @property
-    def part_force(self) -> dict[str, float]:
-        """Mean normal force of each part [N]."""
-        return {
-            part: float(np.mean([sum(f for f, link in zip(now.force, now.links, strict=True) if _part(link) == part)
-                                 for now in self.moments]))
-            for part in PARTS
-        }  # fmt: skip
-
-    @property
-    def force(self) -> float:
-        """Mean sum of all contact forces [N]."""
-        return float(np.mean([now.force.sum() for now in self.moments]))
-
-    @property
-    def off_tips(self) -> float:
-        """Share of the force that is not on last links."""
-        return self._share(lambda now: np.array([link not in _TIPS for link in now.links], dtype=float))
-
-    @property
-    def turn_deg(self) -> float:
-        """Largest turn of the object in the hand since the first moment [deg]."""
-        first = self.moments[0].rotation
-        return max(_angle_deg((np.trace(first.T @ now.rotation) - 1) / 2) for now in self.moments)
-
-    @property
-    def tilt_deg(self) -> float:
-        """Largest angle of the object's z axis from where it was in the hand at the start [deg]."""
-        return max(_angle_deg(self.start[:, 2] @ now.rotation[:, 2]) for now in self.moments)
-
-    def along(self, axis: str) -> float:
-        """Share of the contact force along an axis of the object, by the normals' squared component."""
-        return self._share(lambda now: now.normal[:, _AXES.index(axis)] ** 2)
-
-    def on_side(self, finger: str) -> float:
-        """Share of a finger's contact force that is on its side: normals nearer to its hinge's axis than 45°."""
-        force = side = 0.0
-        for now in self.moments:
-            frames = dict(now.frames(finger))
-            for link, push, normal in zip(now.links, now.force, now.normal, strict=True):
-                if link in frames:
-                    lateral = abs((now.rotation @ normal) @ frames[link][:, 1]) > np.sqrt(0.5)
-                    force, side = force + push, side + push * lateral
-        return side / force if force > 0 else 0.0
-
-    def pressed(self, button: float) -> float:
-        """Mean force of last and middle links along −z on what is higher than `button` [N]."""
-        found = []
-        for now in self.moments:
-            down = now.force * np.maximum(-now.normal[:, 2], 0.0)
-            found.append(down[(now.point[:, 2] > button) & np.array([link in _BEYOND_ROOT for link in now.links], bool)].sum())
-        return float(np.mean(found))
-
-    def through(self, holes: Sequence[Hole], digit: str) -> float:
-        """Share of the moments in which a digit goes through an opening and touches; below `TOUCHES` near misses count a bit."""
-        seen = np.array([max(now.through(hole, digit) for hole in holes) for now in self.moments])
-        share = float(np.mean(seen == 1.0))
-        return share if share >= TOUCHES else min(float(np.mean(seen)), 0.99 * TOUCHES)
-
-    def most(self, parts: Sequence[str], count: int) -> float:
-        """How far so many of some parts touch, 0 to 1."""
-        touched = self.touched
-        best = sorted((min(touched[part] / TOUCHES, 1.0) for part in parts), reverse=True)
-        return sum(best[:count]) / count
-
-    def _share(self, weight: Any) -> float:
-        total = sum(now.force.sum() for now in self.moments)
-        return float(sum((now.force * weight(now)).sum() for now in self.moments if len(now.links)) / total) if total > 0 else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """The contacts between hand and object at one moment, and where the digits are."""
-
-    links: tuple[str, ...]
-    """Of the hand, one for each contact."""
-    force: Array
-    """Along the normals, shape (m,) [N]."""
-    point: Array
-    """In the object's frame, shape (m, 3) [m]."""
-    normal: Array
-    """Unit vectors into the object, in its frame, shape (m, 3)."""
-    rotation: Array
-    """Of the object in the hand, shape (3, 3)."""
-    centre: Array
-    """Of the object in the hand, shape (3,) [m]."""
-    joint_pos: Array
-    """Shape (15,) [rad]."""
-
-    def poses(self, digit: str) -> list[tuple[Array, Array]]:
-        """Position and rotation of a digit's links in the hand frame."""
-        body = _GEOMETRY.digit(digit)
-        return link_poses(body, self.joint_pos[[JOINT_INDEX[phalanx.joint] for phalanx in body.phalanges]])
-
-    def frames(self, digit: str) -> list[tuple[str, Array]]:
-        """Name and rotation in the hand frame of a digit's links."""
-        links = (phalanx.link for phalanx in _GEOMETRY.digit(digit).phalanges)
-        return [(link, turn) for link, (_, turn) in zip(links, self.poses(digit), strict=True)]
-
-    def through(self, hole: Hole, digit: str) -> float:
-        """1 if the digit's last two links go through the opening and it touches the object; a near miss is less than a third."""
-        poses = self.poses(digit)
-        tip = poses[-1][0] + poses[-1][1] @ (0.0, 0.0, _GEOMETRY.digit(digit).phalanges[-1].length)
-        places = (np.array([place for place, _ in poses] + [tip]) - self.centre) @ self.rotation
-        missed = min(hole.outside(start, end) for start, end in itertools.pairwise(places[1:]))
-        touches = any(_part(link) == digit for link in self.links)
-        if missed == 0:
-            return 1.0 if touches else 0.4
-        return 0.3 * float(np.exp(-np.linalg.norm(places[-1] - hole.centre) / 0.03))
-
-
-def _part(link: str) -> str:
-    return link.split("_")[0]
-
-
-def _angle_deg(cosine: float) -> float:
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+HELD_OUT_TYPES = ("large_sphere", "three_finger_pinch", "screwdriver", "tape_roll")
+"""Types that no training may see. Chosen: each has a relative among the others."""
+OBJECTS = ("train", "test")
+WRISTS = ("free", "script")
+WRIST_ACTIONS = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
+START = np.array([0.20, 0.0, 0.11])
+"""Centre of the object in the hand frame when an episode with a free wrist begins: out of reach [m]."""
+WRIST_CENTRE, WRIST_REACH = np.array([0.06, 0.0, 0.11]), 0.065
+"""Where in the hand an action of 0 puts the object's centre, and how far from there one of 1 does, along the hand's axes [m]."""
+WRIST_TURN = 2.0
+"""Of an action of 1: component of the rotation vector from `HAND_QUATERNION`, along the hand's axes [rad]."""
+SETTLES = 0.002
+"""An object that moved farther than this in the first step was pushed by the arriving hand: on its own it falls by 1 mm [m]."""
+LOOK_EVERY = 4
+"""Control steps between two looks at the contacts of a hold, since a look takes about as long as a step."""
+NOTHING = "nothing touches"
+"""What a hold misses before it is looked at."""
+_FINGERS = [PARTS.index(name) for name in FINGERS]
+_THUMB = PARTS.index("thumb")
+_SKELETON = Skeleton(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,27 +116,6 @@ def _rule(entry: dict[str, Any]) -> Rule:
     return Rule(holes=holes, **{key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()})
 
 
-class GraspOfType(GraspByName):
-    """Draws episodes of one grasp type; judges whether the object is held as `Grasp` does, and the type by `Rule`.
-
-    Args:
-        name: of the type.
-        variant: of its object; "nominal", or a held-out one.
-        config: what counts as dropped, and the timetable; its ranges are not used.
-
-    Raises:
-        GraspError: No type or variant has that name.
-    """
-
-    def __init__(self, name: str, variant: str = NOMINAL, config: GraspConfig = GraspConfig()) -> None:
-        if name not in GRASP_TYPES:
-            raise GraspError(f"no grasp type {name!r}; there are {', '.join(GRASP_TYPES)}")
-        super().__init__(name, NOMINAL, config)
-        self.grasp, self.rule = GRASP_TYPES[name].start, GRASP_TYPES[name].rule
-        self.variant = self.grasp.variant(variant)
-        self.rule = self.rule.scaled(self.variant.scale)
-
-
 def data_text() -> str:
     """The text of the file of grasp types."""
     return (files("hpac_gym.tasks") / "data" / "grasp_types.toml").read_text(encoding="utf-8")
@@ -393,3 +123,236 @@ def data_text() -> str:
 
 GRASP_TYPES: Mapping[str, GraspType] = MappingProxyType(grasp_types_from_toml(data_text()))
 """All by name, in the order of the paper's panels."""
+TYPE_SPLITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "all": tuple(GRASP_TYPES),
+        "train": tuple(name for name in GRASP_TYPES if name not in HELD_OUT_TYPES),
+        "test": HELD_OUT_TYPES,
+    }
+)
+TYPE_TERMS = (
+    Term("type", tuple(GRASP_TYPES), "0/1", 0.0, 1.0, "which grasp is asked for",
+         lambda setup: [float(setup.grasp == name) for name in GRASP_TYPES], fixed=True),
+    Term("asked_parts", PARTS, "1", -1.0, 1.0, "1 for a part that shall touch the object, −1 for one that must not",
+         lambda setup: GRASP_TYPES[setup.grasp].rule.asked_parts, fixed=True),
+    Term("asked", ASKED, "1, 10 N, rad", -1.0, 4.0, "what else the rule asks: numbers of fingers and digits that touch, only "
+         "last links, least force, least force on the button, shares of the force along the object's axes (negative: across), "
+         "side of the index, thumb through an opening, largest turn in the hand and of the object's axis",
+         lambda setup: GRASP_TYPES[setup.grasp].rule.asked, fixed=True),
+)  # fmt: skip
+"""How a policy is told the type: by name, and by what its rule asks, which types that it has not seen have too."""
+
+
+@dataclass(frozen=True, slots=True)
+class GraspTypeWeights:
+    """What the terms of the dense reward weigh."""
+
+    touch: float = 0.4
+    avoid: float = -0.1
+    push: float = -0.3
+    carry: float = 0.5
+    effort: float = -0.01
+    success: float = 10.0
+    failure: float = -5.0
+
+
+@dataclass(frozen=True, slots=True)
+class GraspTypeConfig:
+    """How far an episode strays from its type's data, what counts as dropped, and what the reward weighs.
+
+    Raises:
+        ParameterError: A number leaves its bounds.
+    """
+
+    spread: float = setting(1.0, "factor of the noise of a type's place and turn", bounds=(0.0, 5.0))
+    drop_distance: float = setting(0.06, "an object that moved farther than this in the hand is dropped [m]", bounds=(5e-3, 1.0))
+    timetable: Timetable = field(default_factory=Timetable)
+    weights: GraspTypeWeights = field(default_factory=GraspTypeWeights)
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "config")
+
+
+class GraspByType(Grasp):
+    """Draws episodes of grasp types; judges whether the object is held as `Grasp` does, and as the type's `Rule` asks.
+
+    Args:
+        types: a split of `TYPE_SPLITS`, the name of a type, or several names.
+        objects: "train" has the types' own objects, "test" draws from their held-out variants.
+        wrist: "free" begins with the open hand out of reach, and an episode's first action says where the wrist goes and in
+            which shape the hand arrives; "script" begins where the type's data put the wrist.
+        config: the noise, what counts as dropped, the timetable, and what is paid.
+
+    Raises:
+        GraspError: No type has that name.
+        ParameterError: There are no such objects, or no such wrist.
+    """
+
+    def __init__(
+        self, types: str | Sequence[str] = "all", objects: str = "train", wrist: str = "free",
+        config: GraspTypeConfig = GraspTypeConfig(),
+    ) -> None:  # fmt: skip
+        for name, given, known in (("objects", objects, OBJECTS), ("wrist", wrist, WRISTS)):
+            if given not in known:
+                raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
+        self.kinds = tuple(GRASP_TYPES[name] for name in _names(types))
+        self.objects, self.wrist_actions = objects, WRIST_ACTIONS if wrist == "free" else ()
+        super().__init__(config)
+        self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *TYPE_TERMS, *progress_terms(self.phases, self.duration))
+
+    def _rewards(self) -> tuple[RewardTerm, ...]:
+        weights = self.config.weights
+        return (
+            RewardTerm(
+                "contact",
+                f"while closing: {weights.touch:g} · share of the parts that shall touch the object and do, {weights.avoid:g} "
+                "for each part that touches it and must not",
+                lambda now: np.where(now.phase == CLOSE, self._paid_touch(now.state), 0.0),
+            ),
+            self._push_term(),
+            RewardTerm(
+                "carry",
+                f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support, "
+                "times how far the hold keeps to the type's rule: the mean of its clauses at the last look",
+                lambda now: np.where(now.phase == CLOSE, 0.0, weights.carry * self.grip.firmness * self.kept),
+            ),
+            effort_term(weights),
+            outcome_term(weights),
+        )
+
+    def _paid_touch(self, state: SceneState) -> Array:
+        weights = self.config.weights
+        return weights.touch * self._touched_share(state.touching) + weights.avoid * (state.touching & self._never).sum(axis=1)
+
+    def _touched_share(self, touching: NDArray[np.bool_]) -> Array:
+        """Share of the parts that shall touch and do, shape (n,)."""
+        fingers = touching[:, _FINGERS].sum(axis=1)
+        counts = np.stack([fingers, fingers + touching[:, _THUMB]], axis=1)
+        found = (touching & self._touch).sum(axis=1) + np.minimum(counts, self._counts).sum(axis=1)
+        return found / np.maximum(self._touch.sum(axis=1) + self._counts.sum(axis=1), 1)
+
+    # Episodes ------------------------------------------------------------------------------------------------------
+
+    def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
+        """Get ready for n worlds; returns their camera."""
+        self._touch, self._never = np.zeros((2, num_worlds, len(PARTS)), dtype=bool)
+        self._counts = np.zeros((num_worlds, 2), dtype=int)
+        self._rotation, self._hand = np.zeros((2, num_worlds, 3, 3))
+        self._seen, self._rules, self._types, self._missed = (np.full(num_worlds, "", dtype=object) for _ in range(4))
+        self.held, self.free, self.kept = np.zeros(num_worlds, bool), np.ones(num_worlds, bool), np.zeros(num_worlds)
+        return super().prepare(num_worlds, noise)
+
+    def draw(self, rng: np.random.Generator) -> GraspType:
+        """The type of an episode."""
+        return self.kinds[rng.integers(len(self.kinds))]
+
+    def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
+        """Draw one episode: its type, its object, and how far from the type's data the object stands."""
+        start = self.draw(rng).start
+        variants = list(start.held_out) if self.objects == "test" else [NOMINAL]
+        variant = start.variant(variants[rng.integers(len(variants))])
+        setup = replace(setup_of_grasp(start, variant, rng, hand, self.config.spread), grasp=start.name)
+        if not self.wrist_actions:
+            return setup
+        return _elsewhere(setup, np.zeros(len(SERVOS)), START + setup.position - start.position, HAND_QUATERNION)
+
+    def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
+        """The setup as an episode's first action asks for it, shape (12,): the hand's shape, the wrist's place and turn.
+
+        The object's noise in the hand stays: the arm does not know it.
+        """
+        place, turn = np.split(action[len(SERVOS) :], 2)
+        rotation = Rotation.from_quat(HAND_QUATERNION) * Rotation.from_rotvec(WRIST_TURN * turn)
+        position = WRIST_CENTRE + WRIST_REACH * place + setup.position - START
+        return _elsewhere(setup, synergy_from_action(action[: len(SERVOS)], setup.hand), position, rotation.as_quat())
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Begin to judge episodes in some worlds.
+
+        Raises:
+            ParameterError: A setup that was given names no type.
+        """
+        super().start(worlds, setups)
+        for world, setup in zip(worlds, setups, strict=True):
+            if setup.grasp not in GRASP_TYPES:
+                raise ParameterError(f"setup grasp {setup.grasp!r} is not one of {', '.join(GRASP_TYPES)}")
+            rule = GRASP_TYPES[setup.grasp].rule.scaled(setup.object.scale)
+            parts = np.array(rule.asked_parts)
+            self._touch[world], self._never[world], self._counts[world] = parts > 0, parts < 0, (rule.fingers, rule.digits)
+            self._rules[world], self._types[world], self._missed[world], self._seen[world] = rule, setup.grasp, NOTHING, ()
+            self._hand[world] = setup.hand_rotation
+            self._rotation[world] = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
+            self.held[world], self.kept[world] = False, 0.0
+            self.free[world] = not _SKELETON.thumb_in_finger(joints_from_synergy(setup.synergy, setup.hand), 0)
+
+    def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
+        """Look at the contacts of what is held, some times from the end of the lift to the end."""
+        since = np.round((state.time - self.timetable.ends[1]) / dt)
+        over = state.time >= self.duration - dt / 2
+        looks = (since >= 0) & ((since % LOOK_EVERY == 0) | over) & (state.touching.any(axis=1) | self.grip.carrying)
+        self.kept = np.where(since < 0, self._touched_share(state.touching), self.kept)
+        for world in np.flatnonzero(looks):
+            if since[world] == 0:
+                self._seen[world] = ()
+            self.look(world, state, contacts(world))
+
+    def look(self, world: int, state: SceneState, contacts: Contacts) -> None:
+        """Add the contacts of a world now to what was seen of its hold, and judge that."""
+        self._seen[world] += (moment_of(contacts, state, world, self._hand[world]),)
+        clauses = self._rules[world].clauses(self.hold(world))
+        self.kept[world] = np.mean(list(clauses.values()))
+        self._missed[world] = "; ".join(name for name, value in clauses.items() if value < 1)
+
+    def hold(self, world: int) -> Hold:
+        """What was seen of the hold of a world."""
+        return Hold(self._seen[world], self._rotation[world].copy())
+
+    def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
+        """Advance by one control step and judge the episodes.
+
+        One fails where `Grasp` fails, where the hand arrives with its thumb inside of a finger or touches or pushes the object
+        when it arrives, and at the end if the object was held but not as the type's rule asks.
+        """
+        outcome = super().judge(state, dt)
+        arrived = state.time < 1.5 * dt
+        self.free = self.free & ~(arrived & (state.touching.any(axis=1) | (self._moved > SETTLES)))
+        self.held = outcome == SUCCESS
+        return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)
+
+    def report(self, now: Moment) -> dict[str, Any]:
+        """What `info` says of a step."""
+        return scene_report(self, now) | {
+            "type": self._types.copy(),
+            "held": self.held.copy(),
+            "kept": self.kept.copy(),
+            "missed": self._missed.copy(),
+        }
+
+
+def _names(types: str | Sequence[str]) -> tuple[str, ...]:
+    if isinstance(types, str):
+        types = TYPE_SPLITS.get(types, (types,))
+    names = types if isinstance(types, list | tuple) else (types,)
+    if not names or (unknown := [name for name in names if not isinstance(name, str) or name not in GRASP_TYPES]):
+        wrong = unknown[0] if names else types
+        raise GraspError(f"no grasp type {wrong!r}; there are {', '.join((*TYPE_SPLITS, *GRASP_TYPES))}")
+    return tuple(names)
+
+
+def _elsewhere(setup: SceneSetup, synergy: Array, position: Array, quaternion: Sequence[float]) -> SceneSetup:
+    """The setup with another shape of the hand, with the object elsewhere in it, and the hand turned.
+
+    Engines keep the wrist where it is, so that the object, its support and the table go up or down instead.
+    """
+    rises = (matrix_from_quaternion(quaternion) @ position - setup.hand_rotation @ setup.position)[2]
+    support = setup.support or POST
+    return replace(
+        setup, synergy=synergy, position=position, hand_quaternion=tuple(map(float, quaternion)),
+        support=replace(support, table_height=support.table_height + float(rises)),
+    )  # fmt: skip
+
+
+def wrist_choice(start: NamedGrasp) -> Array:
+    """The last six numbers of the first action that put the wrist where a type's data have it, shape (6,), −1…1."""
+    turn = Rotation.from_quat(HAND_QUATERNION).inv() * Rotation.from_quat(quaternion_from_rpy(start.hand_rpy))
+    return np.concatenate([(np.array(start.position) - WRIST_CENTRE) / WRIST_REACH, turn.as_rotvec() / WRIST_TURN])

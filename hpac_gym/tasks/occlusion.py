@@ -75,6 +75,15 @@ class Skeleton:
         first, second = (np.concatenate([digits.reshape(n, -1, 3), part], axis=1) for digits, part in pairs)
         return first, second
 
+    def thumb_in_finger(self, joint_pos: Array, world: int) -> bool:
+        """Whether the thumb of one hand with these joint angles, shape (15,) [rad], is inside of a finger."""
+        first, second = self.segments(joint_pos[None], np.array([world]))
+        radius, fingers = self.radius[[world]], slice(3, 3 * len(self._base))
+        first_of, second_of, wide = first[:, fingers], second[:, fingers], radius[:, fingers]
+        return any(
+            covered(first[:, link], second[:, [link]], first_of, second_of, wide + radius[:, [link]]).any() for link in range(3)
+        )
+
 
 def _capsules(solid: Box | Capsule) -> list[Capsule]:
     """A capsule as it is, and a flat box as a row of capsules along its z axis."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.model.checks import Array
+from hpac_gym.model.command import minimum_jerk
 from hpac_gym.tasks.grip import MAX_SLIP
 
 PHASES = ("close", "lift", "shake", "place")
@@ -51,8 +52,8 @@ class Timetable:
         """Offset of the wrist in the world [m]: at rest, up, to and fro along each axis, down. Its velocity never jumps."""
         close, lift, shake, _ = self.ends
         offset = [0.0, 0.0, 0.0]
-        offset[2] = self.lift_height * minimum_jerk((time - close) / self.lift_time)
-        offset[2] -= (self.lift_height - self.clearance) * minimum_jerk((time - shake) / self.place_time)
+        offset[2] = self.lift_height * moved((time - close) / self.lift_time)
+        offset[2] -= (self.lift_height - self.clearance) * moved((time - shake) / self.place_time)
         turn = 3 * (time - lift) / self.shake_time
         if 0 < turn < 3:
             offset[int(turn)] += self.shake_distance * _swing(turn % 1)
@@ -70,10 +71,9 @@ def phase_at(time: Array, ends: Sequence[float]) -> NDArray[np.int_]:
     return np.minimum((time[:, None] > np.array(ends) - 1e-9).sum(axis=1), len(ends) - 1)
 
 
-def minimum_jerk(share: float) -> float:
-    """Way from 0 to 1 over a share of the time, the smoothest with rest at both ends; beyond them it stands still."""
-    share = min(max(share, 0.0), 1.0)
-    return share**3 * (10 - 15 * share + 6 * share**2)
+def moved(share: float) -> float:
+    """Share of a minimum-jerk move that is done after a share of its time; before and after that it stands still."""
+    return minimum_jerk(min(max(share, 0.0), 1.0))
 
 
 def _swing(share: float) -> float:

@@ -18,7 +18,7 @@ from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grip import Grip
-from hpac_gym.tasks.phases import minimum_jerk, phase_at
+from hpac_gym.tasks.phases import moved, phase_at
 from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, setting
 from hpac_gym.tasks.terms import (
     AXES,
@@ -275,4 +275,4 @@ class PickPlace(Task):
 @lru_cache(maxsize=64)
 def _shares(begin: float, duration: float, times: tuple[float, ...]) -> Array:
     """Share of a move that begins at a time [s] and lasts a duration [s], at times [s]."""
-    return np.array([minimum_jerk((time - begin) / duration) for time in times])
+    return np.array([moved((time - begin) / duration) for time in times])

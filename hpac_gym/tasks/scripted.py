@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from hpac_gym.model import HPAC, JOINT_INDEX, SERVO_INDEX, SERVOS, action_from_s
 from hpac_gym.tasks.grasp import GraspByName
 from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_data import NamedGrasp
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType, wrist_choice
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceTimetable
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import LENGTH_UNIT, Layout
@@ -138,10 +140,12 @@ class ScriptedGraspAny:
 
     Args:
         task: whose observations it gets, alone or in a dictionary.
+        closures: how to close on each kind of object.
     """
 
-    def __init__(self, task: GraspAny) -> None:
+    def __init__(self, task: GraspAny, closures: Mapping[tuple[bool, int], AnyClosure] = ANY_CLOSURES) -> None:
         self._slices, self._wrist = Layout(task.terms, 1).slices, np.zeros(len(task.wrist_actions))
+        self._closures = closures
 
     def reset(self) -> None:
         """Begin an episode."""
@@ -151,7 +155,7 @@ class ScriptedGraspAny:
         """The next action; only the first observation of an episode is looked at, and a free wrist is left where it is."""
         if self._closure is None:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
-            self._closure = ANY_CLOSURES[self._kind(vector)]
+            self._closure = self._closures[self.kind(vector)]
         self._time += 1 / CONTROL_HZ
         closure, synergy = self._closure, np.zeros(len(SERVO_INDEX))
         closed = np.minimum(closure.fingers, HPAC.synergy_max)
@@ -162,7 +166,7 @@ class ScriptedGraspAny:
         synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED + (closure.opposed - THUMB_OPPOSED) * share
         return np.append(action_from_synergy(synergy), self._wrist).astype(np.float32)
 
-    def _kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:
+    def kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:
         """Whether the hand is beside the object, and how wide that is along the fingers: one of `ANY_WIDTHS`."""
         up, side, half, down = (vector[self._slices[name]] for name in ("object_up", "object_side", "object_size", "down"))
         beside = abs(down[0]) < 0.5
@@ -178,8 +182,36 @@ class ScriptedGraspAny:
         return beside, int(np.searchsorted(ANY_WIDTHS, 2 * width))
 
 
-def scripted_closure(task: object) -> ScriptedClosure | ScriptedPickPlace | ScriptedGraspAny:
-    """The script for a task: of any object, of placing, or the closure of its named grasp, if it has one."""
+class ScriptedGraspType:
+    """Each type's own closure: the wrist where the type's data put it, then straight from the first shape to the posture.
+
+    Args:
+        task: whose observations it gets, alone or in a dictionary.
+    """
+
+    def __init__(self, task: GraspByType) -> None:
+        self._told, self._free = Layout(task.terms, 1).slices["type"], bool(task.wrist_actions)
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._time, self._start = 0.0, None
+
+    def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
+        """The next action; of the first observation of an episode only the type is looked at."""
+        if self._start is None:
+            vector = observation["deploy"] if isinstance(observation, dict) else observation
+            self._start = list(GRASP_TYPES.values())[int(vector[self._told].argmax())].start
+            self._wrist = wrist_choice(self._start) if self._free else np.zeros(0)
+        start, share = self._start, min(self._time / CLOSE_TIME, 1.0)
+        self._time += 1 / CONTROL_HZ
+        action = action_from_synergy(start.preshape + share * (start.closed - start.preshape))
+        return np.append(action, self._wrist).astype(np.float32)
+
+
+def scripted_closure(task: object) -> ScriptedClosure | ScriptedPickPlace | ScriptedGraspAny | ScriptedGraspType:
+    """The script for a task: of any object, of the type it is told, of placing, or the closure of its named grasp."""
+    if isinstance(task, GraspByType):
+        return ScriptedGraspType(task)
     if isinstance(task, GraspAny):
         return ScriptedGraspAny(task)
     if isinstance(task, PickPlace):

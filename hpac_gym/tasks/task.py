@@ -6,7 +6,7 @@ no engine: only the `SceneState` that it is shown.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.model import FINGERS, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import PARTS, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
@@ -72,13 +72,16 @@ class Task(Protocol):
         """Index into `phases` of the one that runs, or begins, at times [s], shape (n,); the last one stays."""
         ...
 
-    def chosen(self, setup: SceneSetup, choice: Array) -> SceneSetup:
-        """The setup of an episode whose first action has this choice of the wrist's place, −1…1."""
+    def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
+        """The setup of an episode whose first action is this one, shape (6 + len(wrist_actions),), −1…1."""
         return setup
 
     def push(self, times: Array) -> Array | None:
         """Force on the objects at times of each world, shape (n, k) [s]: shape (n, k, 3) [N], along the world's axes; or None."""
         return None
+
+    def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
+        """See a state before it is judged, for a task that asks for the contacts of some worlds; each takes milliseconds."""
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step of `dt` [s] and judge the episodes: indices into `OUTCOMES`, shape (n,)."""

@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+import torch
 
 from agents.closures import Learner
 from agents.errors import RunError
@@ -22,6 +23,11 @@ def survived(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
     return np.where(seen[:, SEEN] > 0.6, 0, near[:, 0] + (near[:, 0] & near[:, 1]).astype(int))
 
 
+def came_to(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
+    """By how far trials miss what is seen; the rest says nothing."""
+    return np.pad(decisions[:, :2] - 0.6 * seen[:, :2], ((0, 0), (0, HIDDEN - 2)))
+
+
 def learned(meaning, seed: int = 0) -> tuple[Learner, np.ndarray]:
     """A learner after its trials, and how often its policy then succeeds on observations that it has not met."""
     recipe = with_settings(RECIPES["grasp"], {**SMALL, "seed": str(seed)})
@@ -29,7 +35,7 @@ def learned(meaning, seed: int = 0) -> tuple[Learner, np.ndarray]:
     while learner.trials.count < recipe.episodes:
         seen = rng.uniform(-1, 1, (50, SEEN + HIDDEN)).astype(np.float32)
         decisions = learner.decide(seen)
-        learner.trials.add(seen, decisions, meaning(seen, decisions))
+        learner.trials.add(seen, decisions, meaning(seen, decisions), came_to(seen, decisions))
         learner.learn(learner.trials.count / recipe.episodes)
     seen = rng.uniform(-1, 1, (500, SEEN + HIDDEN)).astype(np.float32)
     policy = learner.policy()
@@ -66,6 +72,16 @@ def test_the_critics_see_what_the_actor_does_not(taught):
     assert lucky > lost + 0.3
     policy = learner.policy()
     assert policy.sizes == (SEEN, 8)
+
+
+def test_the_critics_predict_what_a_trial_comes_to(taught):
+    learner, rng = taught[0], np.random.default_rng(7)
+    seen, decisions = rng.uniform(-1, 1, (500, SEEN + HIDDEN)), rng.uniform(-1, 1, (500, 8))
+    values = torch.from_numpy(np.concatenate([(seen - learner.mean) / learner.scale, decisions], axis=1).astype(np.float32))
+    with torch.no_grad():
+        predicted = learner.critics(values).mean(0)[:, 2:4].numpy() * learner.scale_came_to[:2] + learner.mean_came_to[:2]
+    error = came_to(seen, decisions)[:, :2] - predicted
+    assert np.mean(error**2) < 0.3 * np.var(came_to(seen, decisions)[:, :2])
 
 
 def test_its_spread_narrows_to_the_entropy_that_it_aims_at(taught):

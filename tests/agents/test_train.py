@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import checkpoints
+from agents import checkpoints, train
 from agents.closures import Learner, worlds_of
 from agents.errors import RunError
 from agents.evaluate import evaluate
@@ -42,10 +42,17 @@ def curve(folder: Path) -> list[int]:
         return [int(row["episodes"]) for row in csv.DictReader(file)]
 
 
+def train_here(monkeypatch, *words) -> None:
+    """Train in this process, which has loaded the packages already; its signals stay its own."""
+    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
+    assert train.main([str(word) for word in words]) == 0
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run") / "whole"
-    finish(start("grasp", "--out", folder, "--episodes", 24, "--seed", 3, *SMALL))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        train_here(monkeypatch, "grasp", "--out", folder, "--episodes", 24, "--seed", 3, *SMALL)
     return folder
 
 
@@ -63,43 +70,46 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     assert judged.summary()["policies"]["learned"]["episodes"] == 2
 
 
-def test_the_same_seed_trains_the_same_policy(trained, tmp_path):
-    finish(start("grasp", "--out", tmp_path / "again", "--episodes", 24, "--seed", 3, *SMALL))
+def test_the_same_seed_trains_the_same_policy(trained, tmp_path, monkeypatch):
+    train_here(monkeypatch, "grasp", "--out", tmp_path / "again", "--episodes", 24, "--seed", 3, *SMALL)
     assert read_policy(tmp_path / "again" / "policy.zip").about["sha256"] == read_policy(trained / "policy.zip").about["sha256"]
 
 
-def test_a_killed_training_goes_on_from_its_last_checkpoint(tmp_path):
+def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(tmp_path, monkeypatch):
     process = start("grasp", "--out", tmp_path, "--episodes", 100_000, *SMALL)
     try:
         wait_for(lambda: checkpoints.latest_checkpoint(tmp_path), process)
     finally:
         process.kill()
         process.communicate()
-    kept = json.loads((checkpoints.latest_checkpoint(tmp_path) / "state.json").read_text())
-    aim = kept["episodes"] + 12
-    finish(start("--out", tmp_path, "--resume", "--episodes", aim))
-    state = json.loads((checkpoints.latest_checkpoint(tmp_path) / "state.json").read_text())
-    assert aim <= state["episodes"] < aim + 8
-    assert state["updates"] > kept["updates"]
-    assert state["seconds"] > kept["seconds"]
-    steps = curve(tmp_path)
-    assert steps == sorted(set(steps)), "the rows after the checkpoint were taken back"
-
-
-def test_an_interrupted_training_saves_itself(tmp_path):
-    process = start("grasp", "--out", tmp_path, "--episodes", 100_000, *SMALL)
-    wait_for(lambda: checkpoints.latest_checkpoint(tmp_path), process)
+    killed, kept = state_of(tmp_path), checkpoints.latest_checkpoint(tmp_path)
+    process = start("--out", tmp_path, "--resume")
+    wait_for(lambda: checkpoints.latest_checkpoint(tmp_path) != kept, process)
     process.send_signal(signal.SIGINT)
     said = finish(process, status=130)
     assert said.splitlines()[-1].startswith("interrupted after")
     assert "Traceback" not in said
-    assert checkpoints.latest_checkpoint(tmp_path)
+    interrupted = state_of(tmp_path)
+    aim = interrupted["episodes"] + 12
+    train_here(monkeypatch, "--out", tmp_path, "--resume", "--episodes", aim)
+    done = state_of(tmp_path)
+    assert aim <= done["episodes"] < aim + 8
+    for before, after in ((killed, interrupted), (interrupted, done)):
+        assert before["episodes"] < after["episodes"]
+        assert before["updates"] < after["updates"]
+        assert before["seconds"] < after["seconds"]
+    steps = curve(tmp_path)
+    assert steps == sorted(set(steps)), "the rows after the checkpoint were taken back"
 
 
-def test_a_time_limit_ends_a_training_cleanly(tmp_path):
-    said = finish(start("grasp", "--out", tmp_path, "--time-limit", 0.1, *SMALL, "--checkpoint-every", 10_000))
-    assert said.splitlines()[-1].startswith("time limit after")
-    assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 6
+def state_of(folder: Path) -> dict:
+    return json.loads((checkpoints.latest_checkpoint(folder) / "state.json").read_text())
+
+
+def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
+    train_here(monkeypatch, "grasp", "--out", tmp_path, "--time-limit", 0.01, *SMALL, "--checkpoint-every", 10_000)
+    assert capsys.readouterr().err.splitlines()[-1].startswith("time limit after")
+    assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 0.6
 
 
 def wait_for(condition, process: subprocess.Popen, seconds: float = 300) -> None:
@@ -120,7 +130,8 @@ def learner(recipe):
     """A learner that has been fitted to trials of no meaning."""
     rng = np.random.default_rng(0)
     made = Learner(recipe, observed=60, deployed=44, phases=4)
-    made.trials.add(rng.standard_normal((30, 60)), rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30))
+    seen, came_to = rng.standard_normal((30, 60)), rng.standard_normal((30, 16))
+    made.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), came_to)
     made.learn(0.5)
     return made
 
@@ -129,7 +140,7 @@ def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
     path = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     other = Learner(recipe, observed=60, deployed=44, phases=4)
     assert checkpoints.load_checkpoint(path, other)["seconds"] == 1.0
-    assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (9, 30)
+    assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (6, 30)
     assert np.array_equal(other.trials.seen, learner.trials.seen)
     saved, loaded = learner.weights(), other.weights()
     assert str(saved) == str(loaded)
@@ -165,6 +176,20 @@ def test_bodies_share_the_worlds_and_no_two_worlds_a_seed():
     assert len(np.unique(np.concatenate(drawn)[:, :44], axis=0)) == 5
     for worlds in made:
         worlds.close()
+
+
+def test_what_runs_beside_the_physics_changes_no_trial():
+    recipe, calls = with_settings(RECIPES["grasp"], {"num_envs": "2"}), []
+    alone, beside = worlds_of(recipe, 7) + worlds_of(recipe, 7)
+    trials: tuple = ((),)
+    while not len(trials[0]):
+        trials, same = alone.step(Patient()), beside.step(Patient(), lambda: calls.append(0))
+    for one, other in zip(trials, same, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert len(calls) > 5
+    assert np.abs(trials[3] - trials[0][:, alone.deployed :]).max() > 0.1, "it tells how the closing ended, not how it began"
+    alone.close()
+    beside.close()
 
 
 def test_trials_that_are_sure_to_succeed_are_tried_less_often(learner):

@@ -1,4 +1,4 @@
-"""The policy that comes with the repository fits the environment that comes with it."""
+"""The policies that come with the repository fit the environments that come with it."""
 
 from pathlib import Path
 
@@ -7,21 +7,31 @@ import pytest
 from agents.evaluate import evaluate
 from hpac_gym.policies import read_policy
 
-POLICY = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp.zip"
+FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
 
 
-def test_it_says_how_it_was_made():
-    about = read_policy(POLICY).about
-    assert about["env_id"].endswith("HPAC-Grasp-v0")
-    assert about["settings"]["seed"] == 0
-    assert about["episodes"] > 10_000
+@pytest.mark.parametrize(
+    ("name", "env_id", "trials"), [("grasp", "HPAC-Grasp-v0", 60_000), ("pick-place", "HPAC-PickPlace-v0", 7_671)]
+)
+def test_it_says_how_it_was_made(name, env_id, trials):
+    about = read_policy(FOLDER / f"{name}.zip").about
+    assert about["env_id"].endswith(env_id)
+    assert (about["settings"]["seed"], about["episodes"]) == (0, trials)
     assert about["versions"]["torch"].startswith("2.13.0")
     assert about["made_for"]["control_hz"] == 20
 
 
 @pytest.mark.processor
-@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"])
-def test_it_still_grasps(engine):
-    """84 % of 1,000 held out on MuJoCo, 72 % of 400 on PyBullet; another observation or physics would drop most of 24."""
-    result = evaluate([str(POLICY)], "HPAC-Grasp-v0", 24, options={"engine": engine})
-    assert sum(episode.success for episode in result.episodes["learned"]) >= 14
+@pytest.mark.parametrize(
+    ("name", "engine", "held"),
+    [
+        pytest.param("grasp", "pybullet", 14, marks=pytest.mark.pybullet),
+        ("grasp", "mujoco", 18),
+        pytest.param("pick-place", "mujoco", 22, marks=pytest.mark.slow),
+    ],
+)
+def test_it_still_grasps(name, engine, held):
+    """90 % of 1,000 held-out episodes of grasp on MuJoCo; another observation or physics would drop most of 24."""
+    about = read_policy(FOLDER / f"{name}.zip").about
+    result = evaluate([str(FOLDER / f"{name}.zip")], about["env_id"], 24, options={"engine": engine})
+    assert sum(episode.success for episode in result.episodes["learned"]) >= held

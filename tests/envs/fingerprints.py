@@ -33,18 +33,19 @@ import numpy as np
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.envs import GRASPS
+from hpac_gym.envs import GRASPS, scripted_closure
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 from tests.envs.engine import Bodies, flick, told, watching_for_touch
 from tests.envs.stories import Story
 
 FILE = Path(__file__).with_name("fingerprints.json")
 IDS = sorted(name for name in gymnasium.registry if name.startswith("HPAC-"))
-GRASP, GRASP_ANY, PICK_PLACE, POSTURE, POSTURE_V1 = (
-    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
+GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V1 = (
+    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
 )  # fmt: skip
 TIGHT, LOOSE = (1e-6, 1e-6), (1e-4, 1e-5)
 """Relative and absolute tolerances of means: of what does not touch anything, and of what does or is a picture."""
@@ -74,6 +75,14 @@ def closing(begin: int = 6, let_go: int = NEVER) -> Policy:
             yield opened + share * (closed - opened) + rng.uniform(-noise, noise, 6)
 
     return policy
+
+
+def own(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
+    """The script's closure for the type that is told."""
+    script = scripted_closure(env.unwrapped.task)
+    script.reset()
+    while True:
+        yield script.act(first)[:6] + rng.uniform(-0.01, 0.01, 6)
 
 
 def apart(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
@@ -141,6 +150,13 @@ def numbers(info: dict[str, Any], prefix: str = "") -> dict[str, float]:
     return found
 
 
+def whole(env: gymnasium.Env, action: np.ndarray) -> np.ndarray:
+    """Six numbers as an action of the environment: a wrist that is free goes where the type that is asked for has it."""
+    if env.action_space.shape == (len(SERVOS),):
+        return action
+    return np.append(action, wrist_choice(GRASP_TYPES[env.unwrapped.episodes.setups[0].grasp].start)).astype(np.float32)
+
+
 @dataclass
 class Episode:
     """One episode: observations and infos from the reset on, and the rewards of the steps between them."""
@@ -201,14 +217,15 @@ def play(
         pinned: fix the object where it starts.
     """
     observation, info = env.reset(seed=seed, options=options)
-    bodies = Bodies(env)
+    bodies = Bodies(env) if pinned or watch else None
     if pinned:
         bodies.pin()
     episode, over = Episode([leaves(observation)], [], [numbers(info)]), False
     actions = policy(env, observation, np.random.default_rng([seed, 5]))
     with told(env, story) if story else nullcontext(), watching_for_touch(bodies) if watch else nullcontext(bool) as touched:
         while not over and len(episode.rewards) < limit:
-            observation, reward, terminated, truncated, info = env.step(np.clip(next(actions) + disturbance, -1, 1))
+            action = np.clip(next(actions) + disturbance, -1, 1)
+            observation, reward, terminated, truncated, info = env.step(whole(env, action))
             episode.observations.append(leaves(observation))
             episode.rewards.append(float(reward))
             episode.infos.append(numbers(info))
@@ -254,6 +271,8 @@ def heavy() -> SceneSetup:
 
 USUAL = {GRASP: closing(), GRASP_ANY: closing(), PICK_PLACE: closing(12, 74), POSTURE: apart, POSTURE_V1: apart}
 PRIVILEGED = {"obs": "privileged"}
+PLACED_BY_SCRIPT = {"wrist": "script"}
+"""A free wrist sets its scene in the first step, when an object could no longer be pinned, nor a story be told."""
 ASIDE = np.array([0.6, -0.4, 0.3])
 """Where the object of a story slips to, times the distance."""
 HELD = Story(
@@ -268,8 +287,15 @@ PLACED = Story(
     slip={0.9: 0 * ASIDE, 3.7: 0.01 * ASIDE},
 )  # fmt: skip
 DROPPED = Story(gripped=((0.9, 2.6),), carried=(1.8, 2.6), supported=((0.0, 1.85),))
+SQUEEZED = Story(
+    gripped=((0.4, np.inf),), carried=(3.0, np.inf), supported=((0.0, 3.05),),
+    slip={3.5: 0 * ASIDE, 5.9: 0.01 * ASIDE, 7.0: 0.05 * ASIDE},
+)  # fmt: skip
+SHAKEN = replace(SQUEEZED, gripped=((0.4, 4.2),))
+ROLLED = Story(gripped=((0.4, np.inf),), slip={0.5: 0 * ASIDE, 2.0: 0.4 * ASIDE})
 STORIES = {
     GRASP: {"held": HELD, "missed": MISSED, "slips": SLIPS, "knocked": KNOCKED},
+    GRASP_ANY: {"squeezed": SQUEEZED, "shaken": SHAKEN, "rolled": ROLLED},
     PICK_PLACE: {"placed": PLACED, "dropped": DROPPED},
 }
 CASES = (
@@ -278,7 +304,12 @@ CASES = (
     *(Case(name, {"reward": "sparse"}, policy, range(2))
       for name, policy in (USUAL | {POSTURE: reaching, POSTURE_V1: reaching}).items()),
     *(Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2)) for name, policy in USUAL.items() for preset in PRESETS),
-    *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in IDS),
+    *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in USUAL),
+    *(Case(GRASP_TYPE, PLACED_BY_SCRIPT | options, own, range(2))
+      for options in ({}, {"reward": "sparse"}, {"objects": "test", "randomize": "full"} | PRIVILEGED)),
+    Case(GRASP_TYPE, PLACED_BY_SCRIPT | PRIVILEGED, restless, about="restless"),
+    *(Case(GRASP_TYPE, PLACED_BY_SCRIPT | {"types": name} | PRIVILEGED, own, about="held", story=HELD)
+      for name in ("rod", "large_cylinder")),
     *(Case(GRASP, {"grasp": name} | PRIVILEGED, closing(), range(2)) for name in GRASPS),
     *(Case(GRASP, {"grasp": name, "variant": variant} | PRIVILEGED, closing())
       for name, grasp in GRASPS.items() for variant in grasp.held_out),
@@ -389,6 +420,8 @@ def most_flips(episodes: int) -> int:
 BATCHES = {
     "HPAC-Grasp-v0": (Case(GRASP, {}, closing(0), range(40)),),
     "HPAC-GraspAny-v0": (Case(GRASP_ANY, {}, closing(0), range(8)),),
+    "HPAC-GraspType-v0": (Case(GRASP_TYPE, {}, own, range(6)),),
+    "HPAC-GraspType-v0 on MuJoCo": (Case(GRASP_TYPE, {"engine": "mujoco"}, own, range(10)),),
     "HPAC-PickPlace-v0": (Case(PICK_PLACE, {}, closing(12, 74), range(20)),),
     "HPAC-Posture-v0": (Case(POSTURE, {}, reaching, range(20)),),
     "HPAC-Posture-v1": (Case(POSTURE_V1, {"randomize": "nominal"}, reaching, range(20)),),

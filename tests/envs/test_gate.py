@@ -4,6 +4,8 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -24,6 +26,7 @@ from tests.envs.fingerprints import (
     CASES,
     FILE,
     GRASP,
+    GRASP_TYPE,
     IDS,
     POSTURE,
     POSTURE_V1,
@@ -36,6 +39,7 @@ from tests.envs.fingerprints import (
     kept,
     most_flips,
     tolerances,
+    whole,
 )
 
 OPTIONS = [
@@ -46,10 +50,13 @@ OPTIONS = [
     *({"randomize": name} for name in PRESETS),
     {"obs": "privileged", "reward": "sparse", "randomize": Randomization(servo_lag=(0.05, 0.15))},
 ]
-RANDOM_STEPS = 2_000
+RANDOM_STEPS = 500
 """Of each id in the default run; `make test-all` makes 350,000 of each."""
 
-PLAIN = [*(BY_NAME[name] for name in IDS), *(BY_NAME[f"{GRASP}/{name}/privileged"] for name in GRASPS)]
+PLAIN = [
+    *(next(case for case in CASES if case.id == name) for name in IDS),
+    *(BY_NAME[f"{GRASP}/{name}/privileged"] for name in GRASPS),
+]
 """What an id gives by default, and every named grasp."""
 
 STOP_GIVES = 0.4
@@ -71,7 +78,7 @@ def env(name):
 
 
 def test_ids_are_the_registered_ones():
-    assert {"HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0"} <= set(IDS)
+    assert {"HPAC-Grasp-v0", "HPAC-GraspAny-v0", GRASP_TYPE, "HPAC-PickPlace-v0", "HPAC-Posture-v0"} <= set(IDS)
 
 
 @every_id
@@ -80,7 +87,7 @@ def test_the_checkers_of_gymnasium_and_of_stable_baselines3_pass(name, options):
     with gymnasium.make(name, **options) as env:
         check_env(env.unwrapped, skip_render_check=True)
         sb3_check_env(env.unwrapped)
-        assert env.action_space.shape == (len(SERVOS),)
+        assert env.action_space.shape == (2 * len(SERVOS) if name == GRASP_TYPE else len(SERVOS),)
 
 
 @pytest.mark.parametrize("grasp", GRASPS)
@@ -101,8 +108,13 @@ def test_gymnasium_s_checker_passes_with_rendering(name):
 # Fingerprints ------------------------------------------------------------------------------
 
 
-@pytest.mark.processor
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def rounded_otherwise_too(values: Iterable[Any], left_out: Callable[[Any], bool]) -> list[Any]:
+    """Parameters of a test, marked for the pass with another rounding unless they are left out of it."""
+    return [value if left_out(value) else pytest.param(value, marks=pytest.mark.processor) for value in values]
+
+
+# Left out: the variants of named grasps, which have an object's numbers of their own and nothing else.
+@pytest.mark.parametrize("case", rounded_otherwise_too(CASES, lambda case: "variant" in case.options), ids=lambda case: case.name)
 def test_physics_reward_and_observation_are_those_of_the_version_number(case):
     """If this fails on purpose: raise -v, then run `python -m tests.envs.fingerprints --write`."""
     with case.make() as env:
@@ -114,8 +126,8 @@ def test_physics_reward_and_observation_are_those_of_the_version_number(case):
                 np.testing.assert_allclose(values, then[part][name], *tolerance, err_msg=message)
 
 
-@pytest.mark.processor
-@pytest.mark.parametrize("name", BATCHES)
+# Left out: postures, which touch nothing, and HPAC-PickPlace-v0, whose contacts are those of HPAC-Grasp-v0.
+@pytest.mark.parametrize("name", rounded_otherwise_too(BATCHES, lambda name: name.startswith(("HPAC-Posture", "HPAC-PickPlace"))))
 def test_as_many_episodes_end_as_they_did(name):
     """Episodes that ended otherwise are counted, since rounding may turn a few; see `most_flips`."""
     now, then = np.array(ends(BATCHES[name])), np.array(kept()[f"ends/{name}"])
@@ -208,6 +220,7 @@ def test_a_small_change_of_physics_reward_or_observation_changes_the_fingerprint
     [
         ("HPAC-Grasp-v0", {"randomize": Randomization(skin_friction=(0.5, 0.5))}),
         ("named grasps", {"randomize": Randomization(slack=(3e-3, 3e-3))}),
+        ("HPAC-GraspType-v0 on MuJoCo", {"randomize": Randomization(slack=(3e-3, 3e-3))}),
     ],
 )
 def test_a_large_change_of_physics_ends_many_episodes_otherwise(name, fault):
@@ -260,7 +273,8 @@ def test_any_place_in_a_vector_env_gives_the_same_trajectory(name, place, env):
             np.testing.assert_array_equal(flat(together), flat(alone))
         else:
             np.testing.assert_array_equal(together[place], alone)
-        actions = rng.uniform(-1, 1, (3, 6)).astype(np.float32)
+        actions = rng.uniform(-1, 1, envs.action_space.shape).astype(np.float32)
+        actions[:, len(SERVOS) :] = whole(env, actions[0, : len(SERVOS)])[len(SERVOS) :]
         together, *_ = envs.step(actions)
         alone, _, terminated, *_ = env.step(actions[place])
         if terminated:
@@ -274,8 +288,10 @@ def test_a_randomized_episode_is_its_seed_s_too(name, preset):
     def trajectory(env, seed):
         rows = [flat(env.reset(seed=seed)[0])]
         for step in range(8):
-            observation, *_ = env.step(np.full(6, np.sin(step), np.float32))
+            observation, _, over, *_ = env.step(whole(env, np.full(6, np.sin(step), np.float32)))
             rows.append(flat(observation))
+            if over:
+                break
         return np.array(rows)
 
     with gymnasium.make(name, randomize=preset, obs="privileged") as env, gymnasium.make(name, randomize=preset) as other:
@@ -297,8 +313,8 @@ def memory() -> int:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
-def run_randomly(name: str, steps: int) -> None:
-    """Random actions, each held for some steps, in the hardest randomization; no NaN, no leak, no escape."""
+def run_randomly(name: str, steps: int, growth: float) -> None:
+    """Random actions, each held for some steps, in the hardest randomization; no NaN, no escape, memory grows by less [bytes]."""
     hardest = Randomization(
         tendon_stiffness=(0.5, 1.3), slack=(0.0, 3e-3), skin_friction=(0.3, 2.0), object_mass=(0.2, 5.0),
         servo_lag=(0.0, 0.15), dropped_frames=(0.0, 0.5),
@@ -310,10 +326,10 @@ def run_randomly(name: str, steps: int) -> None:
         for step in range(steps):
             if step % 5 == 0:
                 action = rng.choice([-1.0, 1.0], 6) if rng.random() < 0.3 else rng.uniform(-1, 1, 6)
-            observation, reward, terminated, truncated, _ = env.step(action.astype(np.float32))
+            observation, reward, terminated, truncated, _ = env.step(whole(env, action.astype(np.float32)))
             assert np.isfinite(reward)
             assert env.observation_space.contains(observation)
-            if step % 10 == 0:
+            if step % 10 == 0 and not (terminated and name == GRASP_TYPE):  # a hand that arrives in the object is pushed out
                 state = env.unwrapped.state
                 joint_pos, joint_vel = state.joint_pos[0], state.joint_vel[0]
                 assert np.all(joint_pos > HPAC.joint_min - STOP_GIVES)
@@ -324,19 +340,19 @@ def run_randomly(name: str, steps: int) -> None:
                 env.reset()
             if step == steps // 3:
                 settled = memory()
-        assert memory() - settled < 30e6
+        assert memory() - settled < growth
         assert len(os.listdir("/proc/self/fd")) == files
 
 
 @every_id
 def test_random_actions_break_nothing(name):
-    run_randomly(name, RANDOM_STEPS)
+    run_randomly(name, RANDOM_STEPS, growth=8e6)
 
 
 @pytest.mark.slow
 @every_id
 def test_a_million_random_actions_in_all_break_nothing(name):
-    run_randomly(name, 350_000)
+    run_randomly(name, 350_000, growth=30e6)
 
 
 # Misuse ---------------------------------------------------------------------------------------
@@ -356,12 +372,12 @@ def test_a_million_random_actions_in_all_break_nothing(name):
 def test_a_bad_action_raises_and_moves_nothing(name, env, action, error):
     bare = env.unwrapped
     bare.reset(seed=0)
-    bare.step(np.zeros(6, np.float32))
+    bare.step(whole(bare, np.full(6, -1.0, np.float32)))
     before = env.unwrapped.episodes.simulation.state().joint_pos
     with pytest.raises(error, match=SERVOS[2] if error is WorkspaceError else "shape"):
-        bare.step(action)
+        bare.step(action if name != GRASP_TYPE or action.shape != (6,) else whole(bare, action))
     np.testing.assert_array_equal(env.unwrapped.episodes.simulation.state().joint_pos, before)
-    bare.step(np.zeros(6, np.float32))
+    bare.step(whole(bare, np.full(6, -1.0, np.float32)))
 
 
 @every_id
@@ -381,6 +397,6 @@ def test_calls_out_of_order_say_so(name):
 @every_id
 def test_info_can_be_logged(name, env):
     env.reset(seed=0)
-    *_, info = env.step(np.zeros(6, np.float32))
+    *_, info = env.step(whole(env, np.zeros(6, np.float32)))
     assert json.loads(json.dumps(info)) == info
     assert isinstance(info["is_success"], bool)

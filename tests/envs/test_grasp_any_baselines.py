@@ -14,9 +14,10 @@ from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
 from hpac_gym.tasks.scripted import scripted_closure
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+from tools.any_closures import Player, first_winners
 
 N = 64
-TRIES = 24
+TRIES = 64
 OPEN = np.zeros(6)
 OPEN[SERVO_INDEX["thumb_cmc"]] = 1.2
 CLOSED = HPAC.synergy_max.copy()
@@ -141,24 +142,6 @@ def test_the_script_leaves_headroom(objects, most):
 @pytest.mark.slow
 def test_most_real_objects_can_be_held():
     """By a closure that is drawn at random, one after the other, until one holds the object of an episode."""
-    hands, rng, seeds = Hands("real"), np.random.default_rng(7), list(range(48))
-    tries, held = dict.fromkeys(seeds, 0), set()
-    while left := [seed for seed in seeds if seed not in held and tries[seed] < TRIES]:
-        chosen = [left[index % len(left)] for index in range(N)]
-        target = np.tile(HPAC.synergy_max, (N, 1))
-        target[:, [0, 5]] = rng.uniform((0.3, 0.6), (1.1, 1.4), (N, 2))
-        target[:, FINGERS] = np.minimum(rng.uniform(0.8, 1.3, (N, 1)) + rng.normal(0, 0.12, (N, 4)), HPAC.synergy_max[FINGERS])
-        begin, duration = rng.uniform(0.0, 0.6, (N, 6)), rng.uniform(0.5, 1.4, (N, 6))
-        begin[:, 5], duration[:, 5] = 0.0, 0.3
-
-        def act(step: int, _: np.ndarray) -> np.ndarray:
-            done = np.clip(((step + 1) / CONTROL_HZ - begin) / duration, 0.0, 1.0)  # noqa: B023  used at once
-            return action_from_synergy(np.clip(OPEN + done * (target - OPEN), 0.0, HPAC.synergy_max))  # noqa: B023
-
-        hands.play(chosen, act)
-        held |= {seed for seed, won in zip(chosen, hands.won, strict=True) if won}
-        for seed in chosen:
-            tries[seed] += 1
-    hands.envs.close()
-    print(f"real: the best of {TRIES} closures holds {len(held)} of {len(seeds)}")
-    assert len(held) >= 0.85 * len(seeds)
+    found = first_winners(Player("real"), range(48), TRIES)
+    print(f"real: the best of {TRIES} closures holds {len(found)} of 48")
+    assert len(found) >= 0.85 * 48

@@ -127,16 +127,18 @@ def held_by(env, seed: int) -> tuple[set[str], float]:
     return {part for part, held in zip(PARTS, often, strict=True) if held}, max(carried, default=0.0)
 
 
+@pytest.mark.pybullet  # the closures were found in PyBullet
 @pytest.mark.parametrize("name", NAMES)
 def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
-    """In most of five episodes each of `HOLDING` touches it, and the forces add up to less than 80 N."""
+    """In most of three episodes each of `HOLDING` touches it, and the forces add up to less than 80 N."""
     with gymnasium.make(ID, grasp=name) as env:
-        seen = [held_by(env, seed) for seed in range(300, 305)]
+        seen = [held_by(env, seed) for seed in range(300, 303)]
     for part in HOLDING[name]:
-        assert sum(part in parts for parts, _ in seen) >= 3, part
-    assert sum(force < 80 for _, force in seen) >= 3
+        assert sum(part in parts for parts, _ in seen) >= 2, part
+    assert sum(force < 80 for _, force in seen) >= 2
 
 
+@pytest.mark.pybullet  # the closures were found in PyBullet
 @pytest.mark.parametrize("name", ["rod", "tip_pinch", "lateral_pinch", "screwdriver"])
 def test_scripted_closure_beats_random_actions(name: str):
     scripted, wild = successes(name, range(6))

@@ -51,7 +51,7 @@ def test_an_engine_is_closed_where_an_environment_is_refused(monkeypatch, make):
     assert len(closed) == 1
 
 
-TASK_OPTIONS = ("grasp", "variant", "object", "objects", "hands", "wrist", "config")
+TASK_OPTIONS = ("grasp", "variant", "object", "objects", "types", "hands", "wrist", "config")
 CHOICES = [option for option in OPTIONS if option.values and not option.others]
 
 
@@ -194,6 +194,10 @@ def test_a_config_that_would_be_passed_over_in_silence_is_refused():
     with pytest.raises(ParameterError, match="config mass, box_yaw: a named grasp such as 'rod' has its own object"):
         gymnasium.make("HPAC-Grasp-v0", grasp="rod", config={"mass": [0.1, 0.2], "box_yaw": [0.0, 0.1], "drop_distance": 0.05})
     gymnasium.make("HPAC-Grasp-v0", grasp="rod", config={"drop_distance": 0.05, "weights": {"success": 1.0}}).close()
+    own = ObjectSpec("box", (0.02, 0.02, 0.05), mass=0.1, friction=0.8)
+    with pytest.raises(ParameterError, match="config radius, mass: an object of one's own has its own size, mass and friction"):
+        gymnasium.make("HPAC-Grasp-v0", object=own, config={"mass": [0.1, 0.2], "gap": [0.0, 0.01], "radius": [0.01, 0.02]})
+    gymnasium.make("HPAC-Grasp-v0", object=own, config={"gap": [0.0, 0.01]}).close()
     with pytest.raises(ParameterError, match=r"config duration = 3.0 s: give .*max_episode_steps"):
         gymnasium.make("HPAC-Posture-v0", config={"duration": 3.0})
     with pytest.raises(ValueError, match=r"CameraNoise\(position=0.0015, angle=-1, .*at least 0"):
@@ -225,6 +229,7 @@ TIMES = {"timetable": {"close_time": 1.0}, "weights": {"success": 3.0}}
         ("HPAC-Grasp-v0", {"noise": CameraNoise(0.0, 0.01, 0.0), "randomize": "full"}),
         ("HPAC-Grasp-v0", {"noise": {"position": 0.0}, "config": {"radius": [0.02, 0.025], **TIMES}}),
         ("HPAC-Grasp-v0", {"config": GraspConfig(mass=(0.1, 0.1), timetable=Timetable(close_time=1.1))}),
+        ("HPAC-GraspType-v0", {"types": ["rod", "hook"], "objects": "test", "config": {"spread": 2.0, "drop_distance": 0.05}}),
         ("HPAC-PickPlace-v0", {"noise": {"size": 0}, "config": {"mass": (0.1, 0.1), **TIMES}}),
     ],
     ids=str,
@@ -235,7 +240,8 @@ def test_ranges_noise_and_config_survive_json_and_give_the_same_episode(name, gi
         assert again.unwrapped.task.config == env.unwrapped.task.config
         assert again.spec.max_episode_steps == env.spec.max_episode_steps
         assert data_equivalence(env.reset(seed=3), again.reset(seed=3), exact=True)
-        assert data_equivalence(env.step(np.zeros(6)), again.step(np.zeros(6)), exact=True)
+        action = np.zeros(env.action_space.shape)
+        assert data_equivalence(env.step(action), again.step(action), exact=True)
 
 
 def test_what_is_given_counts():
@@ -247,7 +253,10 @@ def test_what_is_given_counts():
         np.testing.assert_allclose(part(observation, env.unwrapped.task.terms, "object_pos"), centre, atol=1e-6)
 
 
-@pytest.mark.parametrize(("name", "steps"), [("HPAC-Grasp-v0", 64), ("HPAC-PickPlace-v0", 110), ("HPAC-Posture-v0", 40)])
+@pytest.mark.parametrize(
+    ("name", "steps"),
+    [("HPAC-Grasp-v0", 64), ("HPAC-GraspType-v0", 64), ("HPAC-PickPlace-v0", 110), ("HPAC-Posture-v0", 40)],
+)
 def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itself(name, steps):
     spec = gymnasium.spec(name)
     assert spec.max_episode_steps in (steps, steps + 1)
@@ -268,16 +277,18 @@ def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itsel
 
 
 def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(env):
-    beyond = np.nextafter(np.ones(6, np.float32), np.float32(2))
+    ones = np.ones(env.action_space.shape, np.float32)
+    beyond = np.nextafter(ones, np.float32(2))
     assert (beyond > 1).all()
     commands = []
-    for action in (np.ones(6, np.float32), beyond):
+    for action in (ones, beyond):
         env.reset(seed=0)
         env.step(action)
         commands.append(env.unwrapped.command.servo)
     np.testing.assert_array_equal(*commands)
+    env.reset(seed=0)
     with pytest.raises(WorkspaceError, match=r"action thumb_mp = 1\.00001 .*gymnasium\.wrappers\.ClipAction"):
-        env.step(np.full(6, 1.00001))
+        env.step(1.00001 * ones.astype(float))
 
 
 @pytest.mark.parametrize(

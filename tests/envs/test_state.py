@@ -7,6 +7,7 @@ import pytest
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.simulation import ENGINES
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 
 GRASP, PICK_PLACE, POSTURE = "HPAC-Grasp-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0"
 
@@ -34,6 +35,7 @@ def told(env: gymnasium.Env, actions: np.ndarray) -> list:
 @pytest.mark.parametrize(
     ("name", "options", "steps"),
     [(GRASP, {"obs": "privileged", "randomize": "full"}, 48), ("HPAC-GraspAny-v0", {"obs": "load", "wrist": "free"}, 14),
+     ("HPAC-GraspType-v0", {"types": "large_cylinder"}, 48),
      (PICK_PLACE, {"randomize": "link"}, 40), (POSTURE, {}, 12)],
     ids=str,
 )  # fmt: skip
@@ -42,8 +44,9 @@ def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(name
     env = gymnasium.make(name, engine=engine, **options).unwrapped
     rng = np.random.default_rng(3)
     actions = closing(steps, rng)
-    if env.action_space.shape != (6,):  # the wrist's place, which is chosen once more after the first state
-        actions = np.concatenate([actions, np.full((steps, 4), 0.5, np.float32)], axis=1)
+    more = env.action_space.shape[0] - 6  # the wrist's place, which is chosen once more after the first state
+    place = np.full(more, 0.5) if more < 6 else wrist_choice(GRASP_TYPES[options["types"]].start)
+    actions = np.concatenate([actions, np.tile(place, (steps, 1))], axis=1).astype(np.float32)
     env.reset(seed=5)
     saved, rows = [(0, env.save_state())], []
     for number, action in enumerate(actions, 1):

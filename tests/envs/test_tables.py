@@ -14,7 +14,7 @@ import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, PickPlace
-from hpac_gym.envs.options import GRASP, GRASP_ANY, IDS, PICK_PLACE, POSTURE, POSTURE_V0
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE, POSTURE_V0
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.tasks import posture
 from hpac_gym.tasks.grip import MAX_SLIP
@@ -23,10 +23,10 @@ from hpac_gym.tasks.terms import GRASP_CENTRE
 from tools.tables import DOCS, PAGES, filled
 
 ID_PAGES = {
-    GRASP: "environments/grasp.md", GRASP_ANY: "environments/grasp_any.md", PICK_PLACE: "environments/pick_place.md",
-    POSTURE: "environments/posture.md",
+    GRASP: "environments/grasp.md", GRASP_ANY: "environments/grasp_any.md", GRASP_TYPE: "environments/grasp_type.md",
+    PICK_PLACE: "environments/pick_place.md", POSTURE: "environments/posture.md",
 }  # fmt: skip
-STEPS = {GRASP: 64, GRASP_ANY: 144, PICK_PLACE: 110, POSTURE: 40}
+STEPS = {GRASP: 64, GRASP_ANY: 144, GRASP_TYPE: 64, PICK_PLACE: 110, POSTURE: 40}
 PARTS = (
     "Description", "Action space", "Observation space", "Rewards", "Starting state", "Episode end", "Info", "Arguments",
     "Baselines", "Version history",
@@ -134,7 +134,7 @@ def test_every_name_of_the_package_on_a_page_is_there(page):
         assert (DOCS.parent / file).exists(), file
 
 
-@pytest.mark.parametrize("name", [GRASP, GRASP_ANY, PICK_PLACE])
+@pytest.mark.parametrize("name", [GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE])
 def test_a_page_names_what_a_caller_may_have_to_import(name):
     page = words(ID_PAGES[name])
     for kind in ("SceneSetup", "ObjectSpec", "CameraNoise", "Randomization"):

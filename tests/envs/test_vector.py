@@ -287,7 +287,7 @@ def test_a_closed_vector_says_so(envs):
 
 
 @pytest.mark.pybullet
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", [GRASP, *(pytest.param(name, marks=pytest.mark.slow) for name in IDS if name != GRASP)])
 def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(name):
     options = {"max_episode_steps": 3, "reward": "sparse", "autoreset_mode": AutoresetMode.SAME_STEP}
     made = gymnasium.make_vec(f"hpac_gym:{name}", num_envs=2, engine="pybullet", **options)

@@ -1,12 +1,15 @@
 """The winning closures of the held-out seeds: the file, the scale that it gives, and a sample played again."""
 
+import hashlib
+
 import gymnasium
 import numpy as np
 import pytest
 
 from agents.evaluate import table
-from hpac_gym.evaluation.closures import COLUMNS, Closure, Scale, Try, scale_of, share_found, winning_closures
+from hpac_gym.evaluation.closures import BLIND, COLUMNS, Closure, Scale, Try, scale_of, share_found, winning_closures
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.policies.loading import load_policy
 from tools.closures import ENV_ID
 
 
@@ -30,6 +33,20 @@ def test_closures_of_the_file_hold_their_seeds_and_those_of_others_hold_fewer():
     assert sum(others) < sum(own) - 1
 
 
+@pytest.mark.slow
+@pytest.mark.pybullet
+def test_the_best_blind_closure_holds_more_than_random_ones_and_is_a_policy():
+    """On training seeds that did not choose it."""
+    with gymnasium.make(ENV_ID, engine="pybullet") as env:
+        policy = load_policy("hpac_gym.evaluation.closures:Blind", env)
+        policy.reset(0)
+        np.testing.assert_array_equal([policy.act(None) for _ in range(3)], [BLIND.action(step) for step in (1, 2, 3)])
+        rng, seeds = np.random.default_rng(8), range(5_000, 5_024)
+        best, others = (sum(holds(env, one, seed) for seed in seeds for one in [closure or Closure.drawn(rng)])
+                        for closure in (BLIND, None))  # fmt: skip
+    assert best > others + 2
+
+
 def test_the_file_has_one_row_for_each_held_out_seed_without_a_gap():
     found = winning_closures()
     assert [entry.seed for entry in found] == list(range(HELD_OUT_SEED, HELD_OUT_SEED + len(found)))
@@ -39,6 +56,12 @@ def test_the_file_has_one_row_for_each_held_out_seed_without_a_gap():
         if entry.closure:
             again = np.random.default_rng([entry.seed, 2])
             assert [Closure.drawn(again) for _ in range(entry.tries)][-1] == entry.closure
+
+
+def test_the_winners_act_to_the_bit_as_when_they_were_found():
+    winners = [entry.closure for entry in winning_closures() if entry.closure][::10]
+    actions = np.array([winner.action(step) for winner in winners for step in range(1, 65)])
+    assert hashlib.sha256(actions.tobytes()).hexdigest()[:16] == "aca5251535526eb6"
 
 
 def test_a_closure_goes_from_open_to_its_goal_and_stays():

@@ -16,16 +16,21 @@ from hpac_gym.physics.simulation import make_engine
 WORLD = WorldSettings()
 
 
+every_number_of_postures = pytest.mark.parametrize("postures", [5, pytest.param(25, marks=pytest.mark.slow)])
+
+
+@every_number_of_postures
 @pytest.mark.parametrize(("engine", "body"), COMBINATIONS)
-def test_marks_are_met(engine, body):
-    missed = {figure.name: figure.value for figure in figures(partial(make_engine, engine), body) if not figure.holds}
-    assert not missed
+def test_marks_are_met(engine, body, postures):
+    found = figures(partial(make_engine, engine), body, postures=postures)
+    assert not {figure.name: figure.value for figure in found if not figure.holds}
 
 
 @pytest.mark.pybullet
-def test_bullets_iterative_solver_meets_the_marks_too():
+@every_number_of_postures
+def test_bullets_iterative_solver_meets_the_marks_too(postures):
     iterative = WorldSettings(solver_iterations=200)
-    assert all(figure.holds for figure in figures(partial(make_engine, "pybullet"), "twin", iterative))
+    assert all(figure.holds for figure in figures(partial(make_engine, "pybullet"), "twin", iterative, postures))
 
 
 def test_the_twin_is_fit_for_explicit_torques():

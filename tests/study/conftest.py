@@ -7,7 +7,8 @@ import pytest
 
 from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.hidden import LAWS, hidden_hands
-from hpac_gym.study.population import Built, Workshop, build
+from hpac_gym.study.populations import Workshop, build
+from hpac_gym.study.quasistatic import Built
 from hpac_gym.study.record import Sweep
 
 
@@ -31,4 +32,4 @@ def record(hidden) -> Sweep:
 @pytest.fixture(scope="session")
 def nominal_record() -> Sweep:
     """The nominal hand's record, in metal without any of what the model leaves out, by a good camera."""
-    return metal_sweeps(build(Workshop({}), 1, 0), 3, JointCamera(noise=np.deg2rad(0.05)))[0]
+    return metal_sweeps(build(Workshop(), 1, 0), 3, JointCamera(noise=np.deg2rad(0.05)))[0]

@@ -12,11 +12,11 @@ from hpac_gym.model.settled import EXTENSION, settled_digit, settled_joints_from
 from hpac_gym.study import calibrate
 from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
 from hpac_gym.study.combinations import SweptDigit, combinations, digit_with, values
-from hpac_gym.study.hidden import ERROR_MARK_DEG, HiddenSummary, run_hidden, run_hidden_in_physics, summarised, swept_digit
+from hpac_gym.study.hidden import COLUMNS, COVERAGE, HiddenHand, run_hidden, run_hidden_in_physics, swept_digit
 from hpac_gym.study.identification import IdentificationError, identify
-from hpac_gym.study.population import Built
-from hpac_gym.study.quasistatic import Metal, hand_course
+from hpac_gym.study.quasistatic import Built, Metal, hand_course
 from hpac_gym.study.record import JOINT_COLUMNS, PHASES, Sweep, concatenate, read_sweep, write_sweep
+from hpac_gym.study.results import rows_of
 from hpac_gym.study.samples import digit_samples
 from tests.study.options import parsed
 
@@ -26,7 +26,7 @@ INDEX = [JOINT_INDEX[name] for name in HPAC.digits["index"].joints]
 
 def truth_of(built: Built) -> np.ndarray:
     """Where a hand in metal rests at `SERVO`, shape (17, 15) [rad]."""
-    return hand_course([built.hand], [built.metal], SERVO)[0]
+    return hand_course([built], SERVO)[0]
 
 
 def spoiled(record: Sweep, **changes) -> Sweep:
@@ -54,38 +54,42 @@ def test_zeros_are_found_in_a_flexion(hidden, found):
         assert found.hand.calibration.servo_zero[column] == fit.swept.servo_zero == pytest.approx(true, abs=np.deg2rad(0.25))
 
 
-def coverage(draws: int, seed: int) -> HiddenSummary:
+def summarised(hands: list[HiddenHand]) -> dict:
+    return rows_of((*COLUMNS, *COVERAGE), {"hands": hands})["hands"]
+
+
+def coverage(draws: int, seed: int) -> dict:
     return summarised(run_hidden(draws, seed, "laws of the fit"))
 
 
 def test_hidden_hands_meet_the_marks_and_their_intervals_hold_the_truth():
     """±20 % stiffness, ±5 % geometry, zeros, frictions, stops, 2 % of outliers and of dropped frames; not the fit's solver."""
     found = coverage(3, seed=11)
-    assert found.refused == found.stops_missed == 0
-    assert found.within == 1.0
-    assert min(found.coverage.values()) >= 0.8  # of 15 digits; the slow test takes 300
+    assert found["refused"] == found["stops_missed"] == 0
+    assert found["within"] == 1.0
+    assert min(found["coverage"].values()) >= 0.8  # of 15 digits; the slow test takes 300
 
 
 @pytest.mark.slow
 def test_95_percent_intervals_hold_the_truth_in_90_percent_of_the_digits():
     found = coverage(60, seed=12)
-    assert min(found.coverage.values()) >= 0.9, found.coverage
-    assert found.worst_deg < ERROR_MARK_DEG
+    assert min(found["coverage"].values()) >= 0.9, found["coverage"]
+    assert found["worst_deg"] < 0.1
 
 
-@pytest.mark.parametrize("draws", [2, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("draws", [1, pytest.param(20, marks=pytest.mark.slow)])
 def test_other_laws_than_the_fits_are_still_met_within_the_marks(draws):
     found = summarised(run_hidden(draws, 5, "other laws"))
-    assert found.refused == 0
-    assert found.within >= 0.95
-    assert not found.coverage
+    assert found["refused"] == 0
+    assert found["within"] >= 0.95
+    assert not found["coverage"]
 
 
 @pytest.mark.slow
 def test_a_hidden_hand_in_the_physics_engine_meets_the_marks():
     found = summarised(run_hidden_in_physics(1, 3))
-    assert found.refused == 0
-    assert found.within == 1.0
+    assert found["refused"] == 0
+    assert found["within"] == 1.0
 
 
 def test_what_the_data_tells_is_told_and_what_not_is_named(found):
@@ -177,7 +181,7 @@ def test_both_directions_tell_friction_that_one_cannot():
     told = [{item.name: item.told for item in found.fits["index"].estimates} for found in (one, both)]
     assert told[1]["tendon_friction"] > 0.5 > told[0]["tendon_friction"]
     assert both.hand.calibration.friction[1].joint == pytest.approx(2e-3, rel=0.3)
-    back = hand_course([HPAC], [metal], np.concatenate([SERVO, SERVO[::-1]]))[0][17:]
+    back = hand_course(built, np.concatenate([SERVO, SERVO[::-1]]))[0][17:]
     error = settled_joints_from_servo(SERVO[::-1], both.hand, EXTENSION) - back
     assert np.degrees(np.abs(error[3:13, INDEX]).max()) < 0.15
 

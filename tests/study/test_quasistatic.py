@@ -9,7 +9,7 @@ from hpac_gym.model import HPAC, JOINT_INDEX, elastic_joints_from_servo, rigid_j
 from hpac_gym.model.parameters import Friction
 from hpac_gym.model.settled import EXTENSION, settled_joints_from_servo, with_friction
 from hpac_gym.study import quasistatic
-from hpac_gym.study.quasistatic import Metal, SettleError, follow, hand_course
+from hpac_gym.study.quasistatic import Built, Metal, SettleError, follow, hand_course
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 21)
 STIFF_DRIVE = scaled_hand(HPAC, {"drive_stiffness": 1e4})
@@ -18,7 +18,7 @@ CLOSE = 2e-6
 
 
 def course(hand=HPAC, servo=SERVO, **metal) -> np.ndarray:
-    return hand_course([hand], [[Metal(**metal)] * 5], servo)[0]
+    return hand_course([Built(hand, (Metal(**metal),) * 5)], servo)[0]
 
 
 def test_with_the_papers_assumptions_it_is_the_papers_model():
@@ -83,7 +83,7 @@ def test_the_work_of_servo_and_springs_balances_without_friction():
 
 def test_a_stop_holds_its_joint_and_a_dead_band_stops_the_horn_short():
     dip, mcp = JOINT_INDEX["index_dip"], JOINT_INDEX["index_mcp"]
-    stopped = hand_course([HPAC], [[Metal(), *[Metal(stop=(9.0, 9.0, 0.8))] * 4]], SERVO)[0]
+    stopped = hand_course([Built(HPAC, (Metal(), *[Metal(stop=(9.0, 9.0, 0.8))] * 4))], SERVO)[0]
     assert stopped[:, dip].max() == 0.8
     assert stopped[-1, mcp] < course()[-1, mcp]
     short = course(servo=SERVO + 2e-3, dead_band=2e-3)
@@ -91,9 +91,9 @@ def test_a_stop_holds_its_joint_and_a_dead_band_stops_the_horn_short():
 
 
 def test_every_digit_is_its_own_whatever_stands_beside_it():
-    built = [HPAC, scaled_hand(HPAC, {"servo_radius": 1.02})]
-    both = hand_course(built, [[Metal()] * 5] * 2, SERVO)
-    assert both[1] == pytest.approx(hand_course(built[1:], [[Metal()] * 5], SERVO)[0], abs=CLOSE)
+    built = [Built(hand, (Metal(),) * 5) for hand in (HPAC, scaled_hand(HPAC, {"servo_radius": 1.02}))]
+    both = hand_course(built, SERVO)
+    assert both[1] == pytest.approx(hand_course(built[1:], SERVO)[0], abs=CLOSE)
     assert np.abs(both[1] - both[0]).max() > 0.01
 
 

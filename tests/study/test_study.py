@@ -9,15 +9,14 @@ import pytest
 from hpac_gym.model import HPAC, JOINTS
 from hpac_gym.model.parameters import Friction
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo, with_friction
-from hpac_gym.study import commanding, hidden, population, rivals, study, tracking, trials
+from hpac_gym.study import commands, populations, rivals, study, tracking, trials
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
-from hpac_gym.study.intervals import mean_of
-from hpac_gym.study.population import Built
-from hpac_gym.study.processing import points
-from hpac_gym.study.quasistatic import Metal
+from hpac_gym.study.processing import points, processed
+from hpac_gym.study.quasistatic import Built, Metal
 from hpac_gym.study.record import concatenate
 from hpac_gym.study.reference import load_reference
+from hpac_gym.study.results import Column, mean_of, range_of, rows_of, table
 from hpac_gym.study.trials import JointTrials
 from tests.study.options import parsed
 
@@ -33,7 +32,7 @@ def made_up_trials(width: float, spread: float, count: int = 40) -> JointTrials:
 
 def test_width_and_spread_of_made_up_trials_come_back():
     joints = {"index_dip": made_up_trials(width=0.02, spread=0.005)}
-    width, spread = trials.hysteresis_deg(joints)["index_dip"], trials.spread_deg(joints)["index_dip"]
+    width, spread = rows_of(trials.COLUMNS, joints)["index_dip"].values()
     assert width.low < np.degrees(0.02) < width.high
     assert spread.low < np.degrees(0.005) < spread.high
     assert width.high - width.low < 0.2 * width.mean
@@ -45,6 +44,7 @@ def test_the_turning_points_do_not_count_for_the_width():
     assert trials.hysteresis_width(joint) == pytest.approx(0.02)
 
 
+@pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_for():
     """The index in PyBullet against the closed form's two branches, slowly and without noise.
 
@@ -53,10 +53,10 @@ def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_f
     quiet = replace(REFERENCE.rig, hand=HPAC, camera=JointCamera(noise=0.0, drift=0.0)).with_protocol(
         points=12, seconds_per_point=3.0, rest=0.5, both_directions=True
     )
-    settings = replace(REFERENCE.trials, tendon_friction=0.05, friction_spread=0.0, seat=0.0)
+    settings = replace(REFERENCE.trials, tendon_friction=0.05, friction_spread=0.0)
     record = trials.run_trials(replace(REFERENCE, rig=quiet, trials=settings), 1, 0, servos=("index_mcp",))
     friction = Friction(REFERENCE.rig.settings.joint_friction, 0.05)
-    for name, joint in trials.by_joint(record, REFERENCE.cutoff_hz).items():
+    for name, joint in trials.by_joint(points(processed(record, REFERENCE.cutoff_hz))).items():
         servo = np.zeros((len(joint.servo), 6))
         servo[:, 1] = joint.servo
         column = JOINTS.index(name)
@@ -84,6 +84,7 @@ def test_profiles_have_period_one_and_reach_both_ends():
     assert np.diff(tracking.back_and_forth(ends))[[0, 2]] == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_a_slow_profile_is_tracked_and_a_later_servo_lags_more():
     found = {}
     for late in (0.0, 0.05):
@@ -94,6 +95,7 @@ def test_a_slow_profile_is_tracked_and_a_later_servo_lags_more():
     assert found[0.05] - found[0.0] == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_the_camera_in_the_loop_halves_the_error_and_without_learning_it_does_not(monkeypatch):
     def rms() -> float:
         seen = tracking.track(REFERENCE, tracking.sine, 0.25, np.random.default_rng(0), closed=True)
@@ -164,17 +166,16 @@ def test_a_mean_has_students_interval():
 
 @pytest.mark.slow
 def test_one_sweep_brings_all_nine_joints_within_the_goal_and_the_way_back_needs_its_friction():
-    maps = (*commanding.BEFORE_AND_AFTER, "… friction of flexion both ways")
-    rows = commanding.run_commanding(population.WORKSHOPS[study.COMMANDED], 3, 7, hidden.CAMERA, maps)
-    before, after, one_way = rows.values()
-    assert before.all_within_goal == before.all_within_goal_back == 0.0
-    assert after.all_within_goal == after.all_within_goal_back == 1.0
-    assert one_way.extension_worst.median > 5 * after.extension_worst.median
+    maps = (*commands.BEFORE_AND_AFTER, "… friction of flexion both ways")
+    before, after, one_way = commands.commands("", populations.WORKSHOPS[study.COMMANDED], 3, 7, maps).data.values()
+    assert before["all_within_goal"] == before["all_within_goal_back"] == 0.0
+    assert after["all_within_goal"] == after["all_within_goal_back"] == 1.0
+    assert one_way["extension_worst"].median > 5 * after["extension_worst"].median
 
 
 def test_hands_of_a_workshop_are_drawn_one_by_one_and_spread_with_its_tolerance():
-    narrow, wide = (population.build(population.Workshop(population.geometry(size)), 3, 1) for size in (1e-3, 1e-2))
-    assert narrow[:2] == population.build(population.Workshop(population.geometry(1e-3)), 2, 1)
+    narrow, wide = (populations.build(populations.Workshop(populations.geometry(size)), 3, 1) for size in (1e-3, 1e-2))
+    assert narrow[:2] == populations.build(populations.Workshop(populations.geometry(1e-3)), 2, 1)
     off = [abs(built[0].hand.digits["ring"].d2 / HPAC.digits["ring"].d2 - 1) for built in (narrow, wide)]
     assert off[1] == pytest.approx(10 * off[0])
     assert len({digit.d1 for digit in wide[0].hand.digits.values()}) == 5
@@ -184,10 +185,21 @@ def test_a_population_tells_what_compensation_makes_worse():
     """Made-up errors: of two hands with nine joints one joint is worse with compensation, and one hand is good."""
     before, after = np.full((2, 9), 1.0), np.full((2, 9), 0.1)
     after[1, 4] = 1.5
-    row = population.population_row(population.PopulationErrors(before, after, np.zeros((2, 5))))
-    assert row.made_worse == pytest.approx(1 / 18)
-    assert row.all_below == 0.5
-    assert row.worst_joint.median == pytest.approx(0.8)
+    errors = populations.PopulationErrors(before, after, np.zeros((2, 5)))
+    row = rows_of(populations.COLUMNS, {"hands": errors})["hands"]
+    assert row["made_worse"] == pytest.approx(1 / 18)
+    assert row["all_below"] == 0.5
+    assert row["worst_joint"].median == pytest.approx(0.8)
+
+
+def test_a_table_shows_every_number_in_its_form_and_keeps_it_whole_for_programs():
+    columns = (Column("middle", "middle [°]", range_of), Column("share", "beyond 1", lambda x: float((x > 1).mean()), "{:.0%}"))
+    rows = rows_of(columns, {"first": np.array([0.5, 1.5, 1.5]), "second": np.zeros(2)})
+    assert rows["first"]["share"] == pytest.approx(2 / 3)
+    head, rule, first, second = table("hands", columns, rows).splitlines()
+    assert (head, rule) == ("| hands | middle [°] | beyond 1 |", "|---|--:|--:|")
+    assert first == "| first | 1.50 [0.55, 1.50] | 67% |"
+    assert second == "| second | 0.00 [0.00, 0.00] | 0% |"
 
 
 def command(tmp_path, capsys, *words: str) -> dict:
@@ -223,7 +235,7 @@ def test_trials_of_a_record_become_rows_joint_by_joint():
     plain = [Built(HPAC, (Metal(),) * 5)]
     parts = [metal_sweeps(plain, seed, protocol=Protocol(both_directions=True), servos=("ring_mcp",))[0] for seed in (0, 1)]
     record = concatenate([parts[0], replace(parts[1], trial=parts[1].trial + 1)])
-    joints = trials.by_joint_of_points(points(record))
+    joints = trials.by_joint(points(record))
     assert set(joints) == {"ring_mcp", "ring_pip", "ring_dip"}
     for joint in joints.values():
         assert joint.flexion.shape == joint.extension.shape == (2, len(joint.servo))

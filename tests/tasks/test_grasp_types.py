@@ -8,15 +8,26 @@ import pytest
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
     HPAC,
-    JOINT_INDEX,
     POSTURES,
     action_from_synergy,
     joints_from_synergy,
     reach,
     servo_from_action,
 )
+from hpac_gym.physics.engine import HAND_QUATERNION, matrix_from_quaternion
+from hpac_gym.tasks.grasp import quaternion_from_rpy
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
-from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspOfType, Hold, Hole, Moment, Rule, data_text, grasp_types_from_toml
+from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Moment, Rule
+from hpac_gym.tasks.grasp_types import (
+    GRASP_TYPES,
+    START,
+    TYPE_SPLITS,
+    GraspByType,
+    GraspTypeConfig,
+    data_text,
+    grasp_types_from_toml,
+    wrist_choice,
+)
 
 NAMES = list(GRASPS)
 TIPS = {digit: f"{joint}_link" for digit, joint in zip(HPAC.digits, ("thumb_ip", *(f"{f}_dip" for f in list(HPAC.digits)[1:])),
@@ -54,7 +65,7 @@ def moment(
 
 
 def hold(*moments: Moment) -> Hold:
-    return Hold(moments=list(moments))
+    return Hold(moments)
 
 
 PINCH = {TIPS["thumb"]: 3.0, TIPS["index"]: 3.0}
@@ -145,17 +156,81 @@ def test_a_bad_file_of_types_is_refused_by_name(old: str, new: str, message: str
         grasp_types_from_toml(text.replace(old, new, 1).replace("[rod.rule]", "[club.rule]" if "club]" in new else "[rod.rule]"))
 
 
-def test_an_unknown_type_is_named():
-    with pytest.raises(GraspError, match="no grasp type 'club'; there are large_cylinder"):
-        GraspOfType("club")
+@pytest.mark.parametrize(
+    ("types", "message"),
+    [("club", "'club'; there are all, train, test, large_cylinder"), (["rod", 3], "3;"), ([], r"\[\];"), (None, "None;")],
+)
+def test_an_unknown_type_is_named(types, message: str):
+    with pytest.raises(GraspError, match=f"no grasp type {message}"):
+        GraspByType(types)
 
 
-def test_the_task_draws_the_types_own_start():
-    setup = GraspOfType("press").setup(np.random.default_rng(0))
-    kind = GRASP_TYPES["press"].start
-    np.testing.assert_array_equal(setup.synergy, kind.preshape)
-    assert np.abs(setup.position - kind.position).max() <= max(kind.position_noise)
-    assert setup.object.model.name == "spray_can"
-    assert GraspOfType("press", "large").rule.button == pytest.approx(1.08 * GraspOfType("press").rule.button)
-    assert GraspOfType("tape_roll", "small").rule.holes[0].half[0] == pytest.approx(0.92 * 0.019)
-    assert POSTURES["press"].target_joint_pos[JOINT_INDEX["thumb_cmc"]] > 0
+def test_the_splits_part_the_types_and_their_objects():
+    assert TYPE_SPLITS["all"] == tuple(NAMES)
+    assert sorted(TYPE_SPLITS["train"] + TYPE_SPLITS["test"]) == sorted(NAMES)
+    drawn = {objects: drawn_setups("all", objects, 300) for objects in ("train", "test")}
+    for name in NAMES:
+        start = GRASP_TYPES[name].start
+        own, held_out = ({setup.object for setup in drawn[objects] if setup.grasp == name} for objects in ("train", "test"))
+        assert {spec.model.name for spec in own} == {start.object.name}
+        assert len(own) == 1
+        assert held_out
+        assert not own & held_out
+    assert {setup.grasp for setup in drawn_setups(["rod", "hook"], "train", 20)} == {"rod", "hook"}
+
+
+def drawn_setups(types, objects: str, count: int, **more) -> list:
+    task, rng = GraspByType(types, objects, **more), np.random.default_rng(0)
+    return [task.setup(rng) for _ in range(count)]
+
+
+def test_there_is_one_start_for_all_types():
+    """The open hand, turned one way, the object out of reach; and the object as high above the table as its type has it."""
+    for setup in drawn_setups("all", "train", 100):
+        assert not setup.synergy.any()
+        assert setup.hand_quaternion == HAND_QUATERNION
+        start = GRASP_TYPES[setup.grasp].start
+        assert np.abs(setup.position - START).max() <= max(start.position_noise)
+        height = 0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height
+        own = 0.25 + (rotation_of(start) @ start.position)[2] - start.support.table_height
+        assert abs(height - own) <= 1.8 * max(start.position_noise)
+
+
+def rotation_of(start) -> np.ndarray:
+    return matrix_from_quaternion(quaternion_from_rpy(start.hand_rpy))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_action_puts_the_hand_where_the_type_has_it(name: str):
+    """Hand, object and support are those of the wrist that a script places, with the same noise."""
+    start, free, script = GRASP_TYPES[name].start, GraspByType(name), GraspByType(name, wrist="script")
+    choice = wrist_choice(start)
+    assert np.abs(choice).max() <= 1
+    action = np.append(action_from_synergy(start.preshape), choice)
+    chosen = free.chosen(free.setup(np.random.default_rng(3)), action)
+    placed = script.setup(np.random.default_rng(3))
+    np.testing.assert_allclose(chosen.synergy, placed.synergy, atol=1e-9)
+    np.testing.assert_allclose(chosen.position, placed.position, atol=1e-9)
+    np.testing.assert_allclose(chosen.hand_rotation, placed.hand_rotation, atol=1e-9)
+    heights = [0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height for setup in (chosen, placed)]
+    assert abs(heights[0] - heights[1]) <= 2e-9
+    assert (chosen.object, chosen.yaw, chosen.object_quaternion) == (placed.object, placed.yaw, placed.object_quaternion)
+
+
+def test_the_noise_has_the_spread_of_the_config():
+    (wide,), (usual,) = (drawn_setups("press", "train", 1, config=GraspTypeConfig(spread=spread)) for spread in (2.0, 1.0))
+    np.testing.assert_allclose(wide.position - START, 2 * (usual.position - START))
+    assert wide.yaw == pytest.approx(2 * usual.yaw)
+
+
+def test_a_rule_grows_with_its_object_and_is_told_in_numbers():
+    press, tape = GRASP_TYPES["press"].rule, GRASP_TYPES["tape_roll"].rule
+    assert press.scaled(1.08).button == pytest.approx(1.08 * press.button)
+    assert tape.scaled(0.92).holes[0].half[0] == pytest.approx(0.92 * 0.019)
+    told = dict(zip(ASKED, GRASP_TYPES["tweezers"].rule.asked, strict=True))
+    assert (told["along_x"], told["along_z"], told["through"]) == (0.7, 0.0, 0.0)
+    assert dict(zip(ASKED, tape.asked, strict=True))["along_z"] == -0.7
+    assert tape.asked_parts == [0, 1, 0, 0, 0, 0]
+    assert GRASP_TYPES["hook"].rule.asked_parts == [0, -1, 0, 0, 0, 0]
+    vectors = [tuple(kind.rule.asked_parts + kind.rule.asked) for kind in GRASP_TYPES.values()]
+    assert len(set(vectors)) == 14, "both cylinders and the large sphere ask the same"

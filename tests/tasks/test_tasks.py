@@ -6,15 +6,28 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import HPAC, elastic_joints_from_servo
-from hpac_gym.physics.engine import PARTS, SceneState
+from hpac_gym.physics.engine import PARTS, Contacts, SceneState
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
+from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
+from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.tasks.posture import Posture
 from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, OUTCOMES, RUNNING, SUCCESS
 from hpac_gym.tasks.terms import Layout, Moment, Term
 
-TASKS = {"grasp": Grasp, "named": lambda: GraspByName("hook"), "place": PickPlace, "posture": Posture}
+
+def of_any(*config: GraspAnyConfig) -> GraspAny:
+    return GraspAny("real", "script", "nominal", *config)
+
+
+def of_type(*config: GraspTypeConfig) -> GraspByType:
+    return GraspByType("tip_pinch", "train", "script", *config)
+
+
+TASKS = {
+    "grasp": Grasp, "named": lambda: GraspByName("hook"), "any": of_any, "type": of_type, "place": PickPlace, "posture": Posture,
+}  # fmt: skip
 DT = 1 / CONTROL_HZ
 WORLDS = 5
 
@@ -45,6 +58,7 @@ class Story:
             held = held and not (isinstance(self.task, PickPlace) and late)
             state.touching[0, [1, 2]] = held and not (self.fate == 4 and self.step % 7 == 0)
             state.contact_force[:] = np.where(state.touching, self.rng.uniform(1, 5, 6), 0.0)
+            state.touching[0, 0] = self.fate == 3 and closed  # the palm, as the object passes by
             state.supported[:] = not closed or (late and self.fate != 0)
             state.on_target[:] = late and isinstance(self.task, PickPlace)
             world_to_hand = self.setup.hand_rotation.T @ offset
@@ -56,6 +70,14 @@ class Story:
                 state.object_pos[0, 0] += 0.2
         self.step += 1
         return state
+
+
+def contacts(state: SceneState, world: int) -> Contacts:
+    """Thumb and index touch with their last links, wherever the state says that they touch."""
+    parts = np.flatnonzero(state.touching[world])
+    links = tuple("thumb_ip_link" if PARTS[part] == "thumb" else f"{PARTS[part]}_dip_link" for part in parts)
+    normals = np.tile([1.0, 0.0, 0.0], (len(parts), 1))
+    return Contacts(np.zeros((len(parts), 3)), normals, state.contact_force[world, parts], links, np.zeros(3), 0.5)
 
 
 def joined(states: list[SceneState]) -> SceneState:
@@ -85,6 +107,7 @@ class Played:
     def step(self, state: SceneState) -> dict[str, np.ndarray]:
         """All that a control step gives, each with a leading axis n."""
         task, n = self.task, self.n
+        task.watch(state, DT, lambda world: contacts(state, world))
         outcome, change = task.judge(state, DT), np.tile(np.linspace(-0.1, 0.2, 6), (n, 1))
         predicted = elastic_joints_from_servo(self.servo)
         seen = self.camera.look(state, range(n))
@@ -103,9 +126,10 @@ def test_many_worlds_at_once_are_as_many_single_ones(make):
     stories = [Story(make(), fate) for fate in range(WORLDS)]
     many, single = Played(make(), stories), [Played(make(), [story]) for story in stories]
     seen = []
-    for step in range(round(make().duration * CONTROL_HZ)):
-        if step % 17 == 16:
-            world = step % WORLDS
+    steps = round(make().duration * CONTROL_HZ)
+    for step in range(steps):
+        if (step + 1) % (steps // 4) == 0:
+            world = step // (steps // 4) % WORLDS
             stories[world] = Story(make(), world)
             many.start([world], [stories[world]])
             single[world].start([0], [stories[world]])
@@ -126,17 +150,21 @@ def told(task) -> dict[str, np.ndarray]:
     return {name: np.array([step[name] for step in steps]) for name in steps[0]}
 
 
-@pytest.mark.parametrize("kind", [Grasp, PickPlace])
+@pytest.mark.parametrize("kind", [Grasp, of_any, of_type, PickPlace])
 def test_the_fates_end_as_they_should(kind):
     judged = told(kind())["judged"]
     assert (judged[0] == RUNNING).all()
-    np.testing.assert_array_equal(judged[-1, [0, 1]], [SUCCESS, FAILURE])
+    ends = (judged != RUNNING).argmax(axis=0)
+    np.testing.assert_array_equal(judged[ends, range(WORLDS)][[0, 1]], [SUCCESS, FAILURE])
     failed = (judged == FAILURE).argmax(axis=0) / (len(judged) - 1)  # share of the episode
     assert 0.6 <= failed[2] <= 0.63, "as soon as it is dropped"
     assert 0.15 <= failed[3] <= 0.18, "as soon as it is knocked away"
 
 
-@pytest.mark.parametrize(("kind", "config"), [(Grasp, GraspConfig()), (PickPlace, PickPlaceConfig())], ids=["grasp", "place"])
+@pytest.mark.parametrize(
+    ("kind", "config"),
+    [(Grasp, GraspConfig()), (of_any, GraspAnyConfig()), (of_type, GraspTypeConfig()), (PickPlace, PickPlaceConfig())],
+)
 def test_a_weight_is_one_number_that_its_term_and_the_documentation_follow(kind, config):
     usual, task = told(kind()), kind()
     for weight in fields(config.weights):

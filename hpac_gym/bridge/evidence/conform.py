@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from hpac_gym.bridge.errors import BridgeError
-from hpac_gym.bridge.evidence.device import SESSION, SLACK, BrokenRule, Device, Status, stands
+from hpac_gym.bridge.evidence.device import OURS, SESSION, SLACK, BrokenRule, Device, Status, stands
 from hpac_gym.bridge.evidence.oracle import (
     ACK,
     ARM,
@@ -48,7 +48,7 @@ class Row:
 
     @property
     def holds(self) -> bool:
-        """Whether the rule was tried and kept."""
+        """True if the rule was tried and kept."""
         return self.tried > 0 and not self.failure
 
 
@@ -67,7 +67,7 @@ def _hello_looks(d: Device) -> None:
     hello = d.hello(0)
     d.expect(hello.session == SESSION, f"HELLO 0 changed the session to {hello.session:08x}")
     d.expect(hello.state == State.armed, f"HELLO 0 left the hand {name_of(State, hello.state)}")
-    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), "after HELLO 0")
+    d.must(Reason.ok, HEARTBEAT, OURS, "after HELLO 0")
 
 
 def _hello_takes_over(d: Device) -> None:
@@ -76,7 +76,7 @@ def _hello_takes_over(d: Device) -> None:
     status = d.status()
     d.expect(status.state == State.idle and not status.attached, f"HELLO of another controller left {stands(status)}")
     d.expect(hello.session == SESSION + 1, f"its session is {hello.session:08x}, must be {SESSION + 1:08x}")
-    d.must(Reason.session, HEARTBEAT, struct.pack("<I", SESSION), "of the session before")
+    d.must(Reason.session, HEARTBEAT, OURS, "of the session before")
 
 
 def _other_version(d: Device) -> None:
@@ -89,13 +89,13 @@ def _other_version(d: Device) -> None:
         d.must(Reason.version, STATUS, bytes(2), f"of version {version}", version=version)
     status = d.status()
     d.expect(status.bad_version - before.bad_version == 6, f"bad_version counts {status.bad_version - before.bad_version} of 6")
-    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), "of the session that another version's HELLO must not end")
+    d.must(Reason.ok, HEARTBEAT, OURS, "of the session that another version's HELLO must not end")
 
 
 def _damage(d: Device) -> None:
     d.idle()
     before = d.status()
-    good = wire(CLEAR, 900, struct.pack("<I", SESSION))
+    good = wire(CLEAR, 900, OURS)
     sent = 0
     for bit in range(8, 8 * (len(good) - 1), 3):
         bad = bytearray(good)
@@ -115,15 +115,15 @@ def _junk(d: Device) -> None:
     d.idle()
     for junk in (b"\x05abc\0", b"x" * 300 + b"\0", b"\0" * 50, b"\x01", b"\xff" * 254 + b"\0", b"ets Jul 29 2019 12:21:46\r\n"):
         d.raw(junk)
-        d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), f"right after {junk[:12]!r}")
+        d.must(Reason.ok, HEARTBEAT, OURS, f"right after {junk[:12]!r}")
 
 
 def _lost_byte(d: Device) -> None:
     d.idle()
-    one = wire(HEARTBEAT, 901, struct.pack("<I", SESSION))
+    one = wire(HEARTBEAT, 901, OURS)
     for at in range(len(one)):
         d.raw(one[:at] + one[at + 1 :])
-        d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), f"after one that lost its byte {at}")
+        d.must(Reason.ok, HEARTBEAT, OURS, f"after one that lost its byte {at}")
 
 
 def _lengths(d: Device) -> None:
@@ -143,8 +143,7 @@ def _device_types(d: Device) -> None:
 
 def _flags(d: Device) -> None:
     d.idle()
-    session = struct.pack("<I", SESSION)
-    payloads = {HELLO: session, ARM: d.arm(), MOVE: d.move(0), HEARTBEAT: session, CLEAR: session, STATUS: bytes(2)}
+    payloads = {HELLO: OURS, ARM: d.arm(), MOVE: d.move(0), HEARTBEAT: OURS, CLEAR: OURS, STATUS: bytes(2)}
     for kind, payload in payloads.items():
         allowed = {MOVE: 3, HEARTBEAT: 2}.get(kind, 0)
         for bit in range(8):
@@ -239,7 +238,7 @@ def _move_bounds(d: Device) -> None:
 
 def _repeats(d: Device) -> None:
     d.armed()
-    seq = d.send(HEARTBEAT, struct.pack("<I", SESSION)) + 100
+    seq = d.send(HEARTBEAT, OURS) + 100
     first = d.move(1000)
     d.must(Reason.ok, MOVE, first, "newer", seq=seq)
     d.live(0.4 + SLACK)
@@ -255,9 +254,9 @@ def _repeats(d: Device) -> None:
 
 def _repeat_after_clear(d: Device) -> None:
     d.armed()
-    seq = d.send(HEARTBEAT, struct.pack("<I", SESSION)) + 100
+    seq = d.send(HEARTBEAT, OURS) + 100
     d.must(Reason.ok, MOVE, d.move(1000), seq=seq)
-    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION))
+    d.must(Reason.ok, CLEAR, OURS)
     d.must(Reason.ok, ARM, d.arm())
     d.started()
     d.must(Reason.stale, MOVE, d.move(1000), "that was carried out before CLEAR", seq=seq)
@@ -265,7 +264,7 @@ def _repeat_after_clear(d: Device) -> None:
 
 def _no_ack(d: Device) -> None:
     d.armed(watchdog_ms=CONSTANTS["watchdog_max_ms"])
-    d.expect(d.ask(HEARTBEAT, struct.pack("<I", SESSION), NO_ACK) is None, "HEARTBEAT without ACK was answered")
+    d.expect(d.ask(HEARTBEAT, OURS, NO_ACK) is None, "HEARTBEAT without ACK was answered")
     d.live(0.01)
     d.expect(d.ask(MOVE, d.move(300), NO_ACK) is None, "MOVE without ACK was answered")
     d.live(0.01)
@@ -275,7 +274,7 @@ def _no_ack(d: Device) -> None:
 def _silence(d: Device, action: Action, watchdog_ms: int) -> Status:
     d.armed(action, watchdog_ms)
     d.moved(2000)
-    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION))
+    d.must(Reason.ok, HEARTBEAT, OURS)
     d.unasked.clear()
     d.listen(watchdog_ms * 1e-3 - 0.04)
     status = d.status()
@@ -359,13 +358,13 @@ def _latched(d: Device) -> None:
     d.must(Reason.ok, ESTOP)
     d.must(Reason.state, ARM, d.arm(), "in a fault")
     d.must(Reason.state, MOVE, d.move(0), "in a fault")
-    d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION), "in a fault")
+    d.must(Reason.ok, HEARTBEAT, OURS, "in a fault")
     d.must(Reason.session, CLEAR, struct.pack("<I", 5), "of another session, in a fault")
     hello = d.hello(SESSION)
     d.expect(hello.state == State.fault, f"HELLO leaves the fault: {name_of(State, hello.state)}")
     status = d.status()
     d.expect(status.fault == Fault.estop and not status.attached, f"after all but CLEAR {stands(status)}, must be estop")
-    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION), "in a fault")
+    d.must(Reason.ok, CLEAR, OURS, "in a fault")
     status = d.status()
     d.expect(status.state == State.idle and status.fault == Fault.none, f"after CLEAR {stands(status)}, must be idle")
 
@@ -374,14 +373,14 @@ def _clear(d: Device) -> None:
     d.armed()
     d.must(Reason.ok, MOVE, d.move(2000))
     d.live(0.1)
-    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION), "in a move")
+    d.must(Reason.ok, CLEAR, OURS, "in a move")
     status = d.status()
     d.expect(status.state == State.idle and not status.attached, f"after CLEAR {stands(status)}, must be idle without pulses")
     d.expect(not status.moving, "after CLEAR in a move it says that it moves")
     d.listen(0.5)
     later = d.status()
     d.expect(later.servo == status.servo, f"after CLEAR the commanded pose goes on from {status.servo} to {later.servo}")
-    d.must(Reason.ok, CLEAR, struct.pack("<I", SESSION), "in IDLE")
+    d.must(Reason.ok, CLEAR, OURS, "in IDLE")
 
 
 def _periodic(d: Device) -> None:
@@ -403,7 +402,7 @@ def _counters(d: Device) -> None:
     d.idle()
     before = d.status()
     for _ in range(5):
-        d.must(Reason.ok, HEARTBEAT, struct.pack("<I", SESSION))
+        d.must(Reason.ok, HEARTBEAT, OURS)
         d.must(Reason.state, MOVE, d.move(0))
     status = d.status()
     accepted = (status.accepted - before.accepted) % 2**32
@@ -463,6 +462,6 @@ def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3) -> I
             yield Row(rule, device.tried, failure)
     finally:
         with suppress(BridgeError):
-            device.send(CLEAR, struct.pack("<I", SESSION))
+            device.send(CLEAR, OURS)
             device.send(ESTOP)
         transport.close()

@@ -33,10 +33,12 @@ _ANSWERS = {HELLO: DEVICE_HELLO, STATUS: DEVICE_STATUS}
 SLACK = 0.15
 """A device's and its line's own time, on top of what the document says [s]."""
 SESSION = 0x48504143
+OURS = struct.pack("<I", SESSION)
+"""The payload of HEARTBEAT and CLEAR in this suite's session."""
 
 
 class BrokenRule(Exception):
-    """What the device did, against what it must do."""
+    """The device broke a rule; the message says what it did and what it must do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +102,7 @@ class Device:
         """Let time pass as a controller that is alive."""
         until = self._transport.now() + seconds
         while (left := until - self._transport.now()) > 0:
-            self.send(HEARTBEAT, struct.pack("<I", SESSION), NO_ACK)
+            self.send(HEARTBEAT, OURS, NO_ACK)
             self.listen(min(left, 0.03))
 
     def send(self, kind: int, payload: bytes = b"", flags: int = 0, version: int = VERSION, seq: int | None = None) -> int:
@@ -171,7 +173,7 @@ class Device:
     def idle(self) -> None:
         """Begin a rule with a fresh session, in IDLE."""
         self.hello(SESSION)
-        self.must(Reason.ok, CLEAR, struct.pack("<I", SESSION), "to begin with")
+        self.must(Reason.ok, CLEAR, OURS, "to begin with")
         status = self.status()
         self.expect(status.state == State.idle and not status.attached, f"after CLEAR {stands(status)}")
 

@@ -49,11 +49,11 @@ class JudgedHand(VirtualHand):
         return np.array(self.shown(self.now_us, super().pulses().tolist()), dtype=np.int64)
 
     def heard(self, data: bytes) -> bytes:
-        """What the core hears of what arrives."""
+        """The bytes that the core receives of those that arrive."""
         return data
 
     def shown(self, now_us: int, widths: list[int]) -> list[int]:
-        """What the servos see of what the core puts out."""
+        """The pulse widths at the servos for those that the core puts out [ns]."""
         return widths
 
 
@@ -139,7 +139,7 @@ class AlwaysOn(JudgedHand):
 class Forgiving(JudgedHand):
     """A hand that takes what it should refuse: mends damage and sessions, renumbers old moves, clears its faults itself."""
 
-    session, seq = bytes(4), 0
+    session = bytes(4)
 
     def heard(self, data: bytes) -> bytes:
         return _rewritten(data, self._mend, mend=True)

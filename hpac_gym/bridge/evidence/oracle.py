@@ -307,6 +307,6 @@ class Oracle:
         if self._ending < 0 or now_us <= self._ending_us + self._period_us:
             return
         if self._ending == HOLD and now_us < self._ending_us + HOLD_US and moved > ROUNDING:
-            self._complain("silence", now_us, f"{SERVOS[i]} moves although the hand shall hold")
+            self._complain("silence", now_us, f"{SERVOS[i]} moves although the hand must hold")
         if slow and abs(angle - self._rest[i]) > abs(before - self._rest[i]) + ROUNDING:
-            self._complain("silence", now_us, f"{SERVOS[i]} moves away from rest although the hand shall relax")
+            self._complain("silence", now_us, f"{SERVOS[i]} moves away from rest although the hand must relax")

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpac_gym.bridge.errors import BridgeError
+from hpac_gym.bridge.errors import BridgeError, FaultError
 from hpac_gym.bridge.evidence import oracle as wire
 from hpac_gym.bridge.evidence.judged_hand import (
     AlwaysOn,
@@ -31,7 +31,7 @@ from hpac_gym.bridge.evidence.judged_hand import (
     Shifted,
     StartsAtOnce,
 )
-from hpac_gym.bridge.evidence.sessions import BOUND, run_sessions
+from hpac_gym.bridge.evidence.sessions import BOUND, run_sessions, seconds_with_pulses
 from hpac_gym.bridge.host_board import HostBoard, firmware_file
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Reset
@@ -62,7 +62,7 @@ class Claim:
 
     @property
     def holds(self) -> bool:
-        """Whether it was tried, the figure is within its limit, and the control's is not."""
+        """True if it was tried, the figure is within its limit, and the control's is not."""
         return self.tried > 0 and self.figure <= self.limit and self.control > self.limit
 
 
@@ -103,7 +103,7 @@ def _pass(hand: VirtualHand, seconds: float) -> None:
 
 
 def _silence_time(kind: Hands) -> Played:
-    """From the last word to the last pulse with the action `detach`, beyond the watchdog [ms]."""
+    """Time from the last frame to the last pulse with the action `detach`, beyond the watchdog [ms]."""
     worst, tried = 0.0, 0
     for watchdog in (0.1, 0.25, 0.5, 2.0):
         for offset_us in range(0, BOARD_TICK_US, 3_700):
@@ -116,10 +116,7 @@ def _silence_time(kind: Hands) -> Played:
 
 
 def _ms_until_silent(hand: VirtualHand, patience: float) -> float:
-    start_us = hand.now_us
-    while hand.pulses().any() and hand.now_us - start_us < patience * 1e6:
-        hand.run(BOARD_TICK_US * 1e-6)
-    return (hand.now_us - start_us) * 1e-3
+    return 1e3 * seconds_with_pulses(hand, patience, BOARD_TICK_US * 1e-6)
 
 
 def _fed_by_strangers(kind: Hands) -> Played:
@@ -303,7 +300,7 @@ def _damaged(kind: Hands, frames: int = 3000) -> Played:
 
 
 def _overload(kind: Hands) -> Played:
-    """How long a hand stays fully closed before it opens by itself [s]."""
+    """Time that a hand stays fully closed before it opens by itself [s]."""
     hand = kind(BOARD_TICK_US)
     link = _linked(hand, Action.hold)
     link.move(ServoCommand(HPAC.servo_max, _TIME))
@@ -463,9 +460,15 @@ def _wall_clock(trials: int) -> Iterator[Claim]:
     silence, estop = [], []
     watchdog = CONSTANTS["watchdog_ms"] * 1e-3
 
-    def begin() -> float:
-        link.arm(Action.detach)
-        link.heartbeat()
+    def begin(tries: int = 20) -> float:
+        try:
+            link.arm(Action.detach)
+            link.heartbeat()
+        except FaultError:  # so busy a machine that the watchdog bites while the hand is being armed
+            if tries == 1:
+                raise
+            link.clear()
+            return begin(tries - 1)
         return time.monotonic()
 
     with HostBoard() as board, HandLink(board.connect) as link:

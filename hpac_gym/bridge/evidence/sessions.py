@@ -11,14 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpac_gym.bridge.errors import BridgeError, UnconfirmedWarning
+from hpac_gym.bridge.errors import UnconfirmedWarning
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
 from hpac_gym.bridge.transport import PortError
 from hpac_gym.bridge.virtual_hand import VirtualHand, VirtualTransport
 from hpac_gym.model import HPAC, ServoCommand, move_duration
 
-_STEP = 0.01
 _SLACK = 0.03
 _RELAX_TIME = 1e3 / CONSTANTS["relax_permille"] * move_duration(HPAC.servo_min, HPAC.servo_max)
 """The longest way to rest at the relax rate [s]."""
@@ -95,27 +94,27 @@ class BadTransport(VirtualTransport):
 
 @dataclass(slots=True)
 class Sessions:
-    """What so many random sessions showed."""
+    """Counts over random sessions."""
 
     sessions: int = 0
     with_pulses: int = 0
-    """Came to their end while the hand had pulses."""
+    """Sessions whose program ended while the hand had pulses."""
     interrupted: int = 0
     interrupted_twice: int = 0
     unconfirmed: int = 0
-    """Ended with the statement that the hand had not confirmed."""
+    """Sessions that ended with the statement that the hand had not confirmed."""
     lossy: int = 0
-    """Over a link that lost or damaged frames towards the hand."""
+    """Sessions over a link that lost or damaged frames towards the hand."""
     powered: int = 0
-    """Powered after the end although the link still led to the hand. None may be."""
+    """Hands powered after the end although the link still led to them. None may be."""
     cut_off: int = 0
-    """Powered after the end, and nothing could reach the hand any more: only the firmware could act."""
+    """Hands powered after the end that nothing could reach any more: only their firmware could act."""
     cut_off_too_long: int = 0
-    """Of these, powered for longer than watchdog and safe action allow (`BOUND`). None may be."""
+    """Those of them that stayed powered for longer than watchdog and safe action allow (`BOUND`). None may be."""
     untold: int = 0
-    """Powered at the end without a word to the user. None may be."""
+    """Hands powered at the end without a word to the user. None may be."""
     swallowed: int = 0
-    """An interrupt, or the program's own exception, that did not come out. None may be."""
+    """Interrupts and exceptions of the program that did not come out. None may be."""
     longest_cut_off: float = 0.0
     """Longest that a cut-off hand had pulses after its watchdog [s]."""
 
@@ -125,7 +124,7 @@ class _UserError(Exception):
 
 
 def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float) -> None:
-    """What a user's program may do; ends in any way."""
+    """A random program of a user, which ends in any way."""
     link.arm(action, watchdog)
     for _ in range(int(rng.integers(0, 12))):
         target = HPAC.servo_max * rng.random(6)
@@ -152,7 +151,40 @@ def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action
         raise SystemExit(3)
 
 
+@dataclass(slots=True)
+class _Ending:
+    """How one session ended."""
+
+    raised: BaseException | None = None
+    """The error, interrupt or exit that came out of it."""
+    said: str = ""
+    """The statement that the hand had not confirmed; empty without one."""
+    powered_before: bool = False
+    """True if the hand had pulses when the program ended and the link began to release it."""
+
+
+def _play(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float, release: bool) -> _Ending:
+    """Run a random program over a link, which closes at its end."""
+    ending = _Ending()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            with link:
+                try:
+                    _program(link, hand, rng, action, watchdog)
+                finally:
+                    ending.powered_before = bool(hand.pulses().any())
+                    if not release:
+                        link._connection.known.may_have_power = False
+        except BaseException as error:
+            ending.raised = error
+    ending.said = "".join(str(w.message) for w in caught if isinstance(w.message, UnconfirmedWarning))
+    ending.said += "".join(getattr(ending.raised, "__notes__", ()))
+    return ending
+
+
 def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: type[VirtualHand]) -> None:
+    """Play one session and count what came of it."""
     hand = kind()
     transports: list[BadTransport] = []
 
@@ -162,49 +194,31 @@ def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: type[Vi
 
     action, watchdog = Action(int(rng.integers(3))), float(rng.choice([0.1, 0.25, 0.5, 2.0]))
     link = HandLink(connect, handshake_timeout=0.5, timeout=float(rng.choice([0.02, 0.1])))
-    raised: BaseException | None = None
-    said = ""
-    powered_before = False
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            try:
-                with link:
-                    try:
-                        _program(link, hand, rng, action, watchdog)
-                    finally:
-                        powered_before = bool(hand.pulses().any())
-                        if not release:
-                            link._connection.known.may_have_power = False
-            except BridgeError as error:
-                raised = error
-        except BaseException as error:
-            raised = error
-        said = "".join(str(w.message) for w in caught if isinstance(w.message, UnconfirmedWarning))
-    said += "".join(getattr(raised, "__notes__", ()))
+    ending = _play(link, hand, rng, action, watchdog, release)
     bad = transports[-1]
     total.sessions += 1
-    total.with_pulses += powered_before
+    total.with_pulses += ending.powered_before
     total.lossy += bool(bad.loss_out > 0)
     total.interrupted += bad.interrupted > 0
     total.interrupted_twice += bad.interrupted > 1
-    total.unconfirmed += bool(said)
-    total.swallowed += bad.interrupted > 0 and not isinstance(raised, Interrupted | SystemExit)
+    total.unconfirmed += bool(ending.said)
+    total.swallowed += bad.interrupted > 0 and not isinstance(ending.raised, Interrupted | SystemExit)
     powered = bool(hand.pulses().any())
     reachable = not (bad.dead_out or bad.gone)
-    total.untold += powered and not said
+    total.untold += powered and not ending.said
     total.powered += powered and reachable
     if powered and not reachable:
         total.cut_off += 1
-        lasted = _seconds_with_pulses(hand, watchdog + BOUND[action] + 1.0)
+        lasted = seconds_with_pulses(hand, watchdog + BOUND[action] + 1.0)
         total.cut_off_too_long += lasted > watchdog + BOUND[action]
         total.longest_cut_off = max(total.longest_cut_off, lasted - watchdog)
 
 
-def _seconds_with_pulses(hand: VirtualHand, patience: float) -> float:
+def seconds_with_pulses(hand: VirtualHand, patience: float, step: float = 0.01) -> float:
+    """Time until a hand has no pulses, at most about `patience`; looks every `step` [s]."""
     start_us = hand.now_us
     while hand.pulses().any() and hand.now_us - start_us < patience * 1e6:
-        hand.run(_STEP)
+        hand.run(step)
     return (hand.now_us - start_us) * 1e-6
 
 

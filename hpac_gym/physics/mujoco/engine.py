@@ -14,7 +14,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, Contacts, PhysicsError, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.mujoco.camera import Camera
-from hpac_gym.physics.mujoco.group import FELT, Group
+from hpac_gym.physics.mujoco.group import FELT, FELT_ENDS, Group
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
@@ -109,10 +109,9 @@ class MuJoCoEngine:
             state.joint_pos[rows], state.joint_vel[rows] = qpos[:, at.joint], qvel[:, at.dof]
             if group.layout.object is not None:
                 self._read_object(state, group, rows, qpos, qvel)
-        felt = self._felt.copy()
-        state.tension, touching, state.contact_force = felt[:, :5], felt[:, 5:11], felt[:, 11:17]
-        state.touching, state.on_target = touching > 0, felt[:, 18] > 0
-        state.supported = (felt[:, 17] > 0) | state.on_target
+        state.tension, touching, state.contact_force, support, target = np.split(self._felt.copy(), FELT_ENDS, axis=1)
+        state.touching, state.on_target = touching > 0, target[:, 0] > 0
+        state.supported = (support[:, 0] > 0) | state.on_target
         return state
 
     def _read_object(self, state: SceneState, group: Group, rows: Any, qpos: Array, qvel: Array) -> None:
@@ -204,7 +203,7 @@ class MuJoCoEngine:
 
 
 def _processors() -> int:
-    """How many processors this process may use."""
+    """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

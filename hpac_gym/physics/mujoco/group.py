@@ -11,7 +11,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from hpac_gym.body.geometry import Geometry
+from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.model import DIGITS, JOINTS, SERVOS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PARTS, SUPPORT_FRICTION, PhysicsError, SceneSetup, support_boxes
@@ -43,7 +43,9 @@ FIELDS = (
 """Fields of the model that every world has its own values of."""
 BODIES_KEPT = 64
 """Number of hands of which a group keeps the compiled numbers."""
-FELT = len(DIGITS) + 2 * len(PARTS) + 2
+FELT_ENDS = (len(DIGITS), len(DIGITS) + len(PARTS), len(DIGITS) + 2 * len(PARTS), len(DIGITS) + 2 * len(PARTS) + 1)
+"""Where the next kind of number begins in a row of `Group.felt`."""
+FELT = FELT_ENDS[-1] + 1
 """Numbers that `Group.felt` gives for a world."""
 
 
@@ -133,7 +135,7 @@ class Group:
 
     def __init__(self, layout: Layout, num_worlds: int, settings: WorldSettings, threads: int, visuals: bool) -> None:
         self.layout = layout
-        self.model = build(layout, settings, visuals)
+        self.model = build(layout, settings, visuals, HPAC_GEOMETRY)
         self.at = Addresses.of(self.model)
         self.batch = Batch(self.model, num_worlds, threads)
         self.fields = {name: self.batch.expand(name) for name in FIELDS}
@@ -142,7 +144,7 @@ class Group:
         self.force = self.batch.bind("actuator_force")
         self.sensors = self.batch.bind("sensordata") if self.model.nsensor else np.zeros((num_worlds, 0))
         self.lead = np.zeros((num_worlds, len(SERVOS)))
-        self.warnings = self.batch.warning[:, :, 1]  # how often; before it is what about
+        self.warnings = self.batch.warning[:, :, 1]  # column 1 counts each warning; column 0 is its last subject
         self.warned = self.warnings.copy()
         self._hands: list[tuple[Hand, HandSettings, Geometry] | None] = [None] * num_worlds
         self._options, self._bodies = (settings, visuals), {}
@@ -272,23 +274,27 @@ class Group:
     def advance(
         self, worlds: Index | None, servo: Array, servo_vel: Array, wrist: Array, push: Array | None
     ) -> tuple[int, str] | None:
-        """Step worlds, all of them if None, through tables of their servos, wrists and pushes; the first that failed, and why."""
+        """Step worlds, all of them if None, through tables of their servos, wrists and pushes.
+
+        Returns:
+            The first world that failed and the reason, or None.
+        """
         n, steps, _ = servo.shape
         control = np.empty((n, steps, self.model.nu))
         lead = self.lead if worlds is None else self.lead[worlds]
         control[..., : len(SERVOS)] = servo + lead[:, None] * servo_vel
         control[..., len(SERVOS) : -len(DIGITS)] = wrist[..., : len(self.at.wrist)]
         np.maximum(servo_vel[..., : len(DIGITS)], 0.0, out=control[..., -len(DIGITS) :])
-        told, pushed = mujoco.mjtState.mjSTATE_CTRL.value, push is not None and self.at.object >= 0
+        columns, pushed = mujoco.mjtState.mjSTATE_CTRL.value, push is not None and self.at.object >= 0
         if pushed:
-            told |= mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+            columns |= mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
             forces = np.zeros((n, steps, self.model.nbody, 6))
             forces[:, :, self.at.object_body, :3] = push
             control = np.concatenate([control, forces.reshape(n, steps, -1)], axis=2)
         handler = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda text: None)  # without one MuJoCo writes a log file where the caller happens to be
         try:
-            self.batch.rollout(steps, control, told, record=(), ids=worlds)
+            self.batch.rollout(steps, control, columns, record=(), ids=worlds)
         except SimulationError as error:
             return int(error.ids[0]), self.batch.error(int(error.ids[0]))
         finally:
@@ -303,8 +309,11 @@ class Group:
         return int(world), mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_")
 
     def felt(self, rows: Index | slice) -> Array:
-        """Tensions [N], numbers of contacts and normal forces [N] of `PARTS`, and numbers of contacts with support and target in
-        the last physics step, shape (m, FELT)."""
+        """Forces and contacts of worlds in the last physics step, shape (m, FELT).
+
+        In each row: tensions of the drives [N], numbers of contacts of `PARTS`, their normal forces [N], numbers of contacts of
+        the object with its support and with the target.
+        """
         tension = -self.force[rows, : len(DIGITS)]
         sensors, found = self.sensors[rows], np.zeros((len(tension), 2))
         if not self.model.nsensor:

@@ -87,7 +87,7 @@ def _number_of_boxes(support: Support) -> int:
 
 @cache
 def is_straight(model: ObjectModel) -> bool:
-    """Whether an object is one primitive along the object's axes."""
+    """True if an object is one primitive along the object's axes."""
     alone = len(model.solids) == 1 and not model.has_hulls
     return alone and np.allclose(model.inertia, np.diag(np.diag(model.inertia)), atol=1e-12)
 
@@ -109,9 +109,9 @@ class Geoms:
     """MuJoCo's numbers of those k solids of an object that are primitives; a hull's are compiled."""
 
     index: NDArray[np.intp]
-    """Of each one among the object's solids, shape (k,)."""
+    """Number of each primitive among the object's solids, shape (k,)."""
     kind: Array
-    """Shape (k,)."""
+    """MuJoCo's number of the shape, shape (k,)."""
     size: Array
     """Shape (k, 3) [m]."""
     place: Array
@@ -119,9 +119,9 @@ class Geoms:
     quaternion: Array
     """wxyz, shape (k, 4)."""
     half: Array
-    """Of the box around each one along its own axes, shape (k, 3) [m]."""
+    """Half extents of the box around each one along its own axes, shape (k, 3) [m]."""
     radius: Array
-    """Of the ball around each one, shape (k,) [m]."""
+    """Radius of the ball around each one, shape (k,) [m]."""
 
 
 @lru_cache(maxsize=1024)
@@ -185,8 +185,11 @@ def quaternion_from_matrix(rotation: Array) -> Array:
     return quaternion
 
 
-def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geometry = HPAC_GEOMETRY) -> mujoco.MjModel:
+@lru_cache(maxsize=16)
+def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geometry) -> mujoco.MjModel:
     """Compile the model of a layout; poses and sizes that worlds set for themselves are placeholders.
+
+    Whoever asks for the same model again gets the same one: worlds change their own copies of its fields, never the model.
 
     Args:
         layout: the parts of the scene.

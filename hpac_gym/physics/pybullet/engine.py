@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, Contacts, PhysicsError, SceneSetup, SceneState, Viewpoint
-from hpac_gym.physics.pybullet.scene import Scene
+from hpac_gym.physics.pybullet.scene import FORCE, LINK, NORMAL, POINT, Scene
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 _PART = {name: index for index, name in enumerate(PARTS)}
@@ -92,9 +92,9 @@ class PyBulletEngine:
         found.object_vel[world], found.object_spin[world] = to_hand @ linear, to_hand @ angular
         touching, force = found.touching[world], found.contact_force[world]
         for contact in scene.contacts():
-            part = _PART[scene.hand.part_of_link[contact[3]]]
+            part = _PART[scene.hand.part_of_link[contact[LINK]]]
             touching[part] = True
-            force[part] += contact[9]
+            force[part] += contact[FORCE]
         found.supported[world] = any(map(scene.touches, scene.supports))
         found.on_target[world] = scene.target_post is not None and scene.touches(scene.target_post)
 
@@ -104,10 +104,10 @@ class PyBulletEngine:
         found = scene.contacts()
         names = {index: name for name, index in scene.hand.link_index.items()} | {-1: "palm"}
         return Contacts(
-            np.array([contact[6] for contact in found]).reshape(-1, 3),
-            -np.array([contact[7] for contact in found]).reshape(-1, 3),
-            np.array([contact[9] for contact in found]),
-            tuple(names[contact[3]] for contact in found),
+            np.array([contact[POINT] for contact in found]).reshape(-1, 3),
+            -np.array([contact[NORMAL] for contact in found]).reshape(-1, 3),
+            np.array([contact[FORCE] for contact in found]),
+            tuple(names[contact[LINK]] for contact in found),
             scene.object.pose()[0],
             setup.hand_settings.contact_friction * setup.object.friction,
         )

@@ -24,7 +24,7 @@ _SLIDES = ("wrist_x", "wrist_y", "wrist_z")
 _OTHER, _FINGER = 1, 64
 """Collision groups; 1 is Bullet's default, and 64 the first that it has no meaning for."""
 MAX_JOINT_SPEED = 20.0
-"""Of a digit that snaps free of another one [rad/s]."""
+"""Joint speed of a digit that snaps free of another one [rad/s]."""
 _urdf = lru_cache(maxsize=64)(hand_urdf)
 _LOAD_FLAGS = (
     pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -37,7 +37,7 @@ class SimHand:
     """One hand in a `World`, at `HAND_POSITION`.
 
     Args:
-        world: where it lives.
+        world: the PyBullet world that it is loaded into.
         hand: the model's parameters.
         settings: what the simulation adds.
         geometry: of its body.
@@ -79,7 +79,7 @@ class SimHand:
         self.configure(hand, settings)
 
     def configure(self, hand: Hand, settings: HandSettings) -> None:
-        """Become another hand: everything but the armature, which a hand is loaded with, can change."""
+        """Change to another hand. Only the armature stays, which is set when the hand is loaded."""
         self.hand, self.settings = hand, settings
         for name, index in self.joint_index.items():
             friction = settings.joint_friction if name in JOINTS else 0.0
@@ -141,7 +141,7 @@ class SimHand:
 
     @property
     def palm_offset(self) -> Array:
-        """Where the palm is from its start, along the world's axes, shape (3,) [m]."""
+        """Offset of the palm from its start, along the world's axes, shape (3,) [m]."""
         if not self._slides:
             return np.zeros(3)
         states = pybullet.getJointStates(self.body, self._slides, self._client)
@@ -150,7 +150,7 @@ class SimHand:
     # Motion --------------------------------------------------------------------
 
     def move_wrist(self, offset: list[float]) -> None:
-        """Say where the palm shall be at the end of the next step; unless a force beyond `WRIST_EFFORT` resists, it is.
+        """Set the palm's target for the end of the next step; it gets there unless a force beyond `WRIST_EFFORT` resists.
 
         Args:
             offset: from the start, along the world's axes, 3 values [m].

@@ -22,7 +22,9 @@ from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
 
 _EPISODES = 200
-"""Between two loadings of the hand."""
+"""Number of episodes between two loadings of the hand."""
+LINK, POINT, NORMAL, DISTANCE, FORCE = 3, 6, 7, 8, 9
+"""Entries of a contact of PyBullet: link of the hand, point on the object, normal out of the object, gap, normal force."""
 
 
 class Scene:
@@ -69,8 +71,9 @@ class Scene:
         on_wrist = setup.object is not None
         start = settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
         if self.hand is None or self._start != start or self._episodes == _EPISODES:
-            self.world.clear()
-            self._added.clear()
+            if self.hand is not None:
+                self.world.clear()
+                self._added.clear()
             self.hand = SimHand(self.world, hand, settings, setup.geometry, on_wrist, setup.hand_quaternion, self._visuals)
             self._start, self._episodes = start, 0
             self.world.step()
@@ -116,7 +119,7 @@ class Scene:
             self.world.step()
 
     def touches(self, body: int) -> bool:
-        """Whether the object touches another body."""
+        """True if the object touches another body."""
         return bool(pybullet.getContactPoints(self.object.body, body, physicsClientId=self.world.client))
 
     def contacts(self) -> list[tuple]:
@@ -124,7 +127,7 @@ class Scene:
         if self.object is None:
             return []
         found = pybullet.getContactPoints(self.hand.body, self.object.body, physicsClientId=self.world.client)
-        return [contact for contact in found if contact[8] <= 0]
+        return [contact for contact in found if contact[DISTANCE] <= 0]
 
 
 def _matrix(quaternion: tuple[float, ...]) -> Array:

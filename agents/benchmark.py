@@ -1,0 +1,359 @@
+"""The benchmark's protocol: ``python -m agents.benchmark HPAC-GraspAny-v0 --policy NAME --out FILE``.
+
+Judges a policy on every split of an environment, with the same seeds for everybody, and writes a results file. A trained method
+is judged by five runs of one budget: ``{seed}`` in the name of its policy stands for 0 to 4. What nobody trained has one run. A
+call that was interrupted goes on after the last finished cell. ``--check FILE`` tells every fault of results files and prints
+their tables; of two files with the same environment also which of them is better.
+"""
+
+import argparse
+import hashlib
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from agents.command import command_parser
+from agents.errors import RunError, TaskError
+from agents.evaluate import evaluate
+from agents.tasks import make_task
+from agents.train import versions
+from hpac import run, whole_number
+from hpac_gym.body.object_sets import object_set
+from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
+from hpac_gym.evaluation.seeds import BENCHMARK_SEED, HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import (
+    interquartile_mean,
+    probability_of_improvement,
+    stratified_bootstrap,
+    wilson_interval,
+)
+from hpac_gym.output import writable_folder, write_text
+from hpac_gym.policies import read_policy
+from hpac_gym.policies.baselines import BASELINES
+from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.made_for import made_for
+
+SCHEMA = "hpac-benchmark-1"
+BUDGETS = (0, 100_000, 1_000_000, 10_000_000)
+"""Environment steps that a training may take; 0 is none."""
+RUNS, EPISODES = 5, 1_000
+"""Runs of a trained method, and episodes of each cell, that a submission has."""
+_TWIN = {"engine": "mujoco", "body": "twin"}
+_REAL = _TWIN | {"objects": "real"}
+_PRIMITIVES = {
+    "nominal": _TWIN,
+    "hands that differ": _TWIN | {"randomize": "hand"},
+    "all that differs": _TWIN | {"randomize": "full"},
+    "light body": _TWIN | {"body": "light"},
+    "PyBullet": _TWIN | {"engine": "pybullet"},
+}
+SPLITS: dict[str, dict[str, dict[str, str]]] = {
+    GRASP: _PRIMITIVES,
+    PICK_PLACE: _PRIMITIVES,
+    GRASP_ANY: {
+        "training objects": _TWIN | {"objects": "train"},
+        "held-out objects": _TWIN | {"objects": "test"},
+        "real objects": _REAL,
+        "real objects, training hands": _REAL | {"hands": "train"},
+        "real objects, held-out hands": _REAL | {"hands": "test"},
+        "real objects, light body": _REAL | {"body": "light"},
+        "real objects, PyBullet": _REAL | {"engine": "pybullet"},
+    },
+}
+"""Options of the environment in each split, by id; one thing changes at a time."""
+
+Results = dict[str, Any]
+
+
+def splits_of(env_id: str) -> dict[str, dict[str, str]]:
+    """The splits of an id.
+
+    Raises:
+        TaskError: The benchmark has none for it.
+    """
+    if env_id not in SPLITS:
+        raise TaskError(f"environment '{env_id}' has no benchmark: known are {', '.join(SPLITS)}")
+    return SPLITS[env_id]
+
+
+def env_hash(env_id: str) -> str:
+    """SHA-256 of all that makes an environment the one that others were judged in: splits, observation, task, hand, objects."""
+    splits = splits_of(env_id)
+    with make_task(env_id, **next(iter(splits.values()))) as env:
+        told: Results = {"splits": splits, "made_for": made_for(env)}
+    for name in sorted({options["objects"] for options in splits.values() if "objects" in options}):
+        told[name] = [
+            [entry.name, entry.friction, float(entry.model.mass), np.round([pose.quaternion for pose in entry.poses], 9).tolist()]
+            for entry in object_set(name)
+        ]
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
+def header(args: argparse.Namespace) -> Results:
+    """All of a results file that is known before the first episode."""
+    budget = int(float(args.budget))
+    if budget and "{seed}" not in args.policy:
+        raise RunError(f"policy '{args.policy}' of budget {budget:,} names no {{seed}}: a training is judged by {RUNS} runs")
+    seeds = list(range(RUNS if budget else 1))
+    names = [args.policy.replace("{seed}", str(seed)) for seed in seeds]
+    for split in splits_of(args.env):  # a mistake, or an engine that is not installed, ends here and not after hours
+        with make_task(args.env, **_options(args.env, split, args.obs)) as env:
+            for name in names:
+                load_policy(name, env)
+    return {
+        "schema": SCHEMA,
+        "env_id": args.env,
+        "env_sha256": env_hash(args.env),
+        "policy": args.policy,
+        "files": [_file(name) for name in names if Path(name).is_file()],
+        "about": args.about,
+        "budget": budget,
+        "training_seeds": args.training_seeds if budget else None,
+        "seeds": seeds,
+        "obs": args.obs,
+        "episodes": args.episodes,
+        "first_seed": BENCHMARK_SEED,
+        "versions": versions(),
+    }
+
+
+def _options(env_id: str, split: str, obs: str) -> dict[str, str]:
+    return splits_of(env_id)[split] | ({} if obs == "deploy" else {"obs": obs})
+
+
+def _file(name: str) -> dict[str, Any]:
+    told = read_policy(name).about
+    digest = hashlib.sha256(Path(name).read_bytes()).hexdigest()
+    return {"sha256": digest, **{key: told[key] for key in ("algorithm", "env_steps", "seed") if key in told}}
+
+
+def judge(head: Results, split: str, seed: int, workers: int) -> Results:
+    """One cell: the episodes of one run in one split."""
+    options = _options(head["env_id"], split, head["obs"])
+    name = head["policy"].replace("{seed}", str(seed))
+    result = evaluate([name], head["env_id"], head["episodes"], seed_start=head["first_seed"], workers=workers, options=options)
+    episodes = next(iter(result.episodes.values()))
+    won = sum(episode.success for episode in episodes)
+    forces = [episode.holding_force for episode in episodes]
+    return {
+        "split": split,
+        "seed": seed,
+        "successes": won,
+        "interval_95": list(wilson_interval(won, len(episodes))),
+        "failures": dict(Counter(episode.phase or "unknown" for episode in episodes if not episode.success)),
+        "holding_force": None if None in forces else float(np.mean(forces)),
+    }
+
+
+def summary(results: Results) -> list[Results]:
+    """Over the runs of each split, and of all splits: interquartile mean of the success, and its bootstrap interval."""
+    names = list(splits_of(results["env_id"]))
+    scores = _scores(results)
+    tables = [(name, scores[:, place : place + 1]) for place, name in enumerate(names)] + [("all splits", scores)]
+    return [
+        {
+            "split": name,
+            "iqm": float(interquartile_mean(table)),
+            "interval_95": list(stratified_bootstrap(interquartile_mean, table)),
+        }
+        for name, table in tables
+    ]
+
+
+def _scores(results: Results) -> np.ndarray:
+    """Share of successes, shape (runs, splits)."""
+    won = {(cell["seed"], cell["split"]): cell["successes"] / results["episodes"] for cell in results["cells"]}
+    return np.array([[won[seed, split] for split in splits_of(results["env_id"])] for seed in results["seeds"]])
+
+
+def faults(results: Results, here: str | None = None) -> Iterator[str]:
+    """Every fault of a results file, one line each.
+
+    Args:
+        results: the file.
+        here: what `env_hash` gives; None computes it.
+    """
+    try:
+        if results["schema"] != SCHEMA:
+            yield f"schema is {results['schema']!r}, not {SCHEMA!r}"
+            return
+        splits = splits_of(results["env_id"])
+        yield from _header_faults(results, here or env_hash(results["env_id"]))
+        counted = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
+        wanted = {(seed, split) for seed in results["seeds"] for split in splits}
+        yield from (f"split '{split}' of seed {seed} is missing" for seed, split in sorted(wanted - set(counted)))
+        yield from (f"split '{split}' of seed {seed} is not asked for" for seed, split in sorted(set(counted) - wanted))
+        yield from (f"split '{cell[1]}' of seed {cell[0]} is there {count} times" for cell, count in counted.items() if count > 1)
+        for cell in results["cells"]:
+            yield from (f"split '{cell['split']}' of seed {cell['seed']}: {fault}" for fault in _cell_faults(cell, results))
+        if set(counted) == wanted and not _same(results["summary"], summary(results)):
+            yield "summary is not what the cells give"
+    except KeyError as error:
+        yield f"field {error} is missing"
+    except (TypeError, ValueError, AttributeError) as error:
+        yield f"a field is of the wrong kind: {error}"
+
+
+def _header_faults(results: Results, here: str) -> Iterator[str]:
+    if results["env_sha256"] != here:
+        yield f"env_sha256 {results['env_sha256'][:12]}… is of another {results['env_id']} than this one, {here[:12]}…"
+    if results["budget"] not in BUDGETS:
+        yield f"budget is {results['budget']}: it must be one of {', '.join(f'{budget:,}' for budget in BUDGETS)} steps"
+    if results["seeds"] != list(range(RUNS if results["budget"] else 1)):
+        yield f"seeds are {results['seeds']}: a training has {RUNS} from 0 on, what nobody trained has 0 alone"
+    if results["episodes"] < EPISODES:
+        yield f"episodes are {results['episodes']}: a submission has at least {EPISODES:,} in each cell"
+    if results["first_seed"] != BENCHMARK_SEED:
+        yield f"first_seed is {results['first_seed']}, not {BENCHMARK_SEED}"
+    if results["budget"]:
+        low, high = results["training_seeds"]
+        if low <= results["first_seed"] + results["episodes"] - 1 and high >= results["first_seed"]:
+            yield f"training seeds {low} to {high} overlap those that judge, from {results['first_seed']} on"
+    for file in results["files"]:
+        if file.get("env_steps", 0) > results["budget"]:
+            yield f"a policy file was trained for {file['env_steps']:,} steps, over the budget of {results['budget']:,}"
+    if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
+        yield "two runs have the same policy file"
+    missing = [name for name in ("hpac_gym", "python", "mujoco-core") if name not in results["versions"]]
+    yield from (f"version of {name} is missing" for name in missing)
+
+
+def _cell_faults(cell: Results, results: Results) -> Iterator[str]:
+    won, lost, episodes = cell["successes"], sum(cell["failures"].values()), results["episodes"]
+    if min(won, *cell["failures"].values(), 0) < 0 or won + lost != episodes:
+        yield f"{won} successes and {lost} failures do not make {episodes} episodes"
+    elif not _same(cell["interval_95"], list(wilson_interval(won, episodes))):
+        yield f"interval_95 {cell['interval_95']} is not Wilson's of {won} in {episodes}"
+    force = cell["holding_force"]
+    if force is not None and not (math.isfinite(force) and force >= 0.0 and (won or force == 0.0)):
+        yield f"holding_force is {force} N for {won} successes"
+
+
+def _same(one: Any, other: Any) -> bool:
+    """Whether two results are equal but for rounding."""
+    if isinstance(one, float | int) and isinstance(other, float | int):
+        return math.isclose(one, other, abs_tol=1e-9)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_same(one[name], other[name]) for name in one)
+    return one == other
+
+
+def table(results: Results) -> str:
+    """Results as a table in Markdown: a row for each split."""
+    steps = f"{results['budget']:,} steps, {RUNS} runs" if results["budget"] else "not trained"
+    lines = [
+        f"`{results['policy']}` in {results['env_id']}, obs {results['obs']}, {steps}, {results['episodes']:,} episodes a cell",
+        "",
+        "| split | success [%] | runs [%] | failures by phase [%] | holding force [N] |",
+        "| --- " * 5 + "|",
+    ]
+    for row in results["summary"]:
+        cells = [cell for cell in results["cells"] if cell["split"] == row["split"]]  # of all splits together: none
+        low, high = cells[0]["interval_95"] if len(cells) == 1 else row["interval_95"]
+        interval = f" [{100 * low:.1f}, {100 * high:.1f}]" if cells or results["budget"] else ""
+        runs = ", ".join(f"{100 * cell['successes'] / results['episodes']:.1f}" for cell in cells)
+        lost = sum((Counter(cell["failures"]) for cell in cells), Counter())
+        why = ", ".join(f"{name} {100 * n / results['episodes'] / len(cells):.1f}" for name, n in lost.most_common())
+        forces = [cell["holding_force"] for cell in cells if cell["holding_force"] is not None]
+        force = f"{np.mean(forces):.1f}" if forces else ""
+        lines.append(f"| {row['split']} | {100 * row['iqm']:.1f}{interval} | {runs} | {why} | {force} |")
+    return "\n".join(lines)
+
+
+def comparison(first: Results, second: Results) -> str:
+    """How probable it is that a run of the first does better than one of the second, in a split on average."""
+    tables = _scores(first), _scores(second)
+    value = float(probability_of_improvement(*tables))
+    low, high = stratified_bootstrap(probability_of_improvement, *tables)
+    return f"Probability that `{first['policy']}` does better than `{second['policy']}`: {value:.2f} [{low:.2f}, {high:.2f}]"
+
+
+def read(path: Path) -> Results:
+    """A results file.
+
+    Raises:
+        RunError: It cannot be read, or is none.
+    """
+    try:
+        results = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RunError(f"cannot read results file '{path}': {error}") from None
+    if not isinstance(results, dict):
+        raise RunError(f"'{path}' is no results file: it holds no object")
+    return results
+
+
+def check(paths: Sequence[Path]) -> int:
+    """Print the faults of results files, or their tables; returns the exit status, 1 with a fault."""
+    files, bad = [read(path) for path in paths], False
+    for path, results in zip(paths, files, strict=True):
+        found = list(faults(results))
+        bad |= bool(found)
+        print("\n".join(f"{path}: {fault}" for fault in found) if found else f"{path}: valid\n\n{table(results)}\n")
+    if not bad and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
+        print(comparison(*files))
+    return int(bad)
+
+
+def judge_all(args: argparse.Namespace) -> Results:
+    """Judge every cell that the file does not have yet, writing it after each."""
+    head = header(args)
+    results = read(args.out) if args.out.exists() else head | {"cells": []}
+    differs = [name for name in head if results.get(name) != head[name]]
+    if differs:
+        name = differs[0]
+        raise RunError(f"'{args.out}' holds results with {name} {results.get(name)!r}, not {head[name]!r}: name another file")
+    writable_folder(args.out.parent)
+    done = {(cell["seed"], cell["split"]) for cell in results["cells"]}
+    wanted = [(seed, split) for seed in head["seeds"] for split in splits_of(args.env)]
+    for number, (seed, split) in enumerate(wanted, 1):
+        if (seed, split) not in done:
+            cell = judge(head, split, seed, args.workers)
+            results["cells"].append(cell)
+            write_text(args.out, json.dumps(results, indent=1) + "\n")
+            rate = cell["successes"] / head["episodes"]
+            print(f"cell {number} of {len(wanted)}: seed {seed}, {split}: {rate:.1%}", file=sys.stderr)
+    results |= {"command": f"python -m agents.benchmark {' '.join(args.words)}", "summary": summary(results)}
+    write_text(args.out, json.dumps(results, indent=1) + "\n")
+    return results
+
+
+def main(argv: list[str] | None = None) -> int:
+    words = sys.argv[1:] if argv is None else argv
+    args = _parser().parse_args(words)
+    if args.check:
+        return check(args.check)
+    if not (args.env and args.policy and args.out):
+        raise RunError("an environment, --policy and --out are needed, or --check")
+    args.words = words
+    print(table(judge_all(args)))
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = command_parser("agents.benchmark", __doc__)
+    parser.add_argument("env", nargs="?", help=f"one of {', '.join(SPLITS)}")
+    parser.add_argument("--policy", help=f"{', '.join(BASELINES)}, a policy file, module:function or module:function:text; "
+                        "{seed} in it stands for the seed of a run")  # fmt: skip
+    parser.add_argument("--budget", choices=("0", "1e5", "1e6", "1e7"), default="0", help="steps of each training")
+    parser.add_argument("--training-seeds", type=int, nargs=2, default=[0, HELD_OUT_SEED - 1], metavar=("FIRST", "LAST"),
+                        help="seeds of the episodes that the training saw")  # fmt: skip
+    parser.add_argument("--obs", default="deploy", help="what the policy observes")
+    parser.add_argument("--about", default="", help="a line on the method, with a link to its code")
+    parser.add_argument("--episodes", type=whole_number(1), default=EPISODES, help="episodes of each cell")
+    parser.add_argument("--workers", type=whole_number(1), default=1, help="processes")
+    parser.add_argument("--out", type=Path, help="results file; where it is there already, go on with it")
+    parser.add_argument("--check", type=Path, nargs="+", metavar="FILE", help="check results files instead")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))

@@ -1,0 +1,104 @@
+"""Behaviour cloning: ``python -m agents.clone DATASET --out runs/clone``, from what ``hpac record`` wrote.
+
+A network learns to do what was done in the episodes that succeeded. The folder gets ``policy.zip``, which is evaluated, replayed
+and exported as any other.
+"""
+
+import json
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from agents.command import command_parser
+from agents.errors import RunError
+from agents.tasks import make_task
+from agents.train import POLICY, versions
+from hpac import run, whole_number
+from hpac_gym.evaluation.dataset import read_dataset
+from hpac_gym.output import writable_folder
+from hpac_gym.policies import Actor, PolicyFile, write_policy
+from hpac_gym.policies.made_for import made_for
+from hpac_gym.progress import progress
+
+HIDDEN = (256, 256)
+BATCH = 256
+KEPT = 0.1
+"""Share of the episodes, the last ones, that is kept to judge by."""
+OBSERVATION_CLIP, MEAN_CLIP = 8.0, 4.0
+SMALLEST_SCALE = 0.05
+
+
+def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int, seed: int) -> tuple[Actor, float]:
+    """Fit an actor to episodes.
+
+    Args:
+        observations: of each episode, shape (steps, n).
+        actions: of each episode, shape (steps, m), −1…1.
+        epochs: how often every step is learned from.
+        seed: of the weights and of the order.
+
+    Returns:
+        The actor, and its root-mean-square error on the episodes that were kept back; NaN where there are too few for that.
+    """
+    import torch
+    from torch import nn
+
+    torch.set_num_threads(1)
+    torch.manual_seed(seed)
+    used = len(observations) - int(KEPT * len(observations))
+    seen, done = np.concatenate(observations[:used]), np.concatenate(actions[:used])
+    mean, scale = seen.mean(axis=0, dtype=float), np.maximum(seen.std(axis=0, dtype=float), SMALLEST_SCALE)
+    inputs = torch.from_numpy(np.clip((seen - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP).astype(np.float32))
+    wanted = torch.from_numpy(done)
+    widths = (seen.shape[1], *HIDDEN, done.shape[1])
+    linear = [nn.Linear(a, b) for a, b in pairwise(widths)]
+    network = nn.Sequential(*(part for layer in linear for part in (layer, nn.ReLU())))[:-1]
+    optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
+    for _ in progress(range(epochs), "epochs", sys.stderr.isatty()):
+        for rows in torch.randperm(len(inputs)).split(BATCH):
+            loss = nn.functional.mse_loss(torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows])
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        schedule.step()
+    layers = tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in linear)
+    actor = Actor(mean, scale, OBSERVATION_CLIP, layers, MEAN_CLIP)
+    judged = zip(observations[used:], actions[used:], strict=True)
+    errors = [actor(row) - action for pair in judged for row, action in zip(*pair, strict=True)]
+    return actor, float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("agents.clone", __doc__)
+    parser.add_argument("dataset", type=Path, help="folder that hpac record wrote")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
+    parser.add_argument("--epochs", type=whole_number(1), default=30, help="how often every step is learned from")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="of the weights and of the order")
+    args = parser.parse_args(argv)
+    dataset = read_dataset(args.dataset)
+    writable_folder(args.out)
+    episodes = [episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]]
+    if not episodes:
+        raise RunError(f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone")
+    env = make_task(f"hpac_gym:{dataset.env_spec.id}", **dataset.env_spec.kwargs)
+    fits = made_for(env)
+    env.close()
+    actor, error = clone([e.observations[:-1] for e in episodes], [e.actions for e in episodes], args.epochs, args.seed)
+    about = {
+        "env_id": f"hpac_gym:{dataset.env_spec.id}",
+        "algorithm": "behaviour cloning",
+        "made_for": fits,
+        "settings": {"dataset": str(dataset.id), "epochs": args.epochs, "seed": args.seed, "hidden": HIDDEN},
+        "episodes": len(episodes),
+        "versions": versions(),
+    }
+    write_policy(args.out / POLICY, PolicyFile(actor, json.loads(json.dumps(about))))
+    print(f"{len(episodes)} successful episodes, error on those kept back {error:.3f}: {args.out / POLICY}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))

@@ -1,0 +1,153 @@
+"""`hpac record`: episodes of a policy as a Minari dataset, for offline learning and imitation."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hpac import whole_number
+from hpac_gym.envs.options import GRASP, IDS, OPTIONS
+from hpac_gym.errors import HpacError
+from hpac_gym.output import writable_folder
+from hpac_gym.progress import progress
+
+if TYPE_CHECKING:
+    import gymnasium
+    from minari import MinariDataset
+    from minari.data_collector import EpisodeBuffer
+
+    from hpac_gym.policies import Policy
+
+PASSED_ON = ("engine", "body", "obs", "reward", "randomize")
+"""Options of the environment that the command passes on, where they have names."""
+CHUNK = 100  # episodes that are written at a time
+_ABOUT = """\
+Runs a policy and writes what was observed, done and paid as a Minari dataset, with the seed of every episode and whether it
+succeeded. `minari.MinariDataset(DIR / "data")` opens it, `python -m agents.clone DIR` learns from it. The folder appears when all
+episodes are written."""
+
+
+class DatasetError(HpacError, ValueError):
+    """A folder that holds no dataset, or one that is there already."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac record`."""
+    parser.description = _ABOUT
+    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
+    parser.add_argument("--env", default=GRASP, choices=IDS, help="the environment (default: %(default)s)")
+    for name in PASSED_ON:
+        names = sorted({value for option in OPTIONS if option.name == name for value in option.values if value})
+        parser.add_argument(f"--{name}", choices=names, help="of the environment (default: its own)")
+    parser.add_argument("-n", "--episodes", type=whole_number(1), default=100, metavar="N",
+                        help="how many (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--seed-start", type=whole_number(0), default=0, metavar="SEED",
+                        help="of the first episode; held-out ones begin at 1000000 (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a folder that is not there yet")
+    parser.set_defaults(run=_record)
+
+
+def _record(args: argparse.Namespace) -> int:
+    options = {name: getattr(args, name) for name in PASSED_ON if getattr(args, name) is not None}
+    dataset = record(args.policy, args.env, args.episodes, args.out, seed_start=args.seed_start, options=options)
+    held = sum(bool(episode.infos["is_success"][-1]) for episode in dataset.iterate_episodes())
+    print(f"{dataset.total_episodes} episodes, {dataset.total_steps} steps, {held} successes: {args.out}")
+    return 0
+
+
+def record(
+    policy: str, env_id: str, episodes: int, out: Path, *, seed_start: int = 0, options: Mapping[str, Any] | None = None
+) -> MinariDataset:
+    """Write a dataset.
+
+    Args:
+        policy: "scripted", "random", or a policy file.
+        env_id: of the environment.
+        episodes: how many; their seeds count upwards.
+        out: a folder that is not there yet; it appears when all is written.
+        seed_start: of the first episode.
+        options: of the environment.
+
+    Raises:
+        DatasetError: `out` is there already.
+        OutputError: `out` cannot be written.
+        PolicyError: No such policy, or one of another environment.
+    """
+    import gymnasium
+    from minari import create_dataset_from_buffers
+
+    from hpac_gym.policies.loading import load_policy
+
+    if out.exists():
+        raise DatasetError(f"'{out}' is there already: name a folder that is not")
+    folder = writable_folder(out.absolute().parent)
+    env = gymnasium.make(f"hpac_gym:{env_id}", disable_env_checker=True, **(options or {}))
+    try:
+        actor, dataset = load_policy(policy, env), None
+        name = f"hpac/{env_id.removeprefix('HPAC-').lower().rpartition('-')[0]}/{Path(policy).stem}-v0"
+        with TemporaryDirectory(prefix=f".{out.name}-", dir=folder) as root:
+            os.environ["MINARI_DATASETS_PATH"] = root
+            buffers = []
+            for seed in progress(range(seed_start, seed_start + episodes), "episodes", sys.stderr.isatty()):
+                buffers.append(_episode(env, actor, seed))
+                if len(buffers) == CHUNK or seed == seed_start + episodes - 1:
+                    if dataset is None:
+                        with warnings.catch_warnings(action="ignore"):  # of who wrote it, which nobody is asked
+                            dataset = create_dataset_from_buffers(
+                                name, buffers, env=env, algorithm_name=policy, jpeg_encoding=False
+                            )
+                    else:
+                        dataset.update_dataset_from_buffer(buffers)
+                    buffers = []
+            shutil.move(Path(root, name), out)
+    finally:
+        env.close()
+    return read_dataset(out)
+
+
+def _episode(env: gymnasium.Env, policy: Policy, seed: int) -> EpisodeBuffer:
+    """One episode; `is_success` of the infos, as all that is observed, begins with the reset."""
+    from minari.data_collector import EpisodeBuffer
+
+    seen, _ = env.reset(seed=seed)
+    policy.reset(seed)
+    observations, steps, over = [seen], [], False
+    while not over:
+        action = policy.act(seen)
+        seen, reward, terminated, truncated, info = env.step(action)
+        observations.append(seen)
+        steps.append((action, float(reward), terminated, truncated, bool(info["is_success"])))
+        over = terminated or truncated
+    actions, rewards, terminations, truncations, held = map(list, zip(*steps, strict=True))
+    infos = {"is_success": np.array([False, *held])}
+    return EpisodeBuffer(None, seed, None, _stacked(observations), np.array(actions), rewards, terminations, truncations, infos)
+
+
+def _stacked(observations: list[Any]) -> Any:
+    first = observations[0]
+    if isinstance(first, dict):
+        return {name: np.stack([seen[name] for seen in observations]) for name in first}
+    return np.stack(observations)
+
+
+def read_dataset(folder: Path) -> MinariDataset:
+    """The dataset that `record` wrote into a folder.
+
+    Raises:
+        DatasetError: There is none, or a damaged one.
+    """
+    from minari import MinariDataset
+
+    try:
+        return MinariDataset(folder / "data")
+    except (OSError, ValueError, KeyError, AssertionError) as error:
+        raise DatasetError(f"'{folder}' holds no dataset of `hpac record`: {error}") from None

@@ -1,0 +1,137 @@
+"""Commands with what a sweep told: how far hands in metal end from where the command map says, before and after calibration.
+
+A command map takes a target to servo angles and says where the joints will be. The error here is between that and where they are;
+how far the promise lies from the target, because a digit has one servo and radii of its own, is given beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpac_gym.model import (
+    HPAC,
+    SERVOS,
+    Hand,
+    clip_to_workspace,
+    elastic_joints_from_servo,
+    joints_from_synergy,
+    scaled_hand,
+    servo_from_joints,
+)
+from hpac_gym.model.checks import Array
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo, settled_servo_from_joints
+from hpac_gym.progress import progress
+from hpac_gym.study.accuracy import ALL_BELOW_DEG
+from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
+from hpac_gym.study.identification import identify
+from hpac_gym.study.populations import NINE, Workshop, build
+from hpac_gym.study.quasistatic import Built, hand_course
+from hpac_gym.study.results import Column, Part, range_of, rows_of, table
+
+GOAL_DEG = 0.15
+"""Every one of the nine joints on average; the aim is 95 % of the hands."""
+TARGETS = 25
+CAMERA = JointCamera(outliers=0.005)
+_STEPS = 3  # quasi-static, from target to target
+
+Map = Callable[[Array, Hand, float], tuple[Array, Array]]
+"""Targets (k, 15), hand and direction to servo angles (k, 6) and promised joint angles (k, 15)."""
+
+
+def papers_map(targets: Array, hand: Hand, direction: float) -> tuple[Array, Array]:
+    """Eqs. (14), (15) with a hand's numbers; the promise is Eqs. (5), (12)."""
+    servo = servo_from_joints(clip_to_workspace(targets, hand), hand)
+    return servo, elastic_joints_from_servo(servo, hand)
+
+
+def settled_map(targets: Array, hand: Hand, direction: float) -> tuple[Array, Array]:
+    """The identified hand inverted with drive stretch, zeros and friction."""
+    servo = settled_servo_from_joints(clip_to_workspace(targets, hand), hand, direction)
+    return servo, settled_joints_from_servo(servo, hand, direction)
+
+
+def _calibrated(hand: Hand, **changes: object) -> Hand:
+    return replace(hand, calibration=replace(hand.calibration, **changes))
+
+
+MAPS: dict[str, tuple[Map, Callable[[Hand], Hand]]] = {
+    "paper's map, nominal numbers": (papers_map, lambda hand: HPAC),
+    "paper's map, identified numbers": (papers_map, lambda hand: hand),
+    "identified, all of it": (settled_map, lambda hand: hand),
+    "… without the drive's stretch": (settled_map, lambda hand: scaled_hand(hand, {"drive_stiffness": 1e4})),
+    "… without the zeros": (settled_map, lambda hand: _calibrated(hand, servo_zero=Calibration().servo_zero)),
+    "… without friction": (settled_map, lambda hand: _calibrated(hand, friction=Calibration().friction)),
+    "… friction of flexion both ways": (lambda targets, hand, direction: settled_map(targets, hand, FLEXION), lambda hand: hand),
+}
+"""Command maps by name, each with what it takes of the identified hand."""
+
+BEFORE_AND_AFTER = ("paper's map, nominal numbers", "identified, all of it")
+
+
+@dataclass(frozen=True, slots=True)
+class MapErrors:
+    """One command map on a population of hands: means over the targets, of the nine joints, shape (hands, 9) [°]."""
+
+    flexion: Array
+    """Where the joints are against where the map says, coming from the open hand."""
+    extension: Array
+    """The same, coming back from the closed hand."""
+    off_target: Array
+    """Where the map says that they will be, against the target: what no command can take away."""
+
+
+COLUMNS = (
+    Column("flexion_worst", "flexion: worst of nine [°]", lambda found: range_of(found.flexion.max(axis=1))),
+    Column("all_within_goal", f"hands with all nine ≤ {GOAL_DEG}°", lambda found: _share(found.flexion <= GOAL_DEG), "{:.0%}"),
+    Column("all_below_papers", f"< {ALL_BELOW_DEG}°", lambda found: _share(found.flexion < ALL_BELOW_DEG), "{:.0%}"),
+    Column("extension_worst", "extension: worst of nine", lambda found: range_of(found.extension.max(axis=1))),
+    Column("all_within_goal_back", f"hands with all nine ≤ {GOAL_DEG}°", lambda found: _share(found.extension <= GOAL_DEG),
+           "{:.0%}"),
+    Column("off_target", "off target", lambda found: range_of(found.off_target.max(axis=1))),
+)  # fmt: skip
+
+
+def _share(well: np.ndarray) -> float:
+    """Share of the hands, shape (hands, 9), of which all nine joints are well."""
+    return float(well.all(axis=1).mean())
+
+
+def commands(
+    name: str, workshop: Workshop, count: int, seed: int, maps: Collection[str] = tuple(MAPS), shown: bool = False
+) -> Part:
+    """Sweep and calibrate every hand once, then command it through its range and back with every map.
+
+    Args:
+        name: of the workshop.
+        workshop: how the hands are built.
+        count: hands.
+        seed: of hands and camera.
+        maps: which of `MAPS`.
+        shown: draw a progress bar.
+    """
+    built = build(workshop, count, seed)
+    records = metal_sweeps(built, seed, CAMERA, Protocol(both_directions=True), servos=SERVOS[:-1])
+    identified = [identify(record).hand for record in progress(records, "calibrations", shown)]
+    rows = rows_of(COLUMNS, {item: errors_of_map(item, built, identified) for item in progress(maps, "command maps", shown)})
+    title = f"## Commands: {count} hands ({name}), seed {seed}, one sweep each; median and the middle 95 %"
+    return Part(f"{title}\n\n{table('map', COLUMNS, rows)}\n", rows)
+
+
+def errors_of_map(name: str, built: list[Built], identified: list[Hand]) -> MapErrors:
+    """Errors of one of the `MAPS` on hands, with the numbers that were identified for each."""
+    command, hand_of = MAPS[name]
+    share = np.linspace(0.0, 1.0, TARGETS)[1:, None]
+    targets = joints_from_synergy(HPAC.synergy_min + share * (HPAC.synergy_max - HPAC.synergy_min))
+    ways = [(targets, FLEXION), (targets[::-1], EXTENSION)]
+    told = [[command(wanted, hand_of(hand), direction) for wanted, direction in ways] for hand in identified]
+    servo, promised = (np.array([np.concatenate([way[i] for way in there_and_back]) for there_and_back in told]) for i in (0, 1))
+    start = np.zeros((len(built), 1, len(SERVOS)))
+    reached = hand_course(built, np.concatenate([start, servo], axis=1), _STEPS)[:, 1:]
+    error = np.degrees(np.abs(reached - promised))[:, :, NINE]
+    half = len(targets)
+    off_target = np.degrees(np.abs(promised[:, :half] - targets))[:, :, NINE]
+    return MapErrors(error[:, :half].mean(axis=1), error[:, half + 1 :].mean(axis=1), off_target.mean(axis=1))

@@ -1,0 +1,315 @@
+"""What makes a grasp the one that it is called: which parts of the hand touch the object, where, and how hard.
+
+A `Rule` is judged on a `Hold`, the contacts at some moments while the object is held. ``data/grasp_types.toml`` has the rule of
+every type.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from hpac_gym.body.geometry import link_poses, load_geometry
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import DIGITS, FINGERS, JOINT_INDEX
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import PARTS, Contacts, SceneState
+
+TOUCHES = 0.5
+"""A part touches the object if it does in at least this share of the hold."""
+SPARES = 0.1
+"""A part does not touch the object if it does in no more than this share of the hold, or of the force."""
+ASKED = (
+    "fingers", "digits", "tips", "force", "press", "along_x", "along_y", "along_z", "side", "through", "turn", "tilt",
+)  # fmt: skip
+"""Entries of `Rule.asked`."""
+_AXES = "xyz"
+_GEOMETRY = load_geometry()
+_TIPS = tuple(digit.phalanges[-1].link for digit in _GEOMETRY.digits)
+_BEYOND_ROOT = tuple(phalanx.link for digit in _GEOMETRY.digits for phalanx in digit.phalanges[1:])
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """An opening of an object that a digit can be put through."""
+
+    centre: tuple[float, float, float]
+    """In the object's frame [m]."""
+    axis: str
+    """Of the object's frame, normal to the opening."""
+    half: tuple[float, float]
+    """Half axes of the opening's ellipse, along the two other axes in their order [m]."""
+
+    def outside(self, start: Array, end: Array) -> float:
+        """How far a segment in the object's frame misses the opening: 0 if it goes through, infinity beside its plane [m]."""
+        normal = _AXES.index(self.axis)
+        across = [index for index in range(3) if index != normal]
+        before, after = start[normal] - self.centre[normal], end[normal] - self.centre[normal]
+        if before * after > 0:
+            return np.inf
+        share = before / (before - after) if before != after else 0.0
+        point = (start + share * (end - start) - self.centre)[across]
+        distance = float(np.linalg.norm(point / self.half))
+        return 0.0 if distance <= 1 else float(np.linalg.norm(point) * (1 - 1 / distance))
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What makes a grasp the one that it is called. Parts are `hpac_gym.physics.engine.PARTS`."""
+
+    touch: tuple[str, ...] = ()
+    """Parts that all touch the object."""
+    fingers: int = 0
+    """Number of fingers, without the thumb, that touch it."""
+    digits: int = 0
+    """Number of digits, with the thumb, that touch it."""
+    never: tuple[str, ...] = ()
+    """Parts that do not touch it."""
+    tips: bool = False
+    """Whether only the last links of digits touch it."""
+    force: float = 0.0
+    """Least sum of all contact forces, mean of the hold [N]."""
+    turn_deg: float = 20.0
+    """The object turns in the hand by no more than this while it is held [deg]."""
+    tilt_deg: float = 180.0
+    """The object's z axis is no farther than this from where it was in the hand when the hand began to close [deg]."""
+    axis: str = "z"
+    """Axis of the object for the two shares of force."""
+    along: float = 0.0
+    """Least share of the contact force along that axis."""
+    across: float = 0.0
+    """Least share of the contact force across that axis."""
+    side: str = ""
+    """A finger that is touched on its side, not on its pad."""
+    button: float = np.inf
+    """Height in the object's frame above which its button is [m]."""
+    press: float = 0.0
+    """Least force that presses the button down along −z [N]."""
+    holes: tuple[Hole, ...] = ()
+    """Its openings."""
+    through: tuple[str, ...] = ()
+    """Digits that each go through an opening and touch the object."""
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("touch", PARTS), ("never", PARTS), ("through", DIGITS)):
+            if unknown := set(getattr(self, name)) - set(allowed):
+                raise ParameterError(f"{name} has {', '.join(sorted(unknown))}, which is none of {', '.join(allowed)}")
+        if self.axis not in _AXES or self.side not in ("", *FINGERS):
+            raise ParameterError(f"axis {self.axis!r} must be x, y or z, and side {self.side!r} a finger")
+        if not (0 <= self.fingers <= len(FINGERS) and 0 <= self.digits <= len(DIGITS)):
+            bounds = f"0 to {len(FINGERS)} and 0 to {len(DIGITS)}"
+            raise ParameterError(f"fingers {self.fingers} and digits {self.digits} must be {bounds}")
+        if not (0 <= self.along <= 1 and 0 <= self.across <= 1):
+            raise ParameterError(f"along {self.along} and across {self.across} must be 0 to 1")
+        if not (self.force >= 0 and self.press >= 0 and self.turn_deg > 0 and self.tilt_deg > 0):
+            angles = f"turn {self.turn_deg} and tilt {self.tilt_deg} deg greater than 0"
+            raise ParameterError(f"force {self.force} and press {self.press} N must be at least 0, {angles}")
+
+    def scaled(self, scale: float) -> Rule:
+        """The rule for an object of another size, its own being 1."""
+        holes = tuple(
+            Hole(tuple(scale * np.array(hole.centre)), hole.axis, tuple(scale * np.array(hole.half))) for hole in self.holes
+        )
+        return replace(self, button=scale * self.button, holes=holes)
+
+    @property
+    def asked_parts(self) -> list[float]:
+        """For each of `PARTS` 1 if it shall touch, −1 if it must not, 0 if it may."""
+        touch = {*self.touch, *self.through}
+        return [float(part in touch) - float(part in self.never) for part in PARTS]
+
+    @property
+    def asked(self) -> list[float]:
+        """What else the rule asks, as numbers: `ASKED`. Counts are counts, forces in 10 N, angles in rad."""
+        along = [(self.along - self.across) * (axis == self.axis) for axis in _AXES]
+        flags, angles = map(float, (bool(self.side), bool(self.through))), np.deg2rad([self.turn_deg, self.tilt_deg]).tolist()
+        return [self.fingers, self.digits, float(self.tips), self.force / 10, self.press / 10, *along, *flags, *angles]
+
+    def terms(self) -> list[tuple[str, Callable[[Hold], float]]]:
+        """The rule's clauses in words, each with how far a hold keeps to it: 1 or more keeps it, less is a share of the way."""
+        found: list[tuple[str, Callable[[Hold], float]]] = []
+        for part in self.touch:
+            found.append((f"{part} touches", lambda hold, part=part: hold.touched[part] / TOUCHES))
+        if self.fingers:
+            found.append((f"{self.fingers} fingers touch", lambda hold: hold.most(FINGERS, self.fingers)))
+        if self.digits:
+            found.append((f"{self.digits} digits touch", lambda hold: hold.most(DIGITS, self.digits)))
+        for part in self.never:
+            found.append((f"{part} does not touch", lambda hold, part=part: _at_most(hold.touched[part], SPARES)))
+        if self.tips:
+            found.append(("only last links touch", lambda hold: _at_most(hold.off_tips, SPARES)))
+        if self.force:
+            found.append((f"held with {self.force:g} N", lambda hold: hold.force / self.force))
+        found.append((f"turns by at most {self.turn_deg:g}°", lambda hold: self.turn_deg / max(hold.turn_deg, 1e-9)))
+        if self.tilt_deg < 180:
+            found.append((f"axis within {self.tilt_deg:g}°", lambda hold: self.tilt_deg / max(hold.tilt_deg, 1e-9)))
+        if self.along:
+            found.append((f"held along {self.axis}", lambda hold: hold.along(self.axis) / self.along))
+        if self.across:
+            found.append((f"held across {self.axis}", lambda hold: _at_most(hold.along(self.axis), 1 - self.across)))
+        if self.side:
+            found.append((f"side of the {self.side}", lambda hold: hold.on_side(self.side) / TOUCHES))
+        if self.press:
+            found.append((f"button pressed with {self.press:g} N", lambda hold: hold.pressed(self.button) / self.press))
+        for digit in self.through:
+            found.append((f"{digit} through an opening", lambda hold, digit=digit: hold.through(self.holes, digit) / TOUCHES))
+        return found
+
+    def clauses(self, hold: Hold) -> dict[str, float]:
+        """How far a hold keeps to each clause of the rule: 1 keeps it, less is a share of the way there."""
+        return {name: min(value(hold), 1.0) for name, value in self.terms()}
+
+    def kept(self, hold: Hold) -> bool:
+        """Whether a hold keeps to all clauses."""
+        return all(value >= 1.0 for value in self.clauses(hold).values())
+
+
+def _at_most(value: float, limit: float) -> float:
+    return 1.0 if value <= limit else (1.0 - value) / (1.0 - limit) * 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """What was seen of contacts while an object was held."""
+
+    moments: tuple[Moment, ...]
+    """At least one."""
+    start: Array = field(default_factory=lambda: np.eye(3))
+    """Rotation of the object in the hand when the hand began to close, shape (3, 3)."""
+
+    @property
+    def touched(self) -> dict[str, float]:
+        """Share of the moments in which each part touches."""
+        return {part: float(np.mean([any(_part(link) == part for link in now.links) for now in self.moments])) for part in PARTS}
+
+    @property
+    def part_force(self) -> dict[str, float]:
+        """Mean normal force of each part [N]."""
+        return {
+            part: float(np.mean([sum(f for f, link in zip(now.force, now.links, strict=True) if _part(link) == part)
+                                 for now in self.moments]))
+            for part in PARTS
+        }  # fmt: skip
+
+    @property
+    def force(self) -> float:
+        """Mean sum of all contact forces [N]."""
+        return float(np.mean([now.force.sum() for now in self.moments]))
+
+    @property
+    def off_tips(self) -> float:
+        """Share of the force that is not on last links."""
+        return self._share(lambda now: np.array([link not in _TIPS for link in now.links], dtype=float))
+
+    @property
+    def turn_deg(self) -> float:
+        """Largest turn of the object in the hand since the first moment [deg]."""
+        first = self.moments[0].rotation
+        return max(_angle_deg((np.trace(first.T @ now.rotation) - 1) / 2) for now in self.moments)
+
+    @property
+    def tilt_deg(self) -> float:
+        """Largest angle of the object's z axis from where it was in the hand at the start [deg]."""
+        return max(_angle_deg(self.start[:, 2] @ now.rotation[:, 2]) for now in self.moments)
+
+    def along(self, axis: str) -> float:
+        """Share of the contact force along an axis of the object, by the normals' squared component."""
+        return self._share(lambda now: now.normal[:, _AXES.index(axis)] ** 2)
+
+    def on_side(self, finger: str) -> float:
+        """Share of a finger's contact force that is on its side: normals nearer to its hinge's axis than 45°."""
+        force = side = 0.0
+        for now in self.moments:
+            frames = dict(now.frames(finger))
+            for link, push, normal in zip(now.links, now.force, now.normal, strict=True):
+                if link in frames:
+                    lateral = abs((now.rotation @ normal) @ frames[link][:, 1]) > np.sqrt(0.5)
+                    force, side = force + push, side + push * lateral
+        return side / force if force > 0 else 0.0
+
+    def pressed(self, button: float) -> float:
+        """Mean force of last and middle links along −z on what is higher than `button` [N]."""
+        found = []
+        for now in self.moments:
+            down = now.force * np.maximum(-now.normal[:, 2], 0.0)
+            found.append(down[(now.point[:, 2] > button) & np.array([link in _BEYOND_ROOT for link in now.links], bool)].sum())
+        return float(np.mean(found))
+
+    def through(self, holes: Sequence[Hole], digit: str) -> float:
+        """Share of the moments in which a digit goes through an opening and touches; below `TOUCHES` near misses count a bit."""
+        seen = np.array([max(now.through(hole, digit) for hole in holes) for now in self.moments])
+        share = float(np.mean(seen == 1.0))
+        return share if share >= TOUCHES else min(float(np.mean(seen)), 0.99 * TOUCHES)
+
+    def most(self, parts: Sequence[str], count: int) -> float:
+        """How far so many of some parts touch, 0 to 1."""
+        touched = self.touched
+        best = sorted((min(touched[part] / TOUCHES, 1.0) for part in parts), reverse=True)
+        return sum(best[:count]) / count
+
+    def _share(self, weight: Any) -> float:
+        total = sum(now.force.sum() for now in self.moments)
+        return float(sum((now.force * weight(now)).sum() for now in self.moments if len(now.links)) / total) if total > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """The contacts between hand and object at one moment, and where the digits are."""
+
+    links: tuple[str, ...]
+    """Of the hand, one for each contact."""
+    force: Array
+    """Along the normals, shape (m,) [N]."""
+    point: Array
+    """In the object's frame, shape (m, 3) [m]."""
+    normal: Array
+    """Unit vectors into the object, in its frame, shape (m, 3)."""
+    rotation: Array
+    """Of the object in the hand, shape (3, 3)."""
+    centre: Array
+    """Of the object in the hand, shape (3,) [m]."""
+    joint_pos: Array
+    """Shape (15,) [rad]."""
+
+    def poses(self, digit: str) -> list[tuple[Array, Array]]:
+        """Position and rotation of a digit's links in the hand frame."""
+        body = _GEOMETRY.digit(digit)
+        return link_poses(body, self.joint_pos[[JOINT_INDEX[phalanx.joint] for phalanx in body.phalanges]])
+
+    def frames(self, digit: str) -> list[tuple[str, Array]]:
+        """Name and rotation in the hand frame of a digit's links."""
+        links = (phalanx.link for phalanx in _GEOMETRY.digit(digit).phalanges)
+        return [(link, turn) for link, (_, turn) in zip(links, self.poses(digit), strict=True)]
+
+    def through(self, hole: Hole, digit: str) -> float:
+        """1 if the digit's last two links go through the opening and it touches the object; a near miss is less than a third."""
+        poses = self.poses(digit)
+        tip = poses[-1][0] + poses[-1][1] @ (0.0, 0.0, _GEOMETRY.digit(digit).phalanges[-1].length)
+        places = (np.array([place for place, _ in poses] + [tip]) - self.centre) @ self.rotation
+        missed = min(hole.outside(start, end) for start, end in itertools.pairwise(places[1:]))
+        touches = any(_part(link) == digit for link in self.links)
+        if missed == 0:
+            return 1.0 if touches else 0.4
+        return 0.3 * float(np.exp(-np.linalg.norm(places[-1] - hole.centre) / 0.03))
+
+
+def moment_of(contacts: Contacts, state: SceneState, world: int, hand_rotation: Array) -> Moment:
+    """The moment of one world's state, whose hand has a rotation in the world, shape (3, 3)."""
+    rotation = state.object_rotation[world].copy()
+    to_object = (hand_rotation @ rotation).T
+    return Moment(
+        contacts.link, contacts.force, (contacts.point - contacts.centre) @ to_object.T, contacts.normal @ to_object.T,
+        rotation, state.object_pos[world].copy(), state.joint_pos[world].copy(),
+    )  # fmt: skip
+
+
+def _part(link: str) -> str:
+    return link.split("_")[0]
+
+
+def _angle_deg(cosine: float) -> float:
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

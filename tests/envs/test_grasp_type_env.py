@@ -1,0 +1,260 @@
+"""HPAC-GraspType-v0: one start, the first action, the type that is told and judged. The contract is in test_gate.py."""
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+from hpac_gym.envs import scripted_closure
+from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.errors import HpacError, ParameterError, ShapeError, WorkspaceError
+from hpac_gym.tasks.grasp_types import (
+    GRASP_TYPES,
+    HELD_OUT_TYPES,
+    LOOK_EVERY,
+    SETTLES,
+    START,
+    WRIST_CENTRE,
+    WRIST_REACH,
+    WRIST_TURN,
+)
+from tests.envs.episodes import a_setup, run
+from tools.tables import DOCS
+from tools.type_baselines import Closing, alike, at_random, own, play
+
+ID = "HPAC-GraspType-v0"
+ENGINES = [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"]
+
+
+def make(**options) -> gymnasium.Env:
+    return gymnasium.make(ID, **{"engine": "mujoco"} | options)
+
+
+class Other:
+    """A script that is told another type than the one that is asked for, or whose actions are changed."""
+
+    def __init__(self, env: gymnasium.Env, name: str | None = None, change=lambda action, step: action) -> None:
+        self.script, self.change, self.step = scripted_closure(env.unwrapped.task), change, 0
+        self.told, self.name = env.unwrapped.slices["type"], name
+
+    def reset(self) -> None:
+        self.script.reset()
+        self.step = 0
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        if self.name is not None:
+            observation = observation.copy()
+            observation[self.told] = [name == self.name for name in GRASP_TYPES]
+        self.step += 1
+        return self.change(self.script.act(observation), self.step)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_each_type_s_own_closure_is_held_and_kept_and_a_hand_that_opens_at_the_end_is_neither(engine):
+    with make(engine=engine, types=["large_cylinder", "hook", "lateral_pinch"]) as env:
+        names = set()
+        for seed in (0, 1):
+            infos, _ = run(env, Other(env), seed=seed)
+            assert infos[-1]["is_success"]
+            assert infos[-1]["held"]
+            assert (infos[-1]["kept"], infos[-1]["missed"]) == (1.0, "")
+            assert not any(info["held"] for info in infos[:-1])
+            names.add(infos[0]["type"])
+        assert len(names) > 1
+        opened = Other(env, change=lambda action, step: action if step < 60 else np.append(np.full(6, -1), action[6:]))
+        (*_, last), _ = run(env, opened, seed=0)
+        assert not last["is_success"]
+        assert not last["held"]
+
+
+def test_what_is_held_otherwise_than_the_type_asks_is_no_success():
+    """A baton is held with index and pinky aside, and by its own closure: the same object, the same start, another outcome."""
+
+    def two_fingers(action, step):
+        return np.where(np.isin(np.arange(12), [1, 4]), -1.0, action).astype(np.float32)
+
+    with make(types="small_cylinder") as env:
+        (*_, lost), unpaid = run(env, Other(env, change=two_fingers), seed=1)
+        (*_, won), paid = run(env, Other(env), seed=1)
+    assert won["is_success"]
+    assert lost["held"]
+    assert not lost["is_success"]
+    assert lost["missed"] == "3 fingers touch"
+    assert 0.5 < lost["kept"] < 1
+    assert unpaid < paid - 10
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_hand_that_arrives_in_the_object_fails_at_once(engine):
+    with make(engine=engine, types="large_cylinder") as env:
+        for deeper in (0.0, 0.35, 0.6):  # by so many times 65 mm
+            env.reset(seed=2)
+            action = Other(env).script
+            action.reset()
+            first = action.act(env.unwrapped.episodes.observe()[0])
+            first[6] -= deeper
+            *_, terminated, _, info = env.step(first)
+            assert terminated == (deeper > 0)
+            assert info["outcome"] == ("failure" if deeper else "running")
+
+
+def test_a_hand_cannot_arrive_with_its_thumb_inside_of_a_finger():
+    with make(types="large_cylinder") as env:
+        for fingers, over in ((-1.0, False), (0.6, True)):
+            env.reset(seed=0)
+            *_, terminated, _, info = env.step(np.array([0.6, *[fingers] * 4, 0.5, 1, 0, 0, 0, 0, 0], np.float32))
+            assert terminated == over
+            assert info["contact_force"] == 0
+
+
+def test_only_the_first_action_moves_the_wrist_and_shapes_the_hand_at_once():
+    with make(types="rod") as env:
+        env.reset(seed=0)
+        begun = env.unwrapped.episodes.setups[0]
+        action = np.array([0.5, -1, 0, -1, -1, 0.8, 1, 0, 0.2, -0.2, 0.3, 0.1], np.float32)
+        env.step(action)
+        setup = env.unwrapped.episodes.setups[0]
+        assert setup is not begun
+        np.testing.assert_allclose(env.unwrapped.episodes._last_action[0], action[:6], atol=1e-6)
+        np.testing.assert_allclose(setup.synergy[0], 0.75 * 1.25, rtol=0.1)
+        env.step(-action)
+        assert env.unwrapped.episodes.setups[0] is setup
+
+
+def test_a_policy_is_told_its_type_in_every_step_and_the_rule_s_numbers():
+    with make() as env:
+        task, slices = env.unwrapped.task, env.unwrapped.slices
+        seen = {}
+        for seed in range(40):
+            observation, _ = env.reset(seed=seed)
+            told = observation[slices["type"]]
+            assert told.sum() == 1
+            name = env.unwrapped.episodes.setups[0].grasp
+            assert list(GRASP_TYPES)[told.argmax()] == name
+            rule = GRASP_TYPES[name].rule
+            np.testing.assert_allclose(observation[slices["asked_parts"]], rule.asked_parts)
+            np.testing.assert_allclose(observation[slices["asked"]], rule.asked, atol=1e-6)
+            seen[name] = observation
+        after, *_ = env.step(env.action_space.sample())
+        np.testing.assert_array_equal(after[slices["type"]], observation[slices["type"]])
+        assert len(seen) > 10
+        assert sum(len(term.labels) for term in task.terms) == env.observation_space.shape[0]
+
+
+@pytest.mark.slow
+def test_the_baselines_are_as_far_apart_as_the_page_says():
+    """On other seeds than the page's: what knows the types wins, random actions win nothing, in between lies one closure."""
+    seeds, start = range(8_000_000, 8_000_128), GRASP_TYPES["small_cylinder"].start
+    shares = [
+        play("all", "train", seeds, act).mean()
+        for act in (own, alike(Closing(start.preshape, start.closed)), at_random(0))
+    ]  # fmt: skip
+    assert shares[0] > 0.85
+    assert 0.1 < shares[1] < 0.6
+    assert shares[2] < 0.03
+
+
+def test_many_hands_at_once_are_as_many_single_ones():
+    """Whole episodes of the script, so that the contacts are looked at together and alone."""
+    seeds, count = [5, 6, 7], 3
+    envs = gymnasium.make_vec(ID, num_envs=count, engine="mujoco")
+    together, _ = envs.reset(seed=seeds)
+    with make() as env:
+        scripts = [scripted_closure(env.unwrapped.task) for _ in seeds]
+        for script in scripts:
+            script.reset()
+        rows, actions = [together], []
+        for _ in range(50):
+            actions.append(np.array([script.act(row) for script, row in zip(scripts, rows[-1], strict=True)]))
+            observations, rewards, *_ = envs.step(actions[-1])
+            rows.append(observations)
+            actions[-1] = actions[-1], rewards
+        for world, seed in enumerate(seeds):
+            row, _ = env.reset(seed=seed)
+            for step, (action, rewards) in enumerate(actions):
+                np.testing.assert_array_equal(row, rows[step][world])
+                row, reward, over, *_ = env.step(action[world])
+                assert reward == rewards[world]
+                if over:
+                    break
+    envs.close()
+
+
+def test_stable_baselines3_can_learn_from_it():
+    envs = HandVecEnv(ID, num_envs=4, engine="mujoco", types="train")
+    envs.seed(0)
+    seen = envs.reset()
+    for _ in range(3):
+        seen, rewards, dones, _ = envs.step(np.tile(np.linspace(-1, 0, 12, dtype=np.float32), (4, 1)))
+    assert seen.shape == (4, *envs.observation_space.shape)
+    assert rewards.shape == dones.shape == (4,)
+    envs.close()
+
+
+def test_what_the_page_says_by_hand_has_the_numbers_of_the_code():
+    page = " ".join((DOCS / "environments/grasp_type.md").read_text(encoding="utf-8").replace("−", "-").split())
+    for index, (axis, low, high) in enumerate(zip("xyz", WRIST_CENTRE - WRIST_REACH, WRIST_CENTRE + WRIST_REACH, strict=True)):
+        assert f"| {6 + index} | `grasp_{axis}` | {low:.3f} m | {high:.3f} m |" in page
+    assert f"| -{WRIST_TURN:g} rad | {WRIST_TURN:g} rad |" in page
+    assert f"{100 * START[0]:g} cm in front of the palm" in page
+    assert f"pushes it by more than {1e3 * SETTLES:g} mm" in page
+    assert LOOK_EVERY == 4
+    assert "every fourth step" in page
+    assert all(f"`{name}`" in page for name in HELD_OUT_TYPES)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"types": "club"}, HpacError, "no grasp type 'club'; there are all, train, test, large_cylinder"),
+        ({"objects": "real"}, HpacError, "objects 'real' is not one of train, test"),
+        ({"wrist": "loose"}, HpacError, "wrist 'loose' is not one of free, script"),
+        ({"obs": "load"}, HpacError, "obs 'load' is not one of deploy, privileged, image"),
+        ({"config": {"spread": 7}}, HpacError, r"config spread = 7 must be a number within \[0, 5\]"),
+        ({"config": {"timetable": {"close_time": 2.0}}}, HpacError, "lasts 80 steps: HPAC-GraspType-v0 has .*GraspByType"),
+        ({"grasp": "rod"}, TypeError, "grasp"),
+    ],
+)
+def test_what_there_is_not_is_named_in_one_line(options, error, words):
+    with pytest.raises(error, match=words) as raised:
+        make(**options)
+    assert "\n" not in str(raised.value)
+
+
+def test_an_episode_that_is_given_names_its_type():
+    with make() as env:
+        with pytest.raises(ParameterError, match="setup grasp None is not one of large_cylinder, small_cylinder"):
+            env.reset(options={"setup": a_setup_of_a_type(None)})
+        _, info = env.reset(options={"setup": a_setup_of_a_type("small_cylinder")})
+        assert info["type"] == "small_cylinder"
+
+
+def a_setup_of_a_type(name):
+    return replace(a_setup(), grasp=name)
+
+
+@pytest.mark.parametrize(
+    ("action", "error", "match"),
+    [
+        (np.zeros(6), ShapeError, r"shape \(..., 12\)"),
+        (np.append(np.zeros(11), 1.5), WorkspaceError, r"turn_z = 1.5 .*ClipAction"),
+        (np.append(np.zeros(11), np.nan), WorkspaceError, "turn_z = nan"),
+    ],
+)
+def test_a_bad_action_of_the_wrist_says_so(action, error, match):
+    with make() as env:
+        env.reset(seed=0)
+        with pytest.raises(error, match=match):
+            env.step(action)
+
+
+def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monkeypatch):
+    with make(types="large_cylinder") as env:
+        engine, looks = env.unwrapped.episodes.simulation.engine, []
+        look = engine.contacts
+        monkeypatch.setattr(engine, "contacts", lambda world: looks.append(env.unwrapped.state.time[0]) or look(world))
+        infos, _ = run(env, Other(env), seed=0)
+    assert infos[-1]["is_success"]
+    times = env.unwrapped.task.timetable.ends
+    assert len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3  # the last one is of the grasp's quality

@@ -1,0 +1,97 @@
+"""What `hpac record` writes is what happened, and can be learned from."""
+
+import numpy as np
+import pytest
+
+from agents import clone
+from agents.errors import RunError
+from hpac import main
+from hpac_gym.evaluation import dataset as module
+from hpac_gym.evaluation.dataset import DatasetError, read_dataset, record
+from hpac_gym.policies import read_policy
+
+EPISODES = 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("record") / "scripted"
+    record("scripted", "HPAC-Grasp-v0", EPISODES, folder, options={"engine": "mujoco"})
+    return folder
+
+
+def test_the_recorded_environment_seeds_and_actions_give_the_recorded_episodes_again(folder):
+    dataset = read_dataset(folder)
+    env = dataset.recover_environment()
+    for episode in list(dataset.iterate_episodes())[:2]:
+        seed = next(iter(dataset.storage.get_episode_metadata([episode.id])))["seed"]
+        seen = [env.reset(seed=seed)[0]]
+        steps = [env.step(action) for action in episode.actions]
+        assert np.array_equal(episode.observations, [*seen, *(step[0] for step in steps)])
+        assert np.array_equal(episode.rewards, [step[1] for step in steps])
+        assert np.array_equal(episode.terminations, [step[2] for step in steps])
+        assert np.array_equal(episode.infos["is_success"][1:], [step[4]["is_success"] for step in steps])
+        env.reset(seed=seed + 1)
+        assert not np.array_equal(episode.observations[1], env.step(episode.actions[0])[0])
+    successes = [bool(episode.infos["is_success"][-1]) for episode in dataset.iterate_episodes()]
+    assert len(successes) == EPISODES
+    assert 0 < sum(successes) < EPISODES
+    env.close()
+
+
+def test_dictionaries_are_recorded_too(tmp_path):
+    dataset = record("random", "HPAC-Posture-v1", 1, tmp_path / "posture", options={"engine": "mujoco"})
+    (episode,) = dataset.iterate_episodes()
+    assert {name: len(values) for name, values in episode.observations.items()} == dict.fromkeys(
+        ("observation", "achieved_goal", "desired_goal"), len(episode.actions) + 1
+    )
+
+
+def test_a_recording_that_fails_or_is_interrupted_leaves_nothing_half(tmp_path, monkeypatch):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "_episode", stop)
+    with pytest.raises(KeyboardInterrupt):
+        record("scripted", "HPAC-Grasp-v0", 2, tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--out", "."], "'.' is there already"),
+        (["--out", "x", "--policy", "none.zip"], "no policy file 'none.zip'"),
+        (["--out", "x", "--episodes", "0"], "'0' is not a whole number of at least 1"),
+        (["--out", "/proc/x/y"], "cannot write to folder '/proc/x'"),
+    ],
+)
+def test_a_mistake_is_one_line(words, line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    try:
+        status = main(["record", *words])
+    except SystemExit as end:
+        status = end.code
+    said = capsys.readouterr().err
+    assert (status, said.count("\n")) == (2, 1)
+    assert line in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
+    assert clone.main([str(folder), "--out", str(tmp_path), "--epochs", "60"]) == 0
+    policy = read_policy(tmp_path / "policy.zip")
+    episode = next(episode for episode in read_dataset(folder).iterate_episodes() if episode.infos["is_success"][-1])
+    wrong = np.abs([policy.actor(seen) - done for seen, done in zip(episode.observations, episode.actions, strict=False)])
+    assert wrong.mean() < 0.05
+    assert np.abs(np.diff(episode.actions, axis=0)).sum() > 5, "there was something to learn"
+    assert policy.about["algorithm"] == "behaviour cloning"
+    assert "successful episodes" in capsys.readouterr().out
+
+
+def test_nothing_is_cloned_from_failures_or_from_no_dataset(tmp_path):
+    record("random", "HPAC-Grasp-v0", 1, tmp_path / "random", seed_start=3, options={"engine": "mujoco"})
+    with pytest.raises(RunError, match="no successful episode among its 1"):
+        clone.main([str(tmp_path / "random"), "--out", str(tmp_path / "policy")])
+    with pytest.raises(DatasetError, match="holds no dataset"):
+        clone.main([str(tmp_path), "--out", str(tmp_path / "policy")])

@@ -1,0 +1,343 @@
+"""What HPAC-GraspAny-v0 leaves to find: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
+
+``script`` searches better closures for the script, on training objects. ``ceiling`` counts the episodes of a split that some
+closure holds. ``touch`` learns a second decision, from what each observation tells once the hand is closed, and sets them side
+by side. All on MuJoCo with nominal hands; an episode ends after the shake, which decides whether it is won.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import astuple, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+
+from agents.command import command_parser
+from hpac import run, whole_number
+from hpac_gym.body.object_sets import SPLITS
+from hpac_gym.envs.episodes import Episodes
+from hpac_gym.envs.options import checked_options
+from hpac_gym.evaluation.closures import decision_of
+from hpac_gym.evaluation.seeds import BENCHMARK_SEED
+from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
+from hpac_gym.model import HPAC
+from hpac_gym.output import replacing
+from hpac_gym.policies import Closures
+from hpac_gym.progress import progress
+from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
+from hpac_gym.tasks.scripted import ANY_CLOSURES, THUMB_OPPOSED, AnyClosure, ScriptedGraspAny
+from hpac_gym.tasks.senses import LOAD_TERMS
+from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+
+Act = Callable[[int, NDArray], NDArray]
+"""Actions, shape (n, 6), of a step and the observations, shape (n, observed)."""
+
+
+class Player:
+    """n episodes at a time of one split.
+
+    Args:
+        objects: the split.
+        count: n.
+
+    Attributes:
+        task: what is played; its *privileged* observation is *deploy*, then *load*, then the rest.
+    """
+
+    def __init__(self, objects: str, count: int = 64) -> None:
+        self.objects, self.count = objects, count
+        self.task = GraspAny(objects, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
+        self.task.privileged_terms = (*LOAD_TERMS, *self.task.privileged_terms)
+        self._episodes = Episodes(self.task, count, checked_options(obs="privileged", engine="mujoco"))
+
+    def play(self, seeds: Sequence[int], begin: Callable[[NDArray, NDArray], Act]) -> NDArray[np.bool_]:
+        """Whether the episodes of seeds are won, shape (len(seeds),).
+
+        Args:
+            seeds: any number of them.
+            begin: gets the first observations of n episodes and their places among the seeds, and returns what acts in them.
+        """
+        won, count = np.zeros(len(seeds), bool), self.count
+        for first in progress(range(0, len(seeds), count), "episodes", sys.stderr.isatty()):
+            part = range(first, min(first + count, len(seeds)))
+            drawn = [*part, *[first] * (count - len(part))]  # worlds that are left over play the first one again
+            self._episodes.reset(list(range(count)), [seeding.np_random(int(seeds[place]))[0] for place in drawn])
+            act, over = begin(self._episodes.observe(), np.array(drawn)), np.zeros(count, bool)
+            for step in range(round(self.task.duration * CONTROL_HZ)):
+                self._episodes.step(act(step, self._episodes.observe()))
+                won[drawn] |= (self._episodes.outcome == SUCCESS) & ~over
+                over |= self._episodes.outcome != RUNNING
+                if over.all():
+                    break
+        return won
+
+
+def _rate(won: int, episodes: int) -> str:
+    low, high = wilson_interval(won, episodes)
+    return f"{100 * won / episodes:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of {episodes}"
+
+
+# The ceiling -----------------------------------------------------------------------------------------------------------
+
+LOWEST = np.array([-0.5, 0.2, 0.2, 0.2, 0.2, -0.25, 10.0, -6.0])
+HIGHEST = np.array([0.8, 1.0, 1.0, 1.0, 1.0, 0.8, 28.0, 12.0])
+"""Of random closures: actions of the six goals, duration and delay of the thumb [control steps]."""
+CLOSURES = Closures(goal=(-1.0, 1.0), duration=(10.0, 28.0), thumb_delay=(-6.0, 12.0))
+TRIES = (1, 4, 16, 64)
+
+
+def drawn_closure(seed: int, number: int) -> NDArray[np.float64]:
+    """The decision of the closure that is tried at a seed after so many others, shape (8,), −1…1."""
+    return decision_of(CLOSURES, np.random.default_rng([seed, number, 3]).uniform(LOWEST, HIGHEST))
+
+
+def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, int]:
+    """How many random closures it took to win, at most so many, by seed; seeds that none won are left out."""
+    tried, found = dict.fromkeys(seeds, 0), {}
+    while left := [seed for seed in seeds if seed not in found and tried[seed] < most]:
+        each = -(-player.count // len(left))  # no world is left without work
+        jobs = [(seed, number) for seed in left for number in range(tried[seed], min(tried[seed] + each, most))]
+        decisions = np.array([drawn_closure(*job) for job in jobs])
+        won = player.play([seed for seed, _ in jobs], partial(_closing, decisions))
+        for (seed, number), held in zip(jobs, won, strict=True):
+            tried[seed] = number + 1
+            if held:
+                found[seed] = min(number + 1, found.get(seed, most))
+    return found
+
+
+def _closing(decisions: NDArray, first: NDArray, places: NDArray) -> Act:
+    chosen = decisions[places]
+    return lambda step, seen: CLOSURES.actions(chosen, np.full(len(seen), step)).astype(np.float32)
+
+
+def ceiling(objects: str, seeds: range) -> Iterator[str]:
+    """How many episodes random closures hold, in lines."""
+    found = first_winners(Player(objects), seeds, TRIES[-1])
+    for most in TRIES:
+        yield f"{objects}, best of {most} random closures: {_rate(sum(n <= most for n in found.values()), len(seeds))}"
+
+
+# The script ------------------------------------------------------------------------------------------------------------
+
+SPREAD = np.array([0.12, 0.12, 0.12, 0.12, 0.20])
+"""Of the closures that are tried around a kind's, in the order of `AnyClosure`'s numbers, at first."""
+BOUNDS = np.array([[0.3, 0.1, 0.6, -0.5, 0.4], [1.57, 1.2, 1.3, 0.6, 1.6]])
+ROUNDS, EPISODES, JUDGED_FROM = 6, 256, 500_000
+"""How often a kind's closure moves, training episodes of each round, and the first training seed that judges."""
+
+Kind = tuple[bool, int]
+
+
+def play_script(player: Player, seeds: Sequence[int], closure: Callable[[Kind], AnyClosure]) -> tuple[list, NDArray]:
+    """Kind and closure of each episode, and whether it is won."""
+    kinds, used = [], []
+
+    def begin(first: NDArray, places: NDArray) -> Act:
+        seen = [ScriptedGraspAny(player.task).kind(row) for row in first]
+        chosen = [closure(kind) for kind in seen]
+        kinds.extend(seen), used.extend(chosen)
+        scripts = [ScriptedGraspAny(player.task, {kind: one}) for kind, one in zip(seen, chosen, strict=True)]
+        for script in scripts:
+            script.reset()
+        return lambda step, rows: np.array([script.act(row) for script, row in zip(scripts, rows, strict=True)])
+
+    won = player.play(seeds, begin)
+    return list(zip(kinds, used, strict=True))[: len(seeds)], won
+
+
+def script() -> Iterator[str]:
+    """Better closures of the kinds, each moved towards what won; then both, on the same training episodes."""
+    player, rng, seed = Player("train"), np.random.default_rng(5), 10_000
+    means = {kind: np.array(astuple(closure)) for kind, closure in ANY_CLOSURES.items()}
+    for number in range(ROUNDS):
+        spread = SPREAD * 0.88**number
+        tried, won = play_script(
+            player, range(seed, seed + EPISODES),
+            lambda kind: AnyClosure(*np.clip(means[kind] + spread * rng.standard_normal(5), *BOUNDS)),  # noqa: B023  used at once
+        )  # fmt: skip
+        seed += EPISODES
+        for kind in means:
+            mine = np.array([entry[0] == kind for entry in tried])
+            if (mine & won).sum() >= 8:
+                values = np.array([astuple(entry[1]) for entry in tried])
+                means[kind] = np.clip(means[kind] + 1.5 * (values[mine & won].mean(0) - values[mine].mean(0)), *BOUNDS)
+        yield f"round {number + 1}: {_rate(int(won.sum()), EPISODES)}"
+    found = {kind: AnyClosure(*mean.round(2).tolist()) for kind, mean in means.items()}
+    judged = range(JUDGED_FROM, JUDGED_FROM + EPISODES)
+    before, after = (play_script(player, judged, table.__getitem__)[1] for table in (ANY_CLOSURES, found))
+    yield from (f"{kind}: {closure}" for kind, closure in found.items())
+    yield f"before {_rate(int(before.sum()), EPISODES)}, after {_rate(int(after.sum()), EPISODES)}"
+    difference = paired_difference(int((after & ~before).sum()), int((before & ~after).sum()), EPISODES)
+    yield "difference {:+.3f} [{:+.3f}, {:+.3f}]".format(*difference)
+
+
+# A second decision -----------------------------------------------------------------------------------------------------
+
+DECIDED = 26
+"""Control steps after which the script has closed the hand, and the second decision is taken."""
+CHOICES = ("keep", "squeeze", "another")
+"""Hold on; close farther by `SQUEEZE`; open for `OPENING` control steps, and try a random closure of `drawn_closure`."""
+SQUEEZE, OPENING = 0.3, 11
+OPEN = np.append(-np.ones(5), 2 * THUMB_OPPOSED / HPAC.synergy_max[-1] - 1).astype(np.float32)
+"""Action of the open hand with its thumb opposed."""
+RUNS, TRAINING_EPISODES = 3, 320
+"""Disjoint sets of training episodes; each episode is played with every choice, 97 steps each: 93,000 steps a run."""
+UPDATES = 80
+"""Of each network; with its size and its dropout chosen on training episodes alone, one run's foretelling the next one's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trials:
+    """Episodes in which the script closes the hand, played with each of the choices.
+
+    Attributes:
+        seen: observations at the first step and at the decision, shape (n, 2, observed).
+        won: whether each choice wins, shape (n, len(CHOICES)).
+    """
+
+    seen: NDArray
+    won: NDArray[np.bool_]
+
+
+def trials_of(player: Player, seeds: range, folder: Path) -> Trials:
+    """Those of files in the folder, one for as many seeds as a player has worlds; what is not there yet is played."""
+    parts = []
+    for first in range(seeds.start, seeds.stop, player.count):
+        part = range(first, min(first + player.count, seeds.stop))
+        path = folder / f"{player.objects}-{part.start}-{part.stop}.npz"
+        if not path.exists():
+            looks: dict[int, NDArray] = {}
+            won = np.array([player.play(part, partial(_decided, player.task, choice, part, looks)) for choice in CHOICES]).T
+            with replacing(path) as temporary:
+                np.savez(temporary, seen=np.array([looks[place] for place in range(len(part))]), won=won)
+        with np.load(path) as kept:
+            parts.append((kept["seen"], kept["won"]))
+    return Trials(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+def _decided(task: GraspAny, choice: str, seeds: range, looks: dict[int, NDArray], first: NDArray, places: NDArray) -> Act:
+    """The script with a choice after `DECIDED` steps; what was seen then and at first is put into `looks`."""
+    scripts = [ScriptedGraspAny(task) for _ in first]
+    others = np.array([drawn_closure(seeds[place], 0) for place in places])
+    for script in scripts:
+        script.reset()
+
+    def act(step: int, seen: NDArray) -> NDArray:
+        if step == DECIDED:
+            looks.update(zip(places.tolist(), np.stack([first, seen], 1), strict=True))
+        if choice == "another" and step >= DECIDED:
+            since = step - DECIDED - OPENING
+            if since < 0:
+                return np.tile(OPEN, (len(seen), 1))
+            return CLOSURES.actions(others, np.full(len(seen), since)).astype(np.float32)
+        actions = np.array([script.act(row) for script, row in zip(scripts, seen, strict=True)])
+        if choice == "squeeze" and step >= DECIDED:
+            actions[:, :5] = np.minimum(actions[:, :5] + SQUEEZE * min((step - DECIDED + 1) / 8, 1.0), 1.0)
+        return actions
+
+    return act
+
+
+def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
+    """Probability that each choice wins, learned from trials by five small networks.
+
+    Args:
+        seen: what is known of each episode, shape (n, k).
+        won: shape (n, m).
+        asked: what is known of other episodes, shape (l, k).
+        seed: of the networks.
+
+    Returns:
+        Shape (l, m).
+    """
+    import torch
+    from torch import nn
+
+    torch.manual_seed(seed)
+    torch.set_num_threads(1)
+    mean, scale = seen.mean(0), np.maximum(seen.std(0), 0.05)
+    known, new = (torch.tensor(np.clip((values - mean) / scale, -5, 5), dtype=torch.float32) for values in (seen, asked))
+    target, found = torch.tensor(won, dtype=torch.float32), np.zeros((len(asked), won.shape[1]))
+    for _ in range(5):
+        net = nn.Sequential(nn.Dropout(0.5), nn.Linear(known.shape[1], 16), nn.SiLU(), nn.Linear(16, target.shape[1]))
+        optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=0.3)
+        for _ in range(UPDATES):
+            optimizer.zero_grad()
+            nn.functional.binary_cross_entropy_with_logits(net(known), target).backward()
+            optimizer.step()
+        with torch.no_grad():
+            found += net.eval()(new).sigmoid().numpy() / 5
+    return found
+
+
+def arms(seen: NDArray, task: GraspAny) -> dict[str, NDArray]:
+    """What each observation tells in both looks, by its name, each of shape (n, k)."""
+    deploy = sum(len(term.labels) for term in task.terms)
+    load = deploy + sum(len(term.labels) for term in LOAD_TERMS)
+    everything = np.arange(seen.shape[2])
+    parts = {"deploy": everything[:deploy], "load": everything[:load], "privileged": np.delete(everything, range(deploy, load))}
+    return {name: seen[:, :, part].reshape(len(seen), -1) for name, part in parts.items()}
+
+
+def _mean(values: NDArray) -> str:
+    """Mean over runs and episodes, shape (runs, episodes), with the 95 % interval of drawing both anew."""
+    rng, (runs, episodes) = np.random.default_rng(0), values.shape
+    drawn = [values[rng.integers(runs, size=runs)][:, rng.integers(episodes, size=episodes)].mean() for _ in range(2_000)]
+    low, high = np.percentile(drawn, (2.5, 97.5))
+    return f"{values.mean():.3f} [{low:.3f}, {high:.3f}]"
+
+
+def touch(episodes: int, folder: Path) -> Iterator[str]:
+    """A table in Markdown: what the second decision wins by what it is taken on, on held-out and on real objects.
+
+    The last columns say how well each observation foretells whether the hand that keeps still will win: the loss is the mean
+    negative logarithm of the probability that was given to what came to be.
+    """
+    player = Player("train")
+    trained = trials_of(player, range(RUNS * TRAINING_EPISODES), folder)
+    runs = [slice(run * TRAINING_EPISODES, (run + 1) * TRAINING_EPISODES) for run in range(RUNS)]
+    parts = [trials_of(Player(name), range(BENCHMARK_SEED, BENCHMARK_SEED + episodes), folder) for name in ("test", "real")]
+    judged, places = np.concatenate([part.won for part in parts]), np.arange(2 * episodes)
+    known = arms(trained.seen, player.task)
+    asked = arms(np.concatenate([part.seen for part in parts]), player.task)
+    best = [int(trained.won[run].mean(0).argmax()) for run in runs]
+    won = {"nothing: keep": np.tile(judged[:, 0], (RUNS, 1)), "nothing: what was best in training": judged[:, best].T}
+    loss = {}
+    for name in known:
+        odds = np.array([chances(known[name][run], trained.won[run], asked[name], seed) for seed, run in enumerate(runs)])
+        won[name] = judged[places, odds.argmax(2)]
+        loss[name] = -np.log(np.where(judged[:, 0], odds[:, :, 0], 1 - odds[:, :, 0]))
+    won["the outcome itself"] = np.tile(judged.any(1), (RUNS, 1))
+    yield "| decided on | held-out objects | over *deploy* | real objects | over *deploy* | loss of foretelling | over *deploy* |"
+    yield "| --- " * 7 + "|"
+    for name, values in won.items():
+        halves = [(values[:, part].astype(float), won["deploy"][:, part]) for part in (slice(episodes), slice(episodes, None))]
+        cells = [text for mine, deploy in halves for text in (_mean(mine), _mean(mine - deploy))]
+        cells += [_mean(loss[name]), _mean(loss[name] - loss["deploy"])] if name in loss else ["", ""]
+        yield f"| {name} | {' | '.join(cells)} |"
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("tools.any_closures", __doc__)
+    parser.add_argument("what", choices=("script", "ceiling", "touch"), help="what to find")
+    parser.add_argument("--objects", choices=SPLITS, default="real", help="of the ceiling: the split")
+    parser.add_argument("--episodes", type=whole_number(1), default=200, help="that judge, of each split")
+    parser.add_argument("--seed-start", type=whole_number(0), default=BENCHMARK_SEED, help="of the ceiling: the first seed")
+    parser.add_argument("--trials", type=Path, default=Path("runs/touch"), help="of touch: folder of what was played")
+    args = parser.parse_args(argv)
+    seeds = range(args.seed_start, args.seed_start + args.episodes)
+    found = {"script": script, "ceiling": partial(ceiling, args.objects, seeds),
+             "touch": partial(touch, args.episodes, args.trials)}  # fmt: skip
+    for line in found[args.what]():
+        print(line, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))
