@@ -26,8 +26,6 @@ HIDDEN = (256, 256)
 BATCH = 256
 KEPT = 0.1
 """Share of the episodes, the last ones, that is kept to judge by."""
-OBSERVATION_CLIP, MEAN_CLIP = 8.0, 4.0
-SMALLEST_SCALE = 0.05
 
 
 def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int, seed: int) -> tuple[Actor, float]:
@@ -45,12 +43,14 @@ def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int
     import torch
     from torch import nn
 
+    from agents.closures import MEAN_CLIP, OBSERVATION_CLIP, mean_and_scale, scaled
+
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     used = len(observations) - int(KEPT * len(observations))
     seen, done = np.concatenate(observations[:used]), np.concatenate(actions[:used])
-    mean, scale = seen.mean(axis=0, dtype=float), np.maximum(seen.std(axis=0, dtype=float), SMALLEST_SCALE)
-    inputs = torch.from_numpy(np.clip((seen - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP).astype(np.float32))
+    mean, scale = mean_and_scale(seen)
+    inputs = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32))
     wanted = torch.from_numpy(done)
     widths = (seen.shape[1], *HIDDEN, done.shape[1])
     linear = [nn.Linear(a, b) for a, b in pairwise(widths)]

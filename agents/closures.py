@@ -285,8 +285,8 @@ class Learner:
         if trials.count < recipe.random_episodes:
             return
         if self.updates == 0:
-            self.mean, self.scale = _mean_and_scale(trials.seen[: trials.count])
-            self.mean_came_to, self.scale_came_to = _mean_and_scale(trials.came_to[: trials.count])
+            self.mean, self.scale = np.float32(mean_and_scale(trials.seen[: trials.count]))
+            self.mean_came_to, self.scale_came_to = np.float32(mean_and_scale(trials.came_to[: trials.count]))
         for name in ("critics", "actor"):
             for group in self.optimizers[name].param_groups:
                 group["lr"] = recipe.learning_rate * max(0.05, 1.0 - share)
@@ -306,7 +306,7 @@ class Learner:
         odds, came_to = predicted.split([len(self._phases), trials.came_to.shape[1]], -1)
         through, reached = (survived > self._phases).float(), (survived >= self._phases).float()
         losses = reached * functional.binary_cross_entropy_with_logits(odds, through, reduction="none")
-        truth = torch.from_numpy(_scaled(trials.came_to[rows], self.mean_came_to, self.scale_came_to))
+        truth = torch.from_numpy(scaled(trials.came_to[rows], self.mean_came_to, self.scale_came_to))
         self._descend("critics", losses.sum(-1).mean() + recipe.aftermath * functional.mse_loss(came_to, truth))
 
         self.critics.requires_grad_(False)  # the actor moves along their slope; they themselves stay
@@ -331,7 +331,7 @@ class Learner:
         optimizer.step()
 
     def _scaled(self, seen: np.ndarray) -> Tensor:
-        return torch.from_numpy(_scaled(seen, self.mean, self.scale))
+        return torch.from_numpy(scaled(seen, self.mean, self.scale))
 
     def weights(self) -> dict[str, Any]:
         """What PyTorch saves and `load_weights` takes: networks, optimisers and the weight of the entropy."""
@@ -359,11 +359,12 @@ class Learner:
         )
 
 
-def _mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and standard deviation of each column; one that hardly varies, such as the noise of an angle, is not blown up."""
     values = values.astype(float)
-    return values.mean(axis=0).astype(np.float32), np.maximum(values.std(axis=0), SMALLEST_SCALE).astype(np.float32)
+    return values.mean(axis=0), np.maximum(values.std(axis=0), SMALLEST_SCALE)
 
 
-def _scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Values as a network takes them, as `Actor` computes them."""
     return np.clip((values - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP)
