@@ -42,7 +42,7 @@ COMMANDS = (
     Command("doctor", "find hands, say what is wrong and the first step; touches nothing", "hpac_gym.bridge.commands:add_doctor"),
     Command("estop", "stop all pulses now and latch a fault", "hpac_gym.bridge.commands:add_estop"),
     Command("export", "write a policy file as ONNX with a card", "hpac_gym.policies.export:add_arguments", "onnx"),
-    Command("grasps", "judge a policy at the sixteen named grasps", "hpac_gym.evaluation.commands:add_grasps", "grasps"),
+    Command("grasps", "judge a policy at the sixteen named grasps", "hpac_gym.evaluation.grasps:add_arguments", "grasps"),
     Command("physics", "hold every engine and body against the paper and statics", "hpac_gym.physics.conformance:add_arguments"),
     Command("posture", "show, draw or send a gesture or grasp shape of the paper", "hpac:add_posture", "study"),
     Command("record", "write episodes of a policy as a Minari dataset", "hpac_gym.evaluation.dataset:add_arguments", "data"),

@@ -25,7 +25,7 @@ from agents.tasks import make_task
 from agents.train import versions
 from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
-from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED, HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import (
     interquartile_mean,
@@ -38,6 +38,7 @@ from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.policies.made_for import made_for
+from hpac_gym.tasks.grasp_types import data_text
 
 SCHEMA = "hpac-benchmark-1"
 BUDGETS = (0, 100_000, 1_000_000, 10_000_000)
@@ -46,9 +47,11 @@ RUNS, EPISODES = 5, 1_000
 """Runs of a trained method, and episodes of each cell, that a submission has."""
 _TWIN = {"engine": "mujoco", "body": "twin"}
 _REAL = _TWIN | {"objects": "real"}
+_TYPES = _TWIN | {"types": "train", "objects": "train"}
+_HANDS = _TWIN | {"randomize": "hand"}
 _PRIMITIVES = {
     "nominal": _TWIN,
-    "hands that differ": _TWIN | {"randomize": "hand"},
+    "hands that differ": _HANDS,
     "all that differs": _TWIN | {"randomize": "full"},
     "light body": _TWIN | {"body": "light"},
     "PyBullet": _TWIN | {"engine": "pybullet"},
@@ -64,6 +67,22 @@ SPLITS: dict[str, dict[str, dict[str, str]]] = {
         "real objects, held-out hands": _REAL | {"hands": "test"},
         "real objects, light body": _REAL | {"body": "light"},
         "real objects, PyBullet": _REAL | {"engine": "pybullet"},
+    },
+    GRASP_TYPE: {
+        "training types and objects": _TYPES,
+        "held-out objects": _TYPES | {"objects": "test"},
+        "held-out types": _TYPES | {"types": "test"},
+        "held-out types and objects": _TYPES | {"types": "test", "objects": "test"},
+        "hands that differ": _TYPES | {"randomize": "hand"},
+        "light body": _TYPES | {"body": "light"},
+        "PyBullet": _TYPES | {"engine": "pybullet"},
+    },
+    POSTURE: {
+        "hands that differ": _HANDS,
+        "nominal": _TWIN | {"randomize": "nominal"},
+        "all that differs": _TWIN | {"randomize": "full"},
+        "light body": _HANDS | {"body": "light"},
+        "PyBullet": _HANDS | {"engine": "pybullet"},
     },
 }
 """Options of the environment in each split, by id; one thing changes at a time."""
@@ -87,7 +106,9 @@ def env_hash(env_id: str) -> str:
     splits = splits_of(env_id)
     with make_task(env_id, **next(iter(splits.values()))) as env:
         told: Results = {"splits": splits, "made_for": made_for(env)}
-    for name in sorted({options["objects"] for options in splits.values() if "objects" in options}):
+    if env_id == GRASP_TYPE:
+        told["types"] = data_text()
+    for name in sorted({options["objects"] for options in splits.values()}) if env_id == GRASP_ANY else ():
         told[name] = [
             [entry.name, entry.friction, float(entry.model.mass), np.round([pose.quaternion for pose in entry.poses], 9).tolist()]
             for entry in object_set(name)

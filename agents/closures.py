@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -24,14 +25,19 @@ from torch.nn import functional
 
 from agents.errors import RunError
 from agents.recipes import Recipe
-from hpac_gym.envs import PickPlace, grasp_task
+from hpac_gym.envs import GraspAny, GraspAnyConfig, PickPlace, grasp_task
 from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import GRASP, PICK_PLACE, checked_options
+from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE, checked_options
 from hpac_gym.policies import Actor, Closures
-from hpac_gym.tasks.task import RUNNING, SUCCESS
+from hpac_gym.tasks.phases import Timetable
+from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
 
-TASKS = {GRASP: grasp_task, PICK_PLACE: PickPlace}
-"""Makes the task of an id."""
+SHORT = GraspAnyConfig(
+    timetable=Timetable(close_time=1.6, clearance=Timetable().lift_height), side_time=1 / CONTROL_HZ, ramp_time=1 / CONTROL_HZ
+)
+"""HPAC-GraspAny-v0 without the time that one closure leaves unused, and without what comes once an episode is won."""
+TASKS = {GRASP: grasp_task, GRASP_ANY: partial(GraspAny, config=SHORT), PICK_PLACE: PickPlace}
+"""Makes the task of an id, as training plays it."""
 MEAN_CLIP = 4.0
 """Bound of the actor's output before tanh."""
 LOG_STD = (-4.0, 0.5)
@@ -310,8 +316,9 @@ class Learner:
         self._descend("critics", losses.sum(-1).mean() + recipe.aftermath * functional.mse_loss(came_to, truth))
 
         self.critics.requires_grad_(False)  # the actor moves along their slope; they themselves stay
-        decisions, log_density = self.actor(seen[0, :, : self._deployed])
-        success = self._success(seen[0], decisions)
+        seen = seen[0, : recipe.actor_batch_size]
+        decisions, log_density = self.actor(seen[:, : self._deployed])
+        success = self._success(seen, decisions)
         success = success.mean(0) - recipe.doubt * success.std(0, correction=0)  # what they disagree on is not believed
         weight = self.log_weight.exp()
         self.entropy = -log_density.mean().item() / decisions.shape[1]

@@ -25,20 +25,19 @@ from tqdm import tqdm
 from agents.command import command_parser, minutes
 from agents.tasks import make_task
 from hpac import run, whole_number
-from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
+from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.closures import scale_of
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.evaluation.workers import worker_pool
 from hpac_gym.output import writable_folder, write_text
-from hpac_gym.physics.simulation import default_engine
 from hpac_gym.policies import Policy, read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
 
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
-BATCH = 50  # worlds at once on MuJoCo
+BATCH, ROUNDS = 50, 4  # worlds at once on MuJoCo, and episodes in each before anything is told
 LEARNED = "learned"  # what a policy file is called in tables
 OPTIONS = ("engine", "body", "randomize")
 """Options of the environment that the command passes on."""
@@ -86,35 +85,46 @@ class Evaluation:
 def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
     """One episode from its seed to its end."""
     rewards, infos = zip(*control_steps(env, policy, seed), strict=True)
-    return _episode(seed, rewards, infos[-1], getattr(env.unwrapped, "phase", None))
+    return _episode(seed, rewards, infos[-1])
 
 
 def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int]) -> list[Episode]:
-    """An episode of each policy from its seed to its end, all at once; what begins after that is not looked at."""
-    seen, _ = envs.reset(seed=list(seeds))
-    for policy, seed in zip(policies, seeds, strict=True):
-        policy.reset(seed)
-    rewards: list[list[float]] = [[] for _ in seeds]
-    episodes: dict[int, Episode] = {}
+    """An episode from each seed to its end, many at once: a world whose episode is over takes the next seed.
+
+    Args:
+        envs: n worlds without autoreset.
+        policies: one for each world, all alike.
+        seeds: of any number; the episodes come back in their order.
+    """
+    waiting, playing = iter(seeds), [None] * envs.num_envs
+    rewards: list[list[float]] = [[] for _ in playing]
+    over, episodes = np.ones(envs.num_envs, dtype=bool), {}
     while len(episodes) < len(seeds):
+        if over.any():
+            for place in np.flatnonzero(over):
+                playing[place], rewards[place] = next(waiting, None), []
+                policies[place].reset(playing[place] or 0)
+            # What is left over at the end plays seed 0, and nobody counts it.
+            seen, _ = envs.reset(seed=[seed or 0 for seed in playing], options={"reset_mask": over})
         actions = np.zeros(envs.action_space.shape, np.float32)
         for place, policy in enumerate(policies):
-            if place not in episodes:
-                actions[place] = policy.act(seen[place])
+            if playing[place] is not None:
+                one = {name: part[place] for name, part in seen.items()} if isinstance(seen, dict) else seen[place]
+                actions[place] = policy.act(one)
         seen, gained, terminated, truncated, infos = envs.step(actions)
-        for place in range(len(seeds)):
-            if place in episodes:
+        over = terminated | truncated
+        for place, seed in enumerate(playing):
+            if seed is None:
                 continue
             rewards[place].append(float(gained[place]))
-            if terminated[place] or truncated[place]:
+            if over[place]:
                 told = {name: infos[name][place] for name in ("is_success", "phase", "holding_force") if name in infos}
-                episodes[place] = _episode(seeds[place], rewards[place], told, None)
-    return [episodes[place] for place in range(len(seeds))]
+                episodes[seed] = _episode(seed, rewards[place], told)
+    return [episodes[seed] for seed in seeds]
 
 
-def _episode(seed: int, rewards: Sequence[float], told: Mapping[str, Any], otherwise: Any) -> Episode:
-    phase = told.get("phase", otherwise)
-    success, force = bool(told["is_success"]), told.get("holding_force")
+def _episode(seed: int, rewards: Sequence[float], told: Mapping[str, Any]) -> Episode:
+    phase, success, force = told.get("phase"), bool(told["is_success"]), told.get("holding_force")
     force = None if force is None else float(force)
     return Episode(seed, success, sum(rewards), len(rewards), None if phase is None else _phase_name(phase), force)
 
@@ -137,12 +147,13 @@ def evaluate(
     env = make_task(env_id, **options)
     for name in names:
         load_policy(name, env)  # a mistake ends here, not in a worker
+    size = min(BATCH, episodes) if _has_batch(env) else 1
     env.close()
     labels = [name if name in BASELINES else LEARNED for name in names]
     deadline = time.monotonic() + time_limit
     seeds = range(seed_start, seed_start + episodes)
     rows = []
-    with _results(names, env_id, options, seeds, workers) as results, tqdm(
+    with _results(names, env_id, options, seeds, size, workers) as results, tqdm(
         total=episodes, desc="evaluating", unit="seed", disable=not sys.stderr.isatty(), dynamic_ncols=True
     ) as bar:  # fmt: skip
         for block in results:
@@ -246,11 +257,11 @@ Block = list[tuple[Episode, ...]]
 
 @contextmanager
 def _results(
-    names: Sequence[str], env_id: str, options: dict[str, Any], seeds: Sequence[int], workers: int
+    names: Sequence[str], env_id: str, options: dict[str, Any], seeds: Sequence[int], size: int, workers: int
 ) -> Iterator[Iterator[Block]]:
-    """The blocks of episodes, in the order of their seeds, as they are done."""
-    size = min(BATCH, len(seeds)) if _on_mujoco(env_id, options) else 1
-    blocks = [seeds[start : start + size] for start in range(0, len(seeds), size)]
+    """Blocks of episodes that were played in `size` worlds at once, in the order of their seeds, as they are done."""
+    block = size * (ROUNDS if size > 1 else 1)
+    blocks = [seeds[start : start + block] for start in range(0, len(seeds), block)]
     if workers == 1:
         bench = _Bench(names, env_id, options, size)
         yield map(bench.episodes, blocks)
@@ -260,26 +271,24 @@ def _results(
         yield work(_work, zip(blocks, strict=True))
 
 
-def _on_mujoco(env_id: str, options: Mapping[str, Any]) -> bool:
-    """Whether an environment has a batch of its own."""
-    return env_id.rpartition(":")[2] in (GRASP, GRASP_ANY, PICK_PLACE) and (options.get("engine") or default_engine()) == "mujoco"
+def _has_batch(env: gymnasium.Env) -> bool:
+    """Whether many worlds of an environment are stepped at once: those of this package on MuJoCo."""
+    return isinstance(env.unwrapped, HandEnv) and env.unwrapped.episodes.options.engine == "mujoco"
 
 
 class _Bench:
     """Where policies are judged: one environment, or a batch of `size`, with each policy once for each of its worlds."""
 
     def __init__(self, names: Sequence[str], env_id: str, options: dict[str, Any], size: int) -> None:
-        self._env, self._size = make_task(env_id, **options), size
-        self._batch = gymnasium.make_vec(env_id, size, **options) if _on_mujoco(env_id, options) else None
+        self._env = make_task(env_id, **options)
+        self._batch = gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options) if size > 1 else None
         self._policies = [[load_policy(name, self._env) for _ in range(size)] for name in names]
 
     def episodes(self, seeds: Sequence[int]) -> Block:
         """An episode of each policy from each seed."""
         if self._batch is None:
             return [tuple(run_episode(self._env, policy, seed) for (policy,) in self._policies) for seed in seeds]
-        # The last block may be short: the worlds that are left over play seeds that nobody counts.
-        padded = [*seeds, *range(self._size - len(seeds))]
-        columns = [run_batch(self._batch, policies, padded)[: len(seeds)] for policies in self._policies]
+        columns = [run_batch(self._batch, policies, seeds) for policies in self._policies]
         return list(zip(*columns, strict=True))
 
     def close(self) -> None:

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 from tqdm import tqdm
@@ -23,20 +24,23 @@ class Progress:
     Args:
         folder: of the run.
         episodes: trials in all.
-        done: trials of the run before it was resumed.
+        env_steps: control steps of all worlds together that the run may take.
+        done, steps_done: trials and control steps of the run before it was resumed.
         seconds_before: what they took [s].
         time_limit: when the training ends even so [s], counted from `started`.
-        started: on the monotonic clock.
+        started: on the clock; None is now.
+        clock: what the time is read from.
     """
 
     def __init__(
-        self, folder: Path, episodes: int, done: int = 0, seconds_before: float = 0.0, time_limit: float = float("inf"),
-        started: float | None = None,
+        self, folder: Path, episodes: int, env_steps: int, done: int = 0, steps_done: int = 0, seconds_before: float = 0.0,
+        time_limit: float = float("inf"), started: float | None = None, clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         self.stopped_by: str | None = None
         self._curve, self._episodes, self._done, self._first = folder / CURVE, episodes, done, done
         self._seconds_before, self._time_limit = seconds_before, time_limit
-        self._started = time.monotonic() if started is None else started
+        self._env_steps, self.env_steps = env_steps, steps_done
+        self._clock, self._started = clock, clock() if started is None else started
         self._held: deque[bool] = deque(maxlen=WINDOW)
         self._written, self._next_row, self._next_line = done or -1, done + ROW_EVERY, LINE_EVERY_S / 3
         self._bar = tqdm(
@@ -47,24 +51,26 @@ class Progress:
     @property
     def seconds(self) -> float:
         """How long this run has trained so far, its earlier parts included [s]."""
-        return self._seconds_before + time.monotonic() - self._started
+        return self._seconds_before + self._clock() - self._started
 
     @property
     def share(self) -> float:
-        """How far the training has come, 0…1, by trials or by its time limit."""
-        return min(1.0, max(self._done / self._episodes, self.seconds / (self._seconds_before + self._time_limit)))
+        """How far the training has come, 0…1, by trials, by steps or by its time limit."""
+        spent = self.seconds / (self._seconds_before + self._time_limit)
+        return min(1.0, max(self._done / self._episodes, self.env_steps / self._env_steps, spent))
 
     def stop(self, reason: str) -> None:
         """End the training after the step that is under way."""
         self.stopped_by = reason
 
-    def add(self, held: list[bool], entropy: float) -> bool:
-        """Take note of trials and of the actor's entropy [nats a number]; returns whether the training goes on."""
+    def add(self, held: list[bool], steps: int, entropy: float) -> bool:
+        """Take note of trials, control steps and the actor's entropy [nats a number]; returns whether the training goes on."""
         self._held.extend(held)
         self._done += len(held)
+        self.env_steps += steps
         if self._done >= self._next_row:
             self.write_row(entropy)
-        if time.monotonic() - self._started > self._time_limit:
+        if self._clock() - self._started > self._time_limit:
             self.stop("time limit")
         self._show()
         return self.stopped_by is None and self._done < self._episodes
@@ -83,7 +89,7 @@ class Progress:
         append_row(self._curve, row | {"window": len(self._held), "entropy": round(entropy, 3)})
 
     def _show(self) -> None:
-        elapsed = time.monotonic() - self._started
+        elapsed = self._clock() - self._started
         if self._bar.disable and elapsed < self._next_line:
             return
         self._next_line = elapsed + LINE_EVERY_S

@@ -8,7 +8,7 @@ from math import inf
 from typing import Any, get_type_hints
 
 from agents.errors import RecipeError
-from hpac_gym.envs.options import GRASP, PICK_PLACE
+from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.simulation import ENGINES
@@ -31,16 +31,18 @@ class Recipe:
         RecipeError: A setting that is out of its bounds, or none of its choices.
     """
 
-    env_id: str = _choice(GRASP, "environment", (GRASP, PICK_PLACE))
+    env_id: str = _choice(GRASP, "environment", (GRASP, GRASP_ANY, PICK_PLACE))
     engine: str = _choice("mujoco", "physics engine", ENGINES)
     body: tuple[str, ...] = _choice(("twin",), "bodies, with commas between; each gets its share of worlds", tuple(BODIES))
     randomize: str = _choice("nominal", "what differs between episodes", tuple(PRESETS))
     episodes: int = _setting(60_000, "trials in all", 1)
+    env_steps: int = _setting(10**12, "control steps of all worlds together that the training may take", 1)
     seed: int = _setting(0, "seed of the run", 0, 2**31 - 1)
     num_envs: int = _setting(128, "worlds at once", 1, 65_536)
     random_episodes: int = _setting(2_500, "trials of random closures before the first update", 1)
-    updates_per_episode: float = _setting(0.2, "updates that a trial is worth", 1e-4, 100)
-    batch_size: int = _setting(256, "trials in an update", 1, 65_536)
+    updates_per_episode: float = _setting(0.15, "updates that a trial is worth", 1e-4, 100)
+    batch_size: int = _setting(256, "trials in an update of each critic", 1, 65_536)
+    actor_batch_size: int = _setting(128, "how many of them the actor's update takes; no more than there are", 1, 65_536)
     learning_rate: float = _setting(1e-3, "at the beginning; it falls to a twentieth", 1e-8, 1)
     weight_decay: float = _setting(0.03, "of the critics", 0, 10)
     dropout: float = _setting(0.1, "share of the critics' hidden values that a fit leaves out", 0, 0.9)
@@ -83,6 +85,7 @@ class Recipe:
 
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
+    "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
 }
 _KINDS = {"int": "a whole number", "float": "a number", "tuple[int, ...]": "whole numbers with commas between",

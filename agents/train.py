@@ -24,7 +24,7 @@ from agents.progress import Progress
 from agents.recipes import RECIPES, Recipe, recipe_named, settings_of, with_settings
 from agents.seeds import training_seed
 from agents.tasks import make_task
-from hpac import INTERRUPTED, run
+from hpac import INTERRUPTED, run, whole_number
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 
@@ -37,15 +37,17 @@ def main(argv: list[str] | None = None) -> int:
     started = time.monotonic()
     args = _parser().parse_args(argv)
     recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
-    return train(recipe, args.out, resume=args.resume, time_limit=60 * args.time_limit, started=started)
+    return train(recipe, args.out, resume=args.resume, time_limit=60 * args.time_limit, started=started, nodes=args.nodes)
 
 
 def train(
-    recipe: Recipe, out: Path, *, resume: bool = False, time_limit: float = float("inf"), started: float | None = None
-) -> int:
+    recipe: Recipe, out: Path, *, resume: bool = False, time_limit: float = float("inf"), started: float | None = None,
+    nodes: int = 0,
+) -> int:  # fmt: skip
     """Train by a recipe into the folder ``out``; returns the exit status.
 
-    ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock.
+    ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock. With ``nodes`` so many
+    collectors of `agents.nodes` try the closures.
     """
     # Here and not above: loading PyTorch takes seconds, which a mistyped argument should not cost.
     import torch
@@ -58,10 +60,15 @@ def train(
     torch.set_num_threads(1)
     checkpoint = latest_checkpoint(out) if resume else None
     done = int(checkpoint.name.rpartition("-")[2]) if checkpoint else 0
-    all_worlds = worlds_of(recipe, training_seed(recipe.seed, done, recipe.num_envs))
+    if nodes:
+        from agents.nodes import Collectors
+
+        all_worlds = [Collectors(recipe, nodes, done)]
+    else:
+        all_worlds = worlds_of(recipe, training_seed(recipe.seed, done, recipe.num_envs))
     first = all_worlds[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
-    state = {"seconds": 0.0}
+    state = {"seconds": 0.0, "env_steps": 0}
     if checkpoint:
         state = load_checkpoint(checkpoint, learner)
         learner.reseed(training_seed(recipe.seed, done, 1))
@@ -70,11 +77,12 @@ def train(
     env = make_task(f"hpac_gym:{recipe.env_id}", engine=recipe.engine)
     fits = made_for(env)
     env.close()
-    progress = Progress(out, recipe.episodes, done, state["seconds"], time_limit, started)
+    limits = recipe.episodes, recipe.env_steps
+    progress = Progress(out, *limits, done, state["env_steps"], state["seconds"], time_limit, started)
     _stop_on_signal(progress)
 
     def save() -> None:
-        save_checkpoint(out, learner, {"seconds": progress.seconds})
+        save_checkpoint(out, learner, {"seconds": progress.seconds, "env_steps": progress.env_steps})
         about = {
             "env_id": f"hpac_gym:{recipe.env_id}",
             "algorithm": "closures",
@@ -82,6 +90,7 @@ def train(
             "made_for": fits,
             "settings": asdict(recipe),
             "episodes": learner.trials.count,
+            "env_steps": progress.env_steps,
             "seconds": round(progress.seconds, 1),
             "versions": versions(),
         }
@@ -94,12 +103,15 @@ def train(
         for worlds in all_worlds:
             trials = worlds.step(learner, partial(learner.learn, progress.share))
             learner.trials.add(*trials)
-            going = progress.add((trials[2] == worlds.phases).tolist(), learner.entropy)
+            going = progress.add((trials[2] == worlds.phases).tolist(), len(worlds.first_seen), learner.entropy)
+        going = going and progress.env_steps + recipe.num_envs <= recipe.env_steps
         if learner.trials.count >= saved + recipe.checkpoint_every:
             saved = learner.trials.count
             save()
     progress.close()
     save()
+    for worlds in all_worlds:
+        worlds.close()
     print(f"{progress.stopped_by or 'done'} after {learner.trials.count:,} trials: {out / POLICY}", file=sys.stderr)
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
 
@@ -122,6 +134,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end cleanly after so long")
     parser.add_argument("--resume", action="store_true", help="go on with the run in the folder; only --episodes can change")
     parser.add_argument("--overwrite", action="store_true", help="start again where the folder already holds a run")
+    parser.add_argument("--nodes", type=whole_number(0), default=0, metavar="N", help="collectors on a Ray cluster; 0 is none")
     group = parser.add_argument_group("settings of the recipe, with the defaults of 'grasp'")
     for entry in fields(Recipe):
         default = getattr(RECIPES["grasp"], entry.name)

@@ -36,7 +36,7 @@ else:
     register(
         id="HPAC-Posture-v0",
         entry_point="hpac_gym.envs:PostureEnv",
-        vector_entry_point="hpac_gym.envs:posture_vector",
+        vector_entry_point="hpac_gym.envs:posture_v0_vector",
         max_episode_steps=40,
     )
     register(

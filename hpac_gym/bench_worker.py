@@ -74,7 +74,7 @@ class Hands:
         return {"per_cpu_second": env_steps / cpu, "per_second": env_steps / wall, "outside": 1 - inside / cpu}
 
     def resets(self, count: int) -> dict[str, float]:
-        """CPU time of starting one drawn episode [ms], median."""
+        """CPU time of starting a drawn episode in each world [ms], for one of them, median."""
         times = []
         for seed in range(count):
             start = process_time()

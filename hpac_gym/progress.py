@@ -14,14 +14,14 @@ _PATIENCE = 2.0  # s, what ends sooner shows nothing
 
 
 def progress(items: Collection[Item], label: str, shown: bool = True) -> Iterator[Item]:
-    """The items, with a bar that appears after two seconds.
+    """The items, with a bar that appears after two seconds where standard error is a terminal.
 
     Args:
         items: what to go through.
         label: what stands before the bar.
         shown: False for none at all.
     """
-    start, drawn = monotonic(), False
+    start, drawn, shown = monotonic(), False, shown and sys.stderr.isatty()
     for done, item in enumerate(items):
         elapsed = monotonic() - start
         if shown and elapsed > _PATIENCE:

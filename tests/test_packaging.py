@@ -69,7 +69,8 @@ import hpac_gym
 absent = [name for name in ("agents", "tools") if importlib.util.find_spec(name) is None]
 print(json.dumps({{"reward": float(reward), "package": hpac_gym.__file__, "absent": absent}}))
 """
-    seen = json.loads(run(clean_python, "-c", script, cwd=tmp_path).splitlines()[-1])
+    # -I: no PYTHONPATH, and an output that waits in buffers, where PyBullet's own prints must not come out at the end.
+    seen = json.loads(run(clean_python, "-I", "-c", script, cwd=tmp_path).splitlines()[-1])
     package = Path(seen["package"]).parent
     assert package.is_relative_to(clean_python.parents[1])
     assert (package / "assets").is_dir()
@@ -88,7 +89,7 @@ try:
 except HpacError as error:
     print(error)
 """
-    (line,) = run(clean_python, "-c", script, cwd=tmp_path).splitlines()
+    (line,) = run(clean_python, "-I", "-c", script, cwd=tmp_path).splitlines()
     assert "pybullet" in line
     assert "engine='mujoco'" in line
 

@@ -1,5 +1,7 @@
 """The progress bar: passes every item on, and shows itself on standard error when its time has come."""
 
+import sys
+
 import pytest
 
 from hpac_gym import progress as module
@@ -11,8 +13,11 @@ def test_what_is_soon_done_shows_nothing(capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_what_takes_long_shows_how_far_it_is(capsys, monkeypatch):
+def test_what_takes_long_shows_how_far_it_is_on_a_terminal_alone(capsys, monkeypatch):
     monkeypatch.setattr(module, "_PATIENCE", -1.0)
+    assert list(progress("abcd", "label")) == list("abcd")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert list(progress("abcd", "label")) == list("abcd")
     seen = capsys.readouterr()
     assert seen.out == ""
@@ -24,5 +29,6 @@ def test_what_takes_long_shows_how_far_it_is(capsys, monkeypatch):
 @pytest.mark.parametrize("items", [[], [1]])
 def test_none_is_shown_where_none_is_wanted(items, capsys, monkeypatch):
     monkeypatch.setattr(module, "_PATIENCE", -1.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert list(progress(items, "label", shown=False)) == items
     assert capsys.readouterr().err == ""

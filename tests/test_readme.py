@@ -13,10 +13,10 @@ PROGRAMS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
 def test_there_are_programs():
-    assert len(PROGRAMS) == 4
+    assert len(PROGRAMS) == 5
 
 
-@pytest.mark.parametrize("program", PROGRAMS, ids=["environment", "engines", "model", "wire"])
+@pytest.mark.parametrize("program", PROGRAMS, ids=["environment", "training", "engines", "model", "wire"])
 def test_a_program_runs_and_prints(program, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False

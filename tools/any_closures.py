@@ -63,7 +63,7 @@ class Player:
             begin: gets the first observations of n episodes and their places among the seeds, and returns what acts in them.
         """
         won, count = np.zeros(len(seeds), bool), self.count
-        for first in progress(range(0, len(seeds), count), "episodes", sys.stderr.isatty()):
+        for first in progress(range(0, len(seeds), count), "episodes"):
             part = range(first, min(first + count, len(seeds)))
             drawn = [*part, *[first] * (count - len(part))]  # worlds that are left over play the first one again
             self._episodes.reset(list(range(count)), [seeding.np_random(int(seeds[place]))[0] for place in drawn])

@@ -19,7 +19,7 @@ from hpac import run, whole_number
 from hpac_gym.evaluation import closures
 from hpac_gym.evaluation.closures import COLUMNS, FILE, Closure, Try, share_found
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.evaluation.workers import worker_pool
 
 ENV_ID = "HPAC-Grasp-v0"
@@ -72,7 +72,7 @@ def search_all(work, seeds: range, most: int) -> None:
         TARGET.write_text("\n".join([",".join(COLUMNS), *ordered, ""]), encoding="utf-8")
     tries = [known[seed] for seed in seeds]
     for within in sorted({1, 4, 16, 64, most}):
-        print(_rate(f"best of {within}", round(share_found(tries, within) * len(tries)), len(tries)))
+        print(f"best of {within}: {rate_text(round(share_found(tries, within) * len(tries)), len(tries))}")
 
 
 def search_blind(work, seeds: range) -> None:
@@ -88,12 +88,7 @@ def search_blind(work, seeds: range) -> None:
         print(f"{left} closures: the best has held {field[0][0]} of {met} episodes", file=sys.stderr, flush=True)
     best = field[0][1]
     held = sum(work(wins, [(best, seed, 1) for seed in seeds]))
-    print(f"{best}\n{_rate('best blind closure', held, len(seeds))}")
-
-
-def _rate(name: str, won: int, trials: int) -> str:
-    low, high = wilson_interval(won, trials)
-    return f"{name}: {won / trials:.1%} ({low:.1%} … {high:.1%})"
+    print(f"{best}\nbest blind closure: {rate_text(held, len(seeds))}")
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -2,7 +2,7 @@
 
 Model files come from ``hpac_gym/body/data`` and the hand's parameters, the procedural objects from ``tools/object_families.py``,
 the firmware's header, ``docs/wire.md`` and its test vectors from the protocol and the hand's parameters, the tables of
-``docs/environments`` and ``docs/grasps.md`` from the tasks.
+``docs/environments`` and ``docs/grasps.md`` from the tasks, those of ``docs/benchmark.md`` from ``docs/results``.
 """
 
 from __future__ import annotations

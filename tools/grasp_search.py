@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,25 +32,18 @@ ELITE = 4
 """One candidate of so many is kept."""
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """A type that is searched: what differs from its data."""
+def candidate(kind: GraspType, numbers: Array) -> GraspType:
+    """The type with other numbers.
 
-    numbers: Array
-    """Closed synergy (6,), first shape (6,) [rad], place (3,) [m], turn of the wrist as a rotation vector (3,) [rad]."""
-
-    def of(self, kind: GraspType) -> GraspType:
-        """The type with these numbers."""
-        closed, preshape = (np.clip(part, HPAC.synergy_min, HPAC.synergy_max).round(3) for part in np.split(self.numbers[:12], 2))
-        turn = Rotation.from_euler("xyz", kind.start.hand_rpy) * Rotation.from_rotvec(self.numbers[15:])
-        rpy = np.radians(np.degrees(turn.as_euler("xyz")).round(1))
-        return replace(
-            kind,
-            start=replace(
-                kind.start, closed=closed, preshape=preshape,
-                position=tuple(self.numbers[12:15].round(4).tolist()), hand_rpy=tuple(rpy.tolist()),
-            ),
-        )  # fmt: skip
+    Args:
+        kind: the type.
+        numbers: closed synergy (6,), first shape (6,) [rad], place (3,) [m], turn of the wrist as a rotation vector (3,) [rad].
+    """
+    closed, preshape = (np.clip(part, HPAC.synergy_min, HPAC.synergy_max).round(3) for part in np.split(numbers[:12], 2))
+    turn = Rotation.from_euler("xyz", kind.start.hand_rpy) * Rotation.from_rotvec(numbers[15:])
+    position, rpy = numbers[12:15].round(4).tolist(), np.radians(np.degrees(turn.as_euler("xyz")).round(1)).tolist()
+    start = replace(kind.start, closed=closed, preshape=preshape, position=tuple(position), hand_rpy=tuple(rpy))
+    return replace(kind, start=start)
 
 
 def score(trial: TypeTrial) -> float:
@@ -76,7 +69,7 @@ def search(
             engine, body, randomize = engine.split("/")
             seeds = [SEARCH_SEED + 100 * generation + number] * population
             worlds = population if engine == "mujoco" else 1
-            types = [Candidate(numbers).of(kind) for numbers in drawn]
+            types = [candidate(kind, numbers) for numbers in drawn]
             for index, trial in run_types(types, seeds, engine=engine, body=body, randomize=randomize, num_worlds=worlds):
                 points[index] += score(trial) / len(engines)
                 wins[index] += trial.success
@@ -90,7 +83,7 @@ def search(
             f"{wins[0]:.0f} and {wins[best[0]]:.0f} of {len(engines)}, elite {wins[best].sum():.0f} of "
             f"{len(engines) * len(best)}, {spoiled} start in touch", file=sys.stderr, flush=True,
         )  # fmt: skip
-    return Candidate(mean).of(kind)
+    return candidate(kind, mean)
 
 
 def write(found: GraspType) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
-import sys
 from collections import Counter
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from hpac_gym.evaluation.grasp_types import run_types
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import POSTURES
+from hpac_gym.output import markdown
 from hpac_gym.physics.engine import PARTS
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, data_text
@@ -86,7 +86,7 @@ def rule_table() -> str:
     for name, kind in GRASP_TYPES.items():
         words = "; ".join(term for term, _ in kind.rule.terms())
         rows.append([f"`{name}`", str(POSTURES[name].panel), kind.start.object.about, kind.start.about, words])
-    return _table(["grasp", "panel", "object", "held as", "rule"], rows)
+    return markdown(["grasp", "panel", "object", "held as", "rule"], rows)
 
 
 def success_table(hand: str) -> str:
@@ -104,7 +104,7 @@ def success_table(hand: str) -> str:
             besides = f" (held {row['held']})" if row["held"] > row["successes"] else ""
             cells.append(f"{row['successes']} of {row['episodes']}, {low:.0%} … {high:.0%}{besides}")
         rows.append([f"`{name}`" if name in GRASP_TYPES else name, *cells])
-    return _table(["grasp", *SET_UPS], rows)
+    return markdown(["grasp", *SET_UPS], rows)
 
 
 def contact_table() -> str:
@@ -114,11 +114,7 @@ def contact_table() -> str:
         shares, forces = (entry["nominal"][SET_UPS[0]][key] for key in ("touched", "force_newton"))
         cells = [f"{shares[part]:.0%}, {forces[part]:.1f} N" if shares.get(part) else "–" for part in PARTS]
         rows.append([f"`{name}`", *cells])
-    return _table(["grasp", *PARTS], rows)
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows))
+    return markdown(["grasp", *PARTS], rows)
 
 
 TABLES = {
@@ -140,7 +136,7 @@ def main() -> None:
     options = parser.parse_args()
     found = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
     cells = [(name, set_up, hand) for name in options.types for hand in options.hands for set_up in SET_UPS]
-    for name, set_up, hand in progress(cells, "types", sys.stderr.isatty()):
+    for name, set_up, hand in progress(cells, "types"):
         entry, count = found.setdefault(name, {}), options.episodes if hand == "nominal" else options.randomized
         if entry.get("data") != fingerprint(name):
             entry.clear()

@@ -135,28 +135,22 @@ def stable_poses(model: ObjectModel, friction: float, drops: int = DROPS) -> lis
     rng, table = np.random.default_rng([SEED, *model.name.encode()]), Table(model, friction)
     counts: list[list] = []
 
-    def count(rotation: Array, drop: float, random: int) -> None:
-        found = table.rest(rotation, drop)
-        if found is None:
-            return
-        known = next((entry for entry in counts if entry[0].same_as(found)), None)
+    def count(poses: list[list], found: Found, number: int) -> None:
+        """Add to the number of a pose, which is a new one if none of the poses is the same."""
+        known = next((entry for entry in poses if entry[0].same_as(found)), None)
         if known is None:
-            counts.append([found, random])
-        else:
-            known[1] += random
-
-    for turn in _SIDES:  # first, so that what is the same as one of these poses is written like it
-        count(turn.as_matrix(), 0.001, 0)
-    for turn in Rotation.random(drops, rng):
-        count(turn.as_matrix(), 0.02, 1)
-    merged: list[list] = []
-    for found, number in counts:
-        found = _levelled(model, found)
-        known = next((entry for entry in merged if entry[0].same_as(found)), None)
-        if known is None:
-            merged.append([found, number])
+            poses.append([found, number])
         else:
             known[1] += number
+
+    # The sides first, so that what is the same as one of these poses is written like it.
+    for turns, drop, number in ((_SIDES, 0.001, 0), (Rotation.random(drops, rng), 0.02, 1)):
+        for turn in turns:
+            if (found := table.rest(turn.as_matrix(), drop)) is not None:
+                count(counts, found, number)
+    merged: list[list] = []
+    for found, number in counts:
+        count(merged, _levelled(model, found), number)
     kept = [(found, number / drops) for found, number in merged if table.keeps(found)]
     return sorted(kept, key=lambda entry: -entry[1])[:MAX_POSES]
 
@@ -201,11 +195,6 @@ def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
         quaternion = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
         numbers.append([*(round(float(value), 6) + 0.0 for value in quaternion), round(share, 3)])
     return {"stand": bool(raised), "poses": numbers}
-
-
-def every_object() -> list[tuple[ObjectModel, float]]:
-    """The objects of all splits, and their friction."""
-    return [given for models in split_models().values() for given in models.values()]
 
 
 def setup_of(thing: RestingObject, pose: RestingPose) -> SceneSetup:
@@ -271,7 +260,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("names", nargs="*", help="of objects, or how names begin, whose poses to find anew (default: all)")
     parser.add_argument("--recheck", action="store_true", help="find none, but try those in the file in both engines")
     given = parser.parse_args(argv)
-    names, objects = tuple(given.names) or ("",), every_object()
+    names, objects = tuple(given.names) or ("",), [entry for models in split_models().values() for entry in models.values()]
     entries = tomllib.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
     wanted = [entry for entry in objects if entry[0].name.startswith(names)]
     if not given.recheck:

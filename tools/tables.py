@@ -1,4 +1,4 @@
-"""The tables of ``docs/environments`` and ``docs/grasps.md``, from the code; ``make generate`` writes them.
+"""The tables of ``docs``, from the code and from ``docs/results``; ``make generate`` writes them.
 
 A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by hand.
 """
@@ -13,12 +13,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from agents import benchmark
 from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, OPTIONS, PICK_PLACE, POSTURE, Option
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
-from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.model import HPAC, SERVOS
+from hpac_gym.output import markdown
 from hpac_gym.tasks.grasp import Grasp
 from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_data import GRASPS
@@ -30,11 +32,6 @@ from hpac_gym.tasks.terms import Term
 from tools.grasp_types import TABLES as TYPE_TABLES
 
 DOCS = Path(__file__).parents[1] / "docs"
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    return "\n".join(f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows))
 
 
 def span(values: Any) -> str:
@@ -50,7 +47,7 @@ def summary_table(env_id: str, task: Task) -> str:
             if len(rows) == 1:
                 rows.append(["action space", f"`{env.action_space}`"])
             rows.append([f'observation space, `obs="{obs}"`', f"`{space_in_words(env.observation_space)}`"])
-    return table(["", ""], [*rows, ["length", f"{round(task.duration * CONTROL_HZ)} steps, {task.duration:g} s"]])
+    return markdown(["", ""], [*rows, ["length", f"{round(task.duration * CONTROL_HZ)} steps, {task.duration:g} s"]])
 
 
 def space_in_words(space: gymnasium.Space) -> str:
@@ -64,7 +61,7 @@ def option_table(env_id: str) -> str:
     """The arguments of an id."""
     taken = [option for option in OPTIONS if env_id in option.ids]
     rows = [[f"`{option.name}`", values_of(option), shown(option.default), option.meaning] for option in taken]
-    return table(["argument", "values", "default", "meaning"], rows)
+    return markdown(["argument", "values", "default", "meaning"], rows)
 
 
 def values_of(option: Option) -> str:
@@ -86,7 +83,7 @@ def action_table() -> str:
         [str(index), f"`{name}`", f"{HPAC.synergy_min[index]:.4g}", f"{HPAC.synergy_max[index]:.4g}"]
         for index, name in enumerate(SERVOS)
     ]
-    return table(["index", "joint that the servo drives", "at −1 [rad]", "at 1 [rad]"], rows)
+    return markdown(["index", "joint that the servo drives", "at −1 [rad]", "at 1 [rad]"], rows)
 
 
 def term_table(terms: Sequence[Term], start: int = 0) -> str:
@@ -97,19 +94,19 @@ def term_table(terms: Sequence[Term], start: int = 0) -> str:
         index = str(start) if end == start else f"{start}–{end}"
         rows.append([index, f"`{term.name}`", ", ".join(term.labels), term.unit, span((term.low, term.high)), term.meaning])
         start = end + 1
-    return table(["index", "field", "entries", "unit", "bounds", "meaning"], rows)
+    return markdown(["index", "field", "entries", "unit", "bounds", "meaning"], rows)
 
 
 def reward_table(task: Task) -> str:
     """The terms of the dense reward."""
-    return table(["term", "value"], [[f"`{term.name}`", term.meaning] for term in task.reward_terms])
+    return markdown(["term", "value"], [[f"`{term.name}`", term.meaning] for term in task.reward_terms])
 
 
 def config_table(task: Task) -> str:
     """The settings that an episode is drawn from and judged by."""
     described = [field for field in fields(task.config) if "meaning" in field.metadata]
     rows = [[f"`{field.name}`", span(getattr(task.config, field.name)), field.metadata["meaning"]] for field in described]
-    return table(["name", "value", "meaning"], rows)
+    return markdown(["name", "value", "meaning"], rows)
 
 
 def phase_list(task: Task) -> str:
@@ -130,7 +127,7 @@ def randomization_table() -> str:
         given = [getattr(preset, quantity.name) for preset in presets.values()]
         cells = ["–" if value == quantity.default else span(value) for value in given]
         rows.append([f"`{quantity.name}`", quantity.metadata["meaning"], span(quantity.metadata["bounds"]), *cells])
-    return table(["name", "meaning", "bounds", *(f'"{name}"' for name in presets)], rows)
+    return markdown(["name", "meaning", "bounds", *(f'"{name}"' for name in presets)], rows)
 
 
 def object_table() -> str:
@@ -139,7 +136,7 @@ def object_table() -> str:
     for name, grasp in GRASPS.items():
         shape = grasp.variant("shape").object
         rows.append([f"`{name}`", *_measures(grasp.object), grasp.object.source, grasp.object.chosen, shape.about])
-    return table(["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'], rows)
+    return markdown(["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'], rows)
 
 
 def _measures(model: ObjectModel) -> list[str]:
@@ -153,11 +150,16 @@ def scale_table() -> str:
     scale, rows = scale_of(GRASP), []
     for within in (1, 4, 16, 64, max(found.tries for found in tries)):
         won = round(share_found(tries, within) * len(tries))
-        low, high = wilson_interval(won, len(tries))
         name = "a random closure: the floor" if within == 1 else f"best of {within} random closures"
-        rows.append([name, f"{won / len(tries):.1%} ({low:.1%} … {high:.1%})", f"{scale.score(won / len(tries)):.2f}"])
+        rows.append([name, rate_text(won, len(tries)), f"{scale.score(won / len(tries)):.2f}"])
     rows[-1][0] += ": the ceiling"
-    return table([f"first {len(tries)} held-out seeds", "success", "score"], rows)
+    return markdown([f"first {len(tries)} held-out seeds", "success", "score"], rows)
+
+
+def result_tables() -> str:
+    """Every results file as ``python -m agents.benchmark --check`` prints it, with the command that it comes from."""
+    files = [benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))]
+    return "\n\n".join(f"{benchmark.table(results)}\n\n`{results['command']}`" for results in files)
 
 
 Makers = dict[str, Callable[[], str]]
@@ -188,6 +190,7 @@ PAGES: dict[str, Makers] = {
     "environments/grasp_type.md": task_tables(GRASP_TYPE, GraspByType()),
     "environments/pick_place.md": task_tables(PICK_PLACE, PickPlace()),
     "environments/posture.md": task_tables(POSTURE, Posture(reachable=True)),
+    "benchmark.md": {"results": result_tables},
     "grasps.md": {"objects": object_table, **TYPE_TABLES},
 }
 """Which tables every page in `DOCS` has, by their names."""

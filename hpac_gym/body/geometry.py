@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.model import FINGERS, digit_joints
+from hpac_gym.model import DIGITS, digit_joints
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
@@ -115,27 +115,22 @@ def load_geometry() -> Geometry:
     return Geometry(
         palm_mass=palm["mass"],
         palm_solids=boxes + capsules,
-        digits=(_thumb(table["thumb"], pad_tilt), *(_finger(name, table[name], pad_tilt) for name in FINGERS)),
+        digits=tuple(_digit(name, table[name], pad_tilt) for name in DIGITS),
         effort=table["limits"]["effort"],
         velocity=table["limits"]["velocity"],
         opposition={finger: tuple(synergy) for finger, synergy in table["opposition"].items()},
     )
 
 
-def _finger(name: str, table: dict, pad_tilt: float) -> Digit:
-    fan = np.deg2rad(table["fan_deg"])
-    return _digit(name, digit_joints(name), table, (-fan, 0.0, 0.0), FLEXION_AXIS, pad_tilt)
-
-
-def _thumb(table: dict, pad_tilt: float) -> Digit:
-    rpy = tuple(table["rpy"])
-    axis = rotation_from_rpy(rpy).T @ table["axis"]
-    return _digit("thumb", ("thumb_cmc", *digit_joints("thumb")), table, rpy, tuple(axis / np.linalg.norm(axis)), pad_tilt)
-
-
-def _digit(name: str, joints: tuple[str, ...], table: dict, rpy: Vector, root_axis: Vector, pad_tilt: float) -> Digit:
-    phalanges = []
-    parent, origin, axis = "palm", tuple(table["base"]), root_axis
+def _digit(name: str, table: dict, pad_tilt: float) -> Digit:
+    joints, axis, phalanges = digit_joints(name), FLEXION_AXIS, []
+    if name == "thumb":
+        joints, rpy = ("thumb_cmc", *joints), tuple(table["rpy"])
+        axis = rotation_from_rpy(rpy).T @ table["axis"]
+        axis = tuple(axis / np.linalg.norm(axis))
+    else:
+        rpy = (-np.deg2rad(table["fan_deg"]), 0.0, 0.0)
+    parent, origin = "palm", tuple(table["base"])
     for joint, length, radius, mass in zip(joints, table["lengths"], table["radii"], table["masses"], strict=True):
         end = length - radius if joint == joints[-1] else length
         capsule = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, end), radius)

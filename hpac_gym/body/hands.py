@@ -17,6 +17,7 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import DIGITS, FINGERS, HPAC, JOINT_INDEX, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
+from hpac_gym.model.variation import scaled_digit
 
 SEED = 20_251
 """Both sets are drawn from it, the training hands first."""
@@ -114,17 +115,9 @@ def _changed_digit(digit: Digit, lengths: Array, rng: np.random.Generator) -> Di
     links = lengths[1:] if digit.name == "thumb" else lengths
     pulley, tendon = rng.uniform(*PULLEY), rng.uniform(*TENDON)
     d1, d2, hub = rng.uniform(*GUIDE, 3)
-    return replace(
-        digit,
-        d1=digit.d1 * d1,
-        d2=digit.d2 * d2,
-        servo_radius=digit.servo_radius * hub,
-        joint_radius=tuple(pulley * radius for radius in digit.joint_radius),
-        path_length=tuple(float(factor) * path for factor, path in zip(links, digit.path_length, strict=False)),
-        spring_stiffness=digit.spring_stiffness * rng.uniform(*SPRING),
-        tendon_stiffness=digit.tendon_stiffness * tendon,
-        drive_stiffness=digit.drive_stiffness * tendon,
-    )
+    numbers = {"d1": d1, "d2": d2, "servo_radius": hub, "joint_radius": pulley, "path_length": links[: len(digit.path_length)]}
+    numbers |= {"spring_stiffness": rng.uniform(*SPRING), "tendon_stiffness": tendon, "drive_stiffness": tendon}
+    return scaled_digit(digit, numbers)
 
 
 def _is_sound(digit: Digit, nominal: Hand) -> bool:

@@ -83,7 +83,8 @@ class Solid:
             volume, _, squares = self.hull.moments()
             squares = self.rotation @ squares @ self.rotation.T * (self.mass / volume)
             return np.trace(squares) * np.eye(3) - squares
-        return self.rotation @ np.diag(principal_inertia(self)) @ self.rotation.T
+        moments = principal_inertia(self.kind, self.mass, self.size, self.inner_radius)
+        return self.rotation @ np.diag(moments) @ self.rotation.T
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -268,14 +269,15 @@ def _ring(solid: Mapping[str, Any], center: Array, axis: Array) -> Iterator[Soli
         yield Solid("box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn)
 
 
-def principal_inertia(solid: Solid) -> list[float]:
-    """Moments of a solid about its own centre and axes, 3 values [kg·m²]."""
-    mass, (x, y, z), outer, inner = solid.mass, solid.size, solid.radius, solid.inner_radius
-    if solid.kind == "box":
+def principal_inertia(kind: str, mass: float, size: tuple[float, float, float], inner: float = 0.0) -> list[float]:
+    """Moments of a primitive `Solid` about its own centre and axes, by its fields, 3 values [kg·m²]."""
+    x, y, z = size
+    outer = x / 2
+    if kind == "box":
         return [mass / 12 * (y * y + z * z), mass / 12 * (x * x + z * z), mass / 12 * (x * x + y * y)]
-    if solid.kind == "sphere":
+    if kind == "sphere":
         return [2 / 5 * mass * (outer**5 - inner**5) / (outer**3 - inner**3)] * 3
-    if solid.kind == "cylinder":
+    if kind == "cylinder":
         across = mass / 12 * (3 * (outer**2 + inner**2) + z * z)
         return [across, across, mass / 2 * (outer**2 + inner**2)]
     length = z - 2 * outer

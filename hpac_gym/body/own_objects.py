@@ -9,6 +9,7 @@ import hashlib
 import json
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -88,10 +89,7 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
         sides = " x ".join(f"{side:.3g}" for side in size)
         raise ParameterError(f"'{path}' is {sides} m: sides must be {MIN_SIDE} to {MAX_SIDE} m; scale=0.001 is for a file in mm")
     density, middle = mass / sum(solid.mass for solid in solids), (low + high) / 2
-    parts = tuple(
-        Solid(solid.kind, density * solid.mass, solid.size, solid.center - middle, solid.rotation, hull=solid.hull)
-        for solid in solids
-    )
+    parts = tuple(replace(solid, mass=density * solid.mass, center=solid.center - middle) for solid in solids)
     x, y, z = size.tolist()
     model = ObjectModel(path.stem, f"own object {path.name}", (x, y, z), mass, "box", COLOR, parts)
     return ObjectSpec("box", model.half_extents, mass, friction, model)
@@ -99,9 +97,7 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
 
 def _moved(solid: Solid, rotation: Array, place: Array) -> Solid:
     """A solid turned about the origin, and then moved."""
-    return Solid(
-        solid.kind, solid.mass, solid.size, rotation @ solid.center + place, rotation @ solid.rotation, hull=solid.hull
-    )  # fmt: skip
+    return replace(solid, center=rotation @ solid.center + place, rotation=rotation @ solid.rotation)
 
 
 # Meshes ------------------------------------------------------------------------
@@ -229,7 +225,7 @@ def _of_geometry(path: Path, form: Xml.Element, folder: str | os.PathLike[str] |
 def _scaled(solid: Solid, scale: float) -> Solid:
     x, y, z = (scale * side for side in solid.size)
     hull = None if solid.hull is None else Hull(scale * solid.hull.vertices, solid.hull.faces)
-    return Solid(solid.kind, scale**3 * solid.mass, (x, y, z), scale * solid.center, solid.rotation, hull=hull)
+    return replace(solid, mass=scale**3 * solid.mass, size=(x, y, z), center=scale * solid.center, hull=hull)
 
 
 def _numbers(text: str) -> tuple[float, ...]:

@@ -5,11 +5,13 @@ carries the inertia of its own solids, since PyBullet takes a link without ``<in
 friction are zero: Bullet integrates them explicitly, and on links this light that rings.
 """
 
+from collections.abc import Iterable
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 
 from hpac_gym.body.geometry import Array, Box, Capsule, Geometry, Phalanx, Vector
+from hpac_gym.body.object_models import principal_inertia
 from hpac_gym.model import HPAC, JOINTS
 
 HAND_URDF = "hpac_hand.urdf"
@@ -43,7 +45,7 @@ def hand_urdf(geometry: Geometry, on_wrist: bool = False) -> str:
     """
     robot = Xml.Element("robot", name="hpac_hand")
     for name, rgba in COLORS.items():
-        Xml.SubElement(Xml.SubElement(robot, "material", name=name), "color", rgba=_text(rgba))
+        Xml.SubElement(Xml.SubElement(robot, "material", name=name), "color", rgba=text_of(rgba))
     if on_wrist:
         _add_wrist(robot)
     _add_palm(robot, geometry)
@@ -72,7 +74,7 @@ def solid_inertia(solids: tuple[Solid, ...], mass: float) -> tuple[Array, Array]
 
 def _add_palm(robot: Xml.Element, geometry: Geometry) -> None:
     link = Xml.SubElement(robot, "link", name="palm")
-    _add_inertial(link, *solid_inertia(geometry.palm_solids, geometry.palm_mass), geometry.palm_mass)
+    add_inertial(link, *solid_inertia(geometry.palm_solids, geometry.palm_mass), geometry.palm_mass)
     for solid in geometry.palm_solids:
         _add_visual(link, solid, "palm" if isinstance(solid, Box) else "housing")
         _add_collision(link, solid)
@@ -80,7 +82,7 @@ def _add_palm(robot: Xml.Element, geometry: Geometry) -> None:
 
 def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, tip: str) -> None:
     link = Xml.SubElement(robot, "link", name=phalanx.link)
-    _add_inertial(link, *solid_inertia((phalanx.capsule,), phalanx.mass), phalanx.mass)
+    add_inertial(link, *solid_inertia((phalanx.capsule,), phalanx.mass), phalanx.mass)
     radius = phalanx.capsule.radius
     _add_visual(link, phalanx.capsule, "phalanx", tip)
     pin = Capsule((0.0, -0.75 * radius, 0.0), (0.0, 0.75 * radius, 0.0), 0.5 * radius)
@@ -90,7 +92,7 @@ def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, tip: str) -> None:
 
 def _add_hinge(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry) -> None:
     joint = _add_joint(robot, phalanx.joint, "revolute", phalanx.parent, phalanx.link, phalanx.axis)
-    Xml.SubElement(joint, "origin", xyz=_text(phalanx.origin), rpy=_text(phalanx.rpy))
+    Xml.SubElement(joint, "origin", xyz=text_of(phalanx.origin), rpy=text_of(phalanx.rpy))
     index = JOINTS.index(phalanx.joint)
     _add_limit(joint, HPAC.joint_min[index], HPAC.joint_max[index], geometry.effort, geometry.velocity)
     Xml.SubElement(joint, "dynamics", damping="0", friction="0")
@@ -100,7 +102,7 @@ def _add_wrist(robot: Xml.Element) -> None:
     ball = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), WRIST_SLIDE_RADIUS)
     links = ("wrist_base", "wrist_x_link", "wrist_y_link", "palm")
     for name in links[:-1]:
-        _add_inertial(Xml.SubElement(robot, "link", name=name), *solid_inertia((ball,), WRIST_SLIDE_MASS), WRIST_SLIDE_MASS)
+        add_inertial(Xml.SubElement(robot, "link", name=name), *solid_inertia((ball,), WRIST_SLIDE_MASS), WRIST_SLIDE_MASS)
     for name, axis, parent, child in zip("xyz", np.eye(3), links, links[1:], strict=False):
         joint = _add_joint(robot, f"wrist_{name}", "prismatic", parent, child, axis)
         _add_limit(joint, -WRIST_RANGE, WRIST_RANGE, WRIST_EFFORT, WRIST_VELOCITY)
@@ -112,48 +114,50 @@ def _add_joint(robot: Xml.Element, name: str, kind: str, parent: str, child: str
     Xml.SubElement(joint, "parent", link=parent)
     Xml.SubElement(joint, "child", link=child)
     # Bullet's mass matrix prints a warning for an axis that is not of unit length to the last digit.
-    Xml.SubElement(joint, "axis", xyz=_text(axis, digits=15))
+    Xml.SubElement(joint, "axis", xyz=text_of(axis, digits=15))
     return joint
 
 
 def _add_limit(joint: Xml.Element, lower: float, upper: float, effort: float, velocity: float) -> None:
     values = {"lower": lower, "upper": upper, "effort": effort, "velocity": velocity}
-    Xml.SubElement(joint, "limit", {name: _text((value,)) for name, value in values.items()})
+    Xml.SubElement(joint, "limit", {name: text_of((value,)) for name, value in values.items()})
 
 
-def _add_inertial(link: Xml.Element, center: Array, inertia: Array, mass: float) -> None:
+def add_inertial(link: Xml.Element, center: Array, inertia: Array, mass: float) -> None:
+    """Give a link its mass [kg], centre (3,) [m] and inertia about it (3, 3) [kg m²]."""
     inertial = Xml.SubElement(link, "inertial")
-    Xml.SubElement(inertial, "origin", xyz=_text(center), rpy="0 0 0")
-    Xml.SubElement(inertial, "mass", value=_text((mass,)))
-    entries = {f"i{'xyz'[i]}{'xyz'[j]}": _text((inertia[i, j],)) for i in range(3) for j in range(i, 3)}
+    Xml.SubElement(inertial, "origin", xyz=text_of(center), rpy="0 0 0")
+    Xml.SubElement(inertial, "mass", value=text_of((mass,)))
+    entries = {f"i{'xyz'[i]}{'xyz'[j]}": text_of((inertia[i, j],)) for i in range(3) for j in range(i, 3)}
     Xml.SubElement(inertial, "inertia", entries)
 
 
 def _add_collision(link: Xml.Element, solid: Solid) -> None:
     if isinstance(solid, Box):
-        _add_shape(link, "collision", solid.center, _rpy(solid), "box", size=_text(solid.size))
+        add_shape(link, "collision", solid.center, _rpy(solid), "box", size=text_of(solid.size))
     else:
-        size = {"radius": _text((solid.radius,)), "length": _text((_length(solid),))}
-        _add_shape(link, "collision", _center(solid), _rpy(solid), "capsule", **size)
+        size = {"radius": text_of((solid.radius,)), "length": text_of((_length(solid),))}
+        add_shape(link, "collision", _center(solid), _rpy(solid), "capsule", **size)
 
 
 def _add_visual(link: Xml.Element, solid: Solid, material: str, end_material: str | None = None) -> None:
     """Draws a capsule as a tube and two balls, which PyBullet's renderer rounds better than its capsule."""
     if isinstance(solid, Box):
-        shape = _add_shape(link, "visual", solid.center, _rpy(solid), "box", size=_text(solid.size))
+        shape = add_shape(link, "visual", solid.center, _rpy(solid), "box", size=text_of(solid.size))
         Xml.SubElement(shape, "material", name=material)
         return
-    radius = _text((solid.radius,))
-    tube = _add_shape(link, "visual", _center(solid), _rpy(solid), "cylinder", radius=radius, length=_text((_length(solid),)))
-    start = _add_shape(link, "visual", solid.start, _rpy(solid), "sphere", radius=radius)
-    end = _add_shape(link, "visual", solid.end, _rpy(solid), "sphere", radius=radius)
+    radius = text_of((solid.radius,))
+    tube = add_shape(link, "visual", _center(solid), _rpy(solid), "cylinder", radius=radius, length=text_of((_length(solid),)))
+    start = add_shape(link, "visual", solid.start, _rpy(solid), "sphere", radius=radius)
+    end = add_shape(link, "visual", solid.end, _rpy(solid), "sphere", radius=radius)
     for shape, name in ((tube, material), (start, material), (end, end_material or material)):
         Xml.SubElement(shape, "material", name=name)
 
 
-def _add_shape(link: Xml.Element, kind: str, center: Vector | Array, rpy: Vector, body: str, **size: str) -> Xml.Element:
+def add_shape(link: Xml.Element, kind: str, center: Vector | Array, rpy: Vector, body: str, **size: str) -> Xml.Element:
+    """Give a link a visual or a collision shape."""
     shape = Xml.SubElement(link, kind)
-    Xml.SubElement(shape, "origin", xyz=_text(center), rpy=_text(rpy))
+    Xml.SubElement(shape, "origin", xyz=text_of(center), rpy=text_of(rpy))
     Xml.SubElement(Xml.SubElement(shape, "geometry"), body, size)
     return shape
 
@@ -167,14 +171,9 @@ def _volume(solid: Solid) -> float:
 def _inertia(solid: Solid, mass: float) -> Array:
     """Inertia of one solid about its own centre, axes of the link, shape (3, 3) [kg m²]."""
     if isinstance(solid, Box):
-        squares = np.square(solid.size)
-        return mass / 12 * np.diag(squares.sum() - squares)
-    length, radius = _length(solid), solid.radius
-    tube = mass * length / (length + 4 / 3 * radius)
-    caps = mass - tube
-    along = (tube / 2 + 2 / 5 * caps) * radius**2
-    across = tube * (length**2 / 12 + radius**2 / 4) + caps * (2 / 5 * radius**2 + length**2 / 4 + 3 / 8 * length * radius)
-    axis = _axis(solid)
+        return np.diag(principal_inertia("box", mass, solid.size))
+    width, axis = 2 * solid.radius, _axis(solid)
+    across, _, along = principal_inertia("capsule", mass, (width, width, _length(solid) + width))
     return across * np.eye(3) + (along - across) * np.outer(axis, axis)
 
 
@@ -199,5 +198,6 @@ def _rpy(solid: Solid) -> Vector:
     return (float(-np.arcsin(y)), float(np.arctan2(x, z)), 0.0)
 
 
-def _text(values: Vector | Array, digits: int = 9) -> str:
+def text_of(values: Iterable[float], digits: int = 9) -> str:
+    """Numbers as a model file has them."""
     return " ".join(f"{value if abs(value) > 1e-15 else 0.0:.{digits}g}" for value in values)

@@ -96,9 +96,9 @@ def _opened(options: argparse.Namespace, stack: ExitStack) -> Transport:
     return open_transport(port) if isinstance(port, str) else port()
 
 
-def _print_json(rows: list[dict[str, object]]) -> None:
-    json.dump(rows, sys.stdout, indent=2, ensure_ascii=False)
-    print()
+def _print_json(rows: list[object], *names: str) -> None:
+    """Print a list of objects with these attributes."""
+    print(json.dumps([{name: getattr(row, name) for name in names} for row in rows], indent=2, ensure_ascii=False))
 
 
 def _safety(options: argparse.Namespace) -> int:
@@ -113,8 +113,7 @@ def _safety(options: argparse.Namespace) -> int:
                 flush=True,
             )
     if options.json:
-        names = ("claim", "figure", "limit", "unit", "tried", "control", "holds")
-        _print_json([{name: getattr(claim, name) for name in names} for claim in claims])
+        _print_json(claims, "claim", "figure", "limit", "unit", "tried", "control", "holds")
     return 0 if all(claim.holds for claim in claims) else 1
 
 
@@ -127,7 +126,7 @@ def _conform(options: argparse.Namespace) -> int:
                 mark = "holds " if row.holds else "BROKEN" if row.tried else "NOT TRIED"
                 print(f"{mark}  {row.tried:5} tries  {row.rule}", *filter(None, [row.failure]), sep="\n        ", flush=True)
     if options.json:
-        _print_json([{"rule": row.rule, "tried": row.tried, "holds": row.holds, "failure": row.failure} for row in rows])
+        _print_json(rows, "rule", "tried", "holds", "failure")
     return 0 if all(row.holds for row in rows) else 1
 
 
@@ -188,7 +187,7 @@ def _doctor(options: argparse.Namespace) -> int:
         advice = "plug the hand in; with a cable that carries data; in a container or virtual machine pass the device through"
         findings = [Finding("ports", False, what, advice)]
     if options.json:
-        _print_json([{"port": f.port, "healthy": f.healthy, "what": f.what, "advice": f.advice} for f in findings])
+        _print_json(findings, "port", "healthy", "what", "advice")
     else:
         print("\n".join(map(str, findings)))
     return 0 if any(finding.healthy for finding in findings) else 1

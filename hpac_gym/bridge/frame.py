@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import islice
 
 from hpac_gym.bridge.errors import FrameError, VersionError
 from hpac_gym.bridge.protocol import (
@@ -87,18 +88,9 @@ def decode(encoded: bytes) -> Frame:
         raise FrameError(f"unknown message type 0x{code:02x}")
     if len(body) != HEADER_LENGTH + message.length:
         raise FrameError(f"{message.name} with {len(body) - HEADER_LENGTH} bytes of payload, must be {message.length}")
-    return Frame(message.name, seq, flags, _unpack(message, body))
-
-
-def _unpack(message: Message, body: bytes) -> dict[str, int | tuple[int, ...]]:
-    values = _payload(message).unpack_from(body, HEADER_LENGTH)
-    fields: dict[str, int | tuple[int, ...]] = {}
-    start = 0
-    for part in message.fields:
-        taken = values[start : start + part.count]
-        fields[part.name] = taken if part.is_array else taken[0]
-        start += part.count
-    return fields
+    values = iter(_payload(message).unpack_from(body, HEADER_LENGTH))
+    fields = {part.name: tuple(islice(values, part.count)) if part.is_array else next(values) for part in message.fields}
+    return Frame(message.name, seq, flags, fields)
 
 
 def cobs_encode(data: bytes) -> bytes:

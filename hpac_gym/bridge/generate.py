@@ -10,7 +10,6 @@ import argparse
 import re
 import sys
 import zlib
-from enum import IntEnum
 from pathlib import Path
 
 from hpac_gym.bridge import protocol
@@ -24,6 +23,7 @@ HEADER = _ROOT / "firmware" / "core" / "hpac_protocol.h"
 DOCUMENT = _ROOT / "docs" / "wire.md"
 VECTORS = _ROOT / "docs" / "wire_vectors.csv"
 VECTORS_HEADER = _ROOT / "firmware" / "test" / "unit" / "vectors.h"
+_PARTS = ("MAJOR", "MINOR", "PATCH")
 _BEGIN, _END = "<!-- generated: begin -->\n", "<!-- generated: end -->\n"
 
 
@@ -36,7 +36,7 @@ def protocol_header(hand: Hand = HPAC) -> str:
         "#define HPAC_PROTOCOL_H",
         "",
         f"#define HPAC_VERSION {protocol.VERSION}u",
-        *(f"#define HPAC_FIRMWARE_{part} {value}u" for part, value in _version_parts()),
+        *(f"#define HPAC_FIRMWARE_{part} {value}u" for part, value in zip(_PARTS, protocol.FIRMWARE_VERSION, strict=True)),
         f"#define HPAC_SERVOS {len(SERVOS)}",
         f"#define HPAC_LIMITS_HASH 0x{limits_hash(hand):08x}u /* of the table below; hpac_config_hash() of the table in use */",
         "",
@@ -50,11 +50,7 @@ def protocol_header(hand: Hand = HPAC) -> str:
         "",
         "/* Messages: code, payload length, and each field's offset in the payload. */",
         *_message_lines(),
-        *_enum_lines("state", protocol.State),
-        *_enum_lines("reason", protocol.Reason),
-        *_enum_lines("fault", protocol.Fault),
-        *_enum_lines("action", protocol.Action),
-        *_enum_lines("reset", protocol.Reset),
+        *(line for name, members in protocol.DESCRIPTION["enum"].items() for line in _enum_lines(name, members)),
         f"#define HPAC_NO_SERVO {protocol.NO_SERVO}u",
         "",
         *_constant_lines("", protocol.CONSTANTS),
@@ -73,10 +69,6 @@ def protocol_header(hand: Hand = HPAC) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _version_parts() -> zip:
-    return zip(("MAJOR", "MINOR", "PATCH"), protocol.FIRMWARE_VERSION, strict=True)
-
-
 def _message_lines() -> list[str]:
     lines = []
     for message in MESSAGES.values():
@@ -86,9 +78,9 @@ def _message_lines() -> list[str]:
     return [*lines, ""]
 
 
-def _enum_lines(name: str, enum: type[IntEnum]) -> list[str]:
-    members = [f"    HPAC_{name.upper()}_{item.name.upper()} = {item.value}," for item in enum]
-    return ["typedef enum {", *members, f"}} hpac_{name}_t;", ""]
+def _enum_lines(name: str, members: dict[str, int]) -> list[str]:
+    rows = [f"    HPAC_{name.upper()}_{member.upper()} = {value}," for member, value in members.items()]
+    return ["typedef enum {", *rows, f"}} hpac_{name}_t;", ""]
 
 
 def _constant_lines(prefix: str, constants: dict[str, int]) -> list[str]:
@@ -214,11 +206,6 @@ def vectors_header(hand: Hand = HPAC) -> str:
     return "\n".join([*lines, "};"]) + "\n"
 
 
-def vectors_file(hand: Hand = HPAC) -> str:
-    """The test vectors as comma-separated values."""
-    return "name,verdict,wire\n" + "".join(f"{name},{verdict},{wire.hex()}\n" for name, verdict, wire in vectors(hand))
-
-
 def _type_name(field: protocol.Field) -> str:
     name = f"{'i' if field.signed else 'u'}{8 * field.size}"
     return f"{name}[{field.count}]" if field.is_array else name
@@ -232,10 +219,11 @@ def wire_document(text: str, hand: Hand = HPAC) -> str:
 
 def generated(hand: Hand = HPAC) -> dict[Path, str]:
     """Every generated file of the wire and what it must contain."""
+    rows = [f"{name},{verdict},{wire.hex()}\n" for name, verdict, wire in vectors(hand)]
     return {
         HEADER: protocol_header(hand),
         DOCUMENT: wire_document(DOCUMENT.read_text(encoding="utf-8"), hand),
-        VECTORS: vectors_file(hand),
+        VECTORS: "name,verdict,wire\n" + "".join(rows),
         VECTORS_HEADER: vectors_header(hand),
     }
 

@@ -28,12 +28,13 @@ class Transport(Protocol):
 
     def now(self) -> float:
         """Monotonic time [s]."""
+        return time.monotonic()
 
     def close(self) -> None:
         """Let the port go. May be called twice."""
 
 
-class SerialTransport:
+class SerialTransport(Transport):
     """A serial port or pseudo-terminal through pyserial, locked against a second program.
 
     DTR and RTS are low before the port opens: many boards reset, or stay in their boot loader, otherwise.
@@ -60,7 +61,6 @@ class SerialTransport:
             raise PortError(_open_advice(port, error)) from error
 
     def read(self, timeout: float) -> bytes:
-        """See `Transport.read`."""
         try:
             if self._serial.timeout != timeout:
                 self._serial.timeout = timeout
@@ -70,18 +70,12 @@ class SerialTransport:
             raise PortError(f"{self.port} has gone: {error}") from error
 
     def write(self, data: bytes) -> None:
-        """See `Transport.write`."""
         try:
             self._serial.write(data)
         except (OSError, TypeError) as error:
             raise PortError(f"{self.port} takes no bytes: {error}") from error
 
-    def now(self) -> float:
-        """See `Transport.now`."""
-        return time.monotonic()
-
     def close(self) -> None:
-        """See `Transport.close`."""
         self._serial.close()
 
 
@@ -96,7 +90,7 @@ def _open_advice(port: str, error: Exception) -> str:
     return f"{port} cannot be opened: {text}"
 
 
-class SocketTransport:
+class SocketTransport(Transport):
     """A TCP connection, for an emulated board or a serial-to-network bridge.
 
     Raises:
@@ -113,7 +107,6 @@ class SocketTransport:
         self._write_timeout = timeout
 
     def read(self, timeout: float) -> bytes:
-        """See `Transport.read`."""
         try:
             self._socket.settimeout(max(timeout, 1e-6))  # 0 would mean non-blocking, another error
             data = self._socket.recv(READ_SIZE)
@@ -126,19 +119,13 @@ class SocketTransport:
         return data
 
     def write(self, data: bytes) -> None:
-        """See `Transport.write`."""
         try:
             self._socket.settimeout(self._write_timeout)
             self._socket.sendall(data)
         except OSError as error:
             raise PortError(f"{self._name} takes no bytes: {error}") from error
 
-    def now(self) -> float:
-        """See `Transport.now`."""
-        return time.monotonic()
-
     def close(self) -> None:
-        """See `Transport.close`."""
         self._socket.close()
 
 

@@ -8,29 +8,26 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable
+from dataclasses import astuple, fields
 from functools import cache
 
 import numpy as np
 
 from hpac_gym.bridge.errors import PortError
 from hpac_gym.bridge.host_board import firmware_file
-from hpac_gym.bridge.limits import servo_limits
+from hpac_gym.bridge.limits import ServoLimits, servo_limits
 from hpac_gym.bridge.protocol import Reset
+from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import SERVOS, Hand
 
 _Pulses = ctypes.c_uint32 * len(SERVOS)
 
 
 class ServoConfig(ctypes.Structure):
-    """`hpac_servo_t` of firmware/core/hpac_servo.h."""
+    """`hpac_servo_t` of firmware/core/hpac_servo.h: the limits, in their order, and what differs between copies of a hand."""
 
-    _fields_ = [
-        (name, ctypes.c_int32)
-        for name in (
-            *("min_urad", "max_urad", "rest_urad", "centre_urad", "rate_urad_s"),
-            *("ns_per_rad", "centre_ns", "trim_ns", "direction"),
-        )
-    ]
+    _limits = tuple(field.name for field in fields(ServoLimits))[1:]
+    _fields_ = [(name, ctypes.c_int32) for name in (*_limits, "trim_ns", "direction")]
 
 
 Config = ServoConfig * len(SERVOS)
@@ -72,8 +69,7 @@ def default_config() -> ctypes.Array[ServoConfig]:
 
 def config_of(hand: Hand) -> ctypes.Array[ServoConfig]:
     """The servo table of a hand as the generator writes it into a firmware for that hand."""
-    columns = ("min_urad", "max_urad", "rest_urad", "centre_urad", "rate_urad_s", "ns_per_rad", "centre_ns")
-    return Config(*(ServoConfig(*(getattr(servo, name) for name in columns), 0, 1) for servo in servo_limits(hand)))
+    return Config(*(ServoConfig(*astuple(servo)[1:], 0, 1) for servo in servo_limits(hand)))
 
 
 class VirtualHand:
@@ -157,7 +153,7 @@ class VirtualHand:
         return said
 
 
-class VirtualTransport:
+class VirtualTransport(Transport):
     """The in-process twin of a serial port: reading lets virtual time pass."""
 
     def __init__(self, hand: VirtualHand) -> None:
@@ -169,18 +165,13 @@ class VirtualTransport:
             raise PortError("the virtual hand has gone: unplugged")
 
     def read(self, timeout: float) -> bytes:
-        """See `Transport.read`."""
         self._check()
         return self._hand.run(timeout)
 
     def write(self, data: bytes) -> None:
-        """See `Transport.write`."""
         self._check()
         self._hand.receive(data)
 
     def now(self) -> float:
         """Virtual time [s]."""
         return self._hand.now_us * 1e-6
-
-    def close(self) -> None:
-        """See `Transport.close`."""

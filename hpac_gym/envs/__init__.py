@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
+from inspect import signature
 from typing import Any
 
 import gymnasium
@@ -116,34 +117,11 @@ def pick_place_task(config: PickPlaceConfig | Mapping | None = None) -> Task:
     return _fitting(PickPlace(settings_from(PickPlaceConfig(), config, "config")), PICK_PLACE)
 
 
-def grasp(grasp: str | None = None, variant: str = NOMINAL, object: Any = None, config: Any = None, **options: Any) -> HandEnv:
-    """`HPAC-Grasp-v0`; arguments of `grasp_task` and options of `HandEnv`."""
-    return HandEnv(grasp_task(grasp, variant, object, config), **options)
-
-
 def grasp_any_task(
     objects: str = "train", wrist: str = "script", hands: str = "nominal", config: GraspAnyConfig | Mapping | None = None
 ) -> Task:
     """The task of `HPAC-GraspAny-v0`; the first three as for `GraspAny`, `config` and errors as for `grasp_task`."""
     return _fitting(GraspAny(objects, wrist, hands, settings_from(GraspAnyConfig(), config, "config")), GRASP_ANY)
-
-
-def _only(hands: str, options: Mapping[str, Any]) -> str:
-    """The set of hands, unless a hand is given too.
-
-    Raises:
-        ParameterError: It is.
-    """
-    if hands != "nominal" and options.get("hand", HPAC) is not HPAC:
-        raise ParameterError(f"hands {hands!r} and a hand of one's own were given: give either")
-    return hands
-
-
-def grasp_any(
-    objects: str = "train", wrist: str = "script", hands: str = "nominal", config: Any = None, **options: Any
-) -> HandEnv:
-    """`HPAC-GraspAny-v0`; arguments of `grasp_any_task` and options of `HandEnv`."""
-    return HandEnv(grasp_any_task(objects, wrist, _only(hands, options), config), **options)
 
 
 def grasp_type_task(
@@ -154,79 +132,39 @@ def grasp_type_task(
     return _fitting(GraspByType(types, objects, wrist, settings_from(GraspTypeConfig(), config, "config")), GRASP_TYPE)
 
 
-def grasp_type(
-    types: str | Sequence[str] = "all", objects: str = "train", wrist: str = "free", config: Any = None, **options: Any
-) -> HandEnv:
-    """`HPAC-GraspType-v0`; arguments of `grasp_type_task` and options of `HandEnv`."""
-    return HandEnv(grasp_type_task(types, objects, wrist, config), **options)
+def _entry_points(env_id: str, make_task: Callable[..., Task]) -> tuple[Callable[..., HandEnv], Callable[..., VectorEnv]]:
+    """What makes one environment of an id, and what makes n: of the task's arguments, and the options of `HandEnv`.
 
-
-def pick_place(config: Any = None, **options: Any) -> HandEnv:
-    """`HPAC-PickPlace-v0`; the argument of `pick_place_task` and options of `HandEnv`."""
-    return HandEnv(pick_place_task(config), **options)
-
-
-def grasp_vector(
-    num_envs: int = 1, grasp: str | None = None, variant: str = NOMINAL, object: Any = None, config: Any = None, **options: Any
-) -> VectorEnv:
-    """`HPAC-Grasp-v0` as a vector environment; arguments of `grasp_task`, options of `HandVectorEnv`."""
-    task_options = {"grasp": grasp, "variant": variant, "object": object, "config": config}
-    return _vector(GRASP, grasp_task(**task_options), num_envs, task_options, **options)
-
-
-def grasp_any_vector(
-    num_envs: int = 1, objects: str = "train", wrist: str = "script", hands: str = "nominal", config: Any = None, **options: Any
-) -> VectorEnv:
-    """`HPAC-GraspAny-v0` as a vector environment; arguments of `grasp_any_task`, options of `HandVectorEnv`."""
-    task_options = {"objects": objects, "wrist": wrist, "hands": _only(hands, options), "config": config}
-    return _vector(GRASP_ANY, grasp_any_task(**task_options), num_envs, task_options, **options)
-
-
-def grasp_type_vector(
-    num_envs: int = 1, types: str | Sequence[str] = "all", objects: str = "train", wrist: str = "free", config: Any = None,
-    **options: Any,
-) -> VectorEnv:  # fmt: skip
-    """`HPAC-GraspType-v0` as a vector environment; arguments of `grasp_type_task`, options of `HandVectorEnv`."""
-    task_options = {"types": types, "objects": objects, "wrist": wrist, "config": config}
-    return _vector(GRASP_TYPE, grasp_type_task(**task_options), num_envs, task_options, **options)
-
-
-def pick_place_vector(num_envs: int = 1, config: Any = None, **options: Any) -> VectorEnv:
-    """`HPAC-PickPlace-v0` as a vector environment; the argument of `pick_place_task`, options of `HandVectorEnv`."""
-    return _vector(PICK_PLACE, pick_place_task(config), num_envs, {"config": config}, **options)
-
-
-def posture_vector(num_envs: int = 1, config: Any = None, reachable: bool = False, **options: Any) -> VectorEnv:
-    """`HPAC-Posture-v0` or v1 as a vector environment; arguments of `posture_task`, options of `HandVectorEnv`."""
-    task_options = {"config": config, "reachable": reachable}
-    return _vector(POSTURE if reachable else POSTURE_V0, posture_task(**task_options), num_envs, task_options, **options)
-
-
-def _vector(
-    env_id: str,
-    task: Task,
-    num_envs: int,
-    task_options: dict[str, Any],
-    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-    **options: Any,
-) -> VectorEnv:
-    """n environments: one `HandVectorEnv` on MuJoCo; on PyBullet, which keeps Python's lock, Gymnasium's n processes.
-
-    Args:
-        env_id: the id of one of them.
-        task: its task.
-        num_envs: n.
-        task_options: what the task was made of.
-        autoreset_mode: as in Gymnasium's vector environments.
-        options: those of `HandVectorEnv`.
-
-    Raises:
-        ParameterError: `num_envs` is below 1, or what `HandVectorEnv` refuses.
+    n environments are one `HandVectorEnv` on MuJoCo; on PyBullet, which keeps Python's lock, they are Gymnasium's n processes.
     """
-    if (options.get("engine") or default_engine()) != "pybullet":
-        return HandVectorEnv(task, num_envs, autoreset_mode, **options)
-    if num_envs < 1:
-        raise ParameterError(f"num_envs = {num_envs} must be at least 1")
-    make = partial(gymnasium.make, f"hpac_gym:{env_id}", **task_options, **options)
-    # A fork would copy locks that threads of other libraries hold at that moment, and its child would wait for them for ever.
-    return AsyncVectorEnv([make] * num_envs, autoreset_mode=autoreset_mode, context="spawn")
+
+    def given(options: dict[str, Any]) -> tuple[Task, dict[str, Any], dict[str, Any]]:
+        """The task, what it was made of, and the other options."""
+        if options.get("hands", "nominal") != "nominal" and options.get("hand", HPAC) is not HPAC:
+            raise ParameterError(f"hands {options['hands']!r} and a hand of one's own were given: give either")
+        of_task = {name: options.pop(name) for name in signature(make_task).parameters if name in options}
+        return make_task(**of_task), of_task, options
+
+    def one(**options: Any) -> HandEnv:
+        task, _, others = given(options)
+        return HandEnv(task, **others)
+
+    def many(num_envs: int = 1, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, **options: Any) -> VectorEnv:
+        task, of_task, others = given(options)
+        if (others.get("engine") or default_engine()) != "pybullet":
+            return HandVectorEnv(task, num_envs, autoreset_mode, **others)
+        if num_envs < 1:
+            raise ParameterError(f"num_envs = {num_envs} must be at least 1")
+        make = partial(gymnasium.make, f"hpac_gym:{env_id}", **of_task, **others)
+        # A fork would copy locks that threads of other libraries hold at that moment, and its child would wait for them for ever.
+        return AsyncVectorEnv([make] * num_envs, autoreset_mode=autoreset_mode, context="spawn")
+
+    return one, many
+
+
+grasp, grasp_vector = _entry_points(GRASP, grasp_task)
+grasp_any, grasp_any_vector = _entry_points(GRASP_ANY, grasp_any_task)
+grasp_type, grasp_type_vector = _entry_points(GRASP_TYPE, grasp_type_task)
+pick_place, pick_place_vector = _entry_points(PICK_PLACE, pick_place_task)
+_, posture_v0_vector = _entry_points(POSTURE_V0, posture_task)
+_, posture_vector = _entry_points(POSTURE, posture_task)

@@ -16,6 +16,7 @@ import numpy as np
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import DIGITS, Hand
 from hpac_gym.model.checks import Array
+from hpac_gym.model.variation import scaled_digit
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import HandSettings
 from hpac_gym.tasks.config import check_bounds, settings_from
@@ -67,27 +68,17 @@ BOUNDS: Mapping[str, Range] = MappingProxyType({quantity.name: quantity.metadata
 _NOMINAL = {quantity.name: quantity.default for quantity in fields(Randomization)}
 _DRAWS = {quantity.name: quantity.metadata.get("draws", 1) for quantity in fields(Randomization)}
 
+_HAND = {"tendon_stiffness": (0.8, 1.2), "slack": (0.0, 1e-3), "joint_friction": (0.0, 5e-3), "skin_friction": (0.8, 1.2)}
+_LINK = {"servo_lag": (0.0, 0.15), "dead_band": (0.0, 0.02), "dropped_frames": (0.0, 0.05)}
+_OBJECT = {
+    "object_friction": (0.8, 1.2), "object_mass": (0.8, 1.25), "object_position": (-3e-3, 3e-3), "object_yaw": (-0.1, 0.1)
+}  # fmt: skip
 PRESETS: Mapping[str, Randomization] = MappingProxyType(
     {
         "nominal": Randomization(),
-        "hand": Randomization(
-            tendon_stiffness=(0.8, 1.2), slack=(0.0, 1e-3), joint_friction=(0.0, 5e-3), skin_friction=(0.8, 1.2)
-        ),
-        "link": Randomization(servo_lag=(0.0, 0.15), dead_band=(0.0, 0.02), dropped_frames=(0.0, 0.05)),
-        "full": Randomization(
-            tendon_stiffness=(0.8, 1.2),
-            slack=(0.0, 1e-3),
-            joint_friction=(0.0, 5e-3),
-            skin_friction=(0.8, 1.2),
-            object_friction=(0.8, 1.2),
-            object_mass=(0.8, 1.25),
-            object_position=(-3e-3, 3e-3),
-            object_yaw=(-0.1, 0.1),
-            sensor_noise=(0.5, 2.0),
-            servo_lag=(0.0, 0.15),
-            dead_band=(0.0, 0.02),
-            dropped_frames=(0.0, 0.05),
-        ),
+        "hand": Randomization(**_HAND),
+        "link": Randomization(**_LINK),
+        "full": Randomization(**_HAND, **_LINK, **_OBJECT, sensor_noise=(0.5, 2.0)),
     }
 )
 """The named randomizations: nothing; the hand's mechanics; the way from host to servo; all of it, and object and camera."""
@@ -123,11 +114,7 @@ def stream(rng: np.random.Generator, name: str) -> np.random.Generator:
 def changed_hand(hand: Hand, factors: Array) -> Hand:
     """The hand with the stiffness of each digit's tendons multiplied, factors of shape (5,)."""
     digits = {
-        name: replace(
-            digit,
-            tendon_stiffness=digit.tendon_stiffness * float(factor),
-            drive_stiffness=digit.drive_stiffness * float(factor),
-        )
+        name: scaled_digit(digit, {"tendon_stiffness": factor, "drive_stiffness": factor})
         for (name, digit), factor in zip(hand.digits.items(), factors, strict=True)
     }
     return replace(hand, digits=digits)

@@ -150,7 +150,12 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         if actions.shape != self.action_space.shape:
             raise ShapeError(f"actions must have shape {self.action_space.shape}, not {actions.shape}")
         stale = self._over.copy()  # under NEXT_STEP these begin anew, and their action counts for nothing
-        rewards = self._advance(np.where(stale[:, None], 0.0, actions))
+        actions = np.where(stale[:, None], 0.0, actions)
+        try:
+            rewards = np.asarray(episodes.step(actions), dtype=float)
+        except WorkspaceError as error:
+            error.add_note(f"in environment {int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))}")
+            raise
         self._steps += 1
         terminated = episodes.outcome != RUNNING
         truncated = self._steps >= self._limit
@@ -166,14 +171,6 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             self._restart(worlds, infos)
         self._show()
         return episodes.observe(), rewards, terminated, truncated, infos
-
-    def _advance(self, actions: NDArray) -> NDArray:
-        """One step of all episodes; an action that is refused is told with its environment."""
-        try:
-            return np.asarray(self.episodes.step(actions), dtype=float)
-        except WorkspaceError as error:
-            error.add_note(f"in environment {int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))}")
-            raise
 
     # Infos -----------------------------------------------------------------------------------------------------------
 

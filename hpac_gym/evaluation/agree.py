@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +21,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.evaluation.workers import shared
+from hpac_gym.output import markdown
 from hpac_gym.progress import progress
 
 TASK = "HPAC-Grasp-v0"
@@ -115,7 +115,7 @@ def agreement(
     parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
     jobs = [(policy, variant, part, randomize) for variant in variants for part in parts]
     found: dict[Variant, list[Trial]] = {variant: [] for variant in variants}
-    shown = progress(jobs, "agree", sys.stderr.isatty())
+    shown = progress(jobs, "agree")
     for (_, variant, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
         found[variant] += trials
     reference = found[plain[0]]
@@ -157,7 +157,7 @@ def table(result: dict[str, Any]) -> str:
     """The result as tables in Markdown."""
     floors = [f"agrees with itself, object moved by {1e3 * moved:g} mm" for moved in FLOOR]
     head = ["set-up", "success", "95 % interval", "difference", "95 % interval", "agree", *floors]
-    rows = [head, ["---"] * len(head)]
+    rows, by_shape = [], []
     for row in result["set_ups"]:
         rate, (low, high) = row["success"], row["success"]["interval_95"]
         cells = [row["set_up"], f"{rate['successes'] / rate['episodes']:.1%}", f"{low:.1%} … {high:.1%}"]
@@ -167,13 +167,10 @@ def table(result: dict[str, Any]) -> str:
         else:
             cells += ["–", "–", "–"]
         rows.append([*cells, *(f"{found['agree']:.1%}" for found in row["floor"].values())])
-    by_shape = [["difference by object", *result["set_ups"][0]["by_shape"]]]
-    by_shape.append(["---"] * len(by_shape[0]))
-    for row in result["set_ups"]:
         if "difference_by_shape" in row:
-            found = row["difference_by_shape"].values()
-            by_shape.append([row["set_up"], *(_interval(entry) for entry in found)])
-    return "\n\n".join("\n".join(f"| {' | '.join(cells)} |" for cells in part) for part in (rows, by_shape))
+            by_shape.append([row["set_up"], *map(_interval, row["difference_by_shape"].values())])
+    shapes = ["difference by object", *result["set_ups"][0]["by_shape"]]
+    return f"{markdown(head, rows)}\n\n{markdown(shapes, by_shape)}"
 
 
 def _interval(entry: dict[str, Any]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
-import sys
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -97,7 +96,7 @@ def record(
         with TemporaryDirectory(prefix=f".{out.name}-", dir=folder) as root:
             os.environ["MINARI_DATASETS_PATH"] = root
             buffers = []
-            for seed in progress(range(seed_start, seed_start + episodes), "episodes", sys.stderr.isatty()):
+            for seed in progress(range(seed_start, seed_start + episodes), "episodes"):
                 buffers.append(_episode(env, actor, seed))
                 if len(buffers) == CHUNK or seed == seed_start + episodes - 1:
                     if dataset is None:

@@ -1,29 +1,41 @@
-"""The grasp benchmark: policies at the sixteen named grasps, all over the same held-out episodes."""
+"""`hpac grasps`, the grasp benchmark: policies at the sixteen named grasps, all over the same held-out episodes."""
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 
+from hpac import whole_number
 from hpac_gym.envs import GRASPS, NOMINAL
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.evaluation.workers import shared
-from hpac_gym.policies import Policy
+from hpac_gym.output import markdown, writable_folder, write_text
+from hpac_gym.policies import Policy, read_policy
+from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_data import named_grasp
 
 TASK = "HPAC-Grasp-v0"
 CHUNK = 5  # episodes that a worker does at a time
+RANDOM = "random"
 COLUMNS = ("grasp", "object", "policy", "success", "95 % interval", "hold force", "drops by phase")
+_ABOUT = """\
+Runs a policy, and random actions beside it, at the sixteen named grasps over the same held-out episodes. Prints a table:
+success with its Wilson 95 % interval, hold force, drops by phase. Writes it with a picture of each grasp and a contact
+sheet. A grasp is shown as the first episode left it that was a success, or the last one of all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +117,7 @@ def benchmark(
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
     jobs = [(policy, grasp, variant, part) for policy, grasp in cells for part in parts]
     found: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}
-    shown = progress(jobs, "grasps", sys.stderr.isatty())
+    shown = progress(jobs, "grasps")
     for (policy, grasp, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
         found[policy, grasp] += trials
     return [Row(grasp, policy, tuple(found[policy, grasp]), variant) for policy, grasp in cells]
@@ -113,14 +125,59 @@ def benchmark(
 
 def table(rows: Sequence[Row]) -> str:
     """The rows as a table in Markdown."""
-    lines = [f"| {' | '.join(COLUMNS)} |", "| --- " * len(COLUMNS) + "|"]
+    cells = []
     for row in rows:
         numbers = row.summary()
         low, high = numbers["interval_95"]
         force = numbers["hold_force_newton"]
         drops = ", ".join(f"{phase} {count}" for phase, count in numbers["drops_by_phase"].items()) or "–"
-        lines.append(
-            f"| {row.grasp} | {numbers['object']} | {row.policy} | {numbers['success_rate']:.0%} | {low:.0%} … {high:.0%} "
-            f"| {'–' if force is None else f'{force:.0f} N'} | {drops} |"
-        )
-    return "\n".join(lines)
+        force = "–" if force is None else f"{force:.0f} N"
+        rate = f"{numbers['success_rate']:.0%}", f"{low:.0%} … {high:.0%}"
+        cells.append((row.grasp, numbers["object"], row.policy, *rate, force, drops))
+    return markdown(COLUMNS, cells)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac grasps`."""
+    parser.description = _ABOUT
+    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
+    parser.add_argument("-n", "--episodes", type=whole_number(1), default=50, metavar="N",
+                        help="of each policy at each grasp (default: %(default)s; 5 for a first look)")  # fmt: skip
+    parser.add_argument("--grasps", nargs="+", metavar="NAME", help="only these (default: all sixteen)")
+    parser.add_argument("--variant", help="of the objects: large, small, heavy, slippery or shape (default: nominal)")
+    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
+                        help=f"of the first episode (default: %(default)s; training stays below {HELD_OUT_SEED})")  # fmt: skip
+    parser.add_argument("--no-baseline", action="store_true", help="no random actions beside the policy")
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, metavar="N",
+                        help="processes (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--out", type=Path, default=Path("runs/grasps"), metavar="DIR",
+                        help="where table and pictures go (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from hpac_gym.evaluation.pictures import portrait, write_pictures  # the help of this command needs no Pillow
+
+    variant, names = options.variant or NOMINAL, list(dict.fromkeys(options.grasps or GRASPS))
+    policies = list(dict.fromkeys([options.policy] if options.no_baseline else [options.policy, RANDOM]))
+    writable_folder(options.out)
+    rows = benchmark(
+        policies, names, options.episodes, variant=variant, seed_start=options.seed_start, workers=options.workers
+    )  # fmt: skip
+    result = {"task": TASK, "variant": variant, "first_seed": options.seed_start, "grasps": [row.summary() for row in rows]}
+    if options.policy not in BASELINES:
+        result["policy"] = {"file": options.policy, **read_policy(options.policy).about}
+    trials = {f"{row.grasp}/{row.policy}": [asdict(trial) for trial in row.trials] for row in rows}
+    write_text(options.out / "grasps.json", json.dumps({**result, "trials": trials}, indent=2) + "\n")
+    write_text(options.out / "grasps.md", table(rows) + "\n")
+
+    shown = [row for row in rows if row.policy == options.policy]
+    seeds = [next((trial.seed for trial in row.trials if trial.success), row.trials[-1].seed) for row in shown]
+    jobs = [(options.policy, row.grasp, seed, variant) for row, seed in zip(shown, seeds, strict=True)]
+    seen = zip(progress(shown, "pictures"), shared(portrait, jobs, options.workers), strict=True)
+    write_pictures(options.out, {row.grasp: picture for row, picture in seen})
+    print(json.dumps(result, indent=2) if options.json else table(rows))
+    print(f"written to {options.out}", file=sys.stderr)
+    return 0

@@ -5,7 +5,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from hpac_gym.model.parameters import Hand
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.model.parameters import Digit, Hand
+
+
+def scaled_digit(digit: Digit, scale: Mapping[str, ArrayLike]) -> Digit:
+    """The same digit with some numbers multiplied, by field name; radii and path lengths by one factor or one for each.
+
+    Raises:
+        AttributeError: `Digit` has no such field.
+        ParameterError: A number is then not finite and positive.
+    """
+    changed = {}
+    for name, factor in scale.items():
+        value = getattr(digit, name)
+        scaled = (np.asarray(factor) * value).tolist()
+        changed[name] = tuple(scaled) if isinstance(value, tuple) else scaled
+    return replace(digit, **changed)
 
 
 def scaled_hand(hand: Hand, scale: Mapping[str, float]) -> Hand:
@@ -15,11 +33,4 @@ def scaled_hand(hand: Hand, scale: Mapping[str, float]) -> Hand:
         AttributeError: `Digit` has no such field.
         ParameterError: A number is then not finite and positive.
     """
-    digits = {}
-    for name, digit in hand.digits.items():
-        changed = {}
-        for field, factor in scale.items():
-            value = getattr(digit, field)
-            changed[field] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
-        digits[name] = replace(digit, **changed)
-    return replace(hand, digits=digits)
+    return replace(hand, digits={name: scaled_digit(digit, scale) for name, digit in hand.digits.items()})

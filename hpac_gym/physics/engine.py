@@ -202,11 +202,9 @@ class Engine(Protocol):
         Raises:
             ParameterError: It has something that the engine does not know.
         """
-        ...
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Set some of the worlds: hand at rest on its manifold, servos where they hold it there, object on its support."""
-        ...
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
         """Carry out k physics steps in every world.
@@ -221,31 +219,24 @@ class Engine(Protocol):
         Raises:
             PhysicsError: A world's simulation failed; the message names the world.
         """
-        ...
 
     def state(self) -> SceneState:
         """State of every world now, in arrays that no later call changes."""
-        ...
 
     def contacts(self, world: int) -> Contacts:
         """The contacts between hand and object of one world now."""
-        ...
 
     def picture(self, world: int, viewpoint: Viewpoint, target: Array) -> NDArray[np.uint8]:
         """RGB of one world with a point of the world, shape (3,) [m], in the middle; shape (height, width, 3)."""
-        ...
 
     def save(self, world: int) -> Any:
         """A snapshot of one world, from which `restore` goes on to the bit."""
-        ...
 
     def restore(self, world: int, snapshot: Any) -> None:
         """Put a world back to a snapshot of the same setup."""
-        ...
 
     def close(self) -> None:
         """Free what the engine holds. Closing twice is no error."""
-        ...
 
 
 def matrix_from_quaternion(quaternion: Sequence[float]) -> Array:

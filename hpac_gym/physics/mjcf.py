@@ -8,12 +8,13 @@ between two sites, which is exactly Eq. (3). A drive's ctrl is its servo's angle
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 
 from hpac_gym.body.geometry import Box, Capsule, Geometry, Phalanx, link_poses, rotation_from_rpy
-from hpac_gym.body.urdf import COLORS, WRIST_EFFORT, WRIST_RANGE, WRIST_SLIDE_MASS, WRIST_SLIDE_RADIUS, solid_inertia
+from hpac_gym.body.urdf import COLORS, WRIST_EFFORT, WRIST_RANGE, WRIST_SLIDE_MASS, WRIST_SLIDE_RADIUS, solid_inertia, text_of
 from hpac_gym.model import DIGITS, FINGERS, HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings
@@ -149,6 +150,7 @@ class Mechanics:
         )
 
 
+@lru_cache(maxsize=64)
 def root_frames(geometry: Geometry) -> tuple[Array, Array]:
     """Origins, shape (5, 3) [m], and rotations, shape (5, 3, 3), of the driven links at rest in their parents' frames."""
     links = {phalanx.joint: phalanx for phalanx in geometry.phalanges}
@@ -187,14 +189,17 @@ def hand_mjcf(geometry: Geometry, settings: HandSettings, on_wrist: bool = False
     assets = Xml.SubElement(root, "asset")
     Xml.SubElement(assets, "texture", SKY)
     for name, rgba in COLORS.items():
-        Xml.SubElement(assets, "material", name=name, rgba=_text(rgba), specular="0.2", shininess="0.3")
+        Xml.SubElement(assets, "material", name=name, rgba=text_of(rgba), specular="0.2", shininess="0.3")
     world = Xml.SubElement(root, "worldbody")
     Xml.SubElement(world, "light", name="lamp", directional="true", pos="0.5 0.8 1", dir="-0.5 -0.8 -1", diffuse="0.5 0.5 0.5")
     bodies = {"palm": _add_palm(_add_wrist(world) if on_wrist else world, geometry)}
     for phalanx in geometry.phalanges:
         bodies[phalanx.link] = _add_phalanx(bodies[phalanx.parent], phalanx, settings, hand)
     _add_guides(bodies, mechanics, geometry)
-    _add_excludes(Xml.SubElement(root, "contact"), geometry)
+    contact = Xml.SubElement(root, "contact")
+    for phalanx in geometry.phalanges:  # MuJoCo itself lets no link touch its parent, but where the palm is part of the world
+        if phalanx.parent == "palm":
+            Xml.SubElement(contact, "exclude", body1="palm", body2=phalanx.link)
     _add_tendons(Xml.SubElement(root, "tendon"), mechanics)
     _add_actuators(Xml.SubElement(root, "actuator"), mechanics, hand, on_wrist)
     Xml.indent(root)
@@ -204,10 +209,10 @@ def hand_mjcf(geometry: Geometry, settings: HandSettings, on_wrist: bool = False
 def _add_defaults(root: Xml.Element, settings: HandSettings) -> None:
     """Fingers touch everything but fingers; what is only drawn touches nothing."""
     defaults = Xml.SubElement(root, "default")
-    Xml.SubElement(defaults, "geom", CONTACT, friction=_text((settings.contact_friction**2, TORSION, 0.0001)), group="0")
-    Xml.SubElement(defaults, "joint", damping=_text((settings.damping.joint,)), solreflimit=CONTACT["solref"])
+    Xml.SubElement(defaults, "geom", CONTACT, friction=text_of((settings.contact_friction**2, TORSION, 0.0001)), group="0")
+    Xml.SubElement(defaults, "joint", damping=text_of((settings.damping.joint,)), solreflimit=CONTACT["solref"])
     if settings.joint_friction:
-        defaults[-1].set("frictionloss", _text((settings.joint_friction,)))
+        defaults[-1].set("frictionloss", text_of((settings.joint_friction,)))
     for name, contype, conaffinity, group in (("body", 1, 3, 0), ("finger", 2, 1, 0), ("drawn", 0, 0, 1)):
         kind = Xml.SubElement(defaults, "default", {"class": name})
         Xml.SubElement(kind, "geom", contype=str(contype), conaffinity=str(conaffinity), group=str(group))
@@ -220,8 +225,8 @@ def _add_wrist(world: Xml.Element) -> Xml.Element:
     ball = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), WRIST_SLIDE_RADIUS)
     _add_inertial(wrist, *solid_inertia((ball,), 2 * WRIST_SLIDE_MASS), 2 * WRIST_SLIDE_MASS)
     for name, axis in zip("xyz", np.eye(3), strict=True):
-        limits = _text((-WRIST_RANGE, WRIST_RANGE))
-        Xml.SubElement(wrist, "joint", name=f"wrist_{name}", type="slide", axis=_text(axis), range=limits, damping="0")
+        limits = text_of((-WRIST_RANGE, WRIST_RANGE))
+        Xml.SubElement(wrist, "joint", name=f"wrist_{name}", type="slide", axis=text_of(axis), range=limits, damping="0")
         wrist[-1].set("frictionloss", "0")
     return wrist
 
@@ -237,22 +242,22 @@ def _add_palm(parent: Xml.Element, geometry: Geometry) -> Xml.Element:
 
 def _add_phalanx(parent: Xml.Element, phalanx: Phalanx, settings: HandSettings, hand: Hand) -> Xml.Element:
     # Local frames are quaternions: MuJoCo's Euler angles turn about other axes than URDF's.
-    turn = _text(_quaternion(rotation_from_rpy(phalanx.rpy)), 15)
-    body = Xml.SubElement(parent, "body", name=phalanx.link, pos=_text(phalanx.origin), quat=turn)
+    turn = text_of(_quaternion(rotation_from_rpy(phalanx.rpy)), 15)
+    body = Xml.SubElement(parent, "body", name=phalanx.link, pos=text_of(phalanx.origin), quat=turn)
     center, inertia = solid_inertia((phalanx.capsule,), phalanx.mass)
     _add_inertial(body, center, inertia + armature_of(phalanx.joint, settings) * np.eye(3), phalanx.mass)
     index = JOINT_INDEX[phalanx.joint]
-    limits = _text((hand.joint_min[index], hand.joint_max[index]))
-    Xml.SubElement(body, "joint", name=phalanx.joint, axis=_text(phalanx.axis, 15), range=limits)
+    limits = text_of((hand.joint_min[index], hand.joint_max[index]))
+    Xml.SubElement(body, "joint", name=phalanx.joint, axis=text_of(phalanx.axis, 15), range=limits)
     if phalanx.joint == "thumb_cmc" and settings.hub_inertia:
-        body[-1].set("armature", _text((settings.hub_inertia / hand.cmc_gain**2,)))
+        body[-1].set("armature", text_of((settings.hub_inertia / hand.cmc_gain**2,)))
     finger = phalanx.joint.split("_")[0] in FINGERS
     _add_geom(body, phalanx.capsule, "finger" if finger else "body", "phalanx", phalanx.link)
     radius = phalanx.capsule.radius
     _add_geom(body, Capsule((0.0, -0.75 * radius, 0.0), (0.0, 0.75 * radius, 0.0), 0.5 * radius), "drawn", "hinge")
     if phalanx.joint.split("_")[1] in ("ip", "dip"):
-        pad = Xml.SubElement(body, "geom", {"class": "drawn"}, type="sphere", size=_text((1.003 * radius,)), material="pad")
-        pad.set("pos", _text(phalanx.capsule.end))
+        pad = Xml.SubElement(body, "geom", {"class": "drawn"}, type="sphere", size=text_of((1.003 * radius,)), material="pad")
+        pad.set("pos", text_of(phalanx.capsule.end))
     return body
 
 
@@ -260,28 +265,21 @@ def _add_guides(bodies: dict[str, Xml.Element], mechanics: Mechanics, geometry: 
     for digit, servo, guides in zip(DIGITS, SERVOS, mechanics.guides, strict=False):
         phalanx = next(item for item in geometry.phalanges if item.joint == servo)
         for body, name, guide in zip((phalanx.parent, phalanx.link), ("fixed", "moving"), guides, strict=True):
-            Xml.SubElement(bodies[body], "site", name=f"{digit}_{name}_guide", pos=_text(guide, 15), size="0.002")
-
-
-def _add_excludes(contact: Xml.Element, geometry: Geometry) -> None:
-    """A link never touches its parent. MuJoCo sees to that by itself, but not where the palm is part of the world."""
-    for phalanx in geometry.phalanges:
-        if phalanx.parent == "palm":
-            Xml.SubElement(contact, "exclude", body1="palm", body2=phalanx.link)
+            Xml.SubElement(bodies[body], "site", name=f"{digit}_{name}_guide", pos=text_of(guide, 15), size="0.002")
 
 
 def _add_tendons(tendon: Xml.Element, mechanics: Mechanics) -> None:
     for name, row, stiffness, damping in zip(
         coupling_names(), mechanics.coupling, mechanics.coupling_stiffness, mechanics.coupling_damping, strict=True
     ):
-        numbers = {"stiffness": _text((stiffness,)), "damping": _text((damping,)), "springlength": "0"}
+        numbers = {"stiffness": text_of((stiffness,)), "damping": text_of((damping,)), "springlength": "0"}
         _add_fixed_tendon(tendon, name, row, numbers)
     for digit, row, stiffness in zip(DIGITS, mechanics.spring, mechanics.spring_stiffness, strict=True):
-        _add_fixed_tendon(tendon, f"{digit}_spring", row, {"stiffness": _text((stiffness,)), "springlength": "0"})
+        _add_fixed_tendon(tendon, f"{digit}_spring", row, {"stiffness": text_of((stiffness,)), "springlength": "0"})
     for digit, mass in zip(DIGITS, mechanics.hub_mass, strict=True):
         drive = Xml.SubElement(tendon, "spatial", name=f"{digit}_drive", width="0.0008", rgba="0.75 0.72 0.6 1")
         if mass:
-            drive.set("armature", _text((mass,)))
+            drive.set("armature", text_of((mass,)))
         for end in ("fixed", "moving"):
             Xml.SubElement(drive, "site", site=f"{digit}_{end}_guide")
 
@@ -294,7 +292,7 @@ def coupling_names() -> list[str]:
 def _add_fixed_tendon(tendon: Xml.Element, name: str, row: Array, numbers: dict[str, str]) -> None:
     fixed = Xml.SubElement(tendon, "fixed", {"name": name, **numbers})
     for index in np.flatnonzero(row):
-        Xml.SubElement(fixed, "joint", joint=JOINTS[index], coef=_text((row[index],)))
+        Xml.SubElement(fixed, "joint", joint=JOINTS[index], coef=text_of((row[index],)))
 
 
 def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_wrist: bool) -> None:
@@ -303,26 +301,26 @@ def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_w
         stiffness, damping = mechanics.drive_stiffness[i], mechanics.drive_damping[i]
         Xml.SubElement(
             actuator, "general", affine, name=SERVOS[i], tendon=f"{digit}_drive",
-            gainprm=_text((-stiffness * mechanics.radius[i],)),
-            biasprm=_text((stiffness * mechanics.length[i], -stiffness, -damping), 15),
-            forcerange=_text((-mechanics.tension_limit[i], 0.0)), ctrlrange=_text((hand.servo_min[i], hand.servo_max[i])),
+            gainprm=text_of((-stiffness * mechanics.radius[i],)),
+            biasprm=text_of((stiffness * mechanics.length[i], -stiffness, -damping), 15),
+            forcerange=text_of((-mechanics.tension_limit[i], 0.0)), ctrlrange=text_of((hand.servo_min[i], hand.servo_max[i])),
         )  # fmt: skip
     stiffness, damping, limit, gain = mechanics.cmc
     Xml.SubElement(
-        actuator, "general", affine, name=SERVOS[_CMC], joint="thumb_cmc", gainprm=_text((stiffness * gain,)),
-        biasprm=_text((0.0, -stiffness, -damping)), forcerange=_text((-limit, limit)),
-        ctrlrange=_text((hand.servo_min[_CMC], hand.servo_max[_CMC])),
+        actuator, "general", affine, name=SERVOS[_CMC], joint="thumb_cmc", gainprm=text_of((stiffness * gain,)),
+        biasprm=text_of((0.0, -stiffness, -damping)), forcerange=text_of((-limit, limit)),
+        ctrlrange=text_of((hand.servo_min[_CMC], hand.servo_max[_CMC])),
     )  # fmt: skip
     for name in "xyz" if on_wrist else "":
         Xml.SubElement(
-            actuator, "position", name=f"wrist_{name}", joint=f"wrist_{name}", kp=_text((WRIST_STIFFNESS,)), dampratio="1",
-            forcerange=_text((-WRIST_EFFORT, WRIST_EFFORT)), ctrlrange=_text((-WRIST_RANGE, WRIST_RANGE)),
+            actuator, "position", name=f"wrist_{name}", joint=f"wrist_{name}", kp=text_of((WRIST_STIFFNESS,)), dampratio="1",
+            forcerange=text_of((-WRIST_EFFORT, WRIST_EFFORT)), ctrlrange=text_of((-WRIST_RANGE, WRIST_RANGE)),
         )  # fmt: skip
 
 
 def _add_inertial(body: Xml.Element, center: Array, inertia: Array, mass: float) -> None:
     entries = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    Xml.SubElement(body, "inertial", pos=_text(center), mass=_text((mass,)), fullinertia=_text(entries, 12))
+    Xml.SubElement(body, "inertial", pos=text_of(center), mass=text_of((mass,)), fullinertia=text_of(entries, 12))
 
 
 def _add_geom(body: Xml.Element, solid: Box | Capsule, kind: str, material: str, name: str | None = None) -> None:
@@ -330,9 +328,9 @@ def _add_geom(body: Xml.Element, solid: Box | Capsule, kind: str, material: str,
     if name is not None:
         geom.set("name", name)
     if isinstance(solid, Box):
-        geom.attrib |= {"type": "box", "pos": _text(solid.center), "size": _text(np.array(solid.size) / 2)}
+        geom.attrib |= {"type": "box", "pos": text_of(solid.center), "size": text_of(np.array(solid.size) / 2)}
     else:
-        geom.attrib |= {"type": "capsule", "fromto": _text((*solid.start, *solid.end)), "size": _text((solid.radius,))}
+        geom.attrib |= {"type": "capsule", "fromto": text_of((*solid.start, *solid.end)), "size": text_of((solid.radius,))}
 
 
 def _quaternion(rotation: Array) -> Array:
@@ -340,7 +338,3 @@ def _quaternion(rotation: Array) -> Array:
     w = np.sqrt(max(1 + np.trace(rotation), 0.0)) / 2
     skew = rotation - rotation.T
     return np.array([w, skew[2, 1] / (4 * w), skew[0, 2] / (4 * w), skew[1, 0] / (4 * w)])
-
-
-def _text(values: Array | tuple[float, ...] | list[float], digits: int = 9) -> str:
-    return " ".join(f"{value if abs(value) > 1e-15 else 0.0:.{digits}g}" for value in values)

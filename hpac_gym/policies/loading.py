@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 import gymnasium
+from gymnasium.spaces import Box
 
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.errors import PolicyError
@@ -51,6 +52,8 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
         raise PolicyError(f"policy file '{name}' was trained on {trained_on}, not on {env_id}")
     if (told := difference(policy.about.get("made_for", {}), made_for(env))) is not None:
         raise PolicyError(f"policy file '{name}' does not fit {env_id}: {told}")
+    if not isinstance(env.observation_space, Box):
+        raise PolicyError(f"policy file '{name}' takes one flat box, {env_id} observes {env.observation_space}")
     wanted = env.observation_space.shape[0], env.action_space.shape[0]
     if policy.sizes != wanted:
         raise PolicyError(f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand, elastic_joints_from_servo, rigid_joints_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.study.processing import Points
-from hpac_gym.study.record import PHASES, joints_of_servo
+from hpac_gym.study.record import FLEXING, joints_of_servo
 from hpac_gym.study.results import GREEN, GREY, RED, label
 
 EVALUATED = tuple(name for name in JOINTS if name.endswith(("_ip", "_pip", "_dip")))
@@ -48,7 +48,7 @@ def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
     rigid, elastic = rigid_joints_from_servo(points.servo, hand), elastic_joints_from_servo(points.servo, hand)
     found = {}
     for servo in range(len(SERVOS)):
-        rows = (points.swept == servo) & (points.phase == PHASES.index("flexion"))
+        rows = (points.swept == servo) & (points.phase == FLEXING)
         for joint in joints_of_servo(servo) if rows.any() else ():
             seen = np.flatnonzero(rows)[~np.isnan(points.joint_pos[rows, joint])]
             if seen.size:
@@ -67,12 +67,12 @@ class Accuracy:
     """`uncompensated` and `compensated`: largest absolute residual."""
 
 
-def accuracy(found: dict[str, Residuals], joints: tuple[str, ...] = FIGURE) -> Accuracy:
+def accuracy(found: dict[str, Residuals]) -> Accuracy:
     """The paper's metrics of the joints that were measured."""
 
     def errors(statistic) -> dict[str, dict[str, float]]:
         return {
-            kind: {name: float(np.degrees(statistic(np.abs(getattr(found[name], kind))))) for name in joints if name in found}
+            kind: {name: float(np.degrees(statistic(np.abs(getattr(found[name], kind))))) for name in FIGURE if name in found}
             for kind in ("uncompensated", "compensated")
         }
 

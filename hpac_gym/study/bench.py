@@ -14,13 +14,12 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.study.quasistatic import Built, hand_course
-from hpac_gym.study.record import PHASES, Sweep, concatenate, joints_of_servo
+from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate, joints_of_servo
 
 THUMB_CLEAR = 1.2
 """CMC angle at which the thumb can bend over its whole range and touches neither finger nor palm [rad]."""
 _STEPS = 2
 """Quasi-static steps from one sampling point to the next."""
-_REST, _FLEXION, _EXTENSION = range(len(PHASES))
 
 
 def rest_pose(swept: str) -> Array:
@@ -128,9 +127,9 @@ def metal_sweeps(
         protocol: how the servos are swept.
         servos: which ones.
     """
-    point, phase = np.arange(protocol.points), np.full(protocol.points, _FLEXION)
+    point, phase = np.arange(protocol.points), np.full(protocol.points, FLEXING)
     if protocol.both_directions:
-        point, phase = np.concatenate([point, point[::-1]]), np.repeat([_FLEXION, _EXTENSION], protocol.points)
+        point, phase = np.concatenate([point, point[::-1]]), np.repeat([FLEXING, EXTENDING], protocol.points)
     parts: list[list[Sweep]] = [[] for _ in built]
     for name in servos:
         swept = SERVOS.index(name)
@@ -164,4 +163,4 @@ def _segment(
         measured[:, joint] = recorded(joint_pos[:, joint], 0.0)
     measured = camera.seen(measured, time, rng)
     zeros = np.zeros(len(time), dtype=int)
-    return Sweep(zeros, zeros + swept, recorded(phase, _REST), recorded(point, -1), time, servo, measured)
+    return Sweep(zeros, zeros + swept, recorded(phase, REST), recorded(point, -1), time, servo, measured)

@@ -19,7 +19,7 @@ from hpac_gym.study.combinations import SweptDigit, values
 from hpac_gym.study.identification import HELD_OUT_EVERY, SPREAD, DigitFit, Identification, held_out_rows, identify
 from hpac_gym.study.judging import judged
 from hpac_gym.study.record import read_sweep
-from hpac_gym.study.results import BLUE, GREEN, GREY, RED, label, markdown, save
+from hpac_gym.study.results import BLUE, GREEN, GREY, RED, label, log_ticks, markdown, save
 from hpac_gym.study.samples import DigitSamples
 
 OUT = Path("runs/calibrate/hand.toml")
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record, allow_missing=True)
     remarks = judged(record, base)
-    found = identify(record, base, arguments.spread, arguments.radii_known, hold_out=True, shown=not arguments.json)
+    found = identify(record, base, arguments.spread, arguments.radii_known, hold_out=True, shown=True)
     write_text(arguments.out, hand_to_toml(named(found, base, arguments.record.name)))
     written = load_hand(arguments.out)
     errors = file_errors(found, written)
@@ -228,10 +228,8 @@ def estimate_figure(found: Identification, base: Hand) -> Figure:
             axis.plot(item.value / nominal, row, "o", color=BLUE, alpha=alpha)
         axis.set_yticks(range(len(shown)), [item.name for item, _ in shown], fontsize=8)
         axis.axvline(1.0, color=GREY, linewidth=0.8)
-        axis.set_xscale("log")
+        log_ticks(axis.xaxis, (0.2, 0.5, 1, 2, 5))
         axis.set_xlim(0.2, 5.0)
-        axis.set_xticks([0.2, 0.5, 1, 2, 5], ["0.2", "0.5", "1", "2", "5"])
-        axis.minorticks_off()
         axis.invert_yaxis()
         zero = np.degrees(fit.swept.servo_zero)
         axis.set_title(f"{name}, servo zero {zero:+.2f}°", fontsize=9)

@@ -100,9 +100,7 @@ def _share(well: np.ndarray) -> float:
     return float(well.all(axis=1).mean())
 
 
-def commands(
-    name: str, workshop: Workshop, count: int, seed: int, maps: Collection[str] = tuple(MAPS), shown: bool = False
-) -> Part:
+def commands(name: str, workshop: Workshop, count: int, seed: int, maps: Collection[str] = tuple(MAPS)) -> Part:
     """Sweep and calibrate every hand once, then command it through its range and back with every map.
 
     Args:
@@ -111,12 +109,11 @@ def commands(
         count: hands.
         seed: of hands and camera.
         maps: which of `MAPS`.
-        shown: draw a progress bar.
     """
     built = build(workshop, count, seed)
     records = metal_sweeps(built, seed, CAMERA, Protocol(both_directions=True), servos=SERVOS[:-1])
-    identified = [identify(record).hand for record in progress(records, "calibrations", shown)]
-    rows = rows_of(COLUMNS, {item: errors_of_map(item, built, identified) for item in progress(maps, "command maps", shown)})
+    identified = [identify(record).hand for record in progress(records, "calibrations")]
+    rows = rows_of(COLUMNS, {item: errors_of_map(item, built, identified) for item in progress(maps, "command maps")})
     title = f"## Commands: {count} hands ({name}), seed {seed}, one sweep each; median and the middle 95 %"
     return Part(f"{title}\n\n{table('map', COLUMNS, rows)}\n", rows)
 

@@ -130,25 +130,25 @@ def without_frames(record: Sweep, seed: int, number: int) -> Sweep:
     return record[np.flatnonzero(rng.random(len(record)) >= DROPPED)]
 
 
-def run_hidden(count: int, seed: int, laws: str, shown: bool = False) -> list[HiddenHand]:
+def run_hidden(count: int, seed: int, laws: str) -> list[HiddenHand]:
     """Calibrate hidden hands in metal that obey one of the `LAWS`."""
     built = hidden_hands(count, seed, LAWS[laws])
     records = metal_sweeps(built, seed, CAMERA, servos=SERVOS[:-1])
     truth = hand_course(built, SERVO, 2)
     return [
         judge_hand(built[i], without_frames(records[i], seed, i), truth[i], SERVO, laws == "laws of the fit")
-        for i in progress(range(count), f"hidden hands, {laws}", shown)
+        for i in progress(range(count), f"hidden hands, {laws}")
     ]
 
 
-def run_hidden_in_physics(count: int, seed: int, shown: bool = False) -> list[HiddenHand]:
+def run_hidden_in_physics(count: int, seed: int) -> list[HiddenHand]:
     """Calibrate hidden hands of the physics engine: one friction for all digits, no servo compliance, Table I's stops.
 
     The truth is what a perfect camera saw of the same sweep at the sampling points.
     """
     hands = []
     hidden = list(enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND))))
-    for number, built in progress(hidden, "hidden hands in the physics engine", shown):
+    for number, built in progress(hidden, "hidden hands in the physics engine"):
         first = built.metal[0]
         settings = settings_of(first.joint_friction, first.dead_band, first.tendon_friction)
         zero = (*(item.servo_zero for item in built.metal), 0.0)
@@ -202,11 +202,11 @@ COVERAGE = (
 """The intervals, for which the page has a table of its own."""
 
 
-def calibration(count: int, seed: int, in_physics: int = 0, shown: bool = False) -> Part:
+def calibration(count: int, seed: int, in_physics: int = 0) -> Part:
     """`hpac calibrate` on hidden hands of every kind: `count` of each law in metal, `in_physics` in the physics engine."""
-    found = {laws: run_hidden(count, seed, laws, shown) for laws in LAWS}
+    found = {laws: run_hidden(count, seed, laws) for laws in LAWS}
     if in_physics:
-        found["physics engine"] = run_hidden_in_physics(in_physics, seed, shown)
+        found["physics engine"] = run_hidden_in_physics(in_physics, seed)
     rows = rows_of((*COLUMNS, *COVERAGE), found)
     lines = [f"## `hpac calibrate` on hidden hands, seed {seed}", "", table("hidden", COLUMNS, rows), ""]
     fit = rows["laws of the fit"]

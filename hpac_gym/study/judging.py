@@ -7,7 +7,7 @@ import numpy as np
 from hpac_gym.model import JOINTS, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
-from hpac_gym.study.record import PHASES, RecordError, Sweep, joints_of_servo
+from hpac_gym.study.record import FLEXING, REST, RecordError, Sweep, joints_of_servo
 
 LEAST_REST = 5
 """Samples at rest, before or after the motion, that a segment needs."""
@@ -22,7 +22,6 @@ MOST_NOISE = np.deg2rad(1.0)
 SHOWN = 3
 """Faults that the message spells out."""
 _HINT = "are labels exchanged?"
-_FLEXION = PHASES.index("flexion")
 
 
 def judged(sweep: Sweep, base: Hand) -> list[str]:
@@ -39,12 +38,12 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
     corrected = without_drift(sweep)
     faults, remarks = [], []
     for rows in sweep.segments():
-        flexed = rows[(sweep.phase[rows] == _FLEXION) & (sweep.point[rows] >= 0)]
+        flexed = rows[(sweep.phase[rows] == FLEXING) & (sweep.point[rows] >= 0)]
         if not flexed.size:
             continue
         swept = int(sweep.swept[rows[0]])
         where = f"trial {sweep.trial[rows[0]]}, sweep of {SERVOS[swept]}"
-        rest = int((sweep.phase[rows] == PHASES.index("rest")).sum())
+        rest = int((sweep.phase[rows] == REST).sum())
         travel = np.ptp(sweep.servo[flexed], axis=0)
         moved = int(travel.argmax())
         if rest < LEAST_REST:

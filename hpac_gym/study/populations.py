@@ -11,12 +11,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import HPAC, JOINTS, Digit, Hand, elastic_joints_from_servo, rigid_joints_from_servo, scaled_hand
+from hpac_gym.model import HPAC, JOINTS, Digit, Hand, elastic_joints_from_servo, rigid_joints_from_servo
 from hpac_gym.model.checks import Array
+from hpac_gym.model.variation import scaled_digit, scaled_hand
 from hpac_gym.progress import progress
 from hpac_gym.study.accuracy import ALL_BELOW_DEG, EVALUATED
 from hpac_gym.study.quasistatic import Built, Metal, hand_course
-from hpac_gym.study.results import Column, Part, range_of, rows_of, table
+from hpac_gym.study.results import Column, Part, log_ticks, range_of, rows_of, table
 
 POINTS = 41
 """Servo angles at which a hand is judged, over the servos' range."""
@@ -82,13 +83,7 @@ WORKSHOPS: dict[str, Workshop] = {
 
 def varied_digit(digit: Digit, reach: Mapping[str, float], draw: Callable[[tuple[int, ...]], Array]) -> Digit:
     """A digit whose numbers are 1 + reach · draw times as large; `reach` is by field name, `draw` gives a shape of numbers."""
-    changed = {}
-    for name, size in reach.items():
-        value = getattr(digit, name)
-        changed[name] = ((1 + size * draw(np.shape(value))) * value).tolist()
-        if isinstance(value, tuple):
-            changed[name] = tuple(changed[name])
-    return replace(digit, **changed)
+    return scaled_digit(digit, {name: 1 + size * draw(np.shape(getattr(digit, name))) for name, size in reach.items()})
 
 
 def varied_hand(hand: Hand, tolerance: Mapping[str, float], rng: np.random.Generator) -> Hand:
@@ -153,11 +148,9 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def populations(count: int, seed: int, shown: bool = False) -> Part:
+def populations(count: int, seed: int) -> Part:
     """Errors of nominal compensation on hands as a workshop makes them."""
-    errors = {
-        name: errors_of(build(workshop, count, seed)) for name, workshop in progress(WORKSHOPS.items(), "populations", shown)
-    }
+    errors = {name: errors_of(build(shop, count, seed)) for name, shop in progress(WORKSHOPS.items(), "populations")}
     rows = rows_of(COLUMNS, errors)
     text = f"## Populations: {count} hands each, seed {seed}; median and the middle 95 %\n\n{table('hands', COLUMNS, rows)}\n"
     caption = f"{count} hands in metal each, seed {seed}, nominal compensation"
@@ -171,9 +164,7 @@ def population_figure(found: Mapping[str, PopulationErrors]) -> Figure:
     for name, errors in found.items():
         axis.ecdf(errors.compensated.max(axis=1), label=name)
     axis.axvline(ALL_BELOW_DEG, color="black", linestyle="--", label=f"the paper's hand: all nine below {ALL_BELOW_DEG}°")
-    axis.set_xscale("log")
-    axis.set_xticks([0.1, 0.2, 0.5, 1, 2, 5], ["0.1", "0.2", "0.5", "1", "2", "5"])
-    axis.minorticks_off()
+    log_ticks(axis.xaxis, (0.1, 0.2, 0.5, 1, 2, 5))
     axis.set_xlabel("mean absolute error of a hand's worst of nine joints, compensated [°]")
     axis.set_ylabel("share of the hands")
     figure.legend(loc="outside right center", frameon=False, fontsize=9)

@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(table(shown[0], hand))
     sheet = arguments.out or (Path("runs/postures.png") if arguments.name == "all" else None)
     if sheet:
-        draw(shown, sheet, hand, not arguments.json)
+        draw(shown, sheet, hand)
         if not arguments.json:
             print(f"drawn to {sheet}")
     if arguments.port and not everything:
@@ -107,7 +107,7 @@ def table(item: Posture, hand: Hand = HPAC) -> str:
     return "\n".join(lines)
 
 
-def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC, progress_shown: bool = False) -> None:
+def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     """A contact sheet of postures that the simulated hand took from open, by its servos."""
     columns = min(SHEET_COLUMNS, len(items))
     rows = -(-len(items) // columns)
@@ -115,7 +115,7 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC, progress_shown
     axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
     for axis in axes:
         axis.set_axis_off()
-    for axis, item in zip(axes, progress(items, "contact sheet", progress_shown), strict=False):
+    for axis, item in zip(axes, progress(items, "contact sheet"), strict=False):
         axis.imshow(picture(item, hand))
         axis.set_title(f"{item.panel} {item.name.replace('_', ' ')}", fontsize=8)
     save(figure, path, picture=True)

@@ -13,7 +13,7 @@ import numpy as np
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import JOINTS
 from hpac_gym.model.checks import Array
-from hpac_gym.study.record import PHASES, RecordError, Sweep, joints_of_servo
+from hpac_gym.study.record import REST, RecordError, Sweep, joints_of_servo
 
 CUTOFF_HZ = 3.0
 """Cut-off of the low-pass. A point is held for half a second: much lower, and the steps beside it would smear into it."""
@@ -25,7 +25,6 @@ FAR = 6.0
 """Robust standard deviations from which a sample of something that stands still is not one of it."""
 LEAST_NOISE = np.deg2rad(0.02)
 """A camera is not taken to be better than this [rad]."""
-_REST = PHASES.index("rest")
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +121,11 @@ def without_drift(sweep: Sweep) -> Sweep:
     """
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
-        rest = rows[sweep.phase[rows] == _REST]
+        rest = rows[sweep.phase[rows] == REST]
         if not rest.size:
             continue
         time = sweep.time[rest] - sweep.time[rows[0]]
-        moving = np.flatnonzero(sweep.phase[rows] != _REST)
+        moving = np.flatnonzero(sweep.phase[rows] != REST)
         both_ends = moving.size and rest[0] < rows[moving[0]] and rest[-1] > rows[moving[-1]]
         moving_from = rows[moving[0]] if moving.size else -1
         basis = np.vander(time, 2 if both_ends else 1)
@@ -154,7 +153,7 @@ def points(sweep: Sweep) -> Points:
     Raises:
         RecordError: No sample stands at a sampling point.
     """
-    held = (sweep.point >= 0) & (sweep.phase != _REST)
+    held = (sweep.point >= 0) & (sweep.phase != REST)
     if not held.any():
         raise RecordError("column point: no row of a flexion or an extension is at a sampling point (all are −1)")
     keys = np.stack([sweep.trial, sweep.swept, sweep.phase, sweep.point], axis=1)[held]

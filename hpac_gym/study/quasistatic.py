@@ -86,8 +86,8 @@ class _Digits:
         self.guide_sum, self.guide_product = d1**2 + d2**2, 2 * d1 * d2
         self.rest_path = np.sqrt(self.guide_sum - self.guide_product * np.cos(self.alpha))
 
-    def path_and_arm(self, root: Array) -> tuple[Array, Array]:
-        """Free length of the driving tendon between the guides, and its moment arm, for root angles (n,), both (n,) [m].
+    def driven(self, root: Array, horn: Array) -> tuple[Array, Array, Array]:
+        """Stretch [m], moment arm [m] and tension [N] of the driving tendons, (n,), for angles of roots and horns, (n,) [rad].
 
         The tendon runs on the joint's side of both pins. It wraps round them by as much as the joint turns, and its line lies
         closer to the joint's axis by the pins' radius.
@@ -95,7 +95,9 @@ class _Digits:
         included = self.alpha - root
         chord = np.sqrt(self.guide_sum - self.guide_product * np.cos(included))
         arm = 0.5 * self.guide_product * np.sin(included) / chord
-        return chord + self.guide_radius * root, np.maximum(arm - self.guide_radius, 1e-6)
+        stretch = self.hub * horn - (self.rest_path - (chord + self.guide_radius * root))
+        tension = np.minimum(np.maximum(self.drive * stretch, 0.0), self.limit)
+        return stretch, np.maximum(arm - self.guide_radius, 1e-6), tension
 
 
 def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array) -> Array:
@@ -148,9 +150,8 @@ def _friction(joint: int, joint_pos: Array, numbers: _Digits, horn: Array) -> Ar
     spring = numbers.spring * (radius * joint_pos).sum(axis=1)
     load = radius[:, joint] * (coupling[:, max(joint - 1, 0) : joint + 1].sum(axis=1) + spring)
     if joint == 0:
-        path, arm = numbers.path_and_arm(joint_pos[:, 0])
-        wound = numbers.hub * horn - (numbers.rest_path - path)
-        load = load + arm * np.minimum(np.maximum(numbers.drive * wound, 0.0), numbers.limit)
+        _, arm, tension = numbers.driven(joint_pos[:, 0], horn)
+        load = load + arm * tension
     slide = np.expm1(numbers.cable_friction * joint_pos[:, : joint + 1].sum(axis=1))
     return numbers.joint_friction + numbers.tendon_friction * load + radius[:, joint] * spring * slide
 
@@ -171,9 +172,7 @@ def _balance(joint: int, joint_pos: Array, numbers: _Digits, horn: Array, agains
         return (pull - against / own) / (stiffness * own)
     angle = np.broadcast_to(joint_pos[:, 0], against.shape)
     for _ in range(_STEPS):
-        path, arm = numbers.path_and_arm(angle)
-        stretch = numbers.hub * horn - (numbers.rest_path - path)
-        tension = np.minimum(np.maximum(numbers.drive * stretch, 0.0), numbers.limit)
+        stretch, arm, tension = numbers.driven(angle, horn)
         torque = arm * tension + own * (pull - stiffness * own * angle) - against
         step = torque / (np.where(stretch > 0, numbers.drive * arm**2, 0.0) + stiffness * own**2)
         # a slack digit falls no further than into its tendon, and a servo at its limit yields until it holds

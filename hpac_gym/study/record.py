@@ -17,6 +17,7 @@ from hpac_gym.output import write_text
 
 HEADER = "# hpac sweep, format 1"
 PHASES = ("rest", "flexion", "extension")
+REST, FLEXING, EXTENDING = range(len(PHASES))
 LABELS = ("trial", "swept", "phase", "point")
 SERVO_COLUMNS = tuple(f"servo_{name}_rad" for name in SERVOS)
 JOINT_COLUMNS = tuple(f"joint_{name}_rad" for name in JOINTS)

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from numpy.typing import ArrayLike
 
 from hpac_gym.output import replacing
@@ -108,6 +110,13 @@ def label(joint: str) -> str:
     """A joint's name for people: ``index_dip`` → ``Index DIP``."""
     digit, _, part = joint.partition("_")
     return f"{digit.capitalize()} {part.upper()}"
+
+
+def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
+    """Make one of a plot's axes logarithmic, with these ticks alone."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_minor_locator(NullLocator())
 
 
 def save(figure: Figure, path: str | os.PathLike[str], caption: str = "", picture: bool = False) -> None:

@@ -17,9 +17,7 @@ from hpac_gym.physics.settings import Damping, HandSettings, ServoSettings, Worl
 from hpac_gym.physics.simulation import Simulation, default_engine, make_engine
 from hpac_gym.progress import progress
 from hpac_gym.study.bench import CAMERA, PROTOCOL, JointCamera, Protocol, rest_pose
-from hpac_gym.study.record import PHASES, Sweep, concatenate
-
-_REST, _FLEXION, _EXTENSION = range(len(PHASES))
+from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate
 
 WORLD = WorldSettings(physics_hz=640, error_reduction=0.2)
 """Finer steps than in the environments, so that a hand with twice the tendon stiffness is integrated as well."""
@@ -120,13 +118,13 @@ class Rig:
 
         def rest() -> None:
             sim.reset(rest_pose(SERVOS[swept]))  # laid against its stops: friction alone would hold it off them
-            record(self.protocol.rest, _REST)
+            record(self.protocol.rest, REST)
 
         def record(seconds: float, phase: int, point: int = -1) -> None:
             for _ in range(round(seconds / period)):
                 sim.step(period)
                 labels.append((phase, point))
-                commanded.append(sim.commanded - zero * (phase != _REST))
+                commanded.append(sim.commanded - zero * (phase != REST))
                 measured.append(sim.joint_pos)
 
         def go_to(angle: float, phase: int, point: int) -> None:
@@ -141,13 +139,13 @@ class Rig:
         angles = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], self.protocol.points)
         rest()
         for point, angle in enumerate(angles):
-            go_to(angle, _FLEXION, point)
+            go_to(angle, FLEXING, point)
         if self.protocol.both_directions:
             for point, angle in reversed(list(enumerate(angles))):
-                go_to(angle, _EXTENSION, point)
+                go_to(angle, EXTENDING, point)
         else:
-            record(self.protocol.hold, _EXTENSION)  # the way back starts well after the last point
-            go_to(angles[0], _EXTENSION, -1)
+            record(self.protocol.hold, EXTENDING)  # the way back starts well after the last point
+            go_to(angles[0], EXTENDING, -1)
         rest()
 
         count = len(labels)

@@ -21,8 +21,8 @@ from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.identification import identify
 from hpac_gym.study.populations import FIT_LAWS, NINE, OTHER_LAWS, SERVO, STIFFNESS, ZERO, Workshop, build, geometry
 from hpac_gym.study.quasistatic import hand_course
-from hpac_gym.study.record import PHASES, Sweep
-from hpac_gym.study.results import Mean, Part, markdown, mean_of
+from hpac_gym.study.record import REST, Sweep
+from hpac_gym.study.results import Mean, Part, log_ticks, markdown, mean_of
 from hpac_gym.study.samples import digit_samples
 
 SAMPLES = (3, 4, 6, 8, 16, 31)
@@ -55,18 +55,8 @@ def polynomial(servo: Array, joint_pos: Array, rng: np.random.Generator, model: 
     return lambda angle: np.polynomial.polynomial.polyval(angle, factors).T
 
 
-def gaussian_process(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
-    """A Gaussian process on top of linear scaling."""
-    return _gaussian_process(servo, joint_pos, linear_scaling(servo, joint_pos, rng, model))
-
-
-def gaussian_process_on_model(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
-    """A Gaussian process on top of the paper's model with the nominal numbers."""
-    return _gaussian_process(servo, joint_pos, model)
-
-
-def _gaussian_process(servo: Array, joint_pos: Array, base: Predictor) -> Predictor:
-    """Squared exponential and white noise on top of a first guess, by marginal likelihood."""
+def gaussian_process(servo: Array, joint_pos: Array, base: Predictor) -> Predictor:
+    """A Gaussian process on top of a first guess: squared exponential and white noise, by marginal likelihood."""
     rest = joint_pos - base(servo)
     scale = max(float(rest.std()), 1e-6)
     gaps = (servo[:, None] - servo) ** 2
@@ -116,8 +106,10 @@ RIVALS = {
     "linear scaling": linear_scaling,
     "polynomial": polynomial,
     "network": network,
-    "Gaussian process": gaussian_process,
-    "Gaussian process on the paper's model": gaussian_process_on_model,
+    "Gaussian process": lambda servo, joint_pos, rng, model: gaussian_process(
+        servo, joint_pos, linear_scaling(servo, joint_pos, rng, model)
+    ),
+    "Gaussian process on the paper's model": lambda servo, joint_pos, rng, model: gaussian_process(servo, joint_pos, model),
 }
 UNTRAINED = {"rigid model, Eq. (9)": rigid_joints_from_servo, "paper's model, Eqs. (5), (12)": elastic_joints_from_servo}
 IDENTIFIED = {"paper's model, its numbers fitted": True, "`hpac calibrate`": False}
@@ -142,7 +134,7 @@ class Race:
         return {n: min(means, key=lambda name: means[name][n]) for n in numbers}
 
 
-def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES, shown: bool = False) -> Race:
+def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Race:
     """Fit every method to random points of one sweep of each hand, and judge it on where that hand's joints are.
 
     Args:
@@ -150,14 +142,13 @@ def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...]
         hands: how many; each has another choice of the training points.
         seed: of hands, camera, choices and the network's first weights.
         samples: numbers of training points of each servo.
-        shown: draw a progress bar.
     """
     built = build(workshop, hands, seed)
     truth = hand_course(built, SERVO)
     records = metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1])
     untrained = {name: mean_of([_error(model(SERVO), angles) for angles in truth]) for name, model in UNTRAINED.items()}
     errors: dict[str, dict[int, list[float]]] = {name: {n: [] for n in samples} for name in (*RIVALS, *IDENTIFIED)}
-    for number, hand in progress([(n, h) for n in samples for h in range(hands)], "rivals", shown):
+    for number, hand in progress([(n, h) for n in samples for h in range(hands)], "rivals"):
         rng = np.random.default_rng([seed, number, hand])
         for name, value in _errors_of_hand(records[hand], truth[hand], number, rng).items():
             errors[name][number].append(value)
@@ -168,7 +159,7 @@ def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...]
 
 def _errors_of_hand(record: Sweep, truth: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
     """Every method's error for one hand. All get the same points: means of the samples without those far from the others."""
-    few = record.phase == PHASES.index("rest")
+    few = record.phase == REST
     predicted = {name: np.zeros_like(truth) for name in RIVALS}
     for swept, digit in enumerate(HPAC.digits.values()):
         samples = digit_samples(record, swept, digit.joints)
@@ -200,10 +191,10 @@ def _error(predicted: Array, truth: Array) -> float:
     return float(np.degrees(np.abs(predicted - truth)[:, NINE].mean()))
 
 
-def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES, shown: bool = False) -> Part:
+def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
     """The race on one of the `RACES`, with its figure."""
     title, workshop = RACES[stem]
-    found = run_race(workshop, count, seed, samples, shown)
+    found = run_race(workshop, count, seed, samples)
     lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
     lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
     body = [(name, *table.values()) for name, table in found.trained.items()]
@@ -227,12 +218,9 @@ def race_figure(race: Race) -> Figure:
         axis.fill_between(numbers, low, high, color=color, alpha=0.1, linewidth=0)
     for (name, value), style in zip(race.untrained.items(), (":", "--"), strict=True):
         axis.axhline(value.mean, color="black", linestyle=style, label=f"{name}, untrained")
-    axis.set_xscale("log")
-    axis.set_yscale("log")
+    log_ticks(axis.xaxis, numbers)
+    log_ticks(axis.yaxis, (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10))
     axis.set_ylim(0.05, 10)
-    axis.set_xticks(numbers, [str(n) for n in numbers])
-    axis.minorticks_off()
-    axis.set_yticks([0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10], ["0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10"])
     axis.set_xlabel("training points of each servo")
     axis.set_ylabel("mean absolute error of the nine joints [°]")
     figure.legend(loc="outside right center", frameon=False, fontsize=9)

@@ -11,7 +11,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION
 from hpac_gym.study.judging import noise_of, point_medians
 from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
-from hpac_gym.study.record import PHASES, Sweep
+from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep
 
 STOP_SLOPE = 0.3
 """A joint that turns by less than this share of its usual rate, to the end of the sweep, rests at a stop."""
@@ -60,14 +60,14 @@ _OF_POINTS = ("servo", "direction", "point", "joint_pos", "deviation", "line")
 
 
 def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand = HPAC) -> DigitSamples | None:
-    """The points of a servo's sweeps, none if none of the joints is measured in them."""
+    """The points of a servo's sweeps without those at stops and near the turn; None if none of the joints is measured."""
     corrected = without_drift(record)
     parts = []
     for rows in record.segments():
         if record.swept[rows[0]] != servo:
             continue
-        for phase, direction in (("flexion", FLEXION), ("extension", EXTENSION)):
-            held = rows[(record.phase[rows] == PHASES.index(phase)) & (record.point[rows] >= 0)]
+        for phase, direction in ((FLEXING, FLEXION), (EXTENDING, EXTENSION)):
+            held = rows[(record.phase[rows] == phase) & (record.point[rows] >= 0)]
             if held.size:
                 parts.append(_phase_points(corrected, rows, held, joints, direction))
     unseen = [all(np.isnan(part.joint_pos[:, i]).all() for part in parts) for i in range(len(joints))]
@@ -81,7 +81,12 @@ def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand
         outliers=sum(part.outliers for part in parts),
         missing=tuple(name for name, never in zip(joints, unseen, strict=True) if never),
     )
-    return _without_turns(_without_stops(whole, servo, base), base.servo_max[servo] - base.servo_min[servo])
+    kept = _without_stops(whole, servo, base)
+    back = kept.direction == EXTENSION
+    if not back.any():
+        return kept
+    near_turn = kept.servo >= kept.servo.max() - TURNED * (base.servo_max[servo] - base.servo_min[servo])
+    return kept.only(np.flatnonzero(~(back & near_turn)))
 
 
 def _phase_points(
@@ -106,7 +111,7 @@ def _phase_points(
 def _open_line(sweep: Sweep, segment: np.ndarray, time: Array) -> Array:
     """Uncertainty that the rest poses leave in a segment's drift line, shape (k, 2): offset and slope, decorrelated."""
     line = np.zeros((len(time), 2))
-    rest = segment[sweep.phase[segment] == PHASES.index("rest")]
+    rest = segment[sweep.phase[segment] == REST]
     if rest.size < 2:
         return line
     origin = sweep.time[rest].mean()
@@ -144,11 +149,3 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
     kept = samples.servo <= limit + 1e-6
     stops = {name: found[name] for name, start in starts.items() if start == min(starts.values())}  # the others are held by it
     return replace(samples.only(np.flatnonzero(kept)), stops=stops, at_stops=int((~kept).sum()))
-
-
-def _without_turns(samples: DigitSamples, span: float) -> DigitSamples:
-    """Leave out the points of the way back that lie too near to the turn."""
-    back = samples.direction == EXTENSION
-    if not back.any():
-        return samples
-    return samples.only(np.flatnonzero(~back | (samples.servo < samples.servo.max() - TURNED * span)))

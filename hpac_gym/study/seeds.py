@@ -60,17 +60,16 @@ COLUMNS = (
 )
 
 
-def seeds(reference_file: str | os.PathLike[str], count: int, speeds: Mapping[float, float], shown: bool = False) -> Part:
+def seeds(reference_file: str | os.PathLike[str], count: int, speeds: Mapping[float, float]) -> Part:
     """Seeds 0 … count − 1 at every speed, of a slow one the first of them.
 
     Args:
         reference_file: the tolerances and the camera.
         count: seeds.
         speeds: share of the seeds by seconds per point.
-        shown: draw a progress bar.
     """
     jobs = [(seed, seconds) for seconds, share in speeds.items() for seed in range(max(round(share * count), 1))]
-    runs = [run_seed(reference_file, seed, seconds) for seed, seconds in progress(jobs, "seeds and speeds", shown)]
+    runs = [run_seed(reference_file, seed, seconds) for seed, seconds in progress(jobs, "seeds and speeds")]
     rows = {f"{speed:g}": [run for run in runs if run.seconds_per_point == speed] for speed in sorted(speeds)}
     title = "## The reference sweep, other seeds and speeds; median and the middle 95 % of the seeds"
     return Part(f"{title}\n\n{table('seconds a point', COLUMNS, rows_of(COLUMNS, rows))}\n", runs)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
+from hpac import whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.output import write_text
 from hpac_gym.study import commands, hidden, populations, rivals, seeds, tracking, trials
+from hpac_gym.study.populations import Workshop
 from hpac_gym.study.reference import REFERENCE_FILE, load_reference
 from hpac_gym.study.results import Part, save
 
@@ -29,24 +31,15 @@ class StudyError(HpacError, ValueError):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"which of {', '.join(PARTS)} (default: all)")
-    parser.add_argument("--hands", type=_count(2), metavar="N", help="hands of each population (400; of the costly parts fewer)")
-    parser.add_argument("--seeds", type=_count(2), default=20, metavar="N", help="seeds of the reference sweep (%(default)s)")
-    parser.add_argument("--trials", type=_count(3), default=5, metavar="N", help="trials, tracking runs (%(default)s)")
+    parser.add_argument("--hands", type=whole_number(2), metavar="N", help="hands of each population (400; costly parts: fewer)")
+    parser.add_argument("--seeds", type=whole_number(2), default=20, metavar="N", help="of the reference sweep (%(default)s)")
+    parser.add_argument("--trials", type=whole_number(3), default=5, metavar="N", help="trials, tracking runs (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of all of them (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="few and coarse: a test of the command, not a result")
     parser.add_argument("--reference", type=Path, default=REFERENCE_FILE, metavar="TOML", help="the simulated hand and camera")
     parser.add_argument("--out", type=Path, default=Path("runs/study"), metavar="DIR", help="where results go (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.set_defaults(run=run)
-
-
-def _count(least: int) -> Callable[[str], int]:
-    def parse(text: str) -> int:
-        if not text.isdigit() or int(text) < least:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least {least}")
-        return int(text)
-
-    return parse
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -75,57 +68,37 @@ def _hands(arguments: argparse.Namespace, usual: int) -> int:
 # The parts: what the options mean for each ------------------------------------------------
 
 
-def _populations(options: argparse.Namespace) -> Part:
-    return populations.populations(_hands(options, 400), options.seed, not options.json)
-
-
-def _seeds(options: argparse.Namespace) -> Part:
-    speeds = {0.75: 1.0} if options.quick else seeds.SPEEDS
-    return seeds.seeds(options.reference, 2 if options.quick else options.seeds, speeds, not options.json)
-
-
 def _rivals(stem: str, options: argparse.Namespace) -> Part:
-    samples = (3, 8) if options.quick else rivals.SAMPLES
-    return rivals.rivals(stem, _hands(options, 8), options.seed, samples, not options.json)
+    return rivals.rivals(stem, _hands(options, 8), options.seed, (3, 8) if options.quick else rivals.SAMPLES)
 
 
-def _calibration(options: argparse.Namespace) -> Part:
-    count = _hands(options, 100)
-    return hidden.calibration(count, options.seed, 0 if options.quick else max(count // 20, 2), not options.json)
-
-
-def _commands(options: argparse.Namespace) -> Part:
-    workshop = populations.WORKSHOPS[COMMANDED]
-    return commands.commands(COMMANDED, workshop, _hands(options, 100), options.seed, shown=not options.json)
-
-
-def _commands_other_laws(options: argparse.Namespace) -> Part:
-    name, workshop = rivals.RACES["rivals"]
-    return commands.commands(name, workshop, _hands(options, 100), options.seed, commands.BEFORE_AND_AFTER, not options.json)
+def _commands(name: str, workshop: Workshop, maps: Collection[str], options: argparse.Namespace) -> Part:
+    return commands.commands(name, workshop, _hands(options, 100), options.seed, maps)
 
 
 def _trials(options: argparse.Namespace) -> Part:
     reference = load_reference(options.reference)
     protocol = QUICK_PROTOCOL if options.quick else TRIAL_PROTOCOL
     slow = replace(reference, rig=reference.rig.with_protocol(**protocol))
-    return trials.trials(slow, options.trials, options.seed, not options.json)
-
-
-def _tracking(options: argparse.Namespace) -> Part:
-    rates = (0.5,) if options.quick else tracking.RATES_HZ
-    return tracking.tracking(load_reference(options.reference), options.trials, options.seed, rates, not options.json)
+    return trials.trials(slow, options.trials, options.seed)
 
 
 PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
-    "populations": _populations,
+    "populations": lambda options: populations.populations(_hands(options, 400), options.seed),
     "causes": lambda options: populations.causes(),
-    "seeds": _seeds,
+    "seeds": lambda options: seeds.seeds(
+        options.reference, 2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else seeds.SPEEDS
+    ),
     "rivals": partial(_rivals, "rivals"),
     "rivals-at-home": partial(_rivals, "rivals-at-home"),
-    "calibration": _calibration,
-    "commands": _commands,
-    "commands-other-laws": _commands_other_laws,
+    "calibration": lambda options: hidden.calibration(
+        _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 20, 2)
+    ),
+    "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
+    "commands-other-laws": partial(_commands, *rivals.RACES["rivals"], commands.BEFORE_AND_AFTER),
     "trials": _trials,
-    "tracking": _tracking,
+    "tracking": lambda options: tracking.tracking(
+        load_reference(options.reference), options.trials, options.seed, (0.5,) if options.quick else tracking.RATES_HZ
+    ),
 }
 """Parts by the name that the command line takes."""

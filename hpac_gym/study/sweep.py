@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Sweep or read, evaluate, write figures and tables."""
     hand = load_hand(arguments.hand) if arguments.hand else HPAC
-    out, shown = arguments.out, not arguments.json
+    out = arguments.out
     result: dict[str, object] = {"hand": hand.name}
     if arguments.record:
         record, cutoff_hz = read_sweep(arguments.record), CUTOFF_HZ
@@ -44,9 +44,9 @@ def run(arguments: argparse.Namespace) -> int:
         caption, text = f"{arguments.record.name} against {hand.name}", ""
     else:
         reference = load_reference(arguments.reference)
-        record, cutoff_hz = simulate(reference, EVALUATION_STREAM, "evaluation sweep" if shown else ""), reference.cutoff_hz
+        record, cutoff_hz = simulate(reference, EVALUATION_STREAM, "evaluation sweep"), reference.cutoff_hz
         write_sweep(out / "sweep.csv", record)
-        first = simulate(reference, WORKSPACE_STREAM, "workspace sweep" if shown else "", points=WORKSPACE_POINTS)
+        first = simulate(reference, WORKSPACE_STREAM, "workspace sweep", points=WORKSPACE_POINTS)
         write_sweep(out / "workspace.csv", first)
         table = workspace(points(processed(first, cutoff_hz)))
         result |= {"seed": reference.seed, "workspace_rad": {name: list(bounds) for name, bounds in table.items()}}

@@ -198,10 +198,10 @@ def _means(runs: dict[str, list[float]]) -> dict[str, Mean]:
     return {**{name: mean_of(values) for name, values in runs.items()}, "mean": mean_of(np.mean(list(runs.values()), axis=0))}
 
 
-def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[float] = RATES_HZ, shown: bool = False) -> Part:
+def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[float] = RATES_HZ) -> Part:
     """Both profiles at every rate, open loop and closed, several runs each."""
     jobs = [(name, rate, closed) for name in PROFILES for rate in rates_hz for closed in (False, True)]
-    found = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking", shown)]
+    found = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking")]
     body = []
     for item in found:
         late, loop = item.lag_s["mean"], "camera at 20 Hz" if item.closed else "open"

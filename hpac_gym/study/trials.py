@@ -11,7 +11,7 @@ from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.progress import progress
 from hpac_gym.study.processing import Points, points, processed
-from hpac_gym.study.record import PHASES, Sweep, concatenate, joints_of_servo
+from hpac_gym.study.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
 from hpac_gym.study.reference import Reference
 from hpac_gym.study.results import BLUE, GREY, Column, Mean, Part, label, mean_of, rows_of, table
 
@@ -31,7 +31,7 @@ class JointTrials:
     """Shape (trials, k) [rad]."""
 
 
-def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, ...] = SERVOS, shown: bool = False) -> Sweep:
+def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, ...] = SERVOS) -> Sweep:
     """Sweeps in both directions; friction and the tendons' seats differ from trial to trial.
 
     Args:
@@ -39,10 +39,9 @@ def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, .
         count: trials.
         seed: of the differences and of the camera.
         servos: which are swept.
-        shown: draw a progress bar.
     """
     parts = []
-    for trial in progress(range(count), "trials", shown):
+    for trial in progress(range(count), "trials"):
         rng = np.random.default_rng([seed, trial])
         factor = max(1 + reference.trials.friction_spread * rng.standard_normal(), 0.0)
         settings = replace(
@@ -60,17 +59,17 @@ def by_joint(found: Points) -> dict[str, JointTrials]:
     """The trials of every joint that was swept, one row a trial, in the order of the points."""
     return {
         JOINTS[joint]: JointTrials(
-            _table(found, int(servo), found.servo[:, servo], "flexion")[0],
-            _table(found, int(servo), found.joint_pos[:, joint], "flexion"),
-            _table(found, int(servo), found.joint_pos[:, joint], "extension"),
+            _table(found, int(servo), found.servo[:, servo], FLEXING)[0],
+            _table(found, int(servo), found.joint_pos[:, joint], FLEXING),
+            _table(found, int(servo), found.joint_pos[:, joint], EXTENDING),
         )
         for servo in np.unique(found.swept)
         for joint in joints_of_servo(int(servo))
     }
 
 
-def _table(found: Points, servo: int, values: Array, phase: str) -> Array:
-    rows = (found.swept == servo) & (found.phase == PHASES.index(phase))
+def _table(found: Points, servo: int, values: Array, phase: int) -> Array:
+    rows = (found.swept == servo) & (found.phase == phase)
     return values[rows].reshape(len(np.unique(found.trial[rows])), -1)
 
 
@@ -99,9 +98,9 @@ COLUMNS = (
 )
 
 
-def trials(reference: Reference, count: int, seed: int, shown: bool = False) -> Part:
+def trials(reference: Reference, count: int, seed: int) -> Part:
     """Hysteresis and repeatability of every joint."""
-    joints = by_joint(points(processed(run_trials(reference, count, seed, shown=shown), reference.cutoff_hz)))
+    joints = by_joint(points(processed(run_trials(reference, count, seed), reference.cutoff_hz)))
     rows = rows_of(COLUMNS, joints)
     labelled = {label(name): row for name, row in rows.items()}
     text = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval\n\n"

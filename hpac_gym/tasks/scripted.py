@@ -14,6 +14,7 @@ from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType, wrist_choice
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceTimetable
+from hpac_gym.tasks.posture import Posture
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import LENGTH_UNIT, Layout
 
@@ -187,10 +188,12 @@ class ScriptedGraspType:
 
     Args:
         task: whose observations it gets, alone or in a dictionary.
+        closure: name of the type whose closure all types get, each with its own wrist; None is each type's own.
     """
 
-    def __init__(self, task: GraspByType) -> None:
+    def __init__(self, task: GraspByType, closure: str | None = None) -> None:
         self._told, self._free = Layout(task.terms, 1).slices["type"], bool(task.wrist_actions)
+        self._closes = closure and GRASP_TYPES[closure].start
 
     def reset(self) -> None:
         """Begin an episode."""
@@ -202,18 +205,23 @@ class ScriptedGraspType:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._start = list(GRASP_TYPES.values())[int(vector[self._told].argmax())].start
             self._wrist = wrist_choice(self._start) if self._free else np.zeros(0)
-        start, share = self._start, min(self._time / CLOSE_TIME, 1.0)
+        start, share = self._closes or self._start, min(self._time / CLOSE_TIME, 1.0)
         self._time += 1 / CONTROL_HZ
         action = action_from_synergy(start.preshape + share * (start.closed - start.preshape))
         return np.append(action, self._wrist).astype(np.float32)
 
 
-def scripted_closure(task: object) -> ScriptedClosure | ScriptedPickPlace | ScriptedGraspAny | ScriptedGraspType:
-    """The script for a task: of any object, of the type it is told, of placing, or the closure of its named grasp."""
+Script = ScriptedClosure | ScriptedPickPlace | ScriptedPosture | ScriptedGraspAny | ScriptedGraspType
+
+
+def scripted_closure(task: object) -> Script:
+    """The script for a task: of any object, of the type it is told, of placing, of a posture, or that of its named grasp."""
     if isinstance(task, GraspByType):
         return ScriptedGraspType(task)
     if isinstance(task, GraspAny):
         return ScriptedGraspAny(task)
     if isinstance(task, PickPlace):
         return ScriptedPickPlace(task.timetable)
+    if isinstance(task, Posture):
+        return ScriptedPosture()
     return ScriptedClosure(task.grasp if isinstance(task, GraspByName) else None)

@@ -2,19 +2,27 @@
 
 import copy
 import json
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from agents import benchmark
 from agents.benchmark import comparison, env_hash, faults, main, splits_of, table
+from agents.closures import TASKS
 from agents.errors import RunError, TaskError
 from agents.evaluate import evaluate
-from hpac_gym.envs.options import GRASP_ANY
+from hpac_gym.envs import GraspAny
+from hpac_gym.envs.episodes import Episodes
+from hpac_gym.envs.options import GRASP_ANY, GRASP_TYPE, POSTURE, checked_options
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.policies import PolicyError
+from hpac_gym.policies import Closures, PolicyError
+from hpac_gym.tasks.task import RUNNING, SUCCESS
 
 TINY = "tests.tiny_task:Tiny-v0"
+HASH = cache(env_hash)
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
 POINTER = "tests.agents.test_benchmark:Pointer:{seed}"
 
 
@@ -164,7 +172,7 @@ def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["HPAC-Posture-v1", "--policy", "random", "--out", "x"], "'HPAC-Posture-v1' has no benchmark: known are HPAC-Grasp-v0"),
+        (["HPAC-Posture-v0", "--policy", "random", "--out", "x"], "'HPAC-Posture-v0' has no benchmark: known are HPAC-Grasp-v0"),
         ([TINY, "--policy", "random", "--budget", "1e5", "--out", "x"], "names no {seed}: a training is judged by 5 runs"),
         ([TINY, "--policy", "random"], "an environment, --policy and --out are needed, or --check"),
         (["--check", "no/such.json"], "cannot read results file 'no/such.json'"),
@@ -178,10 +186,54 @@ def test_a_mistake_is_one_line(words, told):
         main(words)
 
 
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
+def test_the_results_of_the_repository_are_valid(path):
+    results = benchmark.read(path)
+    assert not list(faults(results, HASH(results["env_id"])))
+    assert str(path.relative_to(RESULTS.parents[1])) in results["command"]
+
+
 def test_every_split_differs_from_the_first_in_one_thing_or_from_one_that_does():
     for splits in map(splits_of, benchmark.SPLITS):
         for options in splits.values():
             assert min(len(options.items() ^ other.items()) for other in splits.values() if other is not options) <= 2
+
+
+@pytest.mark.slow
+def test_what_nobody_trained_on_types_and_postures_is_as_far_apart_as_the_results_say():
+    """On other seeds than theirs: what knows the type or sees the goal wins, random actions do not, one closure is in between."""
+    shares = {}
+    for env_id, other in (
+        (GRASP_TYPE, "hpac_gym.policies.baselines:one_closure:small_cylinder"),
+        (POSTURE, "hpac_gym.policies.baselines:constant_posture"),
+    ):
+        options = next(iter(splits_of(env_id).values()))
+        judged = evaluate(["scripted", other, "random"], env_id, 100, seed_start=8_000_000, options=options)
+        shares[env_id] = [np.mean([episode.success for episode in episodes]) for episodes in judged.episodes.values()]
+    assert shares[GRASP_TYPE][0] > 0.85
+    assert 0.1 < shares[GRASP_TYPE][1] < 0.6
+    assert shares[POSTURE][0] > 0.6
+    assert shares[POSTURE][1] < 0.1
+    assert shares[GRASP_TYPE][2] < 0.03 > shares[POSTURE][2]
+
+
+@pytest.mark.slow
+def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outcomes():
+    """The same random closures in episodes of full length and in those that `grasp-any` trains on."""
+    held, decisions = [], np.random.default_rng(3).uniform(-1, 1, (96, 8))
+    for task in (GraspAny(), TASKS[GRASP_ANY]()):
+        episodes = Episodes(task, len(decisions), checked_options(engine="mujoco"))
+        episodes.reset(range(len(decisions)), [np.random.default_rng(7_700_000 + world) for world in range(len(decisions))])
+        won, over, step = np.zeros(len(decisions), bool), np.zeros(len(decisions), bool), 0
+        while not over.all():
+            episodes.step(Closures().actions(decisions, np.full(len(decisions), step)))
+            won |= ~over & (episodes.outcome == SUCCESS)
+            over |= episodes.outcome != RUNNING
+            step += 1
+        held.append(won)
+        episodes.close()
+    assert 0.1 < held[0].mean() < 0.9
+    assert (held[0] != held[1]).mean() < 0.05
 
 
 @pytest.mark.slow

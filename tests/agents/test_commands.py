@@ -20,7 +20,8 @@ MISTAKES = [
     ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…inf"),
     ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
     ("train", GRASP + " --dropout 2", "dropout is 2.0: it must lie in 0…0.9"),
-    ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-PickPlace-v0"),
+    ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v0, "
+     "HPAC-PickPlace-v0"),
     ("train", GRASP + " --gamma 0.9", "unrecognized arguments: --gamma"),
     ("train", "grasp --out {folder}/file/run", "cannot write to folder"),
     ("train", GRASP + " --begin 3,9 --release 9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
@@ -70,5 +71,5 @@ def test_the_whole_command_says_no_more_than_that_line(folder):
     line = [sys.executable, "-m", "agents.train", "grasp-ppo", "--out", str(folder / "run")]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "error: unknown recipe 'grasp-ppo': known are grasp, pick-place\n"
+    assert done.stderr == "error: unknown recipe 'grasp-ppo': known are grasp, grasp-any, pick-place\n"
     assert not (folder / "run").exists()

@@ -32,8 +32,8 @@ def test_episodes_do_not_depend_on_the_number_of_workers():
 def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has():
     env = make_task("HPAC-Grasp-v0", engine="mujoco")
     policies = [load_policy("scripted", env) for _ in range(3)]
-    envs = gymnasium.make_vec("HPAC-Grasp-v0", 3, engine="mujoco")
-    seeds = [HELD_OUT_SEED, HELD_OUT_SEED + 7, HELD_OUT_SEED + 1]
+    envs = gymnasium.make_vec("HPAC-Grasp-v0", 3, engine="mujoco", autoreset_mode="Disabled")
+    seeds = [HELD_OUT_SEED + place for place in (0, 7, 1, 2)]
     together = run_batch(envs, policies, seeds)
     assert together == [run_episode(env, policies[0], seed) for seed in seeds]
     assert len({(episode.success, episode.steps) for episode in together}) > 1

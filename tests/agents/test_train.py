@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -20,21 +20,11 @@ from agents.errors import RunError
 from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
+from tests.processes import wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = {"num_envs": "4", "hidden": "16", "batch_size": "16", "random_episodes": "8", "checkpoint_every": "8"}
 SMALL = [word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)]
-
-
-def start(*words) -> subprocess.Popen:
-    command = [sys.executable, "-m", "agents.train", *map(str, words)]
-    return subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-
-
-def finish(process: subprocess.Popen, status: int = 0) -> str:
-    _, said = process.communicate(timeout=600)
-    assert process.returncode == status, said
-    return said
 
 
 def curve(folder: Path) -> list[int]:
@@ -52,14 +42,14 @@ def train_here(monkeypatch, *words) -> None:
 def trained(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("run") / "whole"
     with pytest.MonkeyPatch.context() as monkeypatch:
-        train_here(monkeypatch, "grasp", "--out", folder, "--episodes", 24, "--seed", 3, *SMALL)
+        train_here(monkeypatch, "grasp", "--out", folder, "--episodes", 16, "--seed", 3, *SMALL)
     return folder
 
 
 def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     about = read_policy(trained / "policy.zip").about
     assert about["env_id"] == "hpac_gym:HPAC-Grasp-v0"
-    assert about["episodes"] >= 24
+    assert about["episodes"] >= 16
     assert (about["settings"]["seed"], about["settings"]["engine"]) == (3, "mujoco")
     assert set(about["versions"]) >= {"python", "torch", "mujoco-core", "gymnasium", "numpy", "hpac_gym"}
     assert len(about["made_for"]["observation"]) == read_policy(trained / "policy.zip").sizes[0]
@@ -71,24 +61,28 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
 
 
 def test_the_same_seed_trains_the_same_policy(trained, tmp_path, monkeypatch):
-    train_here(monkeypatch, "grasp", "--out", tmp_path / "again", "--episodes", 24, "--seed", 3, *SMALL)
+    train_here(monkeypatch, "grasp", "--out", tmp_path / "again", "--episodes", 16, "--seed", 3, *SMALL)
     assert read_policy(tmp_path / "again" / "policy.zip").about["sha256"] == read_policy(trained / "policy.zip").about["sha256"]
 
 
-def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(tmp_path, monkeypatch):
-    process = start("grasp", "--out", tmp_path, "--episodes", 100_000, *SMALL)
+def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(tmp_path, monkeypatch, capsys):
+    command = [sys.executable, "-m", "agents.train", "grasp", "--out", tmp_path, "--episodes", "100000", *SMALL]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
-        wait_for(lambda: checkpoints.latest_checkpoint(tmp_path), process)
+        wait_for(lambda: checkpoints.latest_checkpoint(tmp_path) or process.poll() is not None)
     finally:
         process.kill()
-        process.communicate()
+        process.wait()
     killed, kept = state_of(tmp_path), checkpoints.latest_checkpoint(tmp_path)
-    process = start("--out", tmp_path, "--resume")
-    wait_for(lambda: checkpoints.latest_checkpoint(tmp_path) != kept, process)
-    process.send_signal(signal.SIGINT)
-    said = finish(process, status=130)
-    assert said.splitlines()[-1].startswith("interrupted after")
-    assert "Traceback" not in said
+    handlers = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
+    interrupt = threading.Thread(target=interrupt_after, args=[lambda: checkpoints.latest_checkpoint(tmp_path) != kept])
+    interrupt.start()
+    try:
+        assert train.main(["--out", str(tmp_path), "--resume"]) == 130
+    finally:
+        for number, handler in handlers:
+            signal.signal(number, handler)
+    assert capsys.readouterr().err.splitlines()[-1].startswith("interrupted after")
     interrupted = state_of(tmp_path)
     aim = interrupted["episodes"] + 12
     train_here(monkeypatch, "--out", tmp_path, "--resume", "--episodes", aim)
@@ -98,8 +92,17 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
         assert before["episodes"] < after["episodes"]
         assert before["updates"] < after["updates"]
         assert before["seconds"] < after["seconds"]
+        assert before["env_steps"] < after["env_steps"]
     steps = curve(tmp_path)
     assert steps == sorted(set(steps)), "the rows after the checkpoint were taken back"
+
+
+def interrupt_after(condition) -> None:
+    """Interrupt this process once something holds, or does not come."""
+    try:
+        wait_for(condition)
+    finally:
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def state_of(folder: Path) -> dict:
@@ -112,12 +115,11 @@ def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
     assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 0.6
 
 
-def wait_for(condition, process: subprocess.Popen, seconds: float = 300) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert process.poll() is None, process.stderr.read()
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+def test_a_training_takes_no_more_steps_than_it_may(tmp_path, monkeypatch):
+    train_here(monkeypatch, "grasp", "--out", tmp_path, "--env-steps", 403, *SMALL)
+    about = read_policy(tmp_path / "policy.zip").about
+    assert about["env_steps"] == 400
+    assert about["env_steps"] >= about["episodes"] * 20, "a trial takes at least as long as the closing"
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +142,7 @@ def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
     path = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     other = Learner(recipe, observed=60, deployed=44, phases=4)
     assert checkpoints.load_checkpoint(path, other)["seconds"] == 1.0
-    assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (6, 30)
+    assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (5, 30)
     assert np.array_equal(other.trials.seen, learner.trials.seen)
     saved, loaded = learner.weights(), other.weights()
     assert str(saved) == str(loaded)

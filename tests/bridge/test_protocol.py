@@ -10,9 +10,6 @@ from hpac_gym.model import HPAC, SERVOS
 
 
 def test_generated_files_are_up_to_date():
-    assert generate.HEADER.read_text() == generate.protocol_header()
-    document = generate.DOCUMENT.read_text()
-    assert document == generate.wire_document(document)
     assert generate.main(["--check"]) == 0
 
 

@@ -5,6 +5,7 @@ import json
 import math
 import socket
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -244,7 +245,7 @@ def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
 
 
 def test_json_is_indented_and_in_plain_letters(capsys):
-    _print_json([{"claim": "host silent → detach"}])
+    _print_json([SimpleNamespace(claim="host silent → detach")], "claim")
     assert capsys.readouterr().out == '[\n  {\n    "claim": "host silent → detach"\n  }\n]\n'
 
 

@@ -11,7 +11,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.randomization import PRESETS, Randomization
@@ -30,7 +29,9 @@ from tests.envs.fingerprints import (
     IDS,
     POSTURE,
     POSTURE_V1,
+    PRIVILEGED,
     TOUCHED_STEPS,
+    Case,
     changed,
     digest,
     ends,
@@ -42,22 +43,28 @@ from tests.envs.fingerprints import (
     whole,
 )
 
+
+def marked(values: Iterable[Any], mark: pytest.MarkDecorator, where: Callable[[Any], bool]) -> list[Any]:
+    """Parameters of a test, of which some have a marker."""
+    return [pytest.param(value, marks=mark) if where(value) else value for value in values]
+
+
 OPTIONS = [
     {},
-    {"reward": "sparse"},
-    {"obs": "privileged"},
     {"obs": "image"},
-    *({"randomize": name} for name in PRESETS),
     {"obs": "privileged", "reward": "sparse", "randomize": Randomization(servo_lag=(0.05, 0.15))},
-]
-RANDOM_STEPS = 500
+    *(pytest.param({option: value}, marks=pytest.mark.slow)
+      for option, value in (("reward", "sparse"), ("obs", "privileged"), *(("randomize", name) for name in PRESETS))),
+]  # fmt: skip
+"""The slow ones are joined in the one before them."""
+RANDOM_STEPS = 300
 """Of each id in the default run; `make test-all` makes 350,000 of each."""
 
 PLAIN = [
     *(next(case for case in CASES if case.id == name) for name in IDS),
-    *(BY_NAME[f"{GRASP}/{name}/privileged"] for name in GRASPS),
+    *(BY_NAME[f"{GRASP}/{name}/privileged"] for name in ("large_cylinder", "small_sphere", "tip_pinch", "scissors")),
 ]
-"""What an id gives by default, and every named grasp."""
+"""What an id gives by default, and objects that are a cylinder, a sphere, a box and a compound."""
 
 STOP_GIVES = 0.4
 """How far a digit that snaps free of another one may run into its stop, for a moment [rad]; 20 rad/s are 0.17 a step."""
@@ -84,6 +91,13 @@ def test_ids_are_the_registered_ones():
 @every_id
 @every_option
 def test_the_checkers_of_gymnasium_and_of_stable_baselines3_pass(name, options):
+    check_both(name, options)
+
+
+def check_both(name: str, options: dict[str, Any]) -> None:
+    # Here and not above: it loads PyTorch, which the pass with another rounding does not need.
+    from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
     with gymnasium.make(name, **options) as env:
         check_env(env.unwrapped, skip_render_check=True)
         sb3_check_env(env.unwrapped)
@@ -92,12 +106,11 @@ def test_the_checkers_of_gymnasium_and_of_stable_baselines3_pass(name, options):
 
 @pytest.mark.parametrize("grasp", GRASPS)
 def test_the_checkers_pass_on_every_named_grasp(grasp):
-    with gymnasium.make("HPAC-Grasp-v0", grasp=grasp) as env:
-        check_env(env.unwrapped, skip_render_check=True)
-        sb3_check_env(env.unwrapped)
+    check_both(GRASP, {"grasp": grasp})
 
 
-@every_id
+# The ids differ in nothing that renders, but for a hand without an object.
+@pytest.mark.parametrize("name", marked(IDS, pytest.mark.slow, lambda name: name not in (GRASP, POSTURE_V1)))
 def test_gymnasium_s_checker_passes_with_rendering(name):
     with gymnasium.make(name, render_mode="rgb_array") as env:
         check_env(env.unwrapped)
@@ -108,13 +121,12 @@ def test_gymnasium_s_checker_passes_with_rendering(name):
 # Fingerprints ------------------------------------------------------------------------------
 
 
-def rounded_otherwise_too(values: Iterable[Any], left_out: Callable[[Any], bool]) -> list[Any]:
-    """Parameters of a test, marked for the pass with another rounding unless they are left out of it."""
-    return [value if left_out(value) else pytest.param(value, marks=pytest.mark.processor) for value in values]
+def rounded_otherwise_too(case: Case) -> bool:
+    """Whether the pass with another rounding plays a case: no pictures, and no variants, which differ in numbers alone."""
+    return "variant" not in case.options and case.options.get("obs") != "image"
 
 
-# Left out: the variants of named grasps, which have an object's numbers of their own and nothing else.
-@pytest.mark.parametrize("case", rounded_otherwise_too(CASES, lambda case: "variant" in case.options), ids=lambda case: case.name)
+@pytest.mark.parametrize("case", marked(CASES, pytest.mark.processor, rounded_otherwise_too), ids=lambda case: case.name)
 def test_physics_reward_and_observation_are_those_of_the_version_number(case):
     """If this fails on purpose: raise -v, then run `python -m tests.envs.fingerprints --write`."""
     with case.make() as env:
@@ -126,8 +138,8 @@ def test_physics_reward_and_observation_are_those_of_the_version_number(case):
                 np.testing.assert_allclose(values, then[part][name], *tolerance, err_msg=message)
 
 
-# Left out: postures, which touch nothing, and HPAC-PickPlace-v0, whose contacts are those of HPAC-Grasp-v0.
-@pytest.mark.parametrize("name", rounded_otherwise_too(BATCHES, lambda name: name.startswith(("HPAC-Posture", "HPAC-PickPlace"))))
+# With another rounding: not the postures, which touch nothing, nor what has the contacts of HPAC-Grasp-v0.
+@pytest.mark.parametrize("name", marked(BATCHES, pytest.mark.processor, lambda name: name.startswith("HPAC-Grasp")))
 def test_as_many_episodes_end_as_they_did(name):
     """Episodes that ended otherwise are counted, since rounding may turn a few; see `most_flips`."""
     now, then = np.array(ends(BATCHES[name])), np.array(kept()[f"ends/{name}"])
@@ -151,7 +163,10 @@ def test_all_that_touches_or_can_be_touched_is_compared():
 TOUCHING = [case for case in CASES if any("touched" in row for row in kept()[case.name])]
 
 
-@pytest.mark.parametrize("case", TOUCHING, ids=lambda case: case.name)
+# The pass with another rounding plays the slow ones too, but for variants.
+@pytest.mark.parametrize(
+    "case", marked(TOUCHING, pytest.mark.slow, lambda case: case.options not in ({}, PRIVILEGED)), ids=lambda case: case.name
+)
 def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
     """A disturbance of every action by 1e-9; and where an object stands by 1e-12, a thousand times as much as rounding."""
     assert not changed(case, disturbance=1e-9)

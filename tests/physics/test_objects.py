@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from contextlib import closing
 
 import numpy as np
 import pybullet
@@ -27,7 +28,7 @@ MEASURES = {"x", "y", "z", "mass"}
 @pytest.mark.parametrize("model", REAL.values(), ids=list(REAL))
 def test_a_file_is_within_five_percent_of_what_the_source_prints(model: ObjectModel):
     """Collision shapes and mass as the simulator loads them; every measure that is not published says where it is from."""
-    with World() as world:
+    with closing(World()) as world:
         item = SimObject(world, spec_of(model), (0, 0, 0))
         found = dict(zip("xyz", extents(world, item), strict=True))
         file = pybullet.loadURDF(str(asset_path(f"objects/{model.name}.urdf")), physicsClientId=world.client)
@@ -57,7 +58,7 @@ def test_solids_are_as_large_as_their_object(model: ObjectModel):
 def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectModel):
     scale, mass = 1.1, 1.3 * model.mass
     spec = ObjectSpec(model.shape, tuple(scale * half for half in model.half_extents), mass, 0.5, model.name, scale)
-    with World() as world:
+    with closing(World()) as world:
         item = SimObject(world, spec, (0.1, 0.2, 0.3), quaternion_from_rpy((0.3, 0.2, 0.1)))
         loaded = pybullet.getDynamicsInfo(item.body, -1, world.client)
         assert loaded[0] == pytest.approx(mass)

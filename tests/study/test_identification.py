@@ -64,10 +64,10 @@ def coverage(draws: int, seed: int) -> dict:
 
 def test_hidden_hands_meet_the_marks_and_their_intervals_hold_the_truth():
     """±20 % stiffness, ±5 % geometry, zeros, frictions, stops, 2 % of outliers and of dropped frames; not the fit's solver."""
-    found = coverage(3, seed=11)
+    found = coverage(1, seed=11)
     assert found["refused"] == found["stops_missed"] == 0
     assert found["within"] == 1.0
-    assert min(found["coverage"].values()) >= 0.8  # of 15 digits; the slow test takes 300
+    assert min(found["coverage"].values()) >= 0.8  # of 5 digits; the slow test takes 300
 
 
 @pytest.mark.slow

@@ -158,7 +158,9 @@ class Device:
         answer = self.ask(STATUS, struct.pack("<H", period_ms))
         self.expect(answer is not None, "STATUS got no answer")
         self.expect(answer.kind == DEVICE_STATUS and len(answer.payload) == 50, f"STATUS answered by {_told(answer)}")
-        return _read_status(answer)
+        _, state, fault, attached, moving, *rest = struct.unpack("<IBBBB6h6BHHHIHHHHHHH", answer.payload)
+        last_seq, *counters, _, trips = rest[14:]
+        return Status(state, fault, attached, moving, tuple(rest[:6]), last_seq, *counters, trips)
 
     def arm(self, action: int = Action.relax, watchdog_ms: int = 250, hash_: int | None = None, session: int = SESSION) -> bytes:
         """Payload of an ARM."""
@@ -206,14 +208,6 @@ class Device:
         codes = [message.payload[0] for message in self.unasked if message.kind == FAULT and len(message.payload) == 6]
         self.unasked.clear()
         return codes
-
-
-def _read_status(answer: Message) -> Status:
-    _, state, fault, attached, moving, *rest = struct.unpack("<IBBBB6h6BHHHIHHHHHHH", answer.payload)
-    servo, (last_seq, accepted, refused, bad_crc, bad_frame, bad_version, overrun, _, trips) = tuple(rest[:6]), rest[14:]
-    return Status(
-        state, fault, attached, moving, servo, last_seq, accepted, refused, bad_crc, bad_frame, bad_version, overrun, trips
-    )
 
 
 def _told(message: Message) -> str:

@@ -29,23 +29,20 @@ class JudgedHand(VirtualHand):
         self.oracle.pulses(now_us, widths)
 
     def restart(self, reset: Reset = Reset.power_on, boot_count: int = 1) -> None:
-        """See `VirtualHand.restart`."""
         self.oracle.power_on()
         super().restart(reset, boot_count)
 
     def receive(self, data: bytes) -> None:
-        """See `VirtualHand.receive`."""
         self.oracle.host(self.now_us, data)
         super().receive(self.heard(data))
 
     def transmit(self) -> bytes:
-        """See `VirtualHand.transmit`."""
         said = super().transmit()
         self.oracle.device(self.now_us, said)
         return said
 
     def pulses(self) -> np.ndarray:
-        """See `VirtualHand.pulses`: as shown."""
+        """The widths as shown."""
         return np.array(self.shown(self.now_us, super().pulses().tolist()), dtype=np.int64)
 
     def heard(self, data: bytes) -> bytes:

@@ -169,12 +169,8 @@ class Oracle:
             elif message.version == VERSION:
                 self._waiting[message.kind, message.seq] = (now_us, message)
                 if message.kind == HELLO and message.payload != bytes(4) and len(message.payload) == 4 and not message.flags:
-                    self._greet(struct.unpack("<I", message.payload)[0])
-
-    def _greet(self, nonce: int) -> None:
-        self._session = nonce
-        self._armed = False
-        self._last_move = None
+                    self._session = struct.unpack("<I", message.payload)[0]
+                    self._armed, self._last_move = False, None
 
     def _end(self, action: int, now_us: int, rule: str) -> None:
         self._armed, self._repeatable = False, False

@@ -72,7 +72,7 @@ class BadTransport(VirtualTransport):
         return self.calls in self.interrupt_at
 
     def write(self, data: bytes) -> None:
-        """See `Transport.write`; an interrupt comes between any two bytes."""
+        """An interrupt comes between any two bytes."""
         interrupt = self._count()
         passed = data[: self._rng.integers(len(data) + 1)] if interrupt else data
         arriving = b"" if self.dead_out else self._spoil(passed, self.loss_out)
@@ -83,7 +83,6 @@ class BadTransport(VirtualTransport):
             raise Interrupted
 
     def read(self, timeout: float) -> bytes:
-        """See `Transport.read`."""
         interrupt = self._count()
         data = super().read(timeout * self._rng.random() if interrupt else timeout)
         if interrupt:

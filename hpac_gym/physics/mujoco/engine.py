@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, Contacts, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import HAND_POSITION, Contacts, Engine, PhysicsError, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.mujoco.camera import Camera
 from hpac_gym.physics.mujoco.group import FELT, FELT_ENDS, Group
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 
-class MuJoCoEngine:
+class MuJoCoEngine(Engine):
     """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads share the worlds of a layout, and change no bit.
 
     Args:
@@ -84,7 +84,6 @@ class MuJoCoEngine:
             self._members = {group: members for group, members in zip(owners, rows, strict=True) if len(members)}
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
-        """As `Engine.advance`."""
         for group, worlds in self._members.items():
             every = len(worlds) == self.num_worlds
             tables = servo, servo_vel, wrist, push
@@ -100,7 +99,6 @@ class MuJoCoEngine:
             self._steps[rows] += servo.shape[1]
 
     def state(self) -> SceneState:
-        """As `Engine.state`."""
         state = SceneState.empty(self.num_worlds)
         state.time = self._steps * self.dt
         for group, worlds in self._members.items():
@@ -129,7 +127,6 @@ class MuJoCoEngine:
             state.object_vel[rows], state.object_spin[rows] = _turn(to_hand, velocity[:, :3]), _turn(rotation, velocity[:, 3:])
 
     def contacts(self, world: int) -> Contacts:
-        """As `Engine.contacts`."""
         group, setup = self._group_of[world], self._setups[world]
         model, data = self.single(world)
         points, normals, forces, links, wrench = [], [], [], [], np.zeros(6)
@@ -176,7 +173,6 @@ class MuJoCoEngine:
         return self._camera.picture(model, data, viewpoint, target)
 
     def save(self, world: int) -> Any:
-        """As `Engine.save`."""
         state = self._group_of[world].batch.state[world].copy()
         return self._setups[world], int(self._steps[world]), self._felt[world].copy(), state
 
@@ -193,7 +189,6 @@ class MuJoCoEngine:
         self._group_of[world].batch.state[world] = state
 
     def close(self) -> None:
-        """As `Engine.close`."""
         if self._camera is not None:
             self._camera.close()
         self._camera = None

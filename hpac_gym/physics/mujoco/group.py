@@ -15,17 +15,8 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.model import DIGITS, JOINTS, SERVOS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PARTS, SUPPORT_FRICTION, PhysicsError, SceneSetup, support_boxes
-from hpac_gym.physics.mjcf import Mechanics, coupling_names
-from hpac_gym.physics.mujoco.model import (
-    FORCE_SIZE,
-    SLOTS,
-    Layout,
-    build,
-    geoms_of,
-    inertia_of,
-    inertia_of_hand,
-    roots_of,
-)
+from hpac_gym.physics.mjcf import Mechanics, coupling_names, root_frames
+from hpac_gym.physics.mujoco.model import FORCE_SIZE, SLOTS, Layout, build, geoms_of, inertia_of, inertia_of_hand
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 Index = NDArray[np.intp]
@@ -184,7 +175,7 @@ class Group:
     def _set_hand(self, world: int, setup: SceneSetup) -> None:
         hand, settings, fields, at = setup.hand, setup.hand_settings, self.fields, self.at
         inertia = inertia_of_hand(setup.geometry, settings.armature)
-        numbers = Mechanics.of(hand, settings, inertia, roots_of(setup.geometry))
+        numbers = Mechanics.of(hand, settings, inertia, root_frames(setup.geometry))
         fields["site_pos"][world, at.guides] = numbers.guides
         fields["jnt_range"][world, at.hinge] = np.stack([hand.joint_min, hand.joint_max], axis=1)
         fields["dof_damping"][world, at.dof] = settings.damping.joint

@@ -30,7 +30,7 @@ from hpac_gym.physics.engine import (
     WOOD,
     SceneSetup,
 )
-from hpac_gym.physics.mjcf import hand_mjcf, mass_matrix, root_frames
+from hpac_gym.physics.mjcf import hand_mjcf, mass_matrix
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 SLOTS = 8
@@ -98,12 +98,6 @@ def inertia_of_hand(geometry: Geometry, armature: tuple[float, float, float]) ->
     return mass_matrix(geometry, armature, HPAC.synergy_max / 2)
 
 
-@lru_cache(maxsize=64)
-def roots_of(geometry: Geometry) -> tuple[Array, Array]:
-    """`root_frames` of a hand."""
-    return root_frames(geometry)
-
-
 @dataclass(frozen=True, slots=True)
 class Geoms:
     """MuJoCo's numbers of those k solids of an object that are primitives; a hull's are compiled."""
@@ -162,7 +156,7 @@ def inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
     straight, centre = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     if spec.model is None:
         x, y, z = (2 * half for half in spec.half_extents)
-        return centre, np.array(principal_inertia(Solid(spec.shape, spec.mass, (x, y, z), centre, np.eye(3)))), straight
+        return centre, np.array(principal_inertia(spec.shape, spec.mass, (x, y, z))), straight
     centre, inertia = _mass_of(spec.model)
     inertia = inertia * (spec.mass / spec.model.mass * spec.scale**2)
     if is_straight(spec.model):

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, PARTS, Contacts, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import HAND_POSITION, PARTS, Contacts, Engine, PhysicsError, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.pybullet.scene import FORCE, LINK, NORMAL, POINT, Scene
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 _PART = {name: index for index, name in enumerate(PARTS)}
 
 
-class PyBulletEngine:
+class PyBulletEngine(Engine):
     """`hpac_gym.physics.engine.Engine` on PyBullet. Worlds are stepped one after the other: PyBullet keeps Python's lock.
 
     Args:
@@ -46,7 +46,6 @@ class PyBulletEngine:
             )
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """As `Engine.reset`."""
         for setup in setups:
             self.require(setup.hand_settings)
         for world, setup in zip(worlds, setups, strict=True):
@@ -54,7 +53,6 @@ class PyBulletEngine:
             self._setups[world], self._time[world], self._past[world] = setup, 0.0, []
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
-        """As `Engine.advance`."""
         pushes = [None] * self.num_worlds if push is None else push
         for scene, past, *tables in zip(self.scenes, self._past, servo, servo_vel, wrist, pushes, strict=True):
             scene.advance(*tables)
@@ -99,7 +97,6 @@ class PyBulletEngine:
         found.on_target[world] = scene.target_post is not None and scene.touches(scene.target_post)
 
     def contacts(self, world: int) -> Contacts:
-        """As `Engine.contacts`."""
         scene, setup = self.scenes[world], self._setups[world]
         found = scene.contacts()
         names = {index: name for name, index in scene.hand.link_index.items()} | {-1: "palm"}
@@ -144,6 +141,5 @@ class PyBulletEngine:
         self._time[world], self._past[world] = time, list(past)
 
     def close(self) -> None:
-        """As `Engine.close`."""
         for scene in self.scenes:
             scene.world.close()

@@ -74,7 +74,9 @@ class SimHand:
         self._slides = [self.joint_index[name] for name in _SLIDES if name in self.joint_index]
         self._rotation = np.reshape(pybullet.getMatrixFromQuaternion(list(orientation)), (3, 3))
         self._axes = self._rotation.T.tolist()
-        self._add_armature(settings)
+        for name, index in zip(JOINTS, self._joints, strict=True):
+            inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2]) + armature_of(name, settings)
+            pybullet.changeDynamics(self.body, index, localInertiaDiagonal=inertia.tolist(), physicsClientId=self._client)
         self.collide(True)
         self.configure(hand, settings)
 
@@ -95,11 +97,6 @@ class SimHand:
         pybullet.changeDynamics(self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client)
         self.tendons = Tendons(hand, self.inertia(), self.world.settings.dt, settings.damping, settings.slack, settings.strength)
         self.tension = [0.0] * len(DIGITS)
-
-    def _add_armature(self, settings: HandSettings) -> None:
-        for name, index in zip(JOINTS, self._joints, strict=True):
-            inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2]) + armature_of(name, settings)
-            pybullet.changeDynamics(self.body, index, localInertiaDiagonal=inertia.tolist(), physicsClientId=self._client)
 
     def collide(self, solid: bool) -> None:
         """Let the hand touch things, or pass through everything. Fingers never reach each other and are not checked for it."""

@@ -18,7 +18,6 @@ SPIN_DECAY = 6.0
 without this, what two fingertips hold would swing for ever."""
 
 
-
 class SimObject:
     """One free body of an `ObjectSpec` in a `World`.
 
@@ -51,14 +50,13 @@ class SimObject:
 
     def _primitive(self, position: list[float], orientation: list[float], visuals: bool) -> int:
         self._to_frame: tuple[Array, Array] | None = None
-        return pybullet.createMultiBody(
-            self.spec.mass,
-            _collision_shape(self.spec, self._client),
-            _visual_shape(self.spec, self._client) if visuals else -1,
-            position,
-            orientation,
-            physicsClientId=self._client,
-        )
+        spec, client, visual = self.spec, self._client, -1
+        kind, lengths = _form(spec, "height")
+        solid = pybullet.createCollisionShape(kind, **lengths, physicsClientId=client)
+        if visuals:
+            kind, lengths = _form(spec, "length")
+            visual = pybullet.createVisualShape(kind, **lengths, rgbaColor=OBJECT_COLORS[spec.shape], physicsClientId=client)
+        return pybullet.createMultiBody(spec.mass, solid, visual, position, orientation, physicsClientId=client)
 
     def _model(self, model: ObjectModel, position: list[float], orientation: list[float], visuals: bool) -> int:
         # Without the second flag a cylinder becomes a hull of flat faces that stands 1 mm off the hand.
@@ -127,26 +125,11 @@ def add_fixed_box(
     return body
 
 
-def _collision_shape(spec: ObjectSpec, client: int) -> int:
+def _form(spec: ObjectSpec, height: str) -> tuple[int, dict[str, object]]:
+    """PyBullet's kind of a primitive and its lengths, that of a cylinder under the name that a call has for it."""
     radius, _, half_height = spec.half_extents
-    if spec.shape == "box":
-        return pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=spec.half_extents, physicsClientId=client)
-    if spec.shape == "sphere":
-        return pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=radius, physicsClientId=client)
-    return pybullet.createCollisionShape(
-        pybullet.GEOM_CYLINDER, radius=radius, height=2 * half_height, physicsClientId=client
-    )
-
-
-def _visual_shape(spec: ObjectSpec, client: int) -> int:
-    radius, _, half_height = spec.half_extents
-    color = OBJECT_COLORS[spec.shape]
-    if spec.shape == "box":
-        return pybullet.createVisualShape(
-            pybullet.GEOM_BOX, halfExtents=spec.half_extents, rgbaColor=color, physicsClientId=client
-        )
-    if spec.shape == "sphere":
-        return pybullet.createVisualShape(pybullet.GEOM_SPHERE, radius=radius, rgbaColor=color, physicsClientId=client)
-    return pybullet.createVisualShape(
-        pybullet.GEOM_CYLINDER, radius=radius, length=2 * half_height, rgbaColor=color, physicsClientId=client
-    )
+    return {
+        "box": (pybullet.GEOM_BOX, {"halfExtents": spec.half_extents}),
+        "sphere": (pybullet.GEOM_SPHERE, {"radius": radius}),
+        "cylinder": (pybullet.GEOM_CYLINDER, {"radius": radius, height: 2 * half_height}),
+    }[spec.shape]

@@ -84,14 +84,11 @@ class Scene:
         for body in reversed(self._added):
             pybullet.removeBody(body, physicsClientId=self.world.client)
         self._added.clear()
-        self._forget_contacts()
-        pybullet.restoreState(self._snapshot, physicsClientId=self.world.client)
-
-    def _forget_contacts(self) -> None:
-        """Drop the pairs of links that are near each other: the solver takes contacts in the order in which pairs met."""
+        # Drop the pairs of links that are near each other: the solver takes contacts in the order in which pairs met.
         self.hand.collide(False)
         pybullet.performCollisionDetection(self.world.client)
         self.hand.collide(True)
+        pybullet.restoreState(self._snapshot, physicsClientId=self.world.client)
 
     def _add_supports(self, setup: SceneSetup) -> None:
         boxes, table, target, turn = support_boxes(setup, _matrix)

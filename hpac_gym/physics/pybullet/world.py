@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -25,6 +26,7 @@ def quiet_output() -> Iterator[None]:
             os.dup2(sink, descriptor)
         yield
     finally:
+        ctypes.CDLL(None).fflush(None)  # into a pipe or file, what C prints waits in its own buffer
         for descriptor, copy in saved:
             os.dup2(copy, descriptor)
             os.close(copy)
@@ -36,7 +38,7 @@ with quiet_output():  # it greets whoever loads it
 
 
 class World:
-    """A physics client without a window. Close it when done, or use it as a context manager."""
+    """A physics client without a window. Close it when done."""
 
     def __init__(self, settings: WorldSettings = WorldSettings()) -> None:
         self.settings = settings
@@ -73,9 +75,3 @@ class World:
         if self.client >= 0:
             pybullet.disconnect(self.client)
             self.client = -1
-
-    def __enter__(self) -> World:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

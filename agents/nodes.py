@@ -1,0 +1,292 @@
+"""Collect trials on other machines with Ray Core: collectors on its nodes try closures, one learner is fitted to all of them.
+
+A collector has worlds and seeds of its own. It gets the learner's networks and scaling as plain arrays, tries closures until a
+chunk of trials is over, and returns the chunk under its number. A chunk whose collector or node dies is never added.
+
+``python -m agents.nodes grasp --seeds 0,1,2 --out runs/sweep`` trains whole runs on the nodes instead, one for each seed.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+import subprocess
+import sys
+import time
+from argparse import ArgumentTypeError
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from agents.closures import Learner, Trials, worlds_of
+from agents.command import command_parser
+from agents.errors import RunError
+from agents.recipes import Recipe, recipe_named
+from agents.seeds import training_seed
+from agents.train import versions
+from hpac import run
+from hpac_gym.output import writable_folder
+
+ROOT = Path(__file__).resolve().parents[1]
+WAIT_S = 1.0
+"""How long a step waits for a chunk at most, so that a time limit or Ctrl-C ends the training."""
+SILENCE_S = 60.0
+"""After so long without a chunk a line says so."""
+
+
+def connected() -> Any:
+    """The module ray, connected to the cluster that ``ray start`` or RAY_ADDRESS names, else to one of this machine alone.
+
+    Raises:
+        RunError: Ray is not installed, or the cluster does not answer.
+    """
+    try:
+        import ray
+    except ImportError:
+        raise RunError("collecting on nodes needs Ray, which is not installed: pip install 'hpac_gym[nodes]'") from None
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR, ignore_reinit_error=True)
+    except (ConnectionError, RuntimeError, ValueError) as error:
+        raise RunError(f"no connection to the Ray cluster: {f'{error}'.splitlines()[0]}") from None
+    return ray
+
+
+def knowledge(learner: Learner) -> dict[str, Any]:
+    """What a collector needs to decide as a learner does: networks, scaling and the number of updates, as plain arrays."""
+    networks = {"actor": learner.actor, "critics": learner.critics}
+    arrays = {name: {key: value.numpy() for key, value in network.state_dict().items()} for name, network in networks.items()}
+    return arrays | {"mean": learner.mean, "scale": learner.scale, "updates": learner.updates}
+
+
+class Ledger:
+    """The numbers of the chunks that collectors were asked for; each chunk counts once.
+
+    Attributes:
+        added: how many trials each added chunk has, by the chunk's number.
+        lost: the numbers of the chunks that died with their collector.
+    """
+
+    def __init__(self) -> None:
+        self.added: dict[int, int] = {}
+        self.lost: list[int] = []
+        self._asked: set[int] = set()
+
+    def ask(self) -> int:
+        """The number of a new chunk."""
+        number = len(self.added) + len(self.lost) + len(self._asked)
+        self._asked.add(number)
+        return number
+
+    def add(self, number: int, trials: int) -> None:
+        """Take note of a chunk that came back.
+
+        Raises:
+            RunError: It was added or given up before, or nobody asked for it.
+        """
+        if number not in self._asked:
+            state = "added before" if number in self.added else "given up before" if number in self.lost else "never asked for"
+            raise RunError(f"chunk {number} was {state}: its {trials} trials are not added")
+        self._asked.remove(number)
+        self.added[number] = trials
+
+    def lose(self, number: int) -> None:
+        """Give up a chunk that will not come back."""
+        self._asked.remove(number)
+        self.lost.append(number)
+
+
+class Collector:
+    """The worlds of a node, and a copy of the learner that decides in them. Ray runs it in a process of its own.
+
+    Args:
+        recipe: the settings of the run; `num_envs` worlds are made, and a chunk has at least as many trials.
+        seed: of the first world, and of what is drawn for decisions.
+        expected: the learner's `versions`.
+
+    Raises:
+        RunError: This node has other versions, and so perhaps other physics.
+    """
+
+    def __init__(self, recipe: Recipe, seed: int, expected: dict[str, str]) -> None:
+        other = [f"{name} {found}, not {expected.get(name)}" for name, found in versions().items() if found != expected.get(name)]
+        if other:
+            raise RunError(f"node '{platform.node()}' has {', '.join(other)} as the learner has")
+        torch.set_num_threads(1)
+        self._all_worlds = worlds_of(recipe, seed)
+        first = self._all_worlds[0]
+        self._learner = Learner(replace(recipe, episodes=1), first.observed, first.deployed, first.phases)
+        self._learner.reseed(seed)
+        self._least = recipe.num_envs
+
+    def collect(self, number: int, known: dict[str, Any]) -> tuple[int, tuple[np.ndarray, ...], float]:
+        """A chunk: its number, its trials as `Trials.add` takes them, and the processor time that they took [s]."""
+        learner, begun = self._learner, time.process_time()
+        for network, arrays in ((learner.actor, known["actor"]), (learner.critics, known["critics"])):
+            network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
+        learner.mean, learner.scale, learner.updates = known["mean"], known["scale"], known["updates"]
+        parts: list[tuple[np.ndarray, ...]] = []
+        while sum(len(part[0]) for part in parts) < self._least:
+            parts += [worlds.step(learner) for worlds in self._all_worlds]
+        return number, tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True)), time.process_time() - begun
+
+
+class Collectors:
+    """Collectors on the nodes of a Ray cluster, which a training steps as it steps `Worlds`.
+
+    Each takes a processor where one is free, spread over the nodes. One that is lost is replaced; without a free processor its
+    successor waits for one, while the others go on.
+
+    Args:
+        recipe: the settings of the run.
+        count: how many collectors.
+        done: trials of the run before it was resumed.
+
+    Attributes:
+        observed, deployed, phases: as those of `Worlds`.
+        ledger: the chunks.
+    """
+
+    def __init__(self, recipe: Recipe, count: int, done: int = 0) -> None:
+        self._ray = connected()
+        sample = worlds_of(replace(recipe, num_envs=1, body=recipe.body[:1]), 0)[0]
+        self.observed, self.deployed, self.phases = sample.observed, sample.deployed, sample.phases
+        sample.close()
+        none = Trials.empty(0, self.observed, self.deployed, len(recipe.closures.names))
+        self._none = none.seen, none.decisions, none.survived, none.came_to
+        self._recipe, self._done, self._begun = recipe, done, 0
+        self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)
+        self._idle = [self._start() for _ in range(count)]
+        self._running: dict[Any, tuple[int, int, Any]] = {}
+        self._heard = self._started = time.monotonic()
+        self._trials, self._seconds = Counter[int](), Counter[int]()
+        self.ledger = Ledger()
+
+    def _start(self) -> tuple[int, Any]:
+        place = self._begun
+        self._begun += 1
+        seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
+        return place, self._make.remote(self._recipe, seed, versions())
+
+    def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
+        """Ask idle collectors for chunks, and wait a moment for one.
+
+        Args:
+            learner: what the collectors decide with.
+            meanwhile: called while the collectors work.
+
+        Returns:
+            The trials of the chunk that came, as `Trials.add` takes them; none if none came.
+
+        Raises:
+            RunError: A collector cannot start, or its program failed.
+        """
+        if self._idle:
+            known = self._ray.put(knowledge(learner))
+            for place, collector in self._idle:
+                number = self.ledger.ask()
+                self._running[collector.collect.remote(number, known)] = number, place, collector
+            self._idle.clear()
+        if meanwhile:
+            meanwhile()
+        ready, _ = self._ray.wait(list(self._running), timeout=WAIT_S)
+        if time.monotonic() - self._heard > SILENCE_S:
+            self._heard = time.monotonic()
+            _say(f"no chunk has come for {SILENCE_S:g} s: 'ray status' tells whether a processor is free")
+        return self._received(ready[0]) if ready else self._none
+
+    def _received(self, reference: Any) -> tuple[np.ndarray, ...]:
+        errors = self._ray.exceptions
+        number, place, collector = self._running.pop(reference)
+        self._heard = time.monotonic()
+        try:
+            number, trials, seconds = self._ray.get(reference)
+        except errors.RayError as error:
+            if isinstance(error, errors.RayTaskError) or getattr(error, "actor_init_failed", False):
+                raise RunError(f"collector {place} failed: {f'{error}'.strip().splitlines()[-1]}") from error
+            self.ledger.lose(number)
+            self._ray.kill(collector)
+            self._idle.append(self._start())
+            _say(f"collector {place} is lost, and chunk {number} with it ({type(error).__name__}): collector "
+                 f"{self._begun - 1} takes its place where a processor is free")  # fmt: skip
+            return self._none
+        self.ledger.add(number, len(trials[0]))
+        self._trials[place] += len(trials[0])
+        self._seconds[place] += seconds
+        self._idle.append((place, collector))
+        return trials
+
+    def close(self) -> None:
+        """End the collectors, and print how many trials each gave."""
+        passed = time.monotonic() - self._started
+        for place, trials in sorted(self._trials.items()):
+            _say(f"collector {place}: {trials:,} trials, {trials / passed:.1f}/s, "
+                 f"{trials / self._seconds[place]:.1f} per second of processor time")  # fmt: skip
+        self._ray.shutdown()
+
+
+def _say(text: str) -> None:
+    tqdm.write(text, file=sys.stderr)
+
+
+def train_seed(words: list[str]) -> dict[str, bytes]:
+    """Run ``agents.train`` with these arguments on this node; returns the files of its folder.
+
+    Raises:
+        RunError: It failed.
+    """
+    with TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "agents.train", *words, "--out", folder]
+        done = subprocess.run(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+        if done.returncode:
+            raise RunError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit status {done.returncode}")
+        return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
+
+
+def _seeds(text: str) -> list[int]:
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError:
+        raise ArgumentTypeError(f"'{text}' is not whole numbers with commas between") from None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Train whole runs on the nodes of a Ray cluster, one for each seed."""
+    parser = command_parser("agents.nodes", main.__doc__)
+    parser.add_argument("recipe", help="of agents.train, which every further option goes to")
+    parser.add_argument("--seeds", type=_seeds, required=True, metavar="N,N", help="seeds of the runs")
+    parser.add_argument("--out", type=Path, required=True, help="folder; each run gets a folder seed-N in it")
+    args, settings = parser.parse_known_args(argv)
+    recipe_named(args.recipe)
+    writable_folder(args.out)
+    ray = connected()
+    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(train_seed)
+    running = {task.remote([args.recipe, *settings, "--seed", f"{seed}"]): seed for seed in args.seeds}
+    failed = 0
+    while running:
+        (reference, *_), _ = ray.wait(list(running))
+        folder = args.out / f"seed-{running.pop(reference)}"
+        try:
+            files = ray.get(reference)
+        except ray.exceptions.RayError as error:
+            failed += 1
+            _say(f"{folder} failed: {f'{error}'.strip().splitlines()[-1]}")
+            continue
+        folder.mkdir(exist_ok=True)
+        for name, data in files.items():
+            (folder / name).write_bytes(data)
+        _say(f"{folder} is done")
+    ray.shutdown()
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))

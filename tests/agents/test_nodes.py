@@ -1,0 +1,129 @@
+"""Collecting on the nodes of a Ray cluster: what a chunk is, that each counts once, and that a run outlives a node."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from agents import checkpoints, nodes, train
+from agents.closures import Learner
+from agents.errors import RunError
+from agents.recipes import RECIPES, with_settings
+from hpac_gym.policies import read_policy
+
+SETTINGS = {"num_envs": "2", "hidden": "16", "batch_size": "16", "random_episodes": "4", "checkpoint_every": "4"}
+SMALL = [word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)]
+
+
+def test_each_chunk_counts_once():
+    ledger = nodes.Ledger()
+    first, lost, late = (ledger.ask() for _ in range(3))
+    ledger.add(late, 5)
+    ledger.lose(lost)
+    ledger.add(first, 4)
+    assert ledger.ask() == 3
+    assert (ledger.added, ledger.lost) == ({late: 5, first: 4}, [lost])
+    for number, state in ((first, "added before"), (lost, "given up before"), (9, "never asked for")):
+        with pytest.raises(RunError, match=f"chunk {number} was {state}: its 7 trials are not added"):
+            ledger.add(number, 7)
+    assert sum(ledger.added.values()) == 9
+
+
+def test_a_collector_decides_with_what_the_learner_knows():
+    recipe = with_settings(RECIPES["grasp"], {"episodes": "40", **SETTINGS})
+    collector = nodes.Collector(recipe, 5, train.versions())
+    copy = collector._learner
+    learner, rng = Learner(recipe, len(copy.mean), 44, 4), np.random.default_rng(0)
+    hidden = len(copy.mean) - 44
+    seen, came_to = (rng.standard_normal((30, width)).astype(np.float32) for width in (len(copy.mean), hidden))
+    learner.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), came_to)
+    learner.learn(0.5)
+    known = nodes.knowledge(learner)
+    assert {type(array) for name in ("actor", "critics") for array in known[name].values()} == {np.ndarray}
+    assert not np.array_equal(copy.predicted(seen, np.zeros((30, 8))), learner.predicted(seen, np.zeros((30, 8))))
+    number, trials, seconds = collector.collect(3, known)
+    assert np.array_equal(copy.predicted(seen, np.zeros((30, 8))), learner.predicted(seen, np.zeros((30, 8))))
+    assert (number, copy.updates) == (3, learner.updates)
+    assert len(trials[0]) >= recipe.num_envs
+    assert seconds > 0
+    learner.trials.add(*trials)
+
+
+def test_a_node_of_other_versions_is_refused():
+    with pytest.raises(RunError, match=r"has mujoco-core \S+, not 1.2 as the learner has"):
+        nodes.Collector(RECIPES["grasp"], 0, train.versions() | {"mujoco-core": "1.2"})
+
+
+def test_without_ray_one_line_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(RunError, match=r"needs Ray, which is not installed: pip install 'hpac_gym\[nodes\]'"):
+        nodes.Collectors(RECIPES["grasp"], 2)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two nodes of one processor each, and a head without any."""
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        monkeypatch.setenv("RAY_worker_register_timeout_seconds", "600")
+        from ray.cluster_utils import Cluster
+
+        made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+        monkeypatch.setenv("RAY_ADDRESS", made.address)
+        made.doomed = [made.add_node(num_cpus=1) for _ in range(2)][1]
+        yield made
+        made.shutdown()
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypatch, capsys):
+    watched = []
+
+    class Watched(nodes.Collectors):
+        """Kills a node as soon as both collectors have given a chunk."""
+
+        def step(self, learner, meanwhile=None):
+            if len(self._trials) == 2 and not watched:
+                watched.append(self)
+                cluster.remove_node(cluster.doomed, allow_graceful=False)
+            return super().step(learner, meanwhile)
+
+    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
+    monkeypatch.setattr(nodes, "Collectors", Watched)
+    words = ["--out", f"{tmp_path}", "--nodes", "2"]
+    assert train.main(["grasp", *words, "--episodes", "40", *SMALL]) == 0
+    said, ledger = capsys.readouterr().err, watched[0].ledger
+    (number,) = ledger.lost
+    assert f"is lost, and chunk {number} with it" in said
+    assert "collector 2 takes its place where a processor is free" in said
+    assert number not in ledger.added
+    rows = (tmp_path / "progress.csv").read_text().splitlines()
+    assert int(rows[-1].split(",")[0]) == sum(ledger.added.values()) >= 40
+    assert_no_trial_twice(tmp_path, 40)
+    assert train.main([*words[:2], "--nodes", "1", "--resume", "--episodes", "50"]) == 0
+    assert_no_trial_twice(tmp_path, 50)
+
+
+def assert_no_trial_twice(folder, count):
+    path = checkpoints.latest_checkpoint(folder)
+    assert json.loads((path / "state.json").read_text())["episodes"] == count
+    assert len(np.unique(np.load(path / "arrays.npz")["seen"], axis=0)) == count
+
+
+@pytest.mark.slow
+def test_a_collector_that_cannot_start_ends_the_run_in_one_line(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
+    monkeypatch.setattr(nodes, "versions", lambda: train.versions() | {"python": "2.7"})
+    with pytest.raises(RunError, match=r"collector 0 failed: .*has python \S+, not 2.7 as the learner has"):
+        train.main(["grasp", "--out", f"{tmp_path}", "--nodes", "1", *SMALL])
+    nodes.connected().shutdown()
+
+
+@pytest.mark.slow
+def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
+    assert nodes.main(["grasp", "--seeds", "4,5", "--out", f"{tmp_path}", "--episodes", "6", *SMALL]) == 0
+    trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (4, 5)]
+    assert trained == [4, 5]
+    assert nodes.main(["grasp", "--seeds", "4", "--out", f"{tmp_path}", "--episodes", "0", *SMALL]) == 1
+    assert "seed-4 failed: agents.errors.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err

@@ -1,0 +1,84 @@
+"""Algorithms of Stable-Baselines3 as contenders: what they train acts from a policy file as it does in their own hands."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents import race, reproduce
+from agents.errors import RunError
+from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.policies import PolicyFile, read_policy, write_policy
+
+GRASP = "HPAC-Grasp-v0"
+FEW = {"ppo": {"n_steps": 8, "batch_size": 16, "n_epochs": 1}}
+FEW_UPDATES = {"learning_starts": 8, "gradient_steps": 1, "batch_size": 16}
+
+
+def small(name: str) -> race.Contender:
+    contender = race.CONTENDERS[name]
+    settings = dict(contender.settings) | FEW.get(name, FEW_UPDATES)
+    return replace(contender, settings=settings, num_envs=2)
+
+
+@pytest.mark.parametrize("name", ["ppo", "crossq", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sac", "tqc"))])
+def test_the_policy_file_acts_as_the_trained_model_predicts(name, tmp_path):
+    model = race.learner_of(small(name), seed=0, share=lambda: 0.0)
+    model.learn(40)
+    if name == "ppo":
+        model.policy.action_net.bias.data[0] = 5.0  # beyond the bound
+    write_policy(tmp_path / "policy.zip", PolicyFile(race.actor_of(model), {"env_id": GRASP}))
+    actor, scaling = read_policy(tmp_path / "policy.zip").actor, model.get_vec_normalize_env()
+    seen = np.random.default_rng(0).uniform(-1, 1, (20, 44))
+    predicted, _ = model.predict(scaling.normalize_obs(seen), deterministic=True)
+    wanted = np.tanh(predicted) if name == "ppo" else predicted
+    np.testing.assert_allclose([actor(row) for row in seen], wanted, atol=1e-5)
+    assert np.ptp(wanted, axis=0)[1:].min() > 1e-3, "the actions depend on what is seen"
+    model.env.close()
+
+
+def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(race, "CONTENDERS", {"sac": small("sac")})
+    ours = tmp_path / "grasp-3"
+    ours.mkdir()
+    (ours / "policy.zip").write_bytes(Path("agents/trained/grasp.zip").read_bytes())
+    words = f"race --runs {tmp_path} --seed 3 --minutes 0.005 --episodes 2".split()
+    assert reproduce.main(words) == 0
+    *_, first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("| sac | 3 |")
+    assert second.startswith("| grasp | 3 | 60,0")
+    about = read_policy(tmp_path / "sac-3" / "policy.zip").about
+    assert about["processor_seconds"] >= 0.3
+    assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == ("sac", 3, small("sac").action_repeat)
+    with pytest.raises(RunError, match="already holds a run"):
+        race.main(["sac", "--out", str(tmp_path / "sac-3")])
+
+
+def test_a_training_that_diverges_ends_in_one_error(tmp_path, monkeypatch):
+    contender = small("ppo")
+    monkeypatch.setattr(race, "CONTENDERS", {"ppo": replace(contender, settings=contender.settings | {"learning_rate": 1e30})})
+    with pytest.raises(RunError, match="diverged"):
+        race.race("ppo", tmp_path, seed=0, time_limit=60.0)
+
+
+def test_a_decision_is_held_and_an_episode_that_begins_meanwhile_waits_with_an_open_hand():
+    plain, held = HandVecEnv(GRASP, 2, engine="mujoco"), HandVecEnv(GRASP, 2, engine="mujoco")
+    held = race.Decisions(held, 5, bound=3.0)
+    for worlds in (plain, held):
+        worlds.seed(4)
+        worlds.reset()
+    decision, ends = np.full((2, 6), 0.5), []
+    while not ends:
+        rewards, over = np.zeros(2), np.zeros(2, dtype=bool)
+        for step in range(5):
+            seen, gained, done, _ = plain.step(np.where(over[:, None], -1.0, np.tanh(decision)))
+            rewards, over, ends = rewards + gained * ~over, over | done, ends + [step] * any(done)
+        same, summed, dones, infos = held.step(decision)
+        np.testing.assert_array_equal(same, seen)
+        np.testing.assert_allclose(summed, rewards, rtol=1e-6)
+        np.testing.assert_array_equal(dones, over)
+    assert min(ends) < 4, "an episode began within the decision"
+    assert all(("terminal_observation" in told) == done for told, done in zip(infos, dones, strict=True))
+    plain.close()
+    held.close()
