@@ -1,7 +1,7 @@
-"""The `hpac` command: one table of commands, each loaded when it is asked for.
+"""The `hpac` command: a table of subcommands, each imported when it is used.
 
-This module stands beside the package and not inside of it, because `import hpac_gym` registers the environments and so loads
-Gymnasium and NumPy, which the list of commands can do without.
+This module is outside the package because `import hpac_gym` registers the environments and thus loads Gymnasium and NumPy,
+which the list of commands does not need.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import NoReturn, TextIO
 
 USAGE_ERROR = 2
-INTERRUPTED = 130  # what a shell reports of a command ended by Ctrl-C
+INTERRUPTED = 130  # exit status of a shell command ended by Ctrl-C
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Command:
 
     name: str
     help: str
-    """In one line."""
+    """Help text of one line."""
     target: str
     """`module:function`; the function adds the command's arguments to a parser and sets its default `run`, which takes the
     parsed arguments and returns the exit status."""
@@ -38,23 +38,23 @@ COMMANDS = (
     Command("bench", "measure the speed of the environments on both engines", "hpac_gym.bench:add_arguments"),
     Command("calibrate", "fit the hand parameters to a record of a real hand", "hpac_gym.study.calibrate:add_arguments", "study"),
     Command("clear", "leave a fault, or disarm: no motion, no pulses", "hpac_gym.bridge.commands:add_clear"),
-    Command("conform", "try every rule of docs/wire.md on a device", "hpac_gym.bridge.commands:add_conform"),
-    Command("doctor", "find hands, say what is wrong and the first step; touches nothing", "hpac_gym.bridge.commands:add_doctor"),
+    Command("conform", "test a device against every rule of docs/wire.md", "hpac_gym.bridge.commands:add_conform"),
+    Command("doctor", "find hands, report faults and the first remedy; moves nothing", "hpac_gym.bridge.commands:add_doctor"),
     Command("estop", "stop all pulses now and latch a fault", "hpac_gym.bridge.commands:add_estop"),
     Command("export", "write a policy file as ONNX with a card", "hpac_gym.policies.export:add_arguments", "onnx"),
-    Command("grasps", "judge a policy at the sixteen named grasps", "hpac_gym.evaluation.grasps:add_arguments", "grasps"),
-    Command("physics", "hold every engine and body against the paper and statics", "hpac_gym.physics.conformance:add_arguments"),
+    Command("grasps", "evaluate a policy on the sixteen named grasps", "hpac_gym.evaluation.grasps:add_arguments", "grasps"),
+    Command("physics", "check every engine and body against the paper and statics", "hpac_gym.physics.conformance:add_arguments"),
     Command("posture", "show, draw or send a gesture or grasp shape of the paper", "hpac:add_posture", "study"),
     Command("record", "write episodes of a policy as a Minari dataset", "hpac_gym.evaluation.dataset:add_arguments", "data"),
-    Command("safety", "measure the safety claims now, each beside its control", "hpac_gym.bridge.commands:add_safety"),
-    Command("study", "how far the compensation holds on hands as they are made", "hpac_gym.study.study:add_arguments", "study"),
+    Command("safety", "measure the safety claims, each with a negative control", "hpac_gym.bridge.commands:add_safety"),
+    Command("study", "accuracy of the compensation on hands with tolerances", "hpac_gym.study.study:add_arguments", "study"),
     Command("sweep", "the paper's experiment, or the same figures of a record", "hpac_gym.study.sweep:add_arguments", "study"),
     Command("wiggle", "move one servo at a time next to its name", "hpac_gym.bridge.commands:add_wiggle"),
 )
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that complains in one line without the usage, and does not hide that its help cannot be written."""
+    """An argument parser with one-line errors without usage text; it does not hide a failure to write its help."""
 
     def _print_message(self, message: str, file: TextIO | None = None) -> None:
         (file or sys.stderr).write(message)
@@ -64,7 +64,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def whole_number(at_least: int) -> Callable[[str], int]:
-    """A type of argument: a whole number of at least `at_least`."""
+    """Argument type: a whole number of at least `at_least`."""
 
     def parse(text: str) -> int:
         try:
@@ -81,7 +81,7 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(command: Callable[[], int]) -> int:
     """Run a command and return its exit status.
 
-    An `HpacError`, or a standard output that takes no more, becomes one line and `USAGE_ERROR`; Ctrl-C becomes `INTERRUPTED`.
+    An `HpacError` or an unwritable standard output gives one line and `USAGE_ERROR`; Ctrl-C gives `INTERRUPTED`.
     Any other exception is a bug and keeps its traceback.
     """
     if sys.stdout is None:
@@ -91,7 +91,7 @@ def run(command: Callable[[], int]) -> int:
             return command()
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # whoever read the output has seen enough
+    except BrokenPipeError:  # the reader of the output has closed it
         _drop_output()
         return 0
     except KeyboardInterrupt:
@@ -102,7 +102,7 @@ def run(command: Callable[[], int]) -> int:
 
         if isinstance(error, HpacError):
             return _complain(str(error))
-        # An error of any other file names that file.
+        # Errors of other files have a filename.
         if isinstance(error, OSError) and error.filename is None and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO):
             _drop_output()
             return _complain(f"cannot write to standard output: {error.strerror}")
@@ -115,12 +115,12 @@ def _complain(message: str) -> int:
 
 
 def _drop_output() -> None:
-    """Send what is still buffered nowhere, or Python would try once more at its exit."""
+    """Discard buffered output; otherwise Python would try to write it again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns its exit status."""
+    """Run one command and return its exit status."""
     return run(lambda: _main(sys.argv[1:] if argv is None else argv))
 
 
@@ -145,7 +145,7 @@ def _main(argv: Sequence[str]) -> int:
 
 
 class _Version(argparse.Action):
-    """Looks the version up when it is asked for."""
+    """Reads the version only when it is requested."""
 
     def __init__(self, option_strings: Sequence[str], dest: str) -> None:
         super().__init__(option_strings, dest, nargs=0, help="show the version and exit")
@@ -158,7 +158,7 @@ class _Version(argparse.Action):
 
 
 def add_posture(parser: argparse.ArgumentParser) -> None:
-    """`hpac posture`: the study's command, with the bridge to send a posture over; neither of the two knows the other."""
+    """Add `hpac posture`, which joins the study's command and the bridge; these are independent of each other."""
     from hpac_gym.bridge.commands import send_and_hold
     from hpac_gym.study import posture
 

@@ -1,9 +1,9 @@
 """The benchmark's protocol: ``python -m agents.benchmark HPAC-GraspAny-v0 --policy NAME --out FILE``.
 
-Judges a policy on every split of an environment, with the same seeds for everybody, and writes a results file. A trained method
-is judged by five runs of one budget: ``{seed}`` in the name of its policy stands for 0 to 4. What nobody trained has one run. A
-call that was interrupted goes on after the last finished cell. ``--check FILE`` tells every fault of results files and prints
-their tables; of two files with the same environment also which of them is better.
+Evaluates a policy on every split of an environment, with fixed seeds, and writes a results file. A trained method needs five
+runs of one budget: ``{seed}`` in the name of its policy stands for 0 to 4. An untrained policy has one run. An interrupted call
+continues after the last finished cell. ``--check FILE`` reports every fault of results files or prints their tables, and for two
+files with the same environment which of them is better.
 """
 
 import argparse
@@ -42,9 +42,9 @@ from hpac_gym.tasks.grasp_types import data_text
 
 SCHEMA = "hpac-benchmark-1"
 BUDGETS = (0, 100_000, 1_000_000, 10_000_000)
-"""Environment steps that a training may take; 0 is none."""
+"""Permitted budgets of environment steps per training; 0 means untrained."""
 RUNS, EPISODES = 5, 1_000
-"""Runs of a trained method, and episodes of each cell, that a submission has."""
+"""Required runs of a trained method and episodes per cell."""
 _TWIN = {"engine": "mujoco", "body": "twin"}
 _REAL = _TWIN | {"objects": "real"}
 _TYPES = _TWIN | {"types": "train", "objects": "train"}
@@ -85,7 +85,7 @@ SPLITS: dict[str, dict[str, dict[str, str]]] = {
         "PyBullet": _HANDS | {"engine": "pybullet"},
     },
 }
-"""Options of the environment in each split, by id; one thing changes at a time."""
+"""Options of the environment in each split, by id; each split changes one factor."""
 
 Results = dict[str, Any]
 
@@ -94,7 +94,7 @@ def splits_of(env_id: str) -> dict[str, dict[str, str]]:
     """The splits of an id.
 
     Raises:
-        TaskError: The benchmark has none for it.
+        TaskError: The environment has no benchmark.
     """
     if env_id not in SPLITS:
         raise TaskError(f"environment '{env_id}' has no benchmark: known are {', '.join(SPLITS)}")
@@ -102,7 +102,7 @@ def splits_of(env_id: str) -> dict[str, dict[str, str]]:
 
 
 def env_hash(env_id: str) -> str:
-    """SHA-256 of all that makes an environment the one that others were judged in: splits, observation, task, hand, objects."""
+    """SHA-256 of the definition of a benchmark environment: splits, observation, task, hand, objects."""
     splits = splits_of(env_id)
     with make_task(env_id, **next(iter(splits.values()))) as env:
         told: Results = {"splits": splits, "made_for": made_for(env)}
@@ -117,13 +117,13 @@ def env_hash(env_id: str) -> str:
 
 
 def header(args: argparse.Namespace) -> Results:
-    """All of a results file that is known before the first episode."""
+    """The fields of a results file that are known before the first episode."""
     budget = int(float(args.budget))
     if budget and "{seed}" not in args.policy:
-        raise RunError(f"policy '{args.policy}' of budget {budget:,} names no {{seed}}: a training is judged by {RUNS} runs")
+        raise RunError(f"policy '{args.policy}' of budget {budget:,} contains no {{seed}}: a trained method needs {RUNS} runs")
     seeds = list(range(RUNS if budget else 1))
     names = [args.policy.replace("{seed}", str(seed)) for seed in seeds]
-    for split in splits_of(args.env):  # a mistake, or an engine that is not installed, ends here and not after hours
+    for split in splits_of(args.env):  # raises errors, such as a missing engine, before the long run
         with make_task(args.env, **_options(args.env, split, args.obs)) as env:
             for name in names:
                 load_policy(name, env)
@@ -155,7 +155,7 @@ def _file(name: str) -> dict[str, Any]:
 
 
 def judge(head: Results, split: str, seed: int, workers: int) -> Results:
-    """One cell: the episodes of one run in one split."""
+    """Evaluate one cell: the episodes of one run on one split."""
     options = _options(head["env_id"], split, head["obs"])
     name = head["policy"].replace("{seed}", str(seed))
     result = evaluate([name], head["env_id"], head["episodes"], seed_start=head["first_seed"], workers=workers, options=options)
@@ -173,7 +173,7 @@ def judge(head: Results, split: str, seed: int, workers: int) -> Results:
 
 
 def summary(results: Results) -> list[Results]:
-    """Over the runs of each split, and of all splits: interquartile mean of the success, and its bootstrap interval."""
+    """Interquartile mean of the success over the runs, with its bootstrap interval, for each split and for all splits."""
     names = list(splits_of(results["env_id"]))
     scores = _scores(results)
     tables = [(name, scores[:, place : place + 1]) for place, name in enumerate(names)] + [("all splits", scores)]
@@ -188,7 +188,7 @@ def summary(results: Results) -> list[Results]:
 
 
 def _scores(results: Results) -> np.ndarray:
-    """Share of successes, shape (runs, splits)."""
+    """Success rates, shape (runs, splits)."""
     won = {(cell["seed"], cell["split"]): cell["successes"] / results["episodes"] for cell in results["cells"]}
     return np.array([[won[seed, split] for split in splits_of(results["env_id"])] for seed in results["seeds"]])
 
@@ -197,8 +197,8 @@ def faults(results: Results, here: str | None = None) -> Iterator[str]:
     """Every fault of a results file, one line each.
 
     Args:
-        results: the file.
-        here: what `env_hash` gives; None computes it.
+        results: contents of the file.
+        here: the result of `env_hash`; None computes it.
     """
     try:
         if results["schema"] != SCHEMA:
@@ -209,25 +209,25 @@ def faults(results: Results, here: str | None = None) -> Iterator[str]:
         counted = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
         wanted = {(seed, split) for seed in results["seeds"] for split in splits}
         yield from (f"split '{split}' of seed {seed} is missing" for seed, split in sorted(wanted - set(counted)))
-        yield from (f"split '{split}' of seed {seed} is not asked for" for seed, split in sorted(set(counted) - wanted))
-        yield from (f"split '{cell[1]}' of seed {cell[0]} is there {count} times" for cell, count in counted.items() if count > 1)
+        yield from (f"split '{split}' of seed {seed} is unexpected" for seed, split in sorted(set(counted) - wanted))
+        yield from (f"split '{cell[1]}' of seed {cell[0]} occurs {count} times" for cell, count in counted.items() if count > 1)
         for cell in results["cells"]:
             yield from (f"split '{cell['split']}' of seed {cell['seed']}: {fault}" for fault in _cell_faults(cell, results))
         if set(counted) == wanted and not _same(results["summary"], summary(results)):
-            yield "summary is not what the cells give"
+            yield "summary does not follow from the cells"
     except KeyError as error:
         yield f"field {error} is missing"
     except (TypeError, ValueError, AttributeError) as error:
-        yield f"a field is of the wrong kind: {error}"
+        yield f"a field has the wrong type: {error}"
 
 
 def _header_faults(results: Results, here: str) -> Iterator[str]:
     if results["env_sha256"] != here:
-        yield f"env_sha256 {results['env_sha256'][:12]}… is of another {results['env_id']} than this one, {here[:12]}…"
+        yield f"env_sha256 {results['env_sha256'][:12]}… is not that of this version of {results['env_id']}, {here[:12]}…"
     if results["budget"] not in BUDGETS:
         yield f"budget is {results['budget']}: it must be one of {', '.join(f'{budget:,}' for budget in BUDGETS)} steps"
     if results["seeds"] != list(range(RUNS if results["budget"] else 1)):
-        yield f"seeds are {results['seeds']}: a training has {RUNS} from 0 on, what nobody trained has 0 alone"
+        yield f"seeds are {results['seeds']}: a trained policy has {RUNS} from 0 on, an untrained one only 0"
     if results["episodes"] < EPISODES:
         yield f"episodes are {results['episodes']}: a submission has at least {EPISODES:,} in each cell"
     if results["first_seed"] != BENCHMARK_SEED:
@@ -235,7 +235,7 @@ def _header_faults(results: Results, here: str) -> Iterator[str]:
     if results["budget"]:
         low, high = results["training_seeds"]
         if low <= results["first_seed"] + results["episodes"] - 1 and high >= results["first_seed"]:
-            yield f"training seeds {low} to {high} overlap those that judge, from {results['first_seed']} on"
+            yield f"training seeds {low} to {high} overlap the evaluation seeds, from {results['first_seed']} on"
     for file in results["files"]:
         if file.get("env_steps", 0) > results["budget"]:
             yield f"a policy file was trained for {file['env_steps']:,} steps, over the budget of {results['budget']:,}"
@@ -257,7 +257,7 @@ def _cell_faults(cell: Results, results: Results) -> Iterator[str]:
 
 
 def _same(one: Any, other: Any) -> bool:
-    """Whether two results are equal but for rounding."""
+    """Whether two results are equal up to rounding."""
     if isinstance(one, float | int) and isinstance(other, float | int):
         return math.isclose(one, other, abs_tol=1e-9)
     if isinstance(one, list) and isinstance(other, list):
@@ -277,7 +277,7 @@ def table(results: Results) -> str:
         "| --- " * 5 + "|",
     ]
     for row in results["summary"]:
-        cells = [cell for cell in results["cells"] if cell["split"] == row["split"]]  # of all splits together: none
+        cells = [cell for cell in results["cells"] if cell["split"] == row["split"]]  # empty for the row of all splits
         low, high = cells[0]["interval_95"] if len(cells) == 1 else row["interval_95"]
         interval = f" [{100 * low:.1f}, {100 * high:.1f}]" if cells or results["budget"] else ""
         runs = ", ".join(f"{100 * cell['successes'] / results['episodes']:.1f}" for cell in cells)
@@ -290,7 +290,7 @@ def table(results: Results) -> str:
 
 
 def comparison(first: Results, second: Results) -> str:
-    """How probable it is that a run of the first does better than one of the second, in a split on average."""
+    """Probability that a run of the first scores higher than a run of the second, averaged over splits."""
     tables = _scores(first), _scores(second)
     value = float(probability_of_improvement(*tables))
     low, high = stratified_bootstrap(probability_of_improvement, *tables)
@@ -298,22 +298,22 @@ def comparison(first: Results, second: Results) -> str:
 
 
 def read(path: Path) -> Results:
-    """A results file.
+    """Read a results file.
 
     Raises:
-        RunError: It cannot be read, or is none.
+        RunError: The file cannot be read, or is not a results file.
     """
     try:
         results = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise RunError(f"cannot read results file '{path}': {error}") from None
     if not isinstance(results, dict):
-        raise RunError(f"'{path}' is no results file: it holds no object")
+        raise RunError(f"'{path}' is not a results file: it contains no JSON object")
     return results
 
 
 def check(paths: Sequence[Path]) -> int:
-    """Print the faults of results files, or their tables; returns the exit status, 1 with a fault."""
+    """Print the faults of results files, or their tables; returns the exit status, 1 if there are faults."""
     files, bad = [read(path) for path in paths], False
     for path, results in zip(paths, files, strict=True):
         found = list(faults(results))
@@ -325,7 +325,7 @@ def check(paths: Sequence[Path]) -> int:
 
 
 def judge_all(args: argparse.Namespace) -> Results:
-    """Judge every cell that the file does not have yet, writing it after each."""
+    """Evaluate every cell that the file does not contain yet, and write the file after each."""
     head = header(args)
     results = read(args.out) if args.out.exists() else head | {"cells": []}
     differs = [name for name in head if results.get(name) != head[name]]
@@ -366,12 +366,12 @@ def _parser() -> argparse.ArgumentParser:
                         "{seed} in it stands for the seed of a run")  # fmt: skip
     parser.add_argument("--budget", choices=("0", "1e5", "1e6", "1e7"), default="0", help="steps of each training")
     parser.add_argument("--training-seeds", type=int, nargs=2, default=[0, HELD_OUT_SEED - 1], metavar=("FIRST", "LAST"),
-                        help="seeds of the episodes that the training saw")  # fmt: skip
-    parser.add_argument("--obs", default="deploy", help="what the policy observes")
+                        help="first and last seed of the training episodes")  # fmt: skip
+    parser.add_argument("--obs", default="deploy", help="observation mode of the policy")
     parser.add_argument("--about", default="", help="a line on the method, with a link to its code")
-    parser.add_argument("--episodes", type=whole_number(1), default=EPISODES, help="episodes of each cell")
-    parser.add_argument("--workers", type=whole_number(1), default=1, help="processes")
-    parser.add_argument("--out", type=Path, help="results file; where it is there already, go on with it")
+    parser.add_argument("--episodes", type=whole_number(1), default=EPISODES, help="episodes per cell")
+    parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
+    parser.add_argument("--out", type=Path, help="results file; an existing one is continued")
     parser.add_argument("--check", type=Path, nargs="+", metavar="FILE", help="check results files instead")
     return parser
 

@@ -1,7 +1,7 @@
-"""Saving a training whole, so that a killed one goes on from its last checkpoint.
+"""Checkpoints of the complete training state, from which an interrupted training continues.
 
-A checkpoint is a folder ``checkpoint-EPISODES`` that gets its name by one rename, when everything in it has reached the
-disk; the one before is removed only then.
+A checkpoint is a folder ``checkpoint-EPISODES`` that is renamed to this name once its contents are on disk; only then is the
+previous one removed.
 """
 
 import errno
@@ -27,7 +27,7 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
     """Write a checkpoint of the learner, its optimisers, its trials and the scaling; returns its folder.
 
     Raises:
-        RunError: The disk is full or the folder cannot be written; the checkpoint before is still there.
+        RunError: The disk is full or the folder cannot be written; the previous checkpoint is kept.
     """
     trials = learner.trials
     final = folder / f"{_PREFIX}{trials.count:09d}"
@@ -50,7 +50,7 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
         kept = latest_checkpoint(folder)
         reason = getattr(error, "strerror", None) or f"{error}".splitlines()[0]
         raise RunError(
-            f"cannot write checkpoint '{final}': {reason}; " + (f"'{kept.name}' is kept" if kept else "there is none before")
+            f"cannot write checkpoint '{final}': {reason}; " + (f"'{kept.name}' is kept" if kept else "there is no earlier one")
         ) from error
     for old in folder.glob(f"{_PREFIX}*"):
         if old != final:
@@ -59,16 +59,16 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
 
 
 def latest_checkpoint(folder: Path) -> Path | None:
-    """The checkpoint of the most steps in a folder; unfinished ones do not count."""
+    """The latest complete checkpoint in a folder; None without one."""
     found = [path for path in folder.glob(f"{_PREFIX}*") if path.suffix != _UNFINISHED]
     return max(found, default=None)
 
 
 def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
-    """Put a checkpoint into a learner that was made by the same recipe; returns the state it was saved with.
+    """Load a checkpoint into a learner of the same recipe; returns the state saved with it.
 
     Raises:
-        RunError: A file of it is missing, damaged, or of another recipe.
+        RunError: A file is missing, damaged, or of another recipe.
     """
     try:
         state = json.loads((path / "state.json").read_text())
@@ -83,7 +83,7 @@ def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
         for name in _SCALES:
             setattr(learner, name, arrays[name])
         learner.updates = state["updates"]
-    except Exception as error:  # whatever a damaged file makes its reader raise
+    except Exception as error:  # a damaged file can make its reader raise anything
         raise RunError(f"checkpoint '{path}' is damaged or of another recipe: {error}") from error
     return state
 

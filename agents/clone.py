@@ -1,7 +1,7 @@
-"""Behaviour cloning: ``python -m agents.clone DATASET --out runs/clone``, from what ``hpac record`` wrote.
+"""Behaviour cloning: ``python -m agents.clone DATASET --out runs/clone``, from a dataset of ``hpac record``.
 
-A network learns to do what was done in the episodes that succeeded. The folder gets ``policy.zip``, which is evaluated, replayed
-and exported as any other.
+A network imitates the actions of the successful episodes. The folder gets ``policy.zip``, which is evaluated, replayed
+and exported like any other.
 """
 
 import json
@@ -25,20 +25,20 @@ from hpac_gym.progress import progress
 HIDDEN = (256, 256)
 BATCH = 256
 KEPT = 0.1
-"""Share of the episodes, the last ones, that is kept to judge by."""
+"""Share of the episodes, the last ones, that is held out for evaluation."""
 
 
 def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int, seed: int) -> tuple[Actor, float]:
     """Fit an actor to episodes.
 
     Args:
-        observations: of each episode, shape (steps, n).
-        actions: of each episode, shape (steps, m), −1…1.
-        epochs: how often every step is learned from.
-        seed: of the weights and of the order.
+        observations: observations of each episode, shape (steps, n).
+        actions: actions of each episode, shape (steps, m), −1…1.
+        epochs: number of passes over the data.
+        seed: seed of the weights and of the order.
 
     Returns:
-        The actor, and its root-mean-square error on the episodes that were kept back; NaN where there are too few for that.
+        The actor, and its root-mean-square error on the held-out episodes; NaN if there are none.
     """
     import torch
     from torch import nn
@@ -75,8 +75,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.clone", __doc__)
     parser.add_argument("dataset", type=Path, help="folder that hpac record wrote")
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
-    parser.add_argument("--epochs", type=whole_number(1), default=30, help="how often every step is learned from")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="of the weights and of the order")
+    parser.add_argument("--epochs", type=whole_number(1), default=30, help="number of passes over the data")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the weights and of the order")
     args = parser.parse_args(argv)
     dataset = read_dataset(args.dataset)
     writable_folder(args.out)

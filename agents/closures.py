@@ -1,12 +1,11 @@
-"""Learn to grasp with one decision an episode: from the first observation to the numbers of a closure.
+"""Learn to grasp with one decision per episode: from the first observation to the numbers of a closure.
 
-An episode is one trial of one closure: it gets through so many of the task's phases, and holds the object if it gets through
-all. Two things are fitted to all trials so far. Critics see everything that a simulation knows, the true object with its mass
-and friction too, and predict for each phase whether a closure that has come so far gets through it. They also predict what the
-simulation will know at the end of the closing, such as joint angles, contact forces and the object's place, which tells
-more about a trial than its outcome alone. The actor sees only what a real hand has. It draws its closures from a distribution
-that it moves to where the critics predict success; how wide that stays is set by the entropy that it aims at, which falls
-along the training.
+An episode is one trial of one closure: it survives some of the task's phases, and succeeds if it survives all. Two kinds of
+network are fitted to all trials so far. The critics observe the full simulation state, including the true object with its mass
+and friction, and predict for each phase whether a closure that reached it survives it. They also predict the simulation state
+at the end of the closing, such as joint angles, contact forces and object position, which says more about a trial than its
+outcome alone. The actor observes only what a real hand has. It samples closures from a distribution that it shifts towards
+predicted success; the width of the distribution is controlled by a target entropy, which falls during the training.
 """
 
 from __future__ import annotations
@@ -35,32 +34,32 @@ from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
 SHORT = GraspAnyConfig(
     timetable=Timetable(close_time=1.6, clearance=Timetable().lift_height), side_time=1 / CONTROL_HZ, ramp_time=1 / CONTROL_HZ
 )
-"""HPAC-GraspAny-v0 without the time that one closure leaves unused, and without what comes once an episode is won."""
+"""HPAC-GraspAny-v0 without the time that a single closure does not use, and without the phases after success."""
 TASKS = {GRASP: grasp_task, GRASP_ANY: partial(GraspAny, config=SHORT), PICK_PLACE: PickPlace}
-"""Makes the task of an id, as training plays it."""
+"""Task constructors for training, by id."""
 MEAN_CLIP = 4.0
 """Bound of the actor's output before tanh."""
 LOG_STD = (-4.0, 0.5)
-"""Bounds of the logarithm of its spread."""
+"""Bounds of the logarithm of the actor's standard deviation, before tanh."""
 OBSERVATION_CLIP = 8.0
 DRAWS = 4
-"""How often an episode is drawn at most, until the learner wants to see it."""
+"""Maximal number of draws of an episode until the learner accepts it."""
 SURE = 0.7
-"""Predicted success from which a trial is not wanted for certain."""
+"""Predicted success above which a trial may be rejected."""
 SMALLEST_SCALE = 0.05
-"""Of an observed entry; units make all entries of order one."""
+"""Lower bound of the scale of an observation entry; in their units, entries are of order one."""
 
 
 @dataclass(slots=True)
 class Trials:
-    """Closures that were tried, one a row.
+    """Trials of closures, one per row.
 
     Attributes:
-        seen: the first observation of the episode, *privileged*, shape (n, k).
-        decisions: the closure, −1…1, shape (n, m).
-        survived: how many phases of the task it got through, shape (n,).
-        came_to: what only a simulation knows at the end of the closing, or of the trial, shape (n, k − deployed).
-        count: how many rows hold a trial.
+        seen: first observation of the episode, *privileged*, shape (n, k).
+        decisions: decision for a closure, −1…1, shape (n, m).
+        survived: number of phases that the closure survived, shape (n,).
+        came_to: privileged entries at the end of the closing, or of the trial if earlier, shape (n, k − deployed).
+        count: number of rows in use.
     """
 
     seen: np.ndarray
@@ -71,12 +70,12 @@ class Trials:
 
     @classmethod
     def empty(cls, size: int, observed: int, deployed: int, decided: int) -> Trials:
-        """Room for so many trials."""
+        """An empty table with room for ``size`` trials."""
         seen, decisions, came_to = (np.zeros((size, width), np.float32) for width in (observed, decided, observed - deployed))
         return cls(seen, decisions, np.zeros(size, np.int64), came_to)
 
     def add(self, *trials: np.ndarray) -> None:
-        """Append `seen`, `decisions`, `survived` and `came_to` of trials; those for which there is no room are left out."""
+        """Append `seen`, `decisions`, `survived` and `came_to` of trials; those beyond the room of the table are dropped."""
         rows = slice(self.count, self.count + len(trials[0]))
         room = len(self.survived[rows])
         for kept, given in zip((self.seen, self.decisions, self.survived, self.came_to), trials, strict=True):
@@ -85,19 +84,19 @@ class Trials:
 
 
 class Worlds:
-    """n worlds of a task in which closures are tried; each begins a new episode as soon as its last one is over.
+    """n worlds of a task in which closures are tried; each starts a new episode as soon as its last one has ended.
 
     Args:
         env_id: one of `TASKS`.
-        count: n.
-        closures: what a decision means.
-        seed: of the first world; the others count upwards.
-        options: of the environment, such as engine, body and randomize.
+        count: number of worlds n.
+        closures: ranges of the numbers of a closure.
+        seed: seed of the first world; the others count upwards.
+        options: options of the environment, such as engine, body and randomize.
 
     Attributes:
-        deployed: how many values a *deploy* observation has.
-        phases: how many the task has.
-        first_seen: the first observations of the episodes that run, *privileged*, shape (n, observed).
+        deployed: size of a *deploy* observation.
+        phases: number of phases of the task.
+        first_seen: first observations of the running episodes, *privileged*, shape (n, observed).
     """
 
     def __init__(self, env_id: str, count: int, closures: Closures, seed: int, **options: Any) -> None:
@@ -115,18 +114,18 @@ class Worlds:
 
     @property
     def observed(self) -> int:
-        """How many values a *privileged* observation has; the first `deployed` of them are the *deploy* ones."""
+        """Size of a *privileged* observation, whose first `deployed` entries are the *deploy* observation."""
         return self.first_seen.shape[1]
 
     def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
-        """Pass one control period in all worlds.
+        """Advance all worlds by one control period.
 
         Args:
-            learner: decides on first observations, and which of these trials it wants to see.
-            meanwhile: called while another thread runs the physics, so that two cores have work.
+            learner: makes the decisions and selects the trials to run.
+            meanwhile: called while another thread runs the physics, to use two cores.
 
         Returns:
-            The trials that ended, as `Trials.add` takes them.
+            The trials that ended, as arguments of `Trials.add`.
         """
         worlds = np.flatnonzero(self._fresh)
         for _ in range(DRAWS):
@@ -152,13 +151,13 @@ class Worlds:
         return self.first_seen[ended], self._decisions[ended], survived, self._came_to[ended]
 
     def close(self) -> None:
-        """Free the physics. Closing twice is no error."""
+        """Free the physics; may be called repeatedly."""
         self._thread.shutdown()
         self._episodes.close()
 
 
 def worlds_of(recipe: Recipe, seed: int) -> list[Worlds]:
-    """The worlds of a recipe, in equal parts for each of its bodies, with seeds from `seed` upwards."""
+    """The worlds of a recipe, shared equally by its bodies, with seeds from `seed` upwards."""
     count, bodies = recipe.num_envs, recipe.body
     shares = [count * (place + 1) // len(bodies) - count * place // len(bodies) for place in range(len(bodies))]
     options = {"engine": recipe.engine, "randomize": recipe.randomize}
@@ -170,12 +169,12 @@ def worlds_of(recipe: Recipe, seed: int) -> list[Worlds]:
 
 
 class Critics(nn.Module):
-    """Several networks that predict the log-odds of getting through each phase, all in one product of matrices.
+    """An ensemble of networks that predict the log-odds of surviving each phase, evaluated as batched matrix products.
 
     Args:
-        count: how many.
-        sizes: of the layers, with those of the input and of the output.
-        dropout: share of the hidden values that a fit leaves out.
+        count: number of networks.
+        sizes: widths of the layers, including input and output.
+        dropout: dropout rate of the hidden layers.
     """
 
     def __init__(self, count: int, sizes: Sequence[int], dropout: float) -> None:
@@ -197,12 +196,12 @@ class Critics(nn.Module):
 
 
 class Spread(nn.Module):
-    """The actor: a normal distribution under tanh, of the numbers of a closure.
+    """The actor: a tanh-squashed normal distribution of the numbers of a closure.
 
     Args:
-        observed: how many values it sees.
-        hidden: widths of its layers.
-        decided: how many numbers it gives.
+        observed: number of inputs.
+        hidden: widths of the hidden layers.
+        decided: number of outputs.
     """
 
     def __init__(self, observed: int, hidden: Sequence[int], decided: int) -> None:
@@ -216,12 +215,12 @@ class Spread(nn.Module):
                 head.weight *= 0.1
 
     def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """A drawn decision, shape (n, m), and the logarithm of its density, shape (n,)."""
+        """A sampled decision, shape (n, m), and its log-density, shape (n,)."""
         value = self.body(seen)
         mean, log_std = self.mean(value).clamp(-MEAN_CLIP, MEAN_CLIP), self.log_std(value).clamp(*LOG_STD)
         noise = torch.randn_like(mean)
         raw = mean + log_std.exp() * noise
-        # log(1 − tanh²) of a large number is lost to rounding; this form of it is not.
+        # A numerically stable form of log(1 − tanh²) for large arguments.
         squash = 2 * (np.log(2) - raw - functional.softplus(-2 * raw))
         return torch.tanh(raw), (-0.5 * noise**2 - log_std - 0.5 * np.log(2 * np.pi) - squash).sum(-1)
 
@@ -231,9 +230,9 @@ class Learner:
 
     Args:
         recipe: the settings.
-        observed: how many values a *privileged* observation has.
-        deployed: how many of them, the first ones, the actor sees.
-        phases: how many the task has.
+        observed: size of a *privileged* observation.
+        deployed: number of its first entries that the actor observes.
+        phases: number of phases of the task.
     """
 
     def __init__(self, recipe: Recipe, observed: int, deployed: int, phases: int) -> None:
@@ -257,35 +256,35 @@ class Learner:
         self.updates, self.entropy = 0, float("nan")
 
     def reseed(self, seed: int) -> None:
-        """Draw what comes from other numbers, as a resumed training has to."""
+        """Reseed all random numbers, as needed for a resumed training."""
         torch.manual_seed(seed)
         self._rng = np.random.default_rng(seed)
 
     def decide(self, seen: np.ndarray) -> np.ndarray:
-        """Decisions to try, shape (n, m), for first observations, shape (n, observed): random ones before anything is fitted."""
+        """Decisions to try, shape (n, m), for first observations, shape (n, observed); random before the first update."""
         if self.updates == 0:
             return self._rng.uniform(-1.0, 1.0, (len(seen), self.trials.decisions.shape[1]))
         with torch.no_grad():
             return self.actor(self._scaled(seen)[:, : self._deployed])[0].numpy().astype(float)
 
     def predicted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
-        """Probability that trials succeed, shape (n,), as the critics see it."""
+        """Success probability of trials predicted by the critics, shape (n,)."""
         with torch.no_grad():
             success = self._success(self._scaled(seen), torch.from_numpy(decisions.astype(np.float32)))
         return success.mean(0).exp().numpy()
 
     def wanted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
-        """Whether trials are worth their time, shape (n,), drawn: of those that the critics are sure of, a part is enough."""
+        """Which trials to run, shape (n,), at random: only part of those whose predicted success is high."""
         if self.updates == 0:
             return np.ones(len(seen), dtype=bool)
         worth = (1.0 - self.predicted(seen, decisions)) / (1.0 - SURE)
         return self._rng.random(len(seen)) < np.maximum(worth, self._recipe.easy_share)
 
     def learn(self, share: float) -> None:
-        """Make the updates that the trials so far are worth, once there are enough; `share` of the training has passed.
+        """Make the updates due for the trials so far, once there are enough; `share` of the training has passed.
 
         Raises:
-            RunError: The networks no longer give numbers.
+            RunError: The networks' outputs are no longer finite.
         """
         recipe, trials = self._recipe, self.trials
         if trials.count < recipe.random_episodes:
@@ -315,11 +314,11 @@ class Learner:
         truth = torch.from_numpy(scaled(trials.came_to[rows], self.mean_came_to, self.scale_came_to))
         self._descend("critics", losses.sum(-1).mean() + recipe.aftermath * functional.mse_loss(came_to, truth))
 
-        self.critics.requires_grad_(False)  # the actor moves along their slope; they themselves stay
+        self.critics.requires_grad_(False)  # only the actor is updated by their gradient
         seen = seen[0, : recipe.actor_batch_size]
         decisions, log_density = self.actor(seen[:, : self._deployed])
         success = self._success(seen, decisions)
-        success = success.mean(0) - recipe.doubt * success.std(0, correction=0)  # what they disagree on is not believed
+        success = success.mean(0) - recipe.doubt * success.std(0, correction=0)  # pessimistic where the critics disagree
         weight = self.log_weight.exp()
         self.entropy = -log_density.mean().item() / decisions.shape[1]
         self._descend("actor", (weight.detach() * log_density - success).mean())
@@ -327,7 +326,7 @@ class Learner:
         self._descend("weight", weight * (-log_density.mean().detach() - aim))
 
     def _success(self, scaled: Tensor, decisions: Tensor) -> Tensor:
-        """Logarithm of the probability of getting through all phases, by each critic, shape (critics, n)."""
+        """Log-probability of surviving all phases, by each critic, shape (critics, n)."""
         odds = self.critics(torch.cat([scaled, decisions], -1))[..., : len(self._phases)]
         return functional.logsigmoid(odds).sum(-1)
 
@@ -341,12 +340,12 @@ class Learner:
         return torch.from_numpy(scaled(seen, self.mean, self.scale))
 
     def weights(self) -> dict[str, Any]:
-        """What PyTorch saves and `load_weights` takes: networks, optimisers and the weight of the entropy."""
+        """State for a checkpoint: networks, optimisers and the entropy weight; `load_weights` restores it."""
         saved = {"critics": self.critics.state_dict(), "actor": self.actor.state_dict(), "log_weight": self.log_weight.detach()}
         return saved | {f"of {name}": optimizer.state_dict() for name, optimizer in self.optimizers.items()}
 
     def load_weights(self, saved: dict[str, Any]) -> None:
-        """Take over what `weights` gave."""
+        """Restore the state returned by `weights`."""
         self.critics.load_state_dict(saved["critics"])
         self.actor.load_state_dict(saved["actor"])
         for name, optimizer in self.optimizers.items():
@@ -355,7 +354,7 @@ class Learner:
             self.log_weight.copy_(saved["log_weight"])
 
     def policy(self) -> Actor:
-        """The actor without its spread, as plain arrays with the scaling of its observations."""
+        """The deterministic actor as plain arrays, with the scaling of its observations."""
         layers = [layer for layer in (*self.actor.body, self.actor.mean) if isinstance(layer, nn.Linear)]
         return Actor(
             observation_mean=self.mean[: self._deployed].astype(float),
@@ -367,11 +366,11 @@ class Learner:
 
 
 def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of each column; one that hardly varies, such as the noise of an angle, is not blown up."""
+    """Mean and standard deviation of each column; the latter is at least `SMALLEST_SCALE`."""
     values = values.astype(float)
     return values.mean(axis=0), np.maximum(values.std(axis=0), SMALLEST_SCALE)
 
 
 def scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Values as a network takes them, as `Actor` computes them."""
+    """Scale and clip values for a network, as in `Actor`."""
     return np.clip((values - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP)

@@ -1,4 +1,4 @@
-"""What every command of this package shares."""
+"""Argument parsing shared by the commands of this package."""
 
 import argparse
 
@@ -6,13 +6,13 @@ from hpac import Parser
 
 
 def command_parser(module: str, description: str) -> Parser:
-    """The parser of ``python -m module``; its help tells the first line of a description and every default."""
+    """Parser of ``python -m module``; its help shows the first line of the description and every default."""
     formatter = argparse.ArgumentDefaultsHelpFormatter
     return Parser(prog=f"python -m {module}", description=description.splitlines()[0], formatter_class=formatter)
 
 
 def minutes(text: str) -> float:
-    """A type of argument: a positive number of minutes."""
+    """Argument type: a positive number of minutes."""
     try:
         value = float(text)
     except ValueError:

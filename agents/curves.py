@@ -1,7 +1,7 @@
 """Pictures and tables of a run: ``python -m agents.curves runs/NAME``.
 
 Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_curve.png``, ``results.md`` and
-``results.png`` beside them. What is not there yet is left out.
+``results.png`` to it. Missing input is skipped.
 """
 
 import json
@@ -26,7 +26,7 @@ COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
 
 
 def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None = None) -> Figure:
-    """Success in training over trials, with the held-out results of every policy beside it."""
+    """Success in training over trials, with the held-out results of every policy."""
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -40,7 +40,7 @@ def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None 
     axes.set_xlim(0, curve["episodes"].max(initial=1) / 1000)
     if len(curve["seconds"]) > 1:
         trials, minutes = np.append(0, curve["episodes"] / 1000), np.append(0, curve["seconds"] / 60)
-        # Trials and minutes both grow along a run, so that either can be read off the other.
+        # Trials and minutes both increase monotonically, so each can be interpolated from the other.
         axis = axes.secondary_xaxis("top", (lambda x: np.interp(x, trials, minutes), lambda t: np.interp(t, minutes, trials)))
         axis.set_xticks([tick for tick in MaxNLocator(8).tick_values(0, minutes[-1]) if tick <= minutes[-1]])
         axis.set_xlabel("training time (minutes)")
@@ -50,7 +50,7 @@ def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None 
 
 
 def result_chart(results: dict[str, Any]) -> Figure:
-    """Success of every policy with its 95 % interval."""
+    """Bar chart of the success of every policy with its 95 % interval."""
     figure = Figure(figsize=(6, 0.9 + 0.6 * len(results["policies"])), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -65,10 +65,10 @@ def result_chart(results: dict[str, Any]) -> Figure:
 
 
 def report(folder: Path) -> list[Path]:
-    """Write the pictures and tables of a run; returns the files.
+    """Write the pictures and tables of a run and return the files.
 
     Raises:
-        RunError: There is nothing to show, or it cannot be read.
+        RunError: The folder has no results, or they cannot be read.
         OutputError: The folder cannot be written.
     """
     results = _read_results(folder / RESULTS)
@@ -100,7 +100,7 @@ def _page(results: dict[str, Any]) -> str:
         effort = f"{policy['episodes']:,} trials in {policy['seconds'] / 60:.1f} minutes"
         text += f"\nLearned: {policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
         text += f"weights SHA-256 `{policy['sha256'][:16]}…`.\n"
-    return text + f"\nEvery policy met the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
+    return text + f"\nAll policies were run on the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
 
 
 def _read_results(path: Path) -> dict[str, Any] | None:

@@ -1,6 +1,6 @@
-"""From random weights to the wire: train a grasp, judge it, and replay it through the serial port and the firmware.
+"""From random weights to the wire: train a grasp, evaluate it, and replay it through the serial port and the firmware.
 
-``make demo`` runs it; each step is a command that works on its own too, and is printed as such.
+``make demo`` runs it; each step is a separate command, which is printed.
 """
 
 import subprocess
@@ -13,12 +13,12 @@ from agents.recipes import RECIPES
 from hpac import run, whole_number
 from hpac_gym.output import writable_folder
 
-EVALUATION_MINUTES = 5.0  # 400 episodes of each of three policies fit; fewer are taken on a slower machine
+EVALUATION_MINUTES = 5.0  # enough for 400 episodes of three policies; a slower machine evaluates fewer
 RESULTS = ("learning_curve.png", "results.md", "results.json", "grasps.mp4", "wire.jsonl")
 
 
 def steps(recipe: str, out: Path, training_minutes: float, episodes: int, seed: int) -> list[tuple[str, list[str]]]:
-    """What the demo does: a title, and the module with its arguments, of every step."""
+    """Title, and module with arguments, of every step."""
     policy, results = str(out / "policy.zip"), str(out / "results.json")
     train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed)]
     judge = ["agents.evaluate", "--policy", policy, "--engine", "mujoco", "--episodes", str(episodes), "--workers", "2"]
@@ -46,7 +46,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"\n== {title}\n   python -m {' '.join(words)}", flush=True)
         status = subprocess.run([sys.executable, "-m", *words], check=False).returncode
         if status:
-            return status  # the command has said why
+            return status  # the command has printed the reason
     print(f"\nDone in {(time.monotonic() - started) / 60:.1f} minutes. In {args.out}:")
     for name in RESULTS:
         print(f"   {name}{'' if (args.out / name).exists() else ' is missing'}")

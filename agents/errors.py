@@ -1,15 +1,15 @@
-"""What the agents raise on a user's mistake; their commands print it as one line and end with status 2."""
+"""Errors of the agents caused by user input; the commands print them as one line and exit with status 2."""
 
 from hpac_gym.errors import HpacError
 
 
 class RecipeError(HpacError, ValueError):
-    """A recipe is unknown, or one of its settings has no meaning."""
+    """A recipe is unknown, or one of its settings is invalid."""
 
 
 class TaskError(HpacError, ValueError):
-    """An environment id is unknown, or its spaces are not those that the agents work with."""
+    """An environment id is unknown, or its spaces are not supported by the agents."""
 
 
 class RunError(HpacError, OSError):
-    """A folder of results cannot be read, or not be written."""
+    """A results folder cannot be read or written."""

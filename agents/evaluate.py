@@ -1,8 +1,8 @@
-"""Judge policies on held-out episodes: ``python -m agents.evaluate --policy FILE``.
+"""Evaluate policies on held-out episodes: ``python -m agents.evaluate --policy FILE``.
 
-Every policy meets the same episodes, one per seed from ``--seed-start`` on; a learned or scripted policy is set beside
-the baselines. An episode depends on its seed alone, so that the numbers are the same whatever the number of workers, and
-whether its world is alone or, as on MuJoCo, one of a batch.
+All policies run the same episodes, one per seed from ``--seed-start`` on; a learned policy is compared with the baselines.
+An episode depends only on its seed, so the results do not depend on the number of workers, nor on whether a world is single
+or, as on MuJoCo, one of a batch.
 """
 
 import argparse
@@ -37,15 +37,22 @@ from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
 
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
-BATCH, ROUNDS = 50, 4  # worlds at once on MuJoCo, and episodes in each before anything is told
-LEARNED = "learned"  # what a policy file is called in tables
-OPTIONS = ("engine", "body", "randomize")
-"""Options of the environment that the command passes on."""
+BATCH, ROUNDS = 50, 4  # parallel worlds on MuJoCo, and episodes per world in a block
+LEARNED = "learned"  # name of a policy file in tables
+OPTIONS = {
+    "engine": "pybullet or mujoco",
+    "body": "twin or light",
+    "randomize": "nominal, hand, link or full",
+    "objects": "HPAC-GraspAny-v0: train, test or real; HPAC-GraspType-v0: train or test",
+    "hands": "HPAC-GraspAny-v0: nominal, train or test",
+    "types": "HPAC-GraspType-v0: all, train, test or the name of a type",
+}
+"""Options of the environment that the command offers, and their values."""
 
 
 @dataclass(frozen=True, slots=True)
 class Episode:
-    """How one episode ended: ``phase`` is the task's own name for where, ``holding_force`` [N] its score, if it tells."""
+    """Result of one episode: ``phase`` is the task's phase at the end, ``holding_force`` [N] its score, if it has one."""
 
     seed: int
     success: bool
@@ -57,13 +64,13 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """The episodes of several policies by name; the n-th of each has the same seed."""
+    """Episodes of several policies, by name; the n-th episode of each has the same seed."""
 
     env_id: str
     episodes: dict[str, tuple[Episode, ...]]
 
     def summary(self) -> dict[str, Any]:
-        """What is reported: success with its interval, return, failures by phase, differences over paired episodes."""
+        """Success with its interval, return, failures by phase, and differences over paired episodes."""
         names = list(self.episodes)
         first = self.episodes[names[0]]
         return {
@@ -83,18 +90,18 @@ class Evaluation:
 
 
 def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
-    """One episode from its seed to its end."""
+    """Run one episode to its end."""
     rewards, infos = zip(*control_steps(env, policy, seed), strict=True)
     return _episode(seed, rewards, infos[-1])
 
 
 def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int]) -> list[Episode]:
-    """An episode from each seed to its end, many at once: a world whose episode is over takes the next seed.
+    """Run one episode per seed in parallel; a world whose episode has ended takes the next seed.
 
     Args:
         envs: n worlds without autoreset.
-        policies: one for each world, all alike.
-        seeds: of any number; the episodes come back in their order.
+        policies: one instance of the policy per world.
+        seeds: any number of seeds; the episodes are returned in their order.
     """
     waiting, playing = iter(seeds), [None] * envs.num_envs
     rewards: list[list[float]] = [[] for _ in playing]
@@ -104,7 +111,7 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
             for place in np.flatnonzero(over):
                 playing[place], rewards[place] = next(waiting, None), []
                 policies[place].reset(playing[place] or 0)
-            # What is left over at the end plays seed 0, and nobody counts it.
+            # At the end, surplus worlds run seed 0; their episodes are discarded.
             seen, _ = envs.reset(seed=[seed or 0 for seed in playing], options={"reset_mask": over})
         actions = np.zeros(envs.action_space.shape, np.float32)
         for place, policy in enumerate(policies):
@@ -134,19 +141,19 @@ def evaluate(
     *, seed_start: int = HELD_OUT_SEED, workers: int = 1, time_limit: float = float("inf"),
     options: Mapping[str, Any] | None = None,
 ) -> Evaluation:  # fmt: skip
-    """Run policies over the same held-out episodes; a policy file goes by the name ``learned``.
+    """Run policies over the same held-out episodes; a policy file gets the name ``learned``.
 
-    ``time_limit`` [s] takes fewer episodes, the same first ones of every policy, where they do not all fit; ``options``
-    are those of the environment, such as engine, body and randomize.
+    After ``time_limit`` [s] the evaluation stops with fewer episodes, the same ones for every policy; ``options`` are those of
+    the environment, such as engine, body and randomize.
 
     Raises:
-        TaskError: There is no such environment.
-        PolicyError: A policy cannot be loaded, or is of another environment.
+        TaskError: The environment is unknown.
+        PolicyError: A policy cannot be loaded, or was made for another environment.
     """
     options = dict(options or {})
     env = make_task(env_id, **options)
     for name in names:
-        load_policy(name, env)  # a mistake ends here, not in a worker
+        load_policy(name, env)  # errors are raised here, not in a worker
     size = min(BATCH, episodes) if _has_batch(env) else 1
     env.close()
     labels = [name if name in BASELINES else LEARNED for name in names]
@@ -212,18 +219,17 @@ def main(argv: list[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("agents.evaluate", __doc__)
     parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
-    parser.add_argument("--env", help="environment id; of a policy file, its own")
-    parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
-    parser.add_argument("--body", help="twin or light (default: the environment's own)")
-    parser.add_argument("--randomize", help="nominal, hand, link or full (default: nominal)")
-    parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes of each policy")
-    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help=f"training stays below {HELD_OUT_SEED}")
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--env", help="environment id; default for a policy file: its own")
+    for name, values in OPTIONS.items():
+        parser.add_argument(f"--{name}", help=f"{values} (default: the environment's own)")
+    parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes per policy")
+    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, help="number of processes")
     parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES",
                         help="stop after this many minutes, evaluating fewer episodes")  # fmt: skip
-    parser.add_argument("--no-baselines", action="store_true", help="not random and scripted beside a policy file")
+    parser.add_argument("--no-baselines", action="store_true", help="do not compare a policy file with random and scripted")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--out", type=Path, help="write the JSON object to this file too")
+    parser.add_argument("--out", type=Path, help="also write the JSON object to this file")
     return parser
 
 
@@ -252,14 +258,14 @@ def _phase_name(phase: Any) -> str:
 
 
 Block = list[tuple[Episode, ...]]
-"""Some seeds after each other: an episode of each policy from each of them."""
+"""Consecutive seeds, with one episode of each policy per seed."""
 
 
 @contextmanager
 def _results(
     names: Sequence[str], env_id: str, options: dict[str, Any], seeds: Sequence[int], size: int, workers: int
 ) -> Iterator[Iterator[Block]]:
-    """Blocks of episodes that were played in `size` worlds at once, in the order of their seeds, as they are done."""
+    """Yield blocks of episodes, run in `size` parallel worlds, in the order of their seeds, as they are completed."""
     block = size * (ROUNDS if size > 1 else 1)
     blocks = [seeds[start : start + block] for start in range(0, len(seeds), block)]
     if workers == 1:
@@ -272,12 +278,12 @@ def _results(
 
 
 def _has_batch(env: gymnasium.Env) -> bool:
-    """Whether many worlds of an environment are stepped at once: those of this package on MuJoCo."""
+    """Whether an environment can run as a batch: those of this package on MuJoCo."""
     return isinstance(env.unwrapped, HandEnv) and env.unwrapped.episodes.options.engine == "mujoco"
 
 
 class _Bench:
-    """Where policies are judged: one environment, or a batch of `size`, with each policy once for each of its worlds."""
+    """An environment, or a batch of `size` worlds, with one instance of each policy per world."""
 
     def __init__(self, names: Sequence[str], env_id: str, options: dict[str, Any], size: int) -> None:
         self._env = make_task(env_id, **options)
@@ -285,7 +291,7 @@ class _Bench:
         self._policies = [[load_policy(name, self._env) for _ in range(size)] for name in names]
 
     def episodes(self, seeds: Sequence[int]) -> Block:
-        """An episode of each policy from each seed."""
+        """Run an episode of each policy for each seed."""
         if self._batch is None:
             return [tuple(run_episode(self._env, policy, seed) for (policy,) in self._policies) for seed in seeds]
         columns = [run_batch(self._batch, policies, seeds) for policies in self._policies]

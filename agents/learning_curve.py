@@ -1,4 +1,4 @@
-"""The learning curve of a run: a CSV file that grows by a row every five hundred trials."""
+"""The learning curve of a run: a CSV file that gets a row every five hundred trials."""
 
 import csv
 from pathlib import Path
@@ -12,7 +12,7 @@ COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
 
 
 def append_row(path: Path, row: dict[str, float | int]) -> None:
-    """Add a row, with the header where the file is new.
+    """Append a row, with the header if the file is new.
 
     Raises:
         RunError: The file cannot be written, or the disk is full.
@@ -28,7 +28,7 @@ def append_row(path: Path, row: dict[str, float | int]) -> None:
 
 
 def drop_rows_after(path: Path, episodes: int) -> None:
-    """Take back what a killed training wrote after its last checkpoint, a half-written row too."""
+    """Remove rows that an interrupted training wrote after its last checkpoint, including an incomplete one."""
     if not path.exists():
         return
     header, *rows = path.read_text().splitlines(keepends=True) or [""]
@@ -37,10 +37,10 @@ def drop_rows_after(path: Path, episodes: int) -> None:
 
 
 def read_curve(path: Path) -> dict[str, np.ndarray]:
-    """The columns by name.
+    """Read the columns by name.
 
     Raises:
-        RunError: The file is missing, or no learning curve.
+        RunError: The file is missing or not a learning curve.
     """
     try:
         with path.open(newline="") as file:
@@ -49,4 +49,4 @@ def read_curve(path: Path) -> dict[str, np.ndarray]:
     except OSError as error:
         raise RunError(f"cannot read '{path}': {error.strerror or error}") from None
     except (KeyError, TypeError, ValueError) as error:
-        raise RunError(f"'{path}' is no learning curve: {error!r}") from None
+        raise RunError(f"'{path}' is not a learning curve: {error!r}") from None

@@ -1,9 +1,9 @@
-"""Collect trials on other machines with Ray Core: collectors on its nodes try closures, one learner is fitted to all of them.
+"""Collect trials on other machines with Ray Core: collectors on its nodes try closures for one learner.
 
-A collector has worlds and seeds of its own. It gets the learner's networks and scaling as plain arrays, tries closures until a
-chunk of trials is over, and returns the chunk under its number. A chunk whose collector or node dies is never added.
+A collector has its own worlds and seeds. It gets the learner's networks and scaling as plain arrays, tries closures until a
+chunk of trials is complete, and returns the numbered chunk. A chunk whose collector or node fails is never added.
 
-``python -m agents.nodes grasp --seeds 0,1,2 --out runs/sweep`` trains whole runs on the nodes instead, one for each seed.
+``python -m agents.nodes grasp --seeds 5 --out runs/sweep`` trains complete runs on the nodes instead, one per seed.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import platform
 import subprocess
 import sys
 import time
-from argparse import ArgumentTypeError
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -32,27 +32,29 @@ from agents.errors import RunError
 from agents.recipes import Recipe, recipe_named
 from agents.seeds import training_seed
 from agents.train import versions
-from hpac import run
+from hpac import run, whole_number
 from hpac_gym.output import writable_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 WAIT_S = 1.0
-"""How long a step waits for a chunk at most, so that a time limit or Ctrl-C ends the training."""
+"""Longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training."""
 SILENCE_S = 60.0
-"""After so long without a chunk a line says so."""
+"""Time without a chunk after which a message is printed [s]."""
 
 
 def connected() -> Any:
-    """The module ray, connected to the cluster that ``ray start`` or RAY_ADDRESS names, else to one of this machine alone.
+    """The module ray, connected to the cluster of ``ray start`` or RAY_ADDRESS, or else to a local one.
 
     Raises:
         RunError: Ray is not installed, or the cluster does not answer.
     """
+    # Disable usage reports, and messages about metrics and accelerators.
+    for name, value in {"USAGE_STATS_ENABLED": "0", "BACKEND_LOG_LEVEL": "fatal", "ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}.items():
+        os.environ.setdefault(f"RAY_{name}", value)
     try:
         import ray
     except ImportError:
         raise RunError("collecting on nodes needs Ray, which is not installed: pip install 'hpac_gym[nodes]'") from None
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR, ignore_reinit_error=True)
     except (ConnectionError, RuntimeError, ValueError) as error:
@@ -61,59 +63,55 @@ def connected() -> Any:
 
 
 def knowledge(learner: Learner) -> dict[str, Any]:
-    """What a collector needs to decide as a learner does: networks, scaling and the number of updates, as plain arrays."""
+    """State that a collector needs for decisions: networks, scaling and number of updates, as plain arrays."""
     networks = {"actor": learner.actor, "critics": learner.critics}
     arrays = {name: {key: value.numpy() for key, value in network.state_dict().items()} for name, network in networks.items()}
     return arrays | {"mean": learner.mean, "scale": learner.scale, "updates": learner.updates}
 
 
 class Ledger:
-    """The numbers of the chunks that collectors were asked for; each chunk counts once.
+    """Record of the requested chunks, by number; each chunk counts once.
 
     Attributes:
-        added: how many trials each added chunk has, by the chunk's number.
-        lost: the numbers of the chunks that died with their collector.
+        added: number of trials of each added chunk, by chunk number.
     """
 
     def __init__(self) -> None:
         self.added: dict[int, int] = {}
-        self.lost: list[int] = []
-        self._asked: set[int] = set()
+        self._numbers, self._open = count(), set[int]()
 
     def ask(self) -> int:
-        """The number of a new chunk."""
-        number = len(self.added) + len(self.lost) + len(self._asked)
-        self._asked.add(number)
+        """Register a new chunk and return its number."""
+        number = next(self._numbers)
+        self._open.add(number)
         return number
 
     def add(self, number: int, trials: int) -> None:
-        """Take note of a chunk that came back.
+        """Record a received chunk.
 
         Raises:
-            RunError: It was added or given up before, or nobody asked for it.
+            RunError: The chunk was added or given up before, or never requested.
         """
-        if number not in self._asked:
-            state = "added before" if number in self.added else "given up before" if number in self.lost else "never asked for"
-            raise RunError(f"chunk {number} was {state}: its {trials} trials are not added")
-        self._asked.remove(number)
+        if number not in self._open:
+            raise RunError(f"chunk {number} was added or given up before, or never asked for: its {trials} trials are not added")
+        self._open.remove(number)
         self.added[number] = trials
 
     def lose(self, number: int) -> None:
-        """Give up a chunk that will not come back."""
-        self._asked.remove(number)
-        self.lost.append(number)
+        """Give up a chunk that was lost."""
+        self._open.remove(number)
 
 
 class Collector:
-    """The worlds of a node, and a copy of the learner that decides in them. Ray runs it in a process of its own.
+    """The worlds of a node with a copy of the learner that decides in them. Ray runs it in a separate process.
 
     Args:
-        recipe: the settings of the run; `num_envs` worlds are made, and a chunk has at least as many trials.
-        seed: of the first world, and of what is drawn for decisions.
+        recipe: the settings of the run; it makes `num_envs` worlds, and a chunk has at least as many trials.
+        seed: seed of the first world and of the decisions.
         expected: the learner's `versions`.
 
     Raises:
-        RunError: This node has other versions, and so perhaps other physics.
+        RunError: This node has other library versions, and thus possibly other physics.
     """
 
     def __init__(self, recipe: Recipe, seed: int, expected: dict[str, str]) -> None:
@@ -128,7 +126,7 @@ class Collector:
         self._least = recipe.num_envs
 
     def collect(self, number: int, known: dict[str, Any]) -> tuple[int, tuple[np.ndarray, ...], float]:
-        """A chunk: its number, its trials as `Trials.add` takes them, and the processor time that they took [s]."""
+        """Collect a chunk; returns its number, its trials as arguments of `Trials.add`, and their processor time [s]."""
         learner, begun = self._learner, time.process_time()
         for network, arrays in ((learner.actor, known["actor"]), (learner.critics, known["critics"])):
             network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
@@ -140,19 +138,19 @@ class Collector:
 
 
 class Collectors:
-    """Collectors on the nodes of a Ray cluster, which a training steps as it steps `Worlds`.
+    """Collectors on the nodes of a Ray cluster, with the interface of `Worlds`.
 
-    Each takes a processor where one is free, spread over the nodes. One that is lost is replaced; without a free processor its
-    successor waits for one, while the others go on.
+    Each takes a free processor, spread over the nodes. A lost collector is replaced; its successor waits for a free processor
+    if necessary, while the others continue.
 
     Args:
         recipe: the settings of the run.
-        count: how many collectors.
+        count: number of collectors.
         done: trials of the run before it was resumed.
 
     Attributes:
-        observed, deployed, phases: as those of `Worlds`.
-        ledger: the chunks.
+        observed, deployed, phases: as in `Worlds`.
+        ledger: record of the chunks.
     """
 
     def __init__(self, recipe: Recipe, count: int, done: int = 0) -> None:
@@ -177,14 +175,14 @@ class Collectors:
         return place, self._make.remote(self._recipe, seed, versions())
 
     def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
-        """Ask idle collectors for chunks, and wait a moment for one.
+        """Request chunks from idle collectors, and wait briefly for one.
 
         Args:
-            learner: what the collectors decide with.
+            learner: the learner whose networks the collectors use.
             meanwhile: called while the collectors work.
 
         Returns:
-            The trials of the chunk that came, as `Trials.add` takes them; none if none came.
+            The trials of a received chunk, as arguments of `Trials.add`; no trials without a chunk.
 
         Raises:
             RunError: A collector cannot start, or its program failed.
@@ -225,7 +223,7 @@ class Collectors:
         return trials
 
     def close(self) -> None:
-        """End the collectors, and print how many trials each gave."""
+        """End the collectors, and print the number of trials of each."""
         passed = time.monotonic() - self._started
         for place, trials in sorted(self._trials.items()):
             _say(f"collector {place}: {trials:,} trials, {trials / passed:.1f}/s, "
@@ -241,7 +239,7 @@ def train_seed(words: list[str]) -> dict[str, bytes]:
     """Run ``agents.train`` with these arguments on this node; returns the files of its folder.
 
     Raises:
-        RunError: It failed.
+        RunError: The training failed.
     """
     with TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "agents.train", *words, "--out", folder]
@@ -251,25 +249,18 @@ def train_seed(words: list[str]) -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
 
 
-def _seeds(text: str) -> list[int]:
-    try:
-        return [int(word) for word in text.split(",")]
-    except ValueError:
-        raise ArgumentTypeError(f"'{text}' is not whole numbers with commas between") from None
-
-
 def main(argv: list[str] | None = None) -> int:
-    """Train whole runs on the nodes of a Ray cluster, one for each seed."""
+    """Train complete runs on the nodes of a Ray cluster, one per seed."""
     parser = command_parser("agents.nodes", main.__doc__)
-    parser.add_argument("recipe", help="of agents.train, which every further option goes to")
-    parser.add_argument("--seeds", type=_seeds, required=True, metavar="N,N", help="seeds of the runs")
-    parser.add_argument("--out", type=Path, required=True, help="folder; each run gets a folder seed-N in it")
+    parser.add_argument("recipe", help="recipe of agents.train; further options are passed on to it")
+    parser.add_argument("--seeds", type=whole_number(1), required=True, metavar="N", help="train with the seeds 0 to N - 1")
+    parser.add_argument("--out", type=Path, required=True, help="folder, in which each run gets a folder seed-N")
     args, settings = parser.parse_known_args(argv)
     recipe_named(args.recipe)
     writable_folder(args.out)
     ray = connected()
     task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(train_seed)
-    running = {task.remote([args.recipe, *settings, "--seed", f"{seed}"]): seed for seed in args.seeds}
+    running = {task.remote([args.recipe, *settings, "--seed", f"{seed}"]): seed for seed in range(args.seeds)}
     failed = 0
     while running:
         (reference, *_), _ = ray.wait(list(running))

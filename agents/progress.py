@@ -1,4 +1,4 @@
-"""What one sees of a training: the bar and the learning curve."""
+"""Progress of a training: the progress bar and the learning curve."""
 
 import sys
 import time
@@ -11,25 +11,25 @@ from tqdm import tqdm
 from agents.learning_curve import CURVE, append_row
 
 ROW_EVERY = 500
-"""Trials from one row of the learning curve to the next."""
+"""Trials per row of the learning curve."""
 WINDOW = 1_000
-"""Trials that a success rate is the mean of."""
+"""Trials over which the success rate is averaged."""
 LINE_EVERY_S = 30.0
-"""Where there is no terminal to draw a bar on."""
+"""Interval of progress lines if standard error is not a terminal [s]."""
 
 
 class Progress:
-    """Shows a training, writes its learning curve, and knows how far it has come.
+    """Shows the progress of a training and writes its learning curve.
 
     Args:
-        folder: of the run.
-        episodes: trials in all.
-        env_steps: control steps of all worlds together that the run may take.
+        folder: folder of the run.
+        episodes: total number of trials.
+        env_steps: limit of control steps over all worlds.
         done, steps_done: trials and control steps of the run before it was resumed.
-        seconds_before: what they took [s].
-        time_limit: when the training ends even so [s], counted from `started`.
-        started: on the clock; None is now.
-        clock: what the time is read from.
+        seconds_before: time that these took [s].
+        time_limit: latest end of the training, relative to `started` [s].
+        started: start of the training on the clock [s]; None means now.
+        clock: function that returns the time [s].
     """
 
     def __init__(
@@ -50,21 +50,21 @@ class Progress:
 
     @property
     def seconds(self) -> float:
-        """How long this run has trained so far, its earlier parts included [s]."""
+        """Training time of this run so far, including earlier parts [s]."""
         return self._seconds_before + self._clock() - self._started
 
     @property
     def share(self) -> float:
-        """How far the training has come, 0…1, by trials, by steps or by its time limit."""
+        """Completed share of the training, 0…1, by trials, steps or time limit."""
         spent = self.seconds / (self._seconds_before + self._time_limit)
         return min(1.0, max(self._done / self._episodes, self.env_steps / self._env_steps, spent))
 
     def stop(self, reason: str) -> None:
-        """End the training after the step that is under way."""
+        """End the training after the current step."""
         self.stopped_by = reason
 
     def add(self, held: list[bool], steps: int, entropy: float) -> bool:
-        """Take note of trials, control steps and the actor's entropy [nats a number]; returns whether the training goes on."""
+        """Record trials, control steps and the actor's entropy [nats per number]; returns whether the training continues."""
         self._held.extend(held)
         self._done += len(held)
         self.env_steps += steps
@@ -76,11 +76,11 @@ class Progress:
         return self.stopped_by is None and self._done < self._episodes
 
     def close(self) -> None:
-        """Leave the bar."""
+        """Close the progress bar."""
         self._bar.close()
 
     def write_row(self, entropy: float) -> None:
-        """Write a row of the learning curve, unless these trials have one."""
+        """Write a row of the learning curve, unless it was written already."""
         if self._done == self._written:
             return
         self._written, self._next_row = self._done, self._done + ROW_EVERY
@@ -93,7 +93,7 @@ class Progress:
         if self._bar.disable and elapsed < self._next_line:
             return
         self._next_line = elapsed + LINE_EVERY_S
-        success = f"{sum(self._held) / len(self._held):.0%} of the last {len(self._held)} held" if self._held else "none over yet"
+        success = f"{sum(self._held) / len(self._held):.0%} of the last {len(self._held)} held" if self._held else "none ended"
         text = f"{self._done:,} trials, {(self._done - self._first) / max(elapsed, 1e-9):.0f}/s, {success}"
         if self._bar.disable:
             print(f"training {self.share:4.0%} {elapsed / 60:5.1f} min, {text}", file=sys.stderr, flush=True)

@@ -1,7 +1,7 @@
-"""Train by an algorithm of Stable-Baselines3, to compare it: ``python -m agents.race ppo --out runs/NAME``.
+"""Train an algorithm of Stable-Baselines3 for comparison: ``python -m agents.race ppo --out runs/NAME``.
 
-Every contender acts on MuJoCo's batch, sees *deploy*, gets the dense reward and as much processor time as the others. The folder
-gets ``policy.zip``, anew every minute, and ``progress.csv``. A run cannot be resumed.
+Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward and the same processor time. The folder gets
+``policy.zip``, updated every minute, and ``progress.csv``. A run cannot be resumed.
 """
 
 import copy
@@ -40,9 +40,9 @@ ENGINE = "mujoco"
 HIDDEN = (128, 128)
 SAVE_EVERY_S = 60.0
 BOUND = 3.0
-"""Bound of the actions of PPO, whose normal distribution has none of its own; the environment gets their tanh."""
+"""Bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh."""
 SATURATED = 20.0
-"""The tanh of a larger number is 1 in single precision."""
+"""Value beyond which tanh is 1 in single precision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,9 @@ class Contender:
 
     Attributes:
         algorithm: class of Stable-Baselines3.
-        settings: its arguments; `learning_rate` is that of the beginning and falls linearly to a twentieth.
-        num_envs: worlds at once.
-        action_repeat: control steps that an action is held for.
+        settings: its arguments; `learning_rate` is the initial value, which falls linearly to a twentieth.
+        num_envs: number of parallel worlds.
+        action_repeat: number of control steps for which an action is held.
     """
 
     algorithm: type[BaseAlgorithm]
@@ -77,14 +77,14 @@ CONTENDERS: Mapping[str, Contender] = {
 
 
 class Decisions(VecEnvWrapper):
-    """Worlds in which an action is held for some control steps, and its rewards are added up.
+    """Wrapper that holds each action for several control steps and sums the rewards.
 
-    In what is left of these steps when an episode ends the next one waits with its hand open.
+    If an episode ends within these steps, the next one waits with an open hand for the rest of them.
 
     Args:
-        worlds: to act in.
-        repeat: control steps.
-        bound: of the actions, whose tanh the worlds get; None leaves them as they are, in −1…1.
+        worlds: the wrapped worlds.
+        repeat: number of control steps per action.
+        bound: bound of the actions, whose tanh the worlds get; None passes actions in −1…1 unchanged.
     """
 
     def __init__(self, worlds: VecEnv, repeat: int, bound: float | None) -> None:
@@ -97,11 +97,11 @@ class Decisions(VecEnvWrapper):
         return self.venv.reset()
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the next decision, shape (n, 6)."""
+        """Set the actions of the next decision, shape (n, 6)."""
         self._actions = actions if self._bound is None else np.tanh(actions)
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        """Hold the actions: observations, sums of rewards, dones and infos."""
+        """Hold the actions; returns observations, summed rewards, dones and infos."""
         seen, rewards, over, infos = self.venv.step(self._actions)
         for _ in range(self._repeat - 1):
             seen, gained, done, told = self.venv.step(np.where(over[:, None], -1.0, self._actions))
@@ -111,7 +111,7 @@ class Decisions(VecEnvWrapper):
 
 
 class _Watch(BaseCallback):
-    """Counts trials, saves every minute and ends the training at its time."""
+    """Callback that counts trials, saves every minute and ends the training at its time limit."""
 
     def __init__(self, progress: Progress, save: Callable[[], None]) -> None:
         super().__init__()
@@ -128,7 +128,7 @@ class _Watch(BaseCallback):
 
 
 def learner_of(contender: Contender, seed: int, share: Callable[[], float]) -> BaseAlgorithm:
-    """The algorithm with its worlds; `share` tells how much of its time has passed, 0…1."""
+    """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1."""
     squashed = contender.algorithm is not PPO
     worlds = HandVecEnv(GRASP, contender.num_envs, engine=ENGINE)
     decisions = Decisions(worlds, contender.action_repeat, None if squashed else BOUND)
@@ -143,7 +143,7 @@ def learner_of(contender: Contender, seed: int, share: Callable[[], float]) -> B
 
 
 def actor_of(model: BaseAlgorithm) -> Actor:
-    """The actor without its exploration; what stands between two ReLU, such as CrossQ's batch normalisation, is one layer."""
+    """The deterministic actor; the affine parts between two ReLU, such as CrossQ's batch normalisation, become one layer."""
     ppo, scaling = isinstance(model, PPO), model.get_vec_normalize_env()
     policy = model.policy
     parts = [*policy.mlp_extractor.policy_net, policy.action_net] if ppo else [*policy.actor.latent_pi, policy.actor.mu]
@@ -161,7 +161,7 @@ def actor_of(model: BaseAlgorithm) -> Actor:
 
 
 def race(name: str, out: Path, seed: int, time_limit: float) -> None:
-    """Train a contender for `time_limit` seconds of processor time into the folder `out`.
+    """Train a contender in the folder `out` for `time_limit` seconds of processor time.
 
     Raises:
         RunError: The folder already holds a run, or the training diverged.
@@ -182,7 +182,7 @@ def race(name: str, out: Path, seed: int, time_limit: float) -> None:
     def save() -> None:
         actor = actor_of(model)
         if not all(np.isfinite(array).all() for layer in actor.layers for array in layer):
-            raise ValueError("its weights are no numbers")
+            raise ValueError("its weights are not finite")
         about = {
             "env_id": f"hpac_gym:{GRASP}",
             "algorithm": name,
@@ -200,7 +200,7 @@ def race(name: str, out: Path, seed: int, time_limit: float) -> None:
     try:
         model.learn(sys.maxsize, callback=watch)
         save()
-    except ValueError as error:  # PyTorch's distributions refuse what is no number
+    except ValueError as error:  # raised by PyTorch's distributions for values that are not finite
         raise RunError(f"the training diverged: {str(error).splitlines()[0]}; '{out}' keeps its last policy") from error
     progress.close()
     model.env.close()
@@ -211,7 +211,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("contender", choices=tuple(CONTENDERS), help="which algorithm")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--minutes", type=minutes, default=15.0, help="processor time of the training")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="of the run")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the run")
     args = parser.parse_args(argv)
     race(args.contender, args.out, args.seed, 60 * args.minutes)
     return 0

@@ -1,4 +1,4 @@
-"""How a policy is trained: one frozen set of settings per recipe, by name. The options of ``agents.train`` are made from it."""
+"""Training recipes: one frozen set of settings per name. The options of ``agents.train`` are generated from them."""
 
 from __future__ import annotations
 
@@ -25,36 +25,36 @@ def _choice(default: Any, meaning: str, choices: tuple[str, ...]) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Settings of one training of closures; `agents.closures` says what they do.
+    """Settings of one training of closures; `agents.closures` explains them.
 
     Raises:
-        RecipeError: A setting that is out of its bounds, or none of its choices.
+        RecipeError: A setting is out of bounds or not one of its choices.
     """
 
     env_id: str = _choice(GRASP, "environment", (GRASP, GRASP_ANY, PICK_PLACE))
     engine: str = _choice("mujoco", "physics engine", ENGINES)
-    body: tuple[str, ...] = _choice(("twin",), "bodies, with commas between; each gets its share of worlds", tuple(BODIES))
-    randomize: str = _choice("nominal", "what differs between episodes", tuple(PRESETS))
-    episodes: int = _setting(60_000, "trials in all", 1)
-    env_steps: int = _setting(10**12, "control steps of all worlds together that the training may take", 1)
+    body: tuple[str, ...] = _choice(("twin",), "comma-separated bodies; each gets an equal share of the worlds", tuple(BODIES))
+    randomize: str = _choice("nominal", "randomization of the episodes", tuple(PRESETS))
+    episodes: int = _setting(60_000, "total number of trials", 1)
+    env_steps: int = _setting(10**12, "limit of control steps over all worlds", 1)
     seed: int = _setting(0, "seed of the run", 0, 2**31 - 1)
-    num_envs: int = _setting(128, "worlds at once", 1, 65_536)
+    num_envs: int = _setting(128, "number of parallel worlds", 1, 65_536)
     random_episodes: int = _setting(2_500, "trials of random closures before the first update", 1)
-    updates_per_episode: float = _setting(0.15, "updates that a trial is worth", 1e-4, 100)
-    batch_size: int = _setting(256, "trials in an update of each critic", 1, 65_536)
-    actor_batch_size: int = _setting(128, "how many of them the actor's update takes; no more than there are", 1, 65_536)
-    learning_rate: float = _setting(1e-3, "at the beginning; it falls to a twentieth", 1e-8, 1)
-    weight_decay: float = _setting(0.03, "of the critics", 0, 10)
-    dropout: float = _setting(0.1, "share of the critics' hidden values that a fit leaves out", 0, 0.9)
+    updates_per_episode: float = _setting(0.15, "updates per trial", 1e-4, 100)
+    batch_size: int = _setting(256, "batch size of each critic's update, in trials", 1, 65_536)
+    actor_batch_size: int = _setting(128, "batch size of the actor's update, at most that of the critics", 1, 65_536)
+    learning_rate: float = _setting(1e-3, "initial learning rate; it falls to a twentieth", 1e-8, 1)
+    weight_decay: float = _setting(0.03, "weight decay of the critics", 0, 10)
+    dropout: float = _setting(0.1, "dropout rate of the critics", 0, 0.9)
     hidden: tuple[int, ...] = _setting((256, 256, 256), "widths of the layers", 1, 4_096)
-    critics: int = _setting(2, "how many there are", 1, 64)
-    doubt: float = _setting(0.5, "how many of the critics' standard deviations are taken off what they predict", 0, 10)
-    aftermath: float = _setting(4.0, "weight of the error in predicting what a trial came to, besides how far it got", 0, 1e3)
-    easy_share: float = _setting(0.3, "share of the trials that the critics are sure of which is tried even so", 0.01, 1)
-    entropy_first: float = _setting(0.1, "entropy that the actor aims at, at the beginning, nats a number", -10, 0.69)
-    entropy_last: float = _setting(-1.0, "and at the end", -10, 0.69)
-    begin: tuple[float, ...] = _setting((), "range of control steps in which a closure begins; empty is at once", 0, 1e6)
-    release: tuple[float, ...] = _setting((), "range of control steps in which the hand opens again; empty is never", 0, 1e6)
+    critics: int = _setting(2, "number of critics", 1, 64)
+    doubt: float = _setting(0.5, "standard deviations over the critics that are subtracted from their mean prediction", 0, 10)
+    aftermath: float = _setting(4.0, "weight of the loss on the predicted state at the end of the closing", 0, 1e3)
+    easy_share: float = _setting(0.3, "least probability with which a trial of near-certain success is run", 0.01, 1)
+    entropy_first: float = _setting(0.1, "target entropy of the actor at the beginning, in nats per number", -10, 0.69)
+    entropy_last: float = _setting(-1.0, "target entropy of the actor at the end", -10, 0.69)
+    begin: tuple[float, ...] = _setting((), "range of the control step at which a closure begins; empty: immediately", 0, 1e6)
+    release: tuple[float, ...] = _setting((), "range of the control step at which the hand opens again; empty: never", 0, 1e6)
     checkpoint_every: int = _setting(5_000, "trials between two checkpoints", 1)
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class Recipe:
 
     @property
     def closures(self) -> Closures:
-        """The closures that are tried."""
+        """The family of closures of the recipe."""
         return Closures(begin=self.begin or None, release=self.release or None)
 
 
@@ -88,15 +88,15 @@ RECIPES: Mapping[str, Recipe] = {
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
 }
-_KINDS = {"int": "a whole number", "float": "a number", "tuple[int, ...]": "whole numbers with commas between",
-          "tuple[float, ...]": "numbers with commas between"}  # fmt: skip
+_KINDS = {"int": "a whole number", "float": "a number", "tuple[int, ...]": "comma-separated whole numbers",
+          "tuple[float, ...]": "comma-separated numbers"}  # fmt: skip
 
 
 def recipe_named(name: str) -> Recipe:
-    """The recipe of that name.
+    """Look up a recipe by name.
 
     Raises:
-        RecipeError: There is none.
+        RecipeError: The name is unknown.
     """
     if name not in RECIPES:
         raise RecipeError(f"unknown recipe '{name}': known are {', '.join(sorted(RECIPES))}")
@@ -104,10 +104,10 @@ def recipe_named(name: str) -> Recipe:
 
 
 def with_settings(recipe: Recipe, texts: Mapping[str, str]) -> Recipe:
-    """The recipe with settings, given as text, put over it, and checked again.
+    """The recipe with some settings replaced by values given as text.
 
     Raises:
-        RecipeError: A text is no value of its setting.
+        RecipeError: A text is not a valid value of its setting.
     """
     types = get_type_hints(Recipe)
     changes = {}
@@ -126,11 +126,11 @@ def with_settings(recipe: Recipe, texts: Mapping[str, str]) -> Recipe:
 
 
 def settings_of(saved: Mapping[str, Any]) -> Recipe:
-    """The recipe that a run was begun with, from what JSON made of it.
+    """Reconstruct the recipe of a run from JSON.
 
     Raises:
         TypeError: A setting is missing or unknown.
-        RecipeError: A setting that is out of its bounds.
+        RecipeError: A setting is out of bounds.
     """
     missing = {entry.name for entry in fields(Recipe)} - set(saved)
     if missing:

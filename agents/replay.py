@@ -1,7 +1,7 @@
 """Replay a policy over the wire: ``python -m agents.replay --policy FILE --out runs/NAME``.
 
 Every command goes policy → ServoCommand → serial frame → pseudo-terminal → firmware core → pulse widths → simulated
-servos: the simulated hand gets what the pulses say, not what the policy asked for. The folder gets ``grasps.mp4``,
+servos: the simulated hand executes the pulses, not the policy's commands. The folder gets ``grasps.mp4``,
 ``grasps.png`` (the end of each phase), ``wire.jsonl`` (every frame) and ``replay.json``.
 """
 
@@ -34,16 +34,16 @@ from hpac_gym.policies.loading import load_policy
 from hpac_gym.tasks.task import CONTROL_HZ
 
 PULSE_TOLERANCE = 2e-4
-"""How far the pulses at the end of a move may be from the commanded angles [rad]: two steps of the wire."""
+"""Tolerance between the pulses at the end of a move and the commanded angles [rad]: two steps of the wire."""
 WATCHDOG = 0.5
-"""How long the simulation may compute between two commands before the hand goes safe [s]."""
+"""Watchdog period: longest time between two commands before the hand executes its safe action [s]."""
 ATTEMPTS = 3
-"""How often an episode is begun before a hand that goes safe is an error."""
+"""Attempts at an episode before a watchdog stop becomes an error."""
 
 
 @dataclass
 class Report:
-    """What a replay showed."""
+    """Results of a replay."""
 
     policy: str
     env_id: str
@@ -62,7 +62,7 @@ class Report:
 
     @property
     def faults(self) -> list[str]:
-        """What was not as it must be: nothing, or one line each."""
+        """Violated requirements, one line each."""
         lines = []
         if self.worst_pulse_error_rad > PULSE_TOLERANCE:
             lines.append(f"pulses are {self.worst_pulse_error_rad:.2e} rad off, above {PULSE_TOLERANCE:.0e} rad")
@@ -72,9 +72,9 @@ class Report:
 
 
 class Wire:
-    """Sends each command to the firmware and hands on what its pulses say at the end of the move.
+    """Sends each command to the firmware and returns the servo angles of its pulses at the end of the move.
 
-    A hand at a port of its own shows no pulses: then the simulated hand does what was commanded and acknowledged.
+    The pulses of a real hand at a port cannot be read: then the simulated hand executes the acknowledged command.
     """
 
     def __init__(self, hand: HostBoard | VirtualHand | None, link: HandLink) -> None:
@@ -83,17 +83,17 @@ class Wire:
         self.arrived: list[ServoCommand] = []
 
     def begin(self, servo: np.ndarray) -> None:
-        """Arm anew, which puts the servos at rest, and go to where an episode starts."""
+        """Re-arm, which moves the servos to rest, and move to the start of an episode."""
         self._link.clear()
         self._link.arm(watchdog=WATCHDOG)
         duration = move_duration(np.zeros(len(SERVOS)), servo)
         if duration > 0:
-            # A tenth slower than the limit: the firmware counts whole milliseconds and refuses what is too fast.
+            # 10 % slower than the limit: the firmware rounds to milliseconds and refuses moves that are too fast.
             self.transmit(ServoCommand(servo, 1.1 * duration + 0.01))
         self.arrived = []
 
     def transmit(self, command: ServoCommand) -> ServoCommand:
-        """The command as the servos get it."""
+        """Send a command and return it as received by the servos."""
         self._link.move(command)
         self._link.wait()
         self.moves += 1
@@ -107,7 +107,7 @@ class Wire:
 
 @dataclass
 class Episode:
-    """What went over the wire in one episode, as the servos got it."""
+    """The commands of one episode, as received by the servos."""
 
     seed: int
     commands: list[ServoCommand]
@@ -117,11 +117,10 @@ class Episode:
 def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report: Report) -> list[Episode]:
     """Run the episodes of these seeds with the wire between policy and simulated hand.
 
-    A machine that is too busy to keep the hand's watchdog fed makes it go safe; such an episode is begun again, twice at most,
-    and counted.
+    If the machine is too busy to feed the hand's watchdog, the episode is repeated, at most twice, and counted.
 
     Raises:
-        FaultError: The hand went safe three times in one episode.
+        FaultError: The watchdog tripped three times in one episode.
     """
     episodes = []
     bar = tqdm(seeds, desc="replaying", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
@@ -148,11 +147,11 @@ def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> E
     while not done:
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
         done = terminated or truncated
-    return Episode(seed, list(wire.arrived), bool(info["is_success"]))  # the next one begins with a move of its own
+    return Episode(seed, list(wire.arrived), bool(info["is_success"]))  # copied: the next episode refills the list
 
 
 def film(env_id: str, options: dict[str, str], episodes: list[Episode], video: Video, sheet: Sheet) -> None:
-    """Render the episodes, off the wire: the same commands from the same seed give the same motion, to the bit."""
+    """Render the episodes without the wire: the same commands and seed give a bit-identical motion."""
     rest: Iterator[ServoCommand] = iter(())
     env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options)
     still = np.zeros(env.action_space.shape)
@@ -198,7 +197,7 @@ def main(argv: list[str] | None = None) -> int:
     write_text(args.out / "replay.json", text + "\n")
     print(text if args.json else _summary(report))
     if report.faults:
-        raise RunError(f"the wire did not keep its promise: {'; '.join(report.faults)}")
+        raise RunError(f"the wire check failed: {'; '.join(report.faults)}")
     return 0
 
 
@@ -230,7 +229,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--body", help="twin or light (default: the environment's own)")
     hand = parser.add_mutually_exclusive_group()
     hand.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
-    hand.add_argument("--port", help="a hand at this serial port, which then moves as the simulated one does")
+    hand.add_argument("--port", help="serial port of a hand, which then moves like the simulated one")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
 

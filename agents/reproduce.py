@@ -1,8 +1,10 @@
-"""Make a table of the documentation again: ``python -m agents.reproduce elsewhere --policy FILE --policy FILE``.
+"""Reproduce a table of the documentation: ``python -m agents.reproduce elsewhere --policy FILE --policy FILE``.
 
-``elsewhere`` judges policies on every engine and body, with every randomization. ``race`` judges the contenders of `agents.race`
-and the recipe *grasp* on MuJoCo's *twin*; it takes their policies from the folders ``CONTENDER-SEED`` of ``--runs`` and trains
-those that are missing. The same held-out episodes in each cell, Wilson 95 % intervals; lines are printed as they are done.
+``elsewhere`` evaluates policies on every engine and body with every randomization. ``race`` evaluates the algorithms of
+`agents.race` and the recipe *grasp* on MuJoCo's *twin*; it reads their policies from the folders ``CONTENDER-SEED`` of ``--runs``
+and trains missing ones. ``seeds`` evaluates given policies of one recipe on the engine of their training, and ends with their
+median, their lowest and their interquartile mean with its stratified-bootstrap interval. All cells have the same held-out
+episodes and Wilson 95 % intervals; rows are printed when complete.
 """
 
 import json
@@ -11,10 +13,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from agents.command import command_parser, minutes
 from agents.evaluate import DEFAULT_TASK, LEARNED, evaluate
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.physics.simulation import default_engine
 from hpac_gym.policies import read_policy
@@ -27,12 +32,12 @@ RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '
 
 
 def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: int) -> Iterator[dict[str, Any]]:
-    """The cells of the table, as they are done."""
+    """The cells of the table, as they are completed."""
     for policy in policies:
         env_id = DEFAULT_TASK if policy in BASELINES else read_policy(policy).about["env_id"]
         for engine, body in PLACES:
             if engine == "pybullet" and default_engine() != "pybullet":
-                continue  # not installed; the table then says so
+                continue  # not installed; the command reports it
             for randomize in RANDOMIZED:
                 options = {"engine": engine, "body": body, "randomize": randomize}
                 judged = evaluate([policy], env_id, episodes, seed_start=seed_start, workers=workers, options=options)
@@ -40,9 +45,32 @@ def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: 
                 yield {"policy": policy, **options, **numbers}
 
 
+def judged_run(name: str, seed: int, policy: str, engine: str, *how: int) -> dict[str, Any]:
+    """A row: the held-out episodes of a trained policy, and its training."""
+    episodes, seed_start, workers = how
+    judged = evaluate([policy], DEFAULT_TASK, episodes, seed_start=seed_start, workers=workers, options={"engine": engine})
+    about = {key: read_policy(policy).about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
+    return {"learner": name, "seed": seed, "trained": about, "engine": engine, **judged.summary()["policies"][LEARNED]}
+
+
+def seeds(policies: Sequence[str], *how: int) -> Iterator[dict[str, Any]]:
+    """The rows of several runs of a recipe, as they are completed."""
+    for policy in policies:
+        settings = read_policy(policy).about["settings"]
+        yield judged_run("grasp", settings["seed"], policy, settings["engine"], *how)
+
+
+def over_runs(cells: Sequence[dict[str, Any]]) -> str:
+    """Median, lowest and interquartile mean of the success of several runs."""
+    rates = np.array([[cell["success_rate"]] for cell in cells])
+    low, high = stratified_bootstrap(interquartile_mean, rates)
+    middle = f"{100 * float(interquartile_mean(rates)):.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+    return f"{len(cells)} runs: median {100 * np.median(rates):.1f}, lowest {100 * rates.min():.1f}, interquartile mean {middle}"
+
+
 def race(runs: Path, seed: int, limit: float, episodes: int, seed_start: int, workers: int) -> Iterator[dict[str, Any]]:
-    """The rows of the table of the race, as they are done."""
-    from agents import race, train  # here, since they load PyTorch
+    """The rows of the comparison of algorithms, as they are completed."""
+    from agents import race, train  # imported here, since they load PyTorch
 
     for name in (*race.CONTENDERS, "grasp"):
         out = runs / f"{name}-{seed}"
@@ -50,19 +78,15 @@ def race(runs: Path, seed: int, limit: float, episodes: int, seed_start: int, wo
             train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
         elif not (out / train.POLICY).exists():
             race.race(name, out, seed, 60 * limit)
-        options = {"engine": race.ENGINE}
-        policy = str(out / train.POLICY)
-        judged = evaluate([policy], DEFAULT_TASK, episodes, seed_start=seed_start, workers=workers, options=options)
-        about = {key: read_policy(policy).about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
-        yield {"contender": name, "seed": seed, "trained": about, **options, **judged.summary()["policies"][LEARNED]}
+        yield judged_run(name, seed, str(out / train.POLICY), race.ENGINE, episodes, seed_start, workers)
 
 
 def race_row(cell: dict[str, Any]) -> str:
-    """A row of the table of the race in Markdown."""
+    """A row of a trained policy in Markdown."""
     phases, trained = cell["failures_by_phase"], cell["trained"]
     lost = ", ".join(str(phases.get(phase, 0)) for phase in PHASES)
     seconds = trained["processor_seconds"] or trained["seconds"]
-    return f"| {cell['contender']} | {cell['seed']} | {trained['episodes']:,} | {seconds:,.0f} | {_rate(cell)} | {lost} |"
+    return f"| {cell['learner']} | {cell['seed']} | {trained['episodes']:,} | {seconds:,.0f} | {_rate(cell)} | {lost} |"
 
 
 def row(cells: Sequence[dict[str, Any]]) -> str:
@@ -78,24 +102,24 @@ def _rate(cell: dict[str, Any]) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.reproduce", __doc__)
-    parser.add_argument("table", choices=("elsewhere", "race"), help="which table")
-    parser.add_argument("--policy", action="append", help="elsewhere: a policy file, random or scripted; may be repeated")
+    parser.add_argument("table", choices=("elsewhere", "race", "seeds"), help="which table")
+    parser.add_argument("--policy", action="append", help="elsewhere, seeds: a policy file; may be repeated")
     parser.add_argument("--runs", type=Path, default=Path("runs/race"), help="race: folder of the runs")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="race: of the trainings")
-    parser.add_argument("--minutes", type=minutes, default=15.0, help="race: of each training that is missing")
-    parser.add_argument("--episodes", type=whole_number(1), default=400, help="held-out episodes of each cell")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="race: seed of the trainings")
+    parser.add_argument("--minutes", type=minutes, default=15.0, help="race: time of each missing training")
+    parser.add_argument("--episodes", type=whole_number(1), default=400, help="held-out episodes per cell")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
-    parser.add_argument("--workers", type=whole_number(1), default=1, help="processes")
-    parser.add_argument("--out", type=Path, help="write the numbers to this JSON file too")
+    parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
+    parser.add_argument("--out", type=Path, help="also write the numbers to this JSON file")
     args = parser.parse_args(argv)
-    if (args.table == "elsewhere") != bool(args.policy):
-        parser.error("elsewhere needs at least one --policy, race takes none")
+    if (args.table != "race") != bool(args.policy):
+        parser.error("elsewhere and seeds need at least one --policy, race takes none")
     if args.out:
         writable_folder(args.out.parent)
     how = args.episodes, args.seed_start, args.workers
-    if args.table == "race":
+    if args.table != "elsewhere":
         columns, group, line = RACED, 1, lambda done: race_row(done[0])
-        found = race(args.runs, args.seed, args.minutes, *how)
+        found = race(args.runs, args.seed, args.minutes, *how) if args.table == "race" else seeds(args.policy, *how)
     else:
         columns, group, line = ("policy", "judged on", *RANDOMIZED), len(RANDOMIZED), row
         found = elsewhere(args.policy, *how)
@@ -110,6 +134,8 @@ def main(argv: list[str] | None = None) -> int:
             print(line(cells[-group:]), flush=True)
         if args.out:
             write_text(args.out, json.dumps(cells, indent=2) + "\n")
+    if args.table == "seeds":
+        print(f"\n{over_runs(cells)}")
     return 0
 
 

@@ -1,7 +1,4 @@
-"""Which seeds train: all below those that judge.
-
-No episode that a policy is judged by was ever started in training.
-"""
+"""Training seeds, which are all below the held-out seeds of evaluations."""
 
 import numpy as np
 
@@ -9,5 +6,5 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 
 
 def training_seed(run_seed: int, steps_done: int, n_envs: int) -> int:
-    """The first of ``n_envs`` consecutive seeds with which a run's environments start after ``steps_done`` steps."""
+    """First of the ``n_envs`` consecutive seeds of a run's environments when it starts at step ``steps_done``."""
     return int(np.random.default_rng([run_seed, steps_done]).integers(HELD_OUT_SEED - n_envs))

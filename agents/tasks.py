@@ -1,23 +1,25 @@
-"""Making the environment that an id names, with the spaces that the agents work with."""
+"""Creation of environments by id, with a check of the spaces that the agents support."""
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-import hpac_gym  # noqa: F401 - registers the environments, so that an id works without its module too
+import hpac_gym  # noqa: F401 - registers the environments, so that an id also works without its module
 from agents.errors import TaskError
 
 
 def make_task(env_id: str, **options) -> gymnasium.Env:
-    """A new environment of that id, ``name-v0`` or ``module:name-v0``.
+    """Create the environment of an id, ``name-v0`` or ``module:name-v0``.
 
     Raises:
-        TaskError: There is none, or its action is not a flat box of −1…1.
+        TaskError: The id is unknown, an option is invalid, or the action is not a flat box of −1…1.
     """
     try:
         env = gymnasium.make(env_id, disable_env_checker=True, **options)
     except (gymnasium.error.Error, ModuleNotFoundError) as error:
         raise TaskError(f"no environment '{env_id}': {error}") from None
+    except TypeError as error:
+        raise TaskError(f"no environment '{env_id}' with {', '.join(options)}: {error}") from None
     done = env.action_space
     if not (isinstance(done, Box) and len(done.shape) == 1 and np.all(done.low == -1) and np.all(done.high == 1)):
         raise TaskError(f"environment '{env_id}' acts in {done}: the agents need one flat box of -1…1")

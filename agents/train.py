@@ -1,7 +1,7 @@
 """Train a policy: ``python -m agents.train grasp --out runs/NAME``.
 
-The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, anew at every checkpoint, ``progress.csv``, ``run.json``
-(the settings) and the last checkpoint, from which ``--resume`` goes on.
+The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, both updated at every checkpoint, ``progress.csv``,
+``run.json`` (the settings) and the last checkpoint, from which ``--resume`` continues.
 """
 
 import argparse
@@ -44,12 +44,12 @@ def train(
     recipe: Recipe, out: Path, *, resume: bool = False, time_limit: float = float("inf"), started: float | None = None,
     nodes: int = 0,
 ) -> int:  # fmt: skip
-    """Train by a recipe into the folder ``out``; returns the exit status.
+    """Train a recipe in the folder ``out`` and return the exit status.
 
-    ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock. With ``nodes`` so many
-    collectors of `agents.nodes` try the closures.
+    ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock. If ``nodes`` is
+    positive, that many collectors of `agents.nodes` try the closures.
     """
-    # Here and not above: loading PyTorch takes seconds, which a mistyped argument should not cost.
+    # Imported here: loading PyTorch takes seconds, which a mistyped argument should not cost.
     import torch
 
     from agents.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
@@ -131,10 +131,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("agents.train", __doc__)
     parser.add_argument("recipe", nargs="?", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end cleanly after so long")
-    parser.add_argument("--resume", action="store_true", help="go on with the run in the folder; only --episodes can change")
-    parser.add_argument("--overwrite", action="store_true", help="start again where the folder already holds a run")
-    parser.add_argument("--nodes", type=whole_number(0), default=0, metavar="N", help="collectors on a Ray cluster; 0 is none")
+    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end cleanly after this time")
+    parser.add_argument("--resume", action="store_true", help="continue the run in the folder; only --episodes can change")
+    parser.add_argument("--overwrite", action="store_true", help="replace a run that is already in the folder")
+    parser.add_argument("--nodes", type=whole_number(0), default=0, metavar="N", help="number of collectors on a Ray cluster")
     group = parser.add_argument_group("settings of the recipe, with the defaults of 'grasp'")
     for entry in fields(Recipe):
         default = getattr(RECIPES["grasp"], entry.name)
@@ -147,16 +147,16 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _given(args: Any) -> dict[str, str]:
-    """The settings that the command line names, as text."""
+    """Settings given on the command line, as text."""
     return {entry.name: getattr(args, entry.name) for entry in fields(Recipe) if hasattr(args, entry.name)}
 
 
 def _fresh_recipe(args: Any) -> Recipe:
     if args.recipe is None:
-        raise RecipeError(f"which recipe? It is one of {', '.join(sorted(RECIPES))}")
+        raise RecipeError(f"no recipe given: it must be one of {', '.join(sorted(RECIPES))}")
     recipe = with_settings(recipe_named(args.recipe), _given(args))
     if (args.out / RUN).exists() and not args.overwrite:
-        raise RunError(f"folder '{args.out}' already holds a run: --resume goes on with it, --overwrite starts again")
+        raise RunError(f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it")
     writable_folder(args.out)
     for old in (args.out / RUN, args.out / POLICY, args.out / CURVE):
         old.unlink(missing_ok=True)
@@ -169,14 +169,14 @@ def _fresh_recipe(args: Any) -> Recipe:
 def _resumed_recipe(args: Any) -> Recipe:
     given = _given(args)
     if args.recipe is not None or args.overwrite or set(given) - {"episodes"}:
-        raise RecipeError("a run goes on with the settings that it began with: with --resume only --episodes can change")
+        raise RecipeError("a resumed run keeps its settings: only --episodes can change")
     path = args.out / RUN
     try:
         recipe = settings_of(json.loads(path.read_text()))
     except FileNotFoundError:
-        raise RunError(f"no run to go on with in '{args.out}': it has no {RUN}") from None
+        raise RunError(f"no run to resume in '{args.out}': it has no {RUN}") from None
     except (OSError, ValueError, TypeError, KeyError) as error:
-        raise RunError(f"cannot go on with '{path}': {error}") from None
+        raise RunError(f"cannot resume '{path}': {error}") from None
     writable_folder(args.out)
     if given:
         recipe = replace(recipe, episodes=with_settings(recipe, given).episodes)
@@ -189,7 +189,7 @@ def _write_run(out: Path, recipe: Recipe) -> None:
 
 
 def _stop_on_signal(progress: Progress) -> None:
-    """The first Ctrl-C or SIGTERM ends the training with a checkpoint; a second one ends it at once."""
+    """End the training with a checkpoint at the first Ctrl-C or SIGTERM, and immediately at the second."""
 
     def stop(number: int, frame: Any) -> None:
         progress.stop("interrupted")

@@ -1,4 +1,4 @@
-"""What was rendered: a film with a line of text in each picture, and a sheet of stills."""
+"""Writers for rendered pictures: a video with a line of text in each picture, and a sheet of stills."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TEXT_SIZE = 15
 
 
 class Video:
-    """Writes an MP4 file picture by picture; a context manager.
+    """Writes an MP4 file frame by frame; a context manager.
 
     Raises:
         RunError: The file cannot be written.
@@ -41,13 +41,13 @@ class Video:
         self._writer.append_data(np.asarray(image))
 
     def hold(self, picture: np.ndarray, text: str, seconds: float = 0.5) -> None:
-        """Append a picture that stays for some time [s]."""
+        """Append a picture that is shown for ``seconds`` [s]."""
         for _ in range(round(seconds * self._fps)):
             self.add(picture, text)
 
 
 class Sheet:
-    """A sheet of stills, one row an episode."""
+    """A sheet of stills with one row per episode."""
 
     def __init__(self) -> None:
         self._rows: list[list[np.ndarray]] = []
@@ -61,7 +61,7 @@ class Sheet:
         self._rows[-1].append(picture)
 
     def write(self, path: Path, width: int = 1200) -> None:
-        """Write the sheet as an image of a given width [px]; a short row ends in white.
+        """Write the sheet as an image of a given width [px]; short rows are padded with white.
 
         Raises:
             RunError: The file cannot be written.

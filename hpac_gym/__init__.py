@@ -1,7 +1,7 @@
 """Reinforcement learning and control of the H-PAC tendon hand, from simulation to the servo.
 
-Importing this package registers its Gymnasium environments; it loads neither PyBullet nor, where Gymnasium is missing,
-anything else.
+Importing this package registers its Gymnasium environments; it does not load PyBullet, and works without
+Gymnasium.
 """
 
 try:
@@ -13,7 +13,7 @@ else:
         id="HPAC-Grasp-v0",
         entry_point="hpac_gym.envs:grasp",
         vector_entry_point="hpac_gym.envs:grasp_vector",
-        max_episode_steps=65,  # an episode ends by itself after 64, so that the limit never cuts one
+        max_episode_steps=65,  # episodes terminate after 64 steps, so the limit never truncates one
     )
     register(
         id="HPAC-GraspAny-v0",

@@ -1,8 +1,8 @@
-"""``hpac bench``: the speed of the environments on both engines, beside environments of other libraries.
+"""``hpac bench``: the speed of the environments on both engines, compared with environments of other libraries.
 
-Every figure is of a hand that holds a can, at 20 commands a second. A rate is counted per second of CPU time, so that other
-work on the machine weighs less, and is the median over rounds in which all environments take turns. The other libraries need
-another MuJoCo than this one: they get a virtual environment of their own, which the command makes.
+All figures are for a hand that holds a can, at 20 commands per second. A rate is per second of CPU time, which reduces the effect
+of other load on the machine, and is the median over rounds in which all environments take turns. The other libraries need
+another MuJoCo version: the command creates a separate virtual environment for them.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from hpac_gym.physics.simulation import ENGINES
 WORKER = Path(__file__).with_name("bench_worker.py")
 NUM_ENVS = (1, 16, 64)
 STEPS = 40
-"""Of one environment in a round; many environments share them, down to 4."""
+"""Steps per round of a single environment; n environments take STEPS / n each, at least 4."""
 PEERS = {"HandManipulateBlock-v1": "gymnasium_robotics", "PandaPickAndPlace-v3": "panda_gym"}
-"""A hand on MuJoCo, and an arm on PyBullet: ids and the modules that register them."""
-# Gymnasium-Robotics 1.4.2 does not know MuJoCo's joint types from 3.12 on: its hands stop with an AssertionError.
+"""Ids of a MuJoCo hand and a PyBullet arm, and the modules that register them."""
+# Gymnasium-Robotics 1.4.2 fails with an AssertionError from MuJoCo 3.12 on: it does not support the new joint types.
 PEER_PACKAGES = ("gymnasium-robotics==1.4.2", "mujoco==3.11.0", "panda-gym==3.0.7", "gymnasium==1.4.0", "numpy==2.4.6")
 LEAST_OVER_PYBULLET, LEAST_OVER_PEERS, LEAST_THREADS, LEAST_ARITHMETIC = 2.1, 3.0, 1.8, 1.9
 MOST_OUTSIDE, MOST_RESET_MS = 0.10, 0.3
@@ -70,7 +70,7 @@ class Worker:
         return found
 
     def ask(self, call: str, **arguments: Any) -> dict[str, float]:
-        """Call and wait."""
+        """Send a call and wait for its result."""
         self.send(call, **arguments)
         return self.answer()
 
@@ -82,17 +82,17 @@ class Worker:
 
 
 def peers_python() -> str:
-    """The Python of the peers' virtual environment, which is made where it is missing.
+    """Python of the peers' virtual environment, which is created if missing.
 
     Raises:
-        BenchError: It cannot be made; the message has the last line of what pip said.
+        BenchError: It cannot be created; the message contains the last line of pip's output.
     """
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     folder = cache / "hpac_gym" / f"bench-peers-{sys.version_info[0]}.{sys.version_info[1]}"
     python, stamp = folder / "bin" / "python", folder / "complete"
     wanted = "\n".join(PEER_PACKAGES)
     if not (stamp.exists() and stamp.read_text(encoding="utf-8") == wanted):
-        print(f"making the peers' virtual environment in {folder}", file=sys.stderr)
+        print(f"creating the peers' virtual environment in {folder}", file=sys.stderr)
         venv.create(folder, with_pip=True, clear=True)
         pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", *PEER_PACKAGES]
         done = subprocess.run(pip, stderr=subprocess.PIPE, text=True, check=False)
@@ -103,13 +103,13 @@ def peers_python() -> str:
 
 
 def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str], rounds: int) -> Report:
-    """Time everything, in rounds in which all take turns.
+    """Time all environments, in rounds in which all take turns.
 
     Args:
-        engines: to be measured, all of them installed.
-        num_envs: sizes of the vector environments; the engine with threads is measured at the greatest.
-        peers: ids out of `PEERS`.
-        rounds: how often.
+        engines: installed engines to measure.
+        num_envs: sizes of the vector environments; two threads are measured at the largest.
+        peers: ids from `PEERS`.
+        rounds: number of rounds.
 
     Raises:
         BenchError: An environment failed, or the peers cannot be installed.
@@ -160,7 +160,7 @@ def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str
 
 
 def marks(report: Report) -> list[tuple[str, float, str, bool | None]]:
-    """What is asked of MuJoCo's figures: the mark, the figure, the bound, and whether it is kept; None where none can say."""
+    """Requirements on MuJoCo's figures: name, figure, bound, and whether it is met; None if that cannot be decided."""
     engines, peers = report["engines"], report["peers"]
     if "mujoco" not in engines:
         return []
@@ -196,24 +196,24 @@ def lines(report: Report) -> list[str]:
         text.append(f"  {name:<24} {rates}   outside the engine {outside}   reset of a world {resets} ms")
     for name, rate in report["peers"].items():
         text.append(f"  {name:<24} n = 1: {rate:6.0f}   {report['peers_control_hz'][name]:g} commands a second")
-    signs = {True: "✓", False: "✗", None: "? (this machine gives no second processor)"}
+    signs = {True: "✓", False: "✗", None: "? (no second processor is available)"}
     return [*text, "marks", *(f"  {name}: {figure:.3g} ({bound}) {signs[kept]}" for name, figure, bound, kept in marks(report))]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac bench`."""
     parser.description = " ".join(__doc__.partition("\n\n")[2].split())
-    parser.add_argument("--engine", choices=ENGINES, action="append", help="only this one; can be given again")
+    parser.add_argument("--engine", choices=ENGINES, action="append", help="only this engine; may be repeated")
     parser.add_argument("--num-envs", type=whole_number(1), nargs="+", default=NUM_ENVS, metavar="N",
                         help="sizes of the vector environments (default: 1 16 64)")  # fmt: skip
-    parser.add_argument("--rounds", type=whole_number(1), default=9, metavar="N", help="default: %(default)s")
-    parser.add_argument("--no-peers", action="store_true", help="without the other libraries, which are downloaded once")
+    parser.add_argument("--rounds", type=whole_number(1), default=9, metavar="N", help="number of rounds (default: %(default)s)")
+    parser.add_argument("--no-peers", action="store_true", help="without the other libraries (they need a download)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure and print."""
+    """Run the command: measure and print."""
     installed = [engine for engine in ENGINES if find_spec(engine)]
     missing = [engine for engine in arguments.engine or [] if engine not in installed]
     if missing:

@@ -1,7 +1,7 @@
-"""One process of `hpac bench`: makes an environment and times it on request.
+"""Worker process of `hpac bench`: creates an environment and times it on request.
 
-It reads requests from standard input, one JSON object a line, and answers each with one. It is run as a script, also by the
-Python of the peers' virtual environment, and so imports this package only for this package's environments.
+It reads requests from standard input, one JSON object per line, and answers each with one. It runs as a script, also in the
+peers' virtual environment, and therefore imports this package only for this package's environments.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import gymnasium
 import numpy as np
 
 WARM_UP_STEPS = 20
-"""Until the hand has closed on its can; the peers make as many."""
+"""Steps until the hand has closed on its can; also the warm-up of the peers."""
 HELD_STEPS = 40
-"""After that, until an episode of the grasp task would come to its end."""
+"""Steps after that, until an episode of the grasp task would end."""
 
 
 class Hands:
@@ -34,7 +34,7 @@ class Hands:
         can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
         opposed = np.array([0, 0, 0, 0, 0, 1.2])
         self.options = {"setup": SceneSetup(can, np.array([0.048, 0.004, 0.112]), 0.0, opposed)}
-        if hasattr(os, "sched_setaffinity"):  # an engine takes as many threads as there are processors for it
+        if hasattr(os, "sched_setaffinity"):  # an engine uses one thread per available processor
             os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
         self.env = HandVectorEnv(Grasp(), num_envs, engine=engine)
         self.opened, self.closed = np.array([-1, -1, -1, -1, -1, 0.5]), np.array([0.3, 1, 1, 1, 1, 0.5])
@@ -59,7 +59,7 @@ class Hands:
         self.step_of_episode += 1
 
     def measure(self, steps: int) -> dict[str, float]:
-        """Rates over so many steps of closed hands; resets and the closing itself are left out."""
+        """Step rates of closed hands, excluding resets and the closing itself."""
         wall = cpu = inside = 0.0
         for step in range(steps):
             if step % HELD_STEPS == 0:
@@ -74,7 +74,7 @@ class Hands:
         return {"per_cpu_second": env_steps / cpu, "per_second": env_steps / wall, "outside": 1 - inside / cpu}
 
     def resets(self, count: int) -> dict[str, float]:
-        """CPU time of starting a drawn episode in each world [ms], for one of them, median."""
+        """Median CPU time per world of starting a random episode [ms]."""
         times = []
         for seed in range(count):
             start = process_time()
@@ -94,7 +94,7 @@ class Peer:
         self.rng = np.random.default_rng(0)
 
     def measure(self, steps: int) -> dict[str, float]:
-        """Rates over so many steps of one episode."""
+        """Step rates within one episode."""
         shape = self.env.action_space.shape
         self.env.reset(seed=0)
         actions = self.rng.uniform(-1, 1, (WARM_UP_STEPS + steps, *shape)).astype(np.float32)
@@ -108,10 +108,10 @@ class Peer:
 
 
 class Arithmetic:
-    """Plain arithmetic, which says how much of a second processor this machine gives."""
+    """Plain arithmetic, which shows how much of a second processor is available."""
 
     def measure(self, steps: int) -> dict[str, float]:
-        """Rates of so many thousand multiplications."""
+        """Rates of 1000 × steps multiplications."""
         start, began, value = process_time(), perf_counter(), 1.0
         for _ in range(1000 * steps):
             value = value * 1.0000001 + 1e-9
@@ -122,7 +122,7 @@ KINDS = {"hands": Hands, "peer": Peer, "arithmetic": Arithmetic}
 
 
 def main() -> None:
-    """Answer requests until standard input ends. What libraries print goes to standard error."""
+    """Answer requests until standard input ends. Output of libraries goes to standard error."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     made: Any = None

@@ -1,19 +1,19 @@
-"""The exceptions of hpac_gym: one tree, each also a built-in type.
+"""The exceptions of hpac_gym: one hierarchy; each is also a built-in type.
 
-Messages name the value, the bound and the unit, so that a command line can print them as they are.
+Messages contain the value, the bound and the unit, so that a command can print them unchanged.
 """
 
 
 class HpacError(Exception):
-    """Base of every error that this library raises on purpose."""
+    """Base class of every error that this library raises deliberately."""
 
 
 class ShapeError(HpacError, ValueError):
-    """An array has the wrong shape, or holds something that is not a finite number."""
+    """An array has the wrong shape or contains a value that is not finite."""
 
 
 class WorkspaceError(HpacError, ValueError):
-    """A joint, synergy, servo or action value lies outside of what the hand can do."""
+    """A joint, synergy, servo or action value lies outside the hand's workspace."""
 
 
 class ParameterError(HpacError, ValueError):
@@ -21,4 +21,4 @@ class ParameterError(HpacError, ValueError):
 
 
 class EpisodeError(HpacError, RuntimeError):
-    """A call that does not fit the state of an environment: before reset, after the end, or after close."""
+    """A call is invalid in the present state of an environment: before reset, after the end, or after close."""

@@ -1,4 +1,4 @@
-"""Writing results: tables, and files that appear whole or not at all."""
+"""Writing of results: tables, and atomic file writes."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from hpac_gym.errors import HpacError
 
 
 class OutputError(HpacError, OSError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to the requested place."""
 
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside `path`, which takes its place when the block ends, and is removed when it fails.
+    """Yield a temporary path next to `path`, which replaces `path` when the block ends and is removed if the block fails.
 
     Raises:
-        OutputError: The folder cannot be made or written to, or the disk is full.
+        OutputError: The folder cannot be created or written to, or the disk is full.
     """
     path = Path(path)
     try:
@@ -46,20 +46,20 @@ def markdown(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file, whole or not at all.
+    """Write a text file atomically.
 
     Raises:
-        OutputError: As `replacing`.
+        OutputError: As in `replacing`.
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def writable_folder(path: Path) -> Path:
-    """The folder, made if it was not there: so that a long run does not find out at its end.
+    """Create a folder if needed and check that it is writable, so that a long run does not fail at its end.
 
     Raises:
-        OutputError: It cannot be made, or not be written to.
+        OutputError: The folder cannot be created or written to.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)

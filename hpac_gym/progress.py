@@ -1,4 +1,4 @@
-"""A progress bar on standard error, for whatever takes over two seconds."""
+"""A progress bar on standard error for loops that take longer than two seconds."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 _WIDTH = 30
-_PATIENCE = 2.0  # s, what ends sooner shows nothing
+_PATIENCE = 2.0  # s, shorter loops show no bar
 
 
 def progress(items: Collection[Item], label: str, shown: bool = True) -> Iterator[Item]:
-    """The items, with a bar that appears after two seconds where standard error is a terminal.
+    """Iterate over items, with a progress bar that appears after two seconds if standard error is a terminal.
 
     Args:
-        items: what to go through.
-        label: what stands before the bar.
-        shown: False for none at all.
+        items: the items.
+        label: text in front of the bar.
+        shown: False for no bar.
     """
     start, drawn, shown = monotonic(), False, shown and sys.stderr.isatty()
     for done, item in enumerate(items):

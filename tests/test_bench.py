@@ -62,7 +62,7 @@ def test_what_is_not_measured_has_no_mark():
     assert bench.marks(report) == []
 
 
-@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+@pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
 def test_an_engine_is_measured(engine, capsys):
     assert main(["bench", "--engine", engine, "--num-envs", "1", "2", "--rounds", "1", "--no-peers", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

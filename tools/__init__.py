@@ -1,1 +1,1 @@
-"""The workshop: generators, searches and benchmarks that are run from a checkout and are no part of the wheel."""
+"""Development tools: generators, searches and benchmarks, run from a checkout and not part of the wheel."""

@@ -1,8 +1,8 @@
-"""What HPAC-GraspAny-v0 leaves to find: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
+"""Headroom of HPAC-GraspAny-v0: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
 
-``script`` searches better closures for the script, on training objects. ``ceiling`` counts the episodes of a split that some
-closure holds. ``touch`` learns a second decision, from what each observation tells once the hand is closed, and sets them side
-by side. All on MuJoCo with nominal hands; an episode ends after the shake, which decides whether it is won.
+``script`` searches better closures for the script, on training objects. ``ceiling`` counts the episodes of a split that at
+least one closure holds. ``touch`` learns a second decision from each observation once the hand is closed, and compares the
+observations. All on MuJoCo with nominal hands; an episode ends after the shake, which decides its success.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from hpac_gym.tasks.senses import LOAD_TERMS
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
 
 Act = Callable[[int, NDArray], NDArray]
-"""Actions, shape (n, 6), of a step and the observations, shape (n, observed)."""
+"""Function from a step and the observations, shape (n, observed), to actions, shape (n, 6)."""
 
 
 class Player:
-    """n episodes at a time of one split.
+    """Runs batches of n episodes of one split.
 
     Args:
         objects: the split.
-        count: n.
+        count: batch size n.
 
     Attributes:
-        task: what is played; its *privileged* observation is *deploy*, then *load*, then the rest.
+        task: the task; its *privileged* observation is *deploy*, then *load*, then the rest.
     """
 
     def __init__(self, objects: str, count: int = 64) -> None:
@@ -56,16 +56,16 @@ class Player:
         self._episodes = Episodes(self.task, count, checked_options(obs="privileged", engine="mujoco"))
 
     def play(self, seeds: Sequence[int], begin: Callable[[NDArray, NDArray], Act]) -> NDArray[np.bool_]:
-        """Whether the episodes of seeds are won, shape (len(seeds),).
+        """Run the episodes of the seeds and return their successes, shape (len(seeds),).
 
         Args:
-            seeds: any number of them.
-            begin: gets the first observations of n episodes and their places among the seeds, and returns what acts in them.
+            seeds: any number of seeds.
+            begin: takes the first observations of n episodes and their indices in `seeds`, and returns the policy for them.
         """
         won, count = np.zeros(len(seeds), bool), self.count
         for first in progress(range(0, len(seeds), count), "episodes"):
             part = range(first, min(first + count, len(seeds)))
-            drawn = [*part, *[first] * (count - len(part))]  # worlds that are left over play the first one again
+            drawn = [*part, *[first] * (count - len(part))]  # surplus worlds repeat the first seed
             self._episodes.reset(list(range(count)), [seeding.np_random(int(seeds[place]))[0] for place in drawn])
             act, over = begin(self._episodes.observe(), np.array(drawn)), np.zeros(count, bool)
             for step in range(round(self.task.duration * CONTROL_HZ)):
@@ -86,21 +86,21 @@ def _rate(won: int, episodes: int) -> str:
 
 LOWEST = np.array([-0.5, 0.2, 0.2, 0.2, 0.2, -0.25, 10.0, -6.0])
 HIGHEST = np.array([0.8, 1.0, 1.0, 1.0, 1.0, 0.8, 28.0, 12.0])
-"""Of random closures: actions of the six goals, duration and delay of the thumb [control steps]."""
+"""Bounds of random closures: actions of the six goals, duration and thumb delay [control steps]."""
 CLOSURES = Closures(goal=(-1.0, 1.0), duration=(10.0, 28.0), thumb_delay=(-6.0, 12.0))
 TRIES = (1, 4, 16, 64)
 
 
 def drawn_closure(seed: int, number: int) -> NDArray[np.float64]:
-    """The decision of the closure that is tried at a seed after so many others, shape (8,), −1…1."""
+    """Decision of the random closure of a seed and trial number, shape (8,), −1…1."""
     return decision_of(CLOSURES, np.random.default_rng([seed, number, 3]).uniform(LOWEST, HIGHEST))
 
 
 def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, int]:
-    """How many random closures it took to win, at most so many, by seed; seeds that none won are left out."""
+    """Number of random closures up to the first success, at most ``most``, by seed; seeds without success are absent."""
     tried, found = dict.fromkeys(seeds, 0), {}
     while left := [seed for seed in seeds if seed not in found and tried[seed] < most]:
-        each = -(-player.count // len(left))  # no world is left without work
+        each = -(-player.count // len(left))  # keeps all worlds busy
         jobs = [(seed, number) for seed in left for number in range(tried[seed], min(tried[seed] + each, most))]
         decisions = np.array([drawn_closure(*job) for job in jobs])
         won = player.play([seed for seed, _ in jobs], partial(_closing, decisions))
@@ -117,7 +117,7 @@ def _closing(decisions: NDArray, first: NDArray, places: NDArray) -> Act:
 
 
 def ceiling(objects: str, seeds: range) -> Iterator[str]:
-    """How many episodes random closures hold, in lines."""
+    """Success rates of the best of several random closures, as lines."""
     found = first_winners(Player(objects), seeds, TRIES[-1])
     for most in TRIES:
         yield f"{objects}, best of {most} random closures: {_rate(sum(n <= most for n in found.values()), len(seeds))}"
@@ -126,16 +126,16 @@ def ceiling(objects: str, seeds: range) -> Iterator[str]:
 # The script ------------------------------------------------------------------------------------------------------------
 
 SPREAD = np.array([0.12, 0.12, 0.12, 0.12, 0.20])
-"""Of the closures that are tried around a kind's, in the order of `AnyClosure`'s numbers, at first."""
+"""Initial standard deviations of the search around a kind's closure, in the order of `AnyClosure`'s numbers."""
 BOUNDS = np.array([[0.3, 0.1, 0.6, -0.5, 0.4], [1.57, 1.2, 1.3, 0.6, 1.6]])
 ROUNDS, EPISODES, JUDGED_FROM = 6, 256, 500_000
-"""How often a kind's closure moves, training episodes of each round, and the first training seed that judges."""
+"""Number of rounds, training episodes per round, and first training seed of the evaluation."""
 
 Kind = tuple[bool, int]
 
 
 def play_script(player: Player, seeds: Sequence[int], closure: Callable[[Kind], AnyClosure]) -> tuple[list, NDArray]:
-    """Kind and closure of each episode, and whether it is won."""
+    """Run the script; returns kind and closure of each episode, and the successes."""
     kinds, used = [], []
 
     def begin(first: NDArray, places: NDArray) -> Act:
@@ -152,7 +152,7 @@ def play_script(player: Player, seeds: Sequence[int], closure: Callable[[Kind], 
 
 
 def script() -> Iterator[str]:
-    """Better closures of the kinds, each moved towards what won; then both, on the same training episodes."""
+    """Search better closures of the kinds, moving each towards its successes; then compare both on the same episodes."""
     player, rng, seed = Player("train"), np.random.default_rng(5), 10_000
     means = {kind: np.array(astuple(closure)) for kind, closure in ANY_CLOSURES.items()}
     for number in range(ROUNDS):
@@ -180,25 +180,25 @@ def script() -> Iterator[str]:
 # A second decision -----------------------------------------------------------------------------------------------------
 
 DECIDED = 26
-"""Control steps after which the script has closed the hand, and the second decision is taken."""
+"""Control step of the second decision, when the script has closed the hand."""
 CHOICES = ("keep", "squeeze", "another")
-"""Hold on; close farther by `SQUEEZE`; open for `OPENING` control steps, and try a random closure of `drawn_closure`."""
+"""Keep still; close further by `SQUEEZE`; open for `OPENING` control steps and try a random closure of `drawn_closure`."""
 SQUEEZE, OPENING = 0.3, 11
 OPEN = np.append(-np.ones(5), 2 * THUMB_OPPOSED / HPAC.synergy_max[-1] - 1).astype(np.float32)
 """Action of the open hand with its thumb opposed."""
 RUNS, TRAINING_EPISODES = 3, 320
-"""Disjoint sets of training episodes; each episode is played with every choice, 97 steps each: 93,000 steps a run."""
+"""Disjoint training sets and their episodes; each episode runs with every choice, 97 steps each: 93,000 steps a set."""
 UPDATES = 80
-"""Of each network; with its size and its dropout chosen on training episodes alone, one run's foretelling the next one's."""
+"""Updates of each network; chosen, like size and dropout, on training episodes only, one set predicting the next."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Episodes in which the script closes the hand, played with each of the choices.
+    """Episodes in which the script closes the hand, run with each of the choices.
 
     Attributes:
         seen: observations at the first step and at the decision, shape (n, 2, observed).
-        won: whether each choice wins, shape (n, len(CHOICES)).
+        won: success of each choice, shape (n, len(CHOICES)).
     """
 
     seen: NDArray
@@ -206,7 +206,7 @@ class Trials:
 
 
 def trials_of(player: Player, seeds: range, folder: Path) -> Trials:
-    """Those of files in the folder, one for as many seeds as a player has worlds; what is not there yet is played."""
+    """Read trials from files in the folder, one file per batch of seeds; missing ones are run and written."""
     parts = []
     for first in range(seeds.start, seeds.stop, player.count):
         part = range(first, min(first + player.count, seeds.stop))
@@ -222,7 +222,7 @@ def trials_of(player: Player, seeds: range, folder: Path) -> Trials:
 
 
 def _decided(task: GraspAny, choice: str, seeds: range, looks: dict[int, NDArray], first: NDArray, places: NDArray) -> Act:
-    """The script with a choice after `DECIDED` steps; what was seen then and at first is put into `looks`."""
+    """The script with a choice after `DECIDED` steps; `looks` gets the first observation and the one at the decision."""
     scripts = [ScriptedGraspAny(task) for _ in first]
     others = np.array([drawn_closure(seeds[place], 0) for place in places])
     for script in scripts:
@@ -245,16 +245,16 @@ def _decided(task: GraspAny, choice: str, seeds: range, looks: dict[int, NDArray
 
 
 def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
-    """Probability that each choice wins, learned from trials by five small networks.
+    """Success probability of each choice, learned from trials by five small networks.
 
     Args:
-        seen: what is known of each episode, shape (n, k).
-        won: shape (n, m).
-        asked: what is known of other episodes, shape (l, k).
-        seed: of the networks.
+        seen: observations of the training episodes, shape (n, k).
+        won: their successes, shape (n, m).
+        asked: observations of the evaluated episodes, shape (l, k).
+        seed: seed of the networks.
 
     Returns:
-        Shape (l, m).
+        Probabilities, shape (l, m).
     """
     import torch
     from torch import nn
@@ -277,7 +277,7 @@ def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
 
 
 def arms(seen: NDArray, task: GraspAny) -> dict[str, NDArray]:
-    """What each observation tells in both looks, by its name, each of shape (n, k)."""
+    """Both observations of each episode, by observation mode, each of shape (n, k)."""
     deploy = sum(len(term.labels) for term in task.terms)
     load = deploy + sum(len(term.labels) for term in LOAD_TERMS)
     everything = np.arange(seen.shape[2])
@@ -286,7 +286,7 @@ def arms(seen: NDArray, task: GraspAny) -> dict[str, NDArray]:
 
 
 def _mean(values: NDArray) -> str:
-    """Mean over runs and episodes, shape (runs, episodes), with the 95 % interval of drawing both anew."""
+    """Mean over runs and episodes, shape (runs, episodes), with a 95 % bootstrap interval over both."""
     rng, (runs, episodes) = np.random.default_rng(0), values.shape
     drawn = [values[rng.integers(runs, size=runs)][:, rng.integers(episodes, size=episodes)].mean() for _ in range(2_000)]
     low, high = np.percentile(drawn, (2.5, 97.5))
@@ -294,10 +294,10 @@ def _mean(values: NDArray) -> str:
 
 
 def touch(episodes: int, folder: Path) -> Iterator[str]:
-    """A table in Markdown: what the second decision wins by what it is taken on, on held-out and on real objects.
+    """Markdown table of the success of the second decision by its observation, on held-out and on real objects.
 
-    The last columns say how well each observation foretells whether the hand that keeps still will win: the loss is the mean
-    negative logarithm of the probability that was given to what came to be.
+    The last columns measure how well each observation predicts success if the hand keeps still: the loss is the mean
+    negative log-likelihood of the outcome.
     """
     player = Player("train")
     trained = trials_of(player, range(RUNS * TRAINING_EPISODES), folder)
@@ -325,11 +325,11 @@ def touch(episodes: int, folder: Path) -> Iterator[str]:
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.any_closures", __doc__)
-    parser.add_argument("what", choices=("script", "ceiling", "touch"), help="what to find")
-    parser.add_argument("--objects", choices=SPLITS, default="real", help="of the ceiling: the split")
-    parser.add_argument("--episodes", type=whole_number(1), default=200, help="that judge, of each split")
-    parser.add_argument("--seed-start", type=whole_number(0), default=BENCHMARK_SEED, help="of the ceiling: the first seed")
-    parser.add_argument("--trials", type=Path, default=Path("runs/touch"), help="of touch: folder of what was played")
+    parser.add_argument("what", choices=("script", "ceiling", "touch"), help="which result to compute")
+    parser.add_argument("--objects", choices=SPLITS, default="real", help="split of the ceiling")
+    parser.add_argument("--episodes", type=whole_number(1), default=200, help="evaluation episodes per split")
+    parser.add_argument("--seed-start", type=whole_number(0), default=BENCHMARK_SEED, help="first seed of the ceiling")
+    parser.add_argument("--trials", type=Path, default=Path("runs/touch"), help="folder of the trials of touch")
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)
     found = {"script": script, "ceiling": partial(ceiling, args.objects, seeds),

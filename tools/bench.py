@@ -1,6 +1,6 @@
 """Speed of the model and of the command line: ``python -m tools.bench``. ``hpac bench`` measures the environments.
 
-Every figure stands beside a bare one of the same run: the same map without checks and names, or an interpreter's own start.
+Every figure is compared with a bare one of the same run: the same map without checks and names, or an interpreter's own start.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROUNDS = 9
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measured figure, and the same of a bare counterpart."""
+    """One measured figure, and that of a bare counterpart."""
 
     name: str
     value: float
@@ -36,7 +36,7 @@ class Row:
 
 
 def seconds_per_call(call: Callable[[], object], calls: int, rounds: int = ROUNDS) -> float:
-    """Time of one call, best round of several: what the machine's other work did not disturb [s]."""
+    """Time of one call in the best of several rounds, the one least disturbed by other load [s]."""
     best = float("inf")
     for _ in range(rounds):
         start = perf_counter()
@@ -47,7 +47,7 @@ def seconds_per_call(call: Callable[[], object], calls: int, rounds: int = ROUND
 
 
 def bare_servo_from_joints(joint_pos: np.ndarray) -> np.ndarray:
-    """Eq. (15) as one vectorised map: no checks, no limits."""
+    """Eq. (15) as one vectorised map without checks and limits."""
     synergy = joint_pos @ HPAC.synergy_projection.T
     chord = np.sqrt(HPAC.guide_sum - HPAC.guide_product * np.cos(HPAC.guide_alpha - synergy[..., :5]))
     synergy[..., :5] = (HPAC.rest_chord - chord) / HPAC.servo_radius
@@ -55,13 +55,13 @@ def bare_servo_from_joints(joint_pos: np.ndarray) -> np.ndarray:
 
 
 def bare_servo_from_action(action: np.ndarray) -> np.ndarray:
-    """An action's posture and Eq. (15), no checks, no limits."""
+    """Posture of an action and Eq. (15), without checks and limits."""
     synergy = HPAC.synergy_min + 0.5 * (action + 1) * (HPAC.synergy_max - HPAC.synergy_min)
     return bare_servo_from_joints(synergy[..., HPAC.servo_of_joint] * HPAC.elastic_ratio)
 
 
 def model_rows() -> list[Row]:
-    """One command with all its checks, and a batch of postures on one core."""
+    """Time one command with all its checks, and a batch of postures on one core."""
     rng = np.random.default_rng(0)
     action = rng.uniform(-1, 1, 6)
     one = 1e6 * seconds_per_call(lambda: servo_from_action(action), 2000)
@@ -76,7 +76,7 @@ def model_rows() -> list[Row]:
 
 
 def cpu_seconds(*words: str) -> float:
-    """CPU time of a run of this Python with some arguments, best of several [s]."""
+    """CPU time of a run of this Python with the given arguments, best of several [s]."""
     best = float("inf")
     for _ in range(ROUNDS):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -87,13 +87,13 @@ def cpu_seconds(*words: str) -> float:
 
 
 def start_row() -> Row:
-    """The list of commands, beside an interpreter that does nothing."""
+    """Time the list of commands, compared with an idle interpreter."""
     start, bare = 1e3 * cpu_seconds("-m", "hpac", "--help"), 1e3 * cpu_seconds("-c", "pass")
     return Row("hpac --help", start, "ms", bare, start / bare)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measure and print."""
+    """Run the command: measure and print."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench", description="Speed of the model and of the command line.")
     parser.add_argument("--json", action="store_true", help="print one list of objects")
     as_json = parser.parse_args(argv).json

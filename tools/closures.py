@@ -1,8 +1,8 @@
-"""Search a winning closure for every held-out seed of HPAC-Grasp-v0, and the best blind one: ``python -m tools.closures``.
+"""Search a successful closure for every held-out seed of HPAC-Grasp-v0, or the best blind one: ``python -m tools.closures``.
 
-For each seed closures are drawn, from a generator of the seed's own, until one holds the object or so many were tried. What is
-done is written at once, seed by seed, and a second call goes on where the first one ended. ``--blind`` instead prints the
-closure that holds the most episodes of training seeds, halving the field round by round, judged on the held-out ones.
+For each seed, closures are sampled from the seed's own generator until one holds the object or `--tries` is reached. Results are
+written seed by seed, and a second call resumes where the first one ended. ``--blind`` instead prints the closure that holds the
+most episodes of training seeds, found by successive elimination, and evaluates it on the held-out seeds.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from hpac_gym.evaluation.workers import worker_pool
 ENV_ID = "HPAC-Grasp-v0"
 TARGET = Path(closures.__file__).parent / "data" / FILE
 ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
-"""How many closures are left in each round of the search for a blind one, and how many more episodes each then meets."""
+"""Remaining closures and additional episodes per closure in each round of the search for a blind one."""
 
 _env: gymnasium.Env
 
 
 def prepare(engine: str) -> None:
-    """Make this process's environment."""
+    """Create the environment of this process."""
     global _env
     _env = gymnasium.make(f"hpac_gym:{ENV_ID}", engine=engine)
 
 
 def holds(closure: Closure, seed: int) -> bool:
-    """Whether a closure holds the object of a seed to the end."""
+    """Whether a closure succeeds in the episode of a seed."""
     _env.reset(seed=seed)
     step, over = 0, False
     while not over:
@@ -47,7 +47,7 @@ def holds(closure: Closure, seed: int) -> bool:
 
 
 def search(seed: int, most: int) -> Try:
-    """The first of at most so many closures that wins a seed."""
+    """Search the first successful closure of a seed, among at most ``most``."""
     rng = np.random.default_rng([seed, 2])
     for tries in range(1, most + 1):
         closure = Closure.drawn(rng)
@@ -57,12 +57,12 @@ def search(seed: int, most: int) -> Try:
 
 
 def wins(closure: Closure, first_seed: int, episodes: int) -> int:
-    """In how many episodes a closure holds the object."""
+    """Number of episodes in which a closure succeeds."""
     return sum(holds(closure, first_seed + number) for number in range(episodes))
 
 
 def search_all(work, seeds: range, most: int) -> None:
-    """Write the winning closures that the file does not have yet."""
+    """Search and write the closures that are missing in the file."""
     rows = TARGET.read_text(encoding="utf-8").splitlines() if TARGET.exists() else [",".join(COLUMNS)]
     known = {found.seed: found for found in map(Try.of_row, rows[1:])}
     missing = [seed for seed in seeds if seed not in known]
@@ -76,7 +76,7 @@ def search_all(work, seeds: range, most: int) -> None:
 
 
 def search_blind(work, seeds: range) -> None:
-    """Print the best blind closure of ``ROUNDS``."""
+    """Search the best blind closure in ``ROUNDS`` and print it."""
     rng, met = np.random.default_rng(0), 0
     field = [(0, Closure.drawn(rng)) for _ in range(ROUNDS[0][0])]
     for left, episodes in ROUNDS:
@@ -94,10 +94,10 @@ def search_blind(work, seeds: range) -> None:
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.closures", __doc__)
     parser.add_argument("--blind", action="store_true", help="search the best blind closure instead")
-    parser.add_argument("--seeds", type=whole_number(1), default=400, help=f"how many, from {HELD_OUT_SEED} on")
-    parser.add_argument("--tries", type=whole_number(1), default=256, help="closures for each seed at most")
-    parser.add_argument("--engine", default="pybullet", help="which engine judges")
-    parser.add_argument("--workers", type=whole_number(1), default=1, help="processes")
+    parser.add_argument("--seeds", type=whole_number(1), default=400, help=f"number of seeds, from {HELD_OUT_SEED} on")
+    parser.add_argument("--tries", type=whole_number(1), default=256, help="maximal number of closures per seed")
+    parser.add_argument("--engine", default="pybullet", help="physics engine")
+    parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     args = parser.parse_args(argv)
     seeds = range(HELD_OUT_SEED, HELD_OUT_SEED + args.seeds)
     with worker_pool(args.workers, prepare, (args.engine,)) as work:

@@ -1,6 +1,6 @@
-"""Film strips of an environment, one row an episode; ``python -m tools.film_strip`` draws them.
+"""Film strips of an environment with one row per episode: ``python -m tools.film_strip``.
 
-The pages of ``docs/environments`` have the command of the picture that each shows.
+Each page of ``docs/environments`` gives the command for its picture.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
 
 FRAME = (300, 225)
-"""Size of a picture on the strip [px]; its caption stands above it."""
+"""Size of a picture on the strip, without its caption above [px]."""
 CAPTION, BORDER = 26, 2  # px
 INK, RULE = (40, 40, 40), (225, 225, 225)
 
 
 class StraightToGoal:
-    """Commands the goal's six driven joints from the first step on: the script for a goal environment."""
+    """Scripted policy for a goal environment: commands the goal's six driven joints from the first step on."""
 
     def reset(self, seed: int) -> None:
-        """Nothing to forget."""
+        """Do nothing: the policy has no state."""
 
     def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
-        """The action that stands for the goal, shape (6,), −1…1."""
+        """The action that corresponds to the goal, shape (6,), −1…1."""
         synergy = observation["desired_goal"][[JOINT_INDEX[name] for name in SERVOS]]
         return np.clip(action_from_synergy(synergy), -1.0, 1.0).astype(np.float32)
 
 
 def film_strip(env: gymnasium.Env, policy: Policy, seed: int, times: Sequence[float]) -> list[Image.Image]:
-    """Pictures of one episode, after the control steps that end nearest to these times [s]; none after its end."""
+    """Pictures of one episode after the control steps closest to these times [s], up to its end."""
     wanted, pictures = {max(1, round(time / env.unwrapped.dt)) for time in times}, []
     for step, (_, info) in enumerate(control_steps(env, policy, seed), 1):
         if step in wanted:
@@ -55,7 +55,7 @@ def film_strip(env: gymnasium.Env, policy: Policy, seed: int, times: Sequence[fl
 
 
 def caption(time: float, info: dict[str, Any]) -> str:
-    """A moment in words: the time, and what `info` says of it."""
+    """Caption with the time, and phase, outcome or error from `info`."""
     words = [f"{time:.3g} s"]
     if "phase" in info:
         words.append(info["phase"] if info["outcome"] == "running" else info["outcome"])
@@ -65,7 +65,7 @@ def caption(time: float, info: dict[str, Any]) -> str:
 
 
 def sheet(rows: Sequence[Sequence[Image.Image]]) -> Image.Image:
-    """The strips below each other; a short one ends in white."""
+    """The strips below each other; short ones are padded with white."""
     width, height = FRAME[0] + BORDER, CAPTION + FRAME[1] + BORDER
     image = Image.new("RGB", (max(map(len, rows)) * width - BORDER, len(rows) * height - BORDER), "white")
     draw = ImageDraw.Draw(image)
@@ -79,10 +79,10 @@ def sheet(rows: Sequence[Sequence[Image.Image]]) -> Image.Image:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns its exit status."""
     parser = Parser(prog="python -m tools.film_strip", description="Draw episodes as strips of pictures.")
-    parser.add_argument("id", help="of the environment, such as HPAC-Grasp-v0")
+    parser.add_argument("id", help="id of the environment, such as HPAC-Grasp-v0")
     parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
     parser.add_argument("--seeds", nargs="+", type=whole_number(0), default=[0], metavar="SEED", help="one row each (default: 0)")
-    parser.add_argument("--at", nargs="+", type=float, required=True, metavar="SECONDS", help="one picture each")
+    parser.add_argument("--at", nargs="+", type=float, required=True, metavar="SECONDS", help="times of the pictures")
     parser.add_argument("--out", type=Path, default=Path("runs/film_strip.png"), metavar="PNG", help="default: %(default)s")
     options = parser.parse_args(argv)
     return run(lambda: _draw(options))

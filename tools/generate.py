@@ -1,4 +1,4 @@
-"""Write every generated file of the checkout: ``make generate``. ``--check`` compares and exits with status 1 when one is stale.
+"""Write every generated file of the checkout: ``make generate``. ``--check`` compares; status 1 if one is out of date.
 
 Model files come from ``hpac_gym/body/data`` and the hand's parameters, the procedural objects from ``tools/object_families.py``,
 the firmware's header, ``docs/wire.md`` and its test vectors from the protocol and the hand's parameters, the tables of
@@ -29,7 +29,7 @@ _NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 
 def generated() -> dict[Path, str]:
-    """Every generated file and what it must contain."""
+    """Path and required contents of every generated file."""
     urdf, mjcf, geometry = ROOT / "assets" / "urdf", ROOT / "assets" / "mjcf", load_geometry()
     return {
         urdf / HAND_URDF: hand_urdf(geometry),
@@ -43,9 +43,9 @@ def generated() -> dict[Path, str]:
 
 
 def is_stale(path: Path, text: str) -> bool:
-    """Whether a file is missing or says something else.
+    """Whether a file is missing or has other contents.
 
-    Numbers of a model file may differ after the eighth digit: the last digit of a sine differs between processors.
+    Numbers of a model file may differ after the eighth digit, since the last digit of a sine depends on the processor.
     """
     if not path.exists():
         return True
@@ -59,7 +59,7 @@ def is_stale(path: Path, text: str) -> bool:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Write or check the files; the exit status says whether they were up to date."""
+    """Write or check the files; the exit status is 1 if ``--check`` finds one out of date."""
     parser = argparse.ArgumentParser(prog="python -m tools.generate", description="Write every generated file.")
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
     check = parser.parse_args(argv).check

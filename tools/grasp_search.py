@@ -1,8 +1,8 @@
-"""Search for a grasp type: ``python -m tools.grasp_search NAME`` moves the posture, the object's place and the wrist's turn.
+"""Optimise a grasp type: ``python -m tools.grasp_search NAME`` varies posture, object position and wrist rotation.
 
-An evolution strategy: each generation draws candidates about a mean, runs each in the engines given, on seeds that no later
-judgement uses, with the nominal hand and with ``randomize="hand"``, and moves the mean towards the best quarter. What is found is
-written to the data of posture and type with ``--write``; ``python -m tools.grasp_types`` judges it on other seeds.
+An evolution strategy: each generation samples candidates around a mean, runs each in the given engines, on seeds that no later
+evaluation uses, with the nominal hand and with ``randomize="hand"``, and moves the mean towards the best quarter. ``--write``
+writes the result to the data of posture and type; ``python -m tools.grasp_types`` evaluates it on other seeds.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspType
 ROOT = Path(__file__).parents[1] / "hpac_gym"
 POSTURES_FILE, TYPES_FILE = ROOT / "model/data/postures.toml", ROOT / "tasks/data/grasp_types.toml"
 SEARCH_SEED = 5_000_000
-"""First seed of the search; the judgement begins at 1,000,000 and stays far below."""
+"""First seed of the search; evaluations start at 1,000,000 and stay far below."""
 SPREAD = np.array([0.15] * 6 + [0.10] * 6 + [0.005] * 3 + [0.10] * 3)
-"""First standard deviation of the closed synergy and the first shape [rad], the place [m], and the turn [rad]."""
+"""Initial standard deviations of closed synergy and preshape [rad], position [m], and rotation [rad]."""
 SHRINK = 0.9
 ELITE = 4
-"""One candidate of so many is kept."""
+"""One in this many candidates is kept."""
 
 
 def candidate(kind: GraspType, numbers: Array) -> GraspType:
-    """The type with other numbers.
+    """The type with other values in its data.
 
     Args:
         kind: the type.
-        numbers: closed synergy (6,), first shape (6,) [rad], place (3,) [m], turn of the wrist as a rotation vector (3,) [rad].
+        numbers: closed synergy (6,), preshape (6,) [rad], position (3,) [m], rotation vector of the wrist (3,) [rad].
     """
     closed, preshape = (np.clip(part, HPAC.synergy_min, HPAC.synergy_max).round(3) for part in np.split(numbers[:12], 2))
     turn = Rotation.from_euler("xyz", kind.start.hand_rpy) * Rotation.from_rotvec(numbers[15:])
@@ -47,7 +47,7 @@ def candidate(kind: GraspType, numbers: Array) -> GraspType:
 
 
 def score(trial: TypeTrial) -> float:
-    """How good an episode was, 0 to about 5: even one that failed has a slope towards what is wanted."""
+    """Score of an episode, 0 to about 5, graded also for failures so that the search has a gradient."""
     kept = [*trial.clauses.values(), 1.0]
     return 2.0 * trial.success + 0.5 * trial.held + trial.share + float(np.mean(kept)) + min(kept) - 2.0 * (not trial.free)
 
@@ -55,7 +55,7 @@ def score(trial: TypeTrial) -> float:
 def search(
     name: str, generations: int, population: int, engines: list[str], fixed: list[int], rng: np.random.Generator, spread: float
 ) -> GraspType:
-    """The best type that was found."""
+    """Run the search and return the resulting type."""
     kind = GRASP_TYPES[name]
     start = kind.start
     mean = np.concatenate([start.closed, start.preshape, start.position, np.zeros(3)])
@@ -87,7 +87,7 @@ def search(
 
 
 def write(found: GraspType) -> None:
-    """Put what was found into the posture's and the type's data."""
+    """Write the result to the data of the posture and the type."""
     name, start = found.start.name, found.start
     joints = np.minimum(joints_from_synergy(start.closed).round(3), np.floor(1e3 * HPAC.joint_max) / 1e3)
     parts = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
@@ -115,17 +115,17 @@ def _replace(path: Path, table: str, values: dict[str, list[float]]) -> None:
 
 
 def main() -> None:
-    """Search one type, and print or write it."""
+    """Search one type, and print or write the result."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=list(GRASP_TYPES), metavar="NAME")
     parser.add_argument("--generations", type=int, default=12)
     parser.add_argument("--population", type=int, default=24)
     parser.add_argument("--engines", nargs="+", default=["mujoco/twin/nominal", "mujoco/light/hand", "pybullet/twin/hand"],
-                        help="ENGINE/BODY/RANDOMIZE, one episode of each for every candidate (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--fixed", nargs="*", type=int, default=[], help="numbers of a candidate that stay as they are")
-    parser.add_argument("--spread", type=float, default=1.0, help="factor of the first standard deviation")
+                        help="ENGINE/BODY/RANDOMIZE, with one episode per candidate each (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--fixed", nargs="*", type=int, default=[], help="indices of a candidate's numbers that stay fixed")
+    parser.add_argument("--spread", type=float, default=1.0, help="factor of the initial standard deviations")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--write", action="store_true", help="put what was found into the data")
+    parser.add_argument("--write", action="store_true", help="write the result to the data")
     options = parser.parse_args()
     found = search(
         options.name, options.generations, options.population, options.engines, options.fixed,

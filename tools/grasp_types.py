@@ -1,7 +1,7 @@
-"""Judge the sixteen grasp types: ``python -m tools.grasp_types`` writes ``docs/grasp_types.json`` for the tables of the page.
+"""Evaluate the sixteen grasp types: ``python -m tools.grasp_types`` writes ``docs/grasp_types.json`` for the tables of the page.
 
-Every type is run on the same held-out seeds, which no search has seen, in every engine and body, on the nominal hand and on
-randomized ones. The file names the data that it was taken on: a test is red when the data has changed since.
+Every type is run on the same held-out seeds, which no search has used, in every engine and body, on the nominal hand and on
+randomized ones. The file contains a fingerprint of the data: a test fails if the data has changed since.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ RESULTS = Path(__file__).parents[1] / "docs" / "grasp_types.json"
 SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
 HANDS = ("nominal", "hand", "full")
 WORLDS = 20
-"""Worlds that MuJoCo steps at once."""
+"""Number of parallel worlds on MuJoCo."""
 
 
 def fingerprint(name: str) -> str:
-    """Of all data that a type's results hang on: its posture, and its entry in the file of types."""
+    """Fingerprint of the data that determines a type's results: its posture and its entry in the file of types."""
     entry = data_text().split(f"[{name}]\n")[1].split("\n[")
     body = "[".join(part for index, part in enumerate(entry) if index == 0 or part.startswith(f"{name}."))
     return hashlib.sha256(POSTURES[name].target_joint_pos.tobytes() + body.strip().encode()).hexdigest()[:16]
 
 
 def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
-    """Episodes of one type in one set-up: successes, what was held, which clauses failed, and by which parts it was held."""
+    """Run episodes of one type in one set-up; returns successes, holds, failed clauses and contacting parts."""
     engine, body = set_up.split("/")
     seeds = [HELD_OUT_SEED + index for index in range(episodes)]
     worlds = WORLDS if engine == "mujoco" else 1
@@ -64,12 +64,12 @@ def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
 
 
 def results() -> dict[str, Any]:
-    """What the file says, by type."""
+    """Contents of the file, by type."""
     return json.loads(RESULTS.read_text(encoding="utf-8"))
 
 
 def text_of(found: dict[str, Any]) -> str:
-    """The file's text: a line for each type, hand and set-up."""
+    """Text of the file, with one line per type, hand and set-up."""
     types = []
     for name, entry in found.items():
         rows = [f'  "data": "{entry["data"]}"']
@@ -81,7 +81,7 @@ def text_of(found: dict[str, Any]) -> str:
 
 
 def rule_table() -> str:
-    """How each grasp is executed and what makes it the one that it is called."""
+    """Table of the objects, descriptions and rules of the grasp types."""
     rows = []
     for name, kind in GRASP_TYPES.items():
         words = "; ".join(term for term, _ in kind.rule.terms())
@@ -90,7 +90,7 @@ def rule_table() -> str:
 
 
 def success_table(hand: str) -> str:
-    """Success with its Wilson 95 % interval in every engine and body; what was held without keeping to the rule in brackets."""
+    """Success with its Wilson 95 % interval in every engine and body, with the number of holds in brackets where it differs."""
     found = {name: entry[hand] for name, entry in results().items()}
     whole = {
         set_up: {key: sum(entry[set_up][key] for entry in found.values()) for key in ("successes", "held", "episodes")}
@@ -108,7 +108,7 @@ def success_table(hand: str) -> str:
 
 
 def contact_table() -> str:
-    """Which parts touch in the hold of the nominal hand's successes, and how hard."""
+    """Share of contact and mean force of each part in the holds of the nominal hand's successes."""
     rows = []
     for name, entry in results().items():
         shares, forces = (entry["nominal"][SET_UPS[0]][key] for key in ("touched", "force_newton"))
@@ -126,13 +126,13 @@ TABLES = {
 
 
 def main() -> None:
-    """Judge types and write the file."""
+    """Evaluate types and write the file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--types", nargs="+", default=list(GRASP_TYPES), choices=list(GRASP_TYPES), metavar="NAME")
-    parser.add_argument("-n", "--episodes", type=int, default=20, help="of each type on the nominal hand (default: %(default)s)")
-    parser.add_argument("-m", "--randomized", type=int, default=10, help="on each randomized hand (default: %(default)s)")
+    parser.add_argument("-n", "--episodes", type=int, default=20, help="per type on the nominal hand (default: %(default)s)")
+    parser.add_argument("-m", "--randomized", type=int, default=10, help="per type with randomization (default: %(default)s)")
     parser.add_argument("--hands", nargs="+", default=list(HANDS), choices=HANDS)
-    parser.add_argument("--out", type=Path, default=RESULTS, help="file to write; others in it stay (default: %(default)s)")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="file to update (default: %(default)s)")
     options = parser.parse_args()
     found = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
     cells = [(name, set_up, hand) for name in options.types for hand in options.hands for set_up in SET_UPS]
@@ -140,7 +140,7 @@ def main() -> None:
         entry, count = found.setdefault(name, {}), options.episodes if hand == "nominal" else options.randomized
         if entry.get("data") != fingerprint(name):
             entry.clear()
-            entry["data"] = fingerprint(name)  # results on other data are none
+            entry["data"] = fingerprint(name)  # results for other data are invalid
         entry.setdefault(hand, {})[set_up] = row = judge(name, set_up, hand, count)
         print(f"{name} {hand} {set_up}: {row['successes']} of {row['episodes']}, held {row['held']}, "
               f"in touch {row['in_touch_at_the_start']} {row['failed_clauses_of_held']}", flush=True)  # fmt: skip

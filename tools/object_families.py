@@ -1,8 +1,8 @@
-"""Draws the procedural objects of `hpac_gym.body.object_sets`: convex parts in the forms of things that people hold.
+"""Generator of the procedural objects of `hpac_gym.body.object_sets`: convex parts in the shapes of handheld objects.
 
-A family is a function that draws the parts of one thing: lengths, and densities that put mass where such a thing has it (a
-steel head on a wooden handle, a bottle filled in part). `make generate` writes ``data/procedural_objects.toml`` from `SEED`.
-All ranges are CHOSEN, after everyday things; nothing drawn here is a real object.
+A family is a function that samples the parts of one object: lengths, and densities with a realistic mass distribution (a
+steel head on a wooden handle, a partly filled bottle). `make generate` writes ``data/procedural_objects.toml`` from `SEED`.
+All ranges are CHOSEN after everyday objects; no generated object is a real one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hpac_gym.body.object_sets import SPAN, difference
 
 SEED = 20261122
 MIN_MASS, MAX_MASS = 0.008, 0.5
-"""Of a drawn object [kg]."""
+"""Mass bounds of a generated object [kg]."""
 MIN_DIFFERENCE = 0.10
 """A held-out object differs from each training object by more than this share in at least one measure."""
 TRAIN_OF_EACH, KNOWN_OF_EACH, NEW_OF_EACH = 10, 1, 5
@@ -35,7 +35,7 @@ Family = Callable[[np.random.Generator], list[Part]]
 
 
 def box(x: float, y: float, z: float, density: float, at: tuple[float, float, float] = (0, 0, 0), turn: float = 0.0) -> Part:
-    """A box of three sides [mm] and a density [g/cm³], its centre at a place [mm]."""
+    """A box with sides and centre [mm] and density [g/cm³], optionally turned about z [rad]."""
     part = {"kind": "box", "mass": density * x * y * z * 1e-6, "size": [x, y, z], "center": at}
     return part | ({"turn": turn} if turn else {})
 
@@ -60,14 +60,14 @@ def capsule(radius: float, length: float, density: float, at: tuple[float, float
 def ring(
     radius: float, wall: float, length: float, density: float, at: tuple[float, float, float] = (0, 0, 0), staves: int = 16
 ) -> Part:
-    """A tube about z, of flat staves [mm, g/cm³]."""
+    """A tube about z, made of flat staves [mm, g/cm³]."""
     volume = math.pi * (radius**2 - (radius - wall) ** 2) * length
     return {"kind": "ring", "mass": density * volume * 1e-6, "radius": radius, "inner_radius": radius - wall, "length": length,
             "center": at, "staves": staves}  # fmt: skip
 
 
 def stack(*parts: tuple[Callable[..., Part], tuple[float, ...], float]) -> list[Part]:
-    """Parts on top of each other: how each is made, its lengths, the last one its height [mm], and its density."""
+    """Parts on top of each other, each given by its function, its lengths with the height last [mm], and its density."""
     found, height = [], 0.0
     for make, lengths, density in parts:
         found.append(make(*lengths, density, at=(0, 0, height + lengths[-1] / 2)))
@@ -250,16 +250,16 @@ FAMILIES: dict[str, tuple[Family, tuple[float, float]]] = {
     "tube": (tube, (0.4, 0.8)), "knob": (knob, (0.4, 0.9)), "brush": (brush, (0.5, 0.8)), "disc": (disc, (0.5, 1.0)),
     "roll": (roll, (0.5, 0.9)), "flashlight": (flashlight, (0.4, 0.8)), "spanner": (spanner, (0.4, 0.6)),
 }  # fmt: skip
-"""Families of the training set, and of a part of the held-out one: how their parts are drawn, and the range of friction."""
+"""Families of the training set and of part of the held-out set: function that samples the parts, and friction range."""
 NEW_FAMILIES: dict[str, tuple[Family, tuple[float, float]]] = {
     "dumbbell": (dumbbell, (0.5, 1.0)), "spray bottle": (spray_bottle, (0.4, 0.8)), "cone": (cone, (0.4, 0.8)),
     "plug": (plug, (0.4, 0.8)), "toy truck": (toy_truck, (0.4, 0.7)), "remote": (remote, (0.4, 0.8)),
 }  # fmt: skip
-"""Families of the held-out set alone."""
+"""Families that only the held-out set contains."""
 
 
 def entry(name: str, family: str, rng: np.random.Generator) -> tuple[dict[str, Any], ObjectModel]:
-    """Draw one object of a family: its entry of the file, and the object that this makes."""
+    """Sample one object of a family: its entry in the file, and the object itself."""
     make, friction = (FAMILIES | NEW_FAMILIES)[family]
     parts = [_metres(part) for part in make(rng)]
     low, high = bounds_of(solid for part in parts for solid in solids_from(part))
@@ -277,7 +277,7 @@ def entry(name: str, family: str, rng: np.random.Generator) -> tuple[dict[str, A
 
 
 def _metres(part: Part) -> Part:
-    """Lengths in m to 0.1 mm, mass to 10 mg."""
+    """The part with lengths in m, rounded to 0.1 mm, and mass rounded to 10 mg."""
     lengths = {key: round(part[key] * 1e-3, 4) for key in ("radius", "length", "inner_radius") if key in part}
     size = {"size": [round(side * 1e-3, 4) for side in part["size"]]} if "size" in part else {}
     turn = {"turn": round(part["turn"], 4)} if "turn" in part else {}
@@ -286,12 +286,12 @@ def _metres(part: Part) -> Part:
 
 
 def is_fit(model: ObjectModel) -> bool:
-    """Whether the hand spans the object's smallest side, and can carry its mass."""
+    """Whether the hand can span the object's smallest side and carry its mass."""
     return min(model.size) <= SPAN and sorted(model.size)[1] > 0.012 and MIN_MASS <= model.mass <= MAX_MASS
 
 
 def draw() -> dict[str, dict[str, Any]]:
-    """Every entry of the file by name, training objects first."""
+    """Sample every entry of the file, by name, training objects first."""
     rng, found, trained = np.random.default_rng(SEED), {}, []
 
     def add(name: str, family: str) -> ObjectModel:

@@ -1,10 +1,10 @@
-"""Finds the poses in which the objects of `hpac_gym.body.object_sets` stay by themselves: ``python -m tools.resting_poses``.
+"""Finds the stable poses of the objects of `hpac_gym.body.object_sets`: ``python -m tools.resting_poses``.
 
 Every object is dropped in MuJoCo onto a level table in `DROPS` random orientations, and set down on each of its six sides.
-What it comes to rest in is a pose; poses of the same heights are one. A pose is kept if the object, set down in it, comes
-back from a tilt by `NUDGE` towards each of eight sides, and if it keeps still in both engines of `hpac_gym`. Writes
-``hpac_gym/body/data/resting_poses.toml``, which hangs on the processor in its last digits, so that no test compares it; tests
-check that both engines keep the poses.
+The orientations in which it comes to rest are candidate poses; poses of equal heights are merged. A pose is kept if the object
+returns to it from a tilt by `NUDGE` in each of eight directions, and if it stays at rest in both engines of `hpac_gym`. Writes
+``hpac_gym/body/data/resting_poses.toml``, whose last digits depend on the processor, so no test compares it; tests check that
+the poses are stable in both engines.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from hpac_gym.progress import progress
 FILE = Path(__file__).parents[1] / "hpac_gym" / "body" / "data" / "resting_poses.toml"
 DROPS, SEED = 40, 12
 NUDGE = math.radians(5)
-"""Tilt from which an object must come back [rad]."""
+"""Tilt from which an object must return [rad]."""
 SAME = 0.0015
-"""Poses whose heights differ by less than this, of the origin, of the mass centre and of the top, are the same [m]."""
+"""Poses are the same if the heights of origin, centre of mass and top differ by less than this [m]."""
 MAX_POSES = 4
 HIGH = 0.120
-"""What is higher than this can be gripped from the side above a table, the hand being 90 mm wide. Lower things that stand
-upright, the z-axis of their own frame vertical, get a stand [m]."""
+"""Least height for a side grip above a table, since the hand is 90 mm wide [m]. Lower objects that stand upright, with their
+z axis vertical, get a stand."""
 HEADER = """\
 # Written by python -m tools.resting_poses: the ways in which objects stay by themselves, found by letting them come to rest.
 # poses: quaternion xyzw of the object in the world, then the share of random drops that ended like this (0: set down so alone).
@@ -50,30 +50,30 @@ HEADER = """\
 _SIDES = Rotation.from_rotvec(np.array([[0, 0, 0], [math.pi, 0, 0], *((a * math.pi / 2, b * math.pi / 2, 0) for a, b in
                                         ((1, 0), (-1, 0), (0, 1), (0, -1)))]))  # fmt: skip
 _PLACE = np.array([-0.30, 0.0, 0.20])
-"""Of an object in the world, behind the wrist [m]."""
+"""Position of an object in the world, behind the wrist [m]."""
 _STEPS = 20
-"""Physics steps of 2 ms between two looks at the speed; five slow looks in a row are rest."""
+"""Physics steps of 2 ms between speed checks; an object is at rest after five slow checks in a row."""
 _ROLLING = "0.002 0.0005"
-"""Friction against twisting and rolling [m]; without it a ball would never rest."""
+"""Torsional and rolling friction [m], without which a ball would never come to rest."""
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """An orientation that an object came to rest in."""
+    """An orientation in which an object came to rest."""
 
     rotation: Array
-    """From the object's axes to the world's, shape (3, 3)."""
+    """Rotation from the object frame to the world frame, shape (3, 3)."""
     heights: Array
-    """Of the origin, the mass centre and the top above the table, shape (3,) [m]."""
+    """Heights of origin, centre of mass and top above the table, shape (3,) [m]."""
 
     @classmethod
     def of(cls, model: ObjectModel, rotation: Array) -> Found:
-        """The heights of an object that lies on its lowest point."""
+        """The pose of an object whose lowest point is on the table."""
         low, high = model.turned_bounds(rotation)
         return cls(rotation, np.array([-low[2], (rotation @ model.center_of_mass)[2] - low[2], high[2] - low[2]]))
 
     def same_as(self, other: Found) -> bool:
-        """Whether both are the same pose, but for a turn about the vertical and symmetries of the object."""
+        """Whether both are the same pose up to yaw and symmetries of the object."""
         return bool(np.abs(self.heights - other.heights).max() < SAME)
 
 
@@ -103,7 +103,7 @@ class Table:
         self.data = mujoco.MjData(self.model)
 
     def rest(self, rotation: Array, drop: float = 0.0, seconds: float = 4.0) -> Found | None:
-        """Where the object comes to rest, let go in an orientation with its lowest point at a height [m]; None if it does not."""
+        """Drop the object with its lowest point at height `drop` [m]; returns its pose at rest, or None if it does not settle."""
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
         data.qpos[2] = drop - self.object.turned_bounds(rotation)[0][2]
@@ -116,11 +116,11 @@ class Table:
             if still == 5:
                 break
         found = Found.of(self.object, data.body("object").xmat.reshape(3, 3).copy())
-        # What fell off the post, or over it with its hollow, lies lower.
+        # An object that fell off the post, or over it with its cavity, is lower.
         return found if still and abs(data.qpos[2] - found.heights[0]) < SAME else None
 
     def keeps(self, pose: Found) -> bool:
-        """Whether the object stays in a pose, and comes back to it from a tilt towards each of eight sides."""
+        """Whether a pose is stable: the object stays in it, and returns to it from a tilt in each of eight directions."""
         def comes_back(turn: Rotation) -> bool:
             found = self.rest((turn * Rotation.from_matrix(pose.rotation)).as_matrix())
             return found is not None and found.same_as(pose)
@@ -131,19 +131,19 @@ class Table:
 
 
 def stable_poses(model: ObjectModel, friction: float, drops: int = DROPS) -> list[tuple[Found, float]]:
-    """The stable poses of an object on a table, and the share of random drops that ended in each, the most usual first."""
+    """The stable poses of an object on a table with the share of random drops that end in each, the most frequent first."""
     rng, table = np.random.default_rng([SEED, *model.name.encode()]), Table(model, friction)
     counts: list[list] = []
 
     def count(poses: list[list], found: Found, number: int) -> None:
-        """Add to the number of a pose, which is a new one if none of the poses is the same."""
+        """Add `number` to the count of a pose, which is appended if it is new."""
         known = next((entry for entry in poses if entry[0].same_as(found)), None)
         if known is None:
             poses.append([found, number])
         else:
             known[1] += number
 
-    # The sides first, so that what is the same as one of these poses is written like it.
+    # The sides first, so that equal poses are represented by these.
     for turns, drop, number in ((_SIDES, 0.001, 0), (Rotation.random(drops, rng), 0.02, 1)):
         for turn in turns:
             if (found := table.rest(turn.as_matrix(), drop)) is not None:
@@ -156,7 +156,7 @@ def stable_poses(model: ObjectModel, friction: float, drops: int = DROPS) -> lis
 
 
 def _levelled(model: ObjectModel, found: Found) -> Found:
-    """The same pose with an axis exactly vertical that is so within 1.5 degrees, and its longer side along the world's x."""
+    """The pose with an axis within 1.5 degrees of the vertical made exactly vertical, and the longer side along the world's x."""
     down = found.rotation.T @ [0.0, 0.0, -1.0]
     axis = np.zeros(3)
     axis[np.argmax(np.abs(down))] = np.sign(down[np.argmax(np.abs(down))])
@@ -174,16 +174,16 @@ def _footprint(model: ObjectModel, turn: Rotation, angle: int) -> tuple[float, f
 
 
 def needs_stand(pose: Found, model: ObjectModel) -> bool:
-    """Whether an object stands upright on an end, but too low for a hand beside it that shall not touch the table."""
+    """Whether an object stands upright but is too low for a hand beside it to clear the table."""
     x, y, z = model.size
     return abs(pose.rotation[2, 2]) > 0.999 and 1.1 * max(x, y) < z < HIGH
 
 
 def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
-    """What the file says of an object.
+    """Entry of an object in the file.
 
     Raises:
-        RuntimeError: It has no stable pose.
+        RuntimeError: The object has no stable pose.
     """
     poses = stable_poses(model, friction)
     if not poses:
@@ -198,9 +198,9 @@ def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
 
 
 def setup_of(thing: RestingObject, pose: RestingPose) -> SceneSetup:
-    """The object at rest behind the wrist, away from the hand, on a board or on a post."""
+    """Setup with the object at rest behind the wrist, away from the hand, on a board or a post."""
     rotation = matrix_from_quaternion(pose.quaternion)
-    side = pose.height / np.abs(rotation[2]).sum()  # half of a cube that is as high as the object's origin in this pose
+    side = pose.height / np.abs(rotation[2]).sum()  # half-side of a cube whose centre is as high as the object's origin
     spec = ObjectSpec("box", (side, side, side), thing.model.mass, thing.friction, thing.model)
     place = SceneSetup(None).hand_rotation.T @ (_PLACE - HAND_POSITION)
     support = POST if thing.stand else Support((0.15, 0.15))
@@ -208,10 +208,10 @@ def setup_of(thing: RestingObject, pose: RestingPose) -> SceneSetup:
 
 
 def restless(physics: Engine, entries: list[tuple[RestingObject, RestingPose]]) -> list[int]:
-    """Which of some objects in a pose leave it, or move by more than 5 mm, in 2 s; what is round may roll by so much.
+    """Indices of the objects that leave their pose, or move by more than 5 mm (round ones may roll), within 2 s.
 
     Args:
-        physics: an engine with at least as many worlds.
+        physics: an engine with at least len(entries) worlds.
         entries: objects and poses.
     """
     worlds, k = physics.num_worlds, round(2.0 / physics.dt)
@@ -230,10 +230,10 @@ def restless(physics: Engine, entries: list[tuple[RestingObject, RestingPose]]) 
 
 
 def without_restless(models: list[tuple[ObjectModel, float]], entries: dict[str, dict[str, Any]]) -> None:
-    """Take out the poses of some objects in which an engine does not keep them still.
+    """Remove poses that are not stable in both engines.
 
     Raises:
-        RuntimeError: An object has no other pose.
+        RuntimeError: An object has no stable pose left.
     """
     jobs = [(model.name, numbers, resting(model, friction, {"stand": entries[model.name]["stand"], "poses": [numbers]}))
             for model, friction in models for numbers in entries[model.name]["poses"]]  # fmt: skip
@@ -257,8 +257,8 @@ def _text(values: Array | list[float]) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Find the poses and write the file."""
     parser = argparse.ArgumentParser(prog="python -m tools.resting_poses", description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help="of objects, or how names begin, whose poses to find anew (default: all)")
-    parser.add_argument("--recheck", action="store_true", help="find none, but try those in the file in both engines")
+    parser.add_argument("names", nargs="*", help="names or name prefixes of the objects to update (default: all)")
+    parser.add_argument("--recheck", action="store_true", help="only check the poses of the file in both engines")
     given = parser.parse_args(argv)
     names, objects = tuple(given.names) or ("",), [entry for models in split_models().values() for entry in models.values()]
     entries = tomllib.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}

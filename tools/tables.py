@@ -1,4 +1,4 @@
-"""The tables of ``docs``, from the code and from ``docs/results``; ``make generate`` writes them.
+"""Tables of ``docs``, generated from the code and from ``docs/results``; ``make generate`` writes them.
 
 A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by hand.
 """
@@ -14,7 +14,6 @@ import gymnasium
 import numpy as np
 
 from agents import benchmark
-from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, OPTIONS, PICK_PLACE, POSTURE, Option
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
@@ -35,12 +34,12 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 
 def span(values: Any) -> str:
-    """A pair of numbers as a range, and a number as it is."""
+    """Text of a range or of a single number."""
     return " … ".join(f"{value:g}" for value in values) if isinstance(values, tuple) else f"{values:g}"
 
 
 def summary_table(env_id: str, task: Task) -> str:
-    """What people look for first."""
+    """Table of id, spaces and episode length."""
     rows = [["make", f'`gymnasium.make("hpac_gym:{env_id}")`']]
     for obs in next(option for option in OPTIONS if option.name == "obs" and env_id in option.ids).values:
         with gymnasium.make(env_id, obs=obs) as env:
@@ -51,34 +50,34 @@ def summary_table(env_id: str, task: Task) -> str:
 
 
 def space_in_words(space: gymnasium.Space) -> str:
-    """A space without the bounds of every entry."""
+    """Text of a space without the bounds of its entries."""
     if isinstance(space, gymnasium.spaces.Dict):
         return f"Dict({', '.join(f'{name}: {space_in_words(part)}' for name, part in space.items())})"
     return f"Box({space.shape}, {space.dtype})"
 
 
 def option_table(env_id: str) -> str:
-    """The arguments of an id."""
+    """Table of the arguments of an id."""
     taken = [option for option in OPTIONS if env_id in option.ids]
     rows = [[f"`{option.name}`", values_of(option), shown(option.default), option.meaning] for option in taken]
     return markdown(["argument", "values", "default", "meaning"], rows)
 
 
 def values_of(option: Option) -> str:
-    """What an option may be; the sixteen grasps have a page of their own."""
+    """Values of an option; the sixteen grasps are listed on a separate page."""
     named = ["None", "[a name](../grasps.md)"] if option.name == "grasp" else list(map(shown, option.values))
     return ", ".join([*named, *filter(None, [option.others])])
 
 
 def shown(value: Any) -> str:
-    """A value as a person would write it."""
+    """Text of a value in Markdown."""
     if value is None or value is HPAC:
         return "None" if value is None else "`HPAC`"
     return f'`"{value}"`' if isinstance(value, str) else f"`{value!r}`"
 
 
 def action_table() -> str:
-    """What the six numbers of an action mean."""
+    """Table of the six numbers of an action."""
     rows = [
         [str(index), f"`{name}`", f"{HPAC.synergy_min[index]:.4g}", f"{HPAC.synergy_max[index]:.4g}"]
         for index, name in enumerate(SERVOS)
@@ -87,7 +86,7 @@ def action_table() -> str:
 
 
 def term_table(terms: Sequence[Term], start: int = 0) -> str:
-    """A run of the observation vector."""
+    """Table of consecutive terms of the observation vector."""
     rows = []
     for term in terms:
         end = start + len(term.labels) - 1
@@ -98,19 +97,19 @@ def term_table(terms: Sequence[Term], start: int = 0) -> str:
 
 
 def reward_table(task: Task) -> str:
-    """The terms of the dense reward."""
+    """Table of the terms of the dense reward."""
     return markdown(["term", "value"], [[f"`{term.name}`", term.meaning] for term in task.reward_terms])
 
 
 def config_table(task: Task) -> str:
-    """The settings that an episode is drawn from and judged by."""
+    """Table of the settings for sampling and judging episodes."""
     described = [field for field in fields(task.config) if "meaning" in field.metadata]
     rows = [[f"`{field.name}`", span(getattr(task.config, field.name)), field.metadata["meaning"]] for field in described]
     return markdown(["name", "value", "meaning"], rows)
 
 
 def phase_list(task: Task) -> str:
-    """When each phase of a task begins."""
+    """Sentence with the start time of each phase of a task."""
     begins: dict[str, float] = {}
     for step in range(round(task.duration * CONTROL_HZ)):
         time = step / CONTROL_HZ
@@ -120,7 +119,7 @@ def phase_list(task: Task) -> str:
 
 
 def randomization_table() -> str:
-    """Every quantity, its bounds, and what the presets make of it."""
+    """Table of every quantity, its bounds, and its ranges in the presets."""
     presets = {name: preset for name, preset in PRESETS.items() if name != "nominal"}
     rows = []
     for quantity in fields(Randomization):
@@ -131,21 +130,17 @@ def randomization_table() -> str:
 
 
 def object_table() -> str:
-    """The object of every grasp, what its source prints of it, and what takes its place in the variant of shape."""
+    """Table of the object of every grasp, its published data, and its replacement in the shape variant."""
     rows = []
     for name, grasp in GRASPS.items():
         shape = grasp.variant("shape").object
-        rows.append([f"`{name}`", *_measures(grasp.object), grasp.object.source, grasp.object.chosen, shape.about])
+        model, sides = grasp.object, " × ".join(f"{1e3 * side:.3g}" for side in dict.fromkeys(grasp.object.size))
+        rows.append([f"`{name}`", model.about, sides, f"{1e3 * model.mass:.3g}", model.source, model.chosen, shape.about])
     return markdown(["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'], rows)
 
 
-def _measures(model: ObjectModel) -> list[str]:
-    sides = (f"{1e3 * side:.3g}" for side in dict.fromkeys(model.size))
-    return [model.about, " × ".join(sides), f"{1e3 * model.mass:.3g}"]
-
-
 def scale_table() -> str:
-    """How many held-out seeds of `HPAC-Grasp-v0` the first so many closures win, and what that is as a score."""
+    """Table of the success of the best of n random closures on held-out seeds of `HPAC-Grasp-v0`, and its score."""
     tries = winning_closures()
     scale, rows = scale_of(GRASP), []
     for within in (1, 4, 16, 64, max(found.tries for found in tries)):
@@ -157,7 +152,7 @@ def scale_table() -> str:
 
 
 def result_tables() -> str:
-    """Every results file as ``python -m agents.benchmark --check`` prints it, with the command that it comes from."""
+    """Every results file as printed by ``python -m agents.benchmark --check``, with the command that produced it."""
     files = [benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))]
     return "\n\n".join(f"{benchmark.table(results)}\n\n`{results['command']}`" for results in files)
 
@@ -166,7 +161,7 @@ Makers = dict[str, Callable[[], str]]
 
 
 def task_tables(env_id: str, task: Task) -> Makers:
-    """The tables of an id's page."""
+    """Functions that make the tables of an id's page, by table name."""
     deployed = sum(len(term.labels) for term in task.terms)
     makers: Makers = {
         "summary": lambda: summary_table(env_id, task),
@@ -193,14 +188,14 @@ PAGES: dict[str, Makers] = {
     "benchmark.md": {"results": result_tables},
     "grasps.md": {"objects": object_table, **TYPE_TABLES},
 }
-"""Which tables every page in `DOCS` has, by their names."""
+"""Tables of every page in `DOCS`, by name."""
 
 
 def filled(page: str, tables: Makers) -> str:
-    """The page with every table as the code has it.
+    """The page with all its tables regenerated.
 
     Raises:
-        ValueError: The page has no place for a table.
+        ValueError: The page has no placeholder for a table.
     """
     for name, make in tables.items():
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
@@ -212,5 +207,5 @@ def filled(page: str, tables: Makers) -> str:
 
 
 def documents() -> dict[Path, str]:
-    """Every page with its tables as the code has them."""
+    """All pages with regenerated tables."""
     return {DOCS / name: filled((DOCS / name).read_text(encoding="utf-8"), tables) for name, tables in PAGES.items()}

@@ -1,8 +1,8 @@
-"""How well the thumb opposes each finger: ``python -m tools.thumb_search`` prints postures and distances.
+"""Opposition of the thumb to each finger: ``python -m tools.thumb_search`` prints postures and distances.
 
-Run it after a change to the body and put the postures that it prints into ``hpac_gym/body/data/geometry.toml``. The search
-moves thumb MP, CMC and the finger's MCP; the other joints follow on the elastic manifold, so a posture found is one that six
-servos can take.
+Run it after a change to the body and copy the printed postures to ``hpac_gym/body/data/geometry.toml``. The search varies thumb
+MP, CMC and the finger's MCP; the other joints follow on the elastic manifold, so the six servos can reach every posture
+found.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from hpac_gym.body.geometry import Array, Geometry, link_poses, load_geometry
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, SERVO_INDEX, SERVOS, joints_from_synergy
 
 CLEARANCE = 1e-4
-"""Distance that the search leaves between the two fingertips [m]."""
-_GAP_WEIGHT = 10.0  # touching counts more than touching in the middle of the pads
+"""Target distance between the two fingertips [m]."""
+_GAP_WEIGHT = 10.0  # the gap counts more than the alignment of the pads
 _STARTS = ((0.6, 0.3, 0.6), (1.0, 0.4, 0.8), (1.4, 0.6, 0.8))
 _SAMPLES = np.linspace(0.0, 1.0, 101)[:, None]
 
 
 @dataclass(frozen=True, slots=True)
 class Opposition:
-    """One posture in which the thumb meets a finger."""
+    """Posture in which the thumb opposes a finger."""
 
     synergy: Array
-    """Shape (6,) [rad]."""
+    """Synergy, shape (6,) [rad]."""
     gap: float
-    """Between the surfaces of the two distal links, negative where they overlap [m]."""
+    """Distance between the surfaces of the two distal links, negative if they overlap [m]."""
     pad_distance: float
-    """Between the two pads' centres [m]."""
+    """Distance between the centres of the two pads [m]."""
     pad_angle: float
-    """Between one pad's normal and the other's reversed [rad]."""
+    """Angle between one pad's normal and the reversed normal of the other [rad]."""
 
 
 def find_opposition(geometry: Geometry, finger: str) -> Opposition:
-    """The posture that brings the thumb's pad onto a finger's, the surfaces `CLEARANCE` apart: the best of a few starts."""
+    """Find the posture with the thumb's pad opposite a finger's, surfaces `CLEARANCE` apart: the best of a few starts."""
     moved = [SERVO_INDEX[name] for name in ("thumb_cmc", "thumb_mp", f"{finger}_mcp")]
     bounds = HPAC.synergy_min[moved], HPAC.synergy_max[moved]
 
@@ -74,7 +74,7 @@ def _contact(geometry: Geometry, finger: str, synergy: Array) -> tuple[Array, fl
 
 
 def _segment_distance(one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
-    """Distance of two segments [m]: the first one sampled, the second one exact."""
+    """Distance between two segments [m], with the first one sampled."""
     points = one[0] + _SAMPLES * (one[1] - one[0])
     along = other[1] - other[0]
     foot = np.clip((points - other[0]) @ along / (along @ along), 0.0, 1.0)

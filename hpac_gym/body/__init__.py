@@ -1,1 +1,1 @@
-"""The body of the hand and of what it grasps, as data, and the writers of its model files. No simulator, no physics."""
+"""Geometry of the hand and of objects as data, and the writers of their model files. Imports no simulator."""

@@ -1,6 +1,6 @@
 """The body of the hand: links, joints and masses as data, and its forward kinematics.
 
-Nothing here knows a simulator. The numbers and their sources are in ``data/geometry.toml``.
+Independent of any simulator. The numbers and their sources are in ``data/geometry.toml``.
 """
 
 import tomllib
@@ -68,7 +68,7 @@ class Digit:
     pad_normal: Vector
 
     def scaled(self, lengths: Array, thickness: float) -> "Digit":
-        """The digit with its links so many times as long, shape (3,), and its radii so many times as large."""
+        """A copy with the link lengths multiplied by ``lengths``, shape (3,), and the radii by ``thickness``."""
         phalanges = []
         for phalanx, factor in zip(self.phalanges, lengths.tolist(), strict=True):
             length, radius = factor * phalanx.length, thickness * phalanx.capsule.radius
@@ -83,7 +83,7 @@ class Digit:
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """The body of one hand."""
+    """Geometry of one hand: palm, digits, and the joints' effort limit [N·m] and velocity limit [rad/s]."""
 
     palm_mass: float
     palm_solids: tuple[Box | Capsule, ...]
@@ -91,10 +91,10 @@ class Geometry:
     effort: float
     velocity: float
     opposition: dict[str, tuple[float, ...]]
-    """Synergy (6,) [rad] that brings the thumb's pad onto each finger's."""
+    """Synergies that bring the thumb pad onto a finger's pad, by finger, 6 values each [rad]."""
 
     def __hash__(self) -> int:
-        return hash(tuple(digit.pad for digit in self.digits))  # the rest would take fifty times as long
+        return hash(tuple(digit.pad for digit in self.digits))  # hashing all fields would take fifty times as long
 
     @property
     def phalanges(self) -> tuple[Phalanx, ...]:
@@ -106,7 +106,7 @@ class Geometry:
 
 @cache
 def load_geometry() -> Geometry:
-    """The nominal hand's body as ``data/geometry.toml`` gives it."""
+    """Geometry of the nominal hand, read from ``data/geometry.toml``."""
     table = tomllib.loads(GEOMETRY_FILE.read_text(encoding="utf-8"))
     palm = table["palm"]
     boxes = tuple(Box(tuple(box["center"]), tuple(box["size"])) for box in palm["boxes"])
@@ -149,7 +149,7 @@ def rotation_from_rpy(rpy: Vector) -> Array:
 
 
 def rotation_about(axis: Vector | Array, angle: float) -> Array:
-    """The rotation matrix of a turn by ``angle`` [rad] about a unit ``axis`` (Rodrigues)."""
+    """Rotation matrix, shape (3, 3), for a rotation by ``angle`` [rad] about a unit ``axis`` (Rodrigues)."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -171,4 +171,4 @@ def link_poses(digit: Digit, angles: Array) -> list[tuple[Array, Array]]:
 
 
 HPAC_GEOMETRY = load_geometry()
-"""The nominal hand's body."""
+"""Geometry of the nominal hand."""

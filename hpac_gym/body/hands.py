@@ -1,7 +1,7 @@
-"""A family of hands that differ as prints, tendons and assemblies of one design do, for training and for judging.
+"""A family of hands that vary like different builds of one design, for training and evaluation.
 
-All have the palm, the joints and the workspace (Table I) of the nominal hand. A policy is never told which hand it has, and its
-commands are computed with the nominal one. Every range is chosen; the comment beside it says after what.
+All share the palm, the joints and the workspace (Table I) of the nominal hand. A policy is never told which hand it controls,
+and its commands are computed with the nominal hand. Every range is chosen; the text below it gives the reason.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.variation import scaled_digit
 
 SEED = 20_251
-"""Both sets are drawn from it, the training hands first."""
+"""Seed of both sets; the training hands are drawn first."""
 SIZES = {"train": 32, "test": 8}
 """Number of hands in each set."""
 
 HAND_SIZE = (0.88, 1.12)
-"""Factor of all lengths of a hand: about that of small and large adults' hands over the middle one."""
+"""Scale factor of all lengths of a hand: about the range of small to large adult hands, relative to a medium one."""
 DIGIT_SIZE = (0.96, 1.04)
-"""Of a digit's lengths, beside its hand's."""
+"""Additional scale factor of a digit's lengths."""
 SEGMENT_SIZE = (0.97, 1.03)
-"""Of each link's length, beside its digit's; the tendon's path past the link grows with it."""
+"""Additional scale factor of each link's length; the tendon path along the link scales with it."""
 THICKNESS = (0.92, 1.08)
-"""Of the radii of a digit's links."""
+"""Scale factor of the radii of a digit's links."""
 PULLEY = (0.95, 1.05)
-"""Of a digit's pulley radii, all alike, so that the paper's 5:4:5 stays: another print, another tendon's thickness."""
+"""Common scale factor of a digit's pulley radii, which keeps the paper's 5:4:5: tolerance of print and tendon diameter."""
 GUIDE = (0.97, 1.03)
-"""Of a digit's guide distances d₁, d₂ and of its servo's hub, each of its own."""
+"""Scale factors of a digit's guide distances d₁, d₂ and of its servo's hub radius, drawn independently."""
 TENDON = (0.75, 1.2)
-"""Of EA and of the drive's stiffness: tendons wear."""
+"""Common scale factor of EA and of the drive stiffness: tendon wear."""
 SPRING = (0.8, 1.2)
-"""Of a digit's restoring spring, and of the CMC's stiffness."""
+"""Scale factor of a digit's spring stiffness and, drawn separately, of the CMC stiffness."""
 SLACK = (0.0, 3e-3)
-"""What each driving tendon has to wind up [m]."""
+"""Slack of each driving tendon [m]."""
 SERVO_ZERO = 0.06
-"""Greatest angle between a servo's true zero and the commanded one [rad]; half a tooth of a horn would be 0.13."""
+"""Largest offset of a servo's true zero from the commanded one [rad]; half a spline tooth of a horn would be 0.13."""
 WEAK = (0.3, 0.7)
-"""Share of its stall force with which a weak digit pulls."""
+"""Fraction of its stall force that a weak digit can exert."""
 STIFFEST = 1.3
-"""Greatest factor of a tendon's stiffness about its joints: the 120 Hz integration of PyBullet is stable up to it."""
+"""Largest scale factor of a tendon's stiffness about its joints for which PyBullet's 120 Hz integration is stable."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,30 +55,30 @@ class HandVariant:
     """One hand of the family."""
 
     name: str
-    """Such as "train_07"."""
+    """Name of the hand, such as "train_07"."""
     hand: Hand
-    """What its tendons, springs and guides are in truth."""
+    """True parameters of its tendons, springs and guides."""
     geometry: Geometry
     slack: tuple[float, ...]
-    """What each driving tendon has to wind up before it pulls, by digit [m]."""
+    """Slack that each driving tendon winds up before it pulls, by digit [m]."""
     servo_zero: tuple[float, ...]
-    """Where each servo's horn stands when it is commanded to 0 [rad]."""
+    """True angle of each servo's horn when commanded to 0 [rad]."""
     strength: tuple[float, ...]
-    """Share of its stall force with which each driving tendon pulls, by digit; 0 is a dead digit."""
+    """Fraction of its stall force that each driving tendon can exert, by digit; 0 is a dead digit."""
 
     def over(self, settings: Any) -> Any:
-        """A `hpac_gym.physics.settings.HandSettings` with this hand's slack, servo zero and strength."""
+        """The given `hpac_gym.physics.settings.HandSettings` with this hand's slack, servo zeros and strength."""
         return replace(settings, slack=self.slack, servo_zero=self.servo_zero, strength=self.strength)
 
 
 @cache
 def hand_set(name: str) -> tuple[HandVariant, ...]:
-    """The 32 training hands ("train") or the 8 hands that are held out ("test"), always the same.
+    """The 32 training hands ("train") or the 8 held-out hands ("test"); every call returns the same hands.
 
     One hand in four has a weak digit, one in eight a dead finger.
 
     Raises:
-        ParameterError: There is no such set.
+        ParameterError: `name` is not one of `SIZES`.
     """
     if name not in SIZES:
         raise ParameterError(f"hand set {name!r} is not one of {', '.join(SIZES)}")
@@ -91,7 +91,7 @@ def _variant(name: str, index: int, rng: np.random.Generator) -> HandVariant:
     size, digits, lengths, thickness = rng.uniform(*HAND_SIZE), {}, {}, {}
     for digit in DIGITS:
         changed = None
-        while changed is None or not _is_sound(changed, HPAC):  # in one of a few draws a joint would leave Table I
+        while changed is None or not _is_sound(changed, HPAC):  # redraw if a joint would leave Table I
             factors = size * rng.uniform(*DIGIT_SIZE) * rng.uniform(*SEGMENT_SIZE, 3)
             changed = _changed_digit(HPAC.digits[digit], factors, rng)
         digits[digit], lengths[digit], thickness[digit] = changed, factors, rng.uniform(*THICKNESS)
@@ -111,7 +111,7 @@ def _variant(name: str, index: int, rng: np.random.Generator) -> HandVariant:
 
 
 def _changed_digit(digit: Digit, lengths: Array, rng: np.random.Generator) -> Digit:
-    """A digit whose links are so many times as long; the thumb's first link is its metacarpal, which no coupling passes."""
+    """The digit with its link lengths scaled; the thumb's first link is its metacarpal, which no coupling passes."""
     links = lengths[1:] if digit.name == "thumb" else lengths
     pulley, tendon = rng.uniform(*PULLEY), rng.uniform(*TENDON)
     d1, d2, hub = rng.uniform(*GUIDE, 3)
@@ -121,7 +121,7 @@ def _changed_digit(digit: Digit, lengths: Array, rng: np.random.Generator) -> Di
 
 
 def _is_sound(digit: Digit, nominal: Hand) -> bool:
-    """Whether its joints keep to Table I up to the root's end, and its tendons are not too stiff to be simulated."""
+    """True if the joints stay within Table I over the root joint's range and no tendon is too stiff to be simulated."""
     root, *_ = joints = [JOINT_INDEX[name] for name in digit.joints]
     reached = digit.elastic_ratio * nominal.joint_max[root]
     old = nominal.digits[digit.name]
@@ -131,15 +131,15 @@ def _is_sound(digit: Digit, nominal: Hand) -> bool:
 
 
 def scaled_geometry(geometry: Geometry, lengths: Mapping[str, Array], thickness: Mapping[str, float]) -> Geometry:
-    """A body with other links on the same palm; a link weighs as its length and its cross-section do.
+    """A geometry with scaled links on the same palm; a link's mass scales with its length and cross-section.
 
     Args:
-        geometry: the body to change.
-        lengths: factors of each digit's links, from the palm outwards, shape (3,).
-        thickness: factor of the radii of each digit's links.
+        geometry: the geometry to scale.
+        lengths: scale factors of each digit's link lengths, from the palm outwards, shape (3,).
+        thickness: scale factor of each digit's link radii.
 
     Returns:
-        The changed body, without opposition postures: those are searched for one body.
+        The scaled geometry, without opposition postures, which are searched for one geometry.
     """
     digits = tuple(digit.scaled(lengths[digit.name], thickness[digit.name]) for digit in geometry.digits)
     return replace(geometry, digits=digits, opposition={})

@@ -1,7 +1,7 @@
-"""What the objects of the named grasps are made of: real measures and the solids that stand for them, as data.
+"""Models of the named grasps' objects as data: dimensions of the real objects and the solids that approximate them.
 
-Nothing here knows a simulator. Real objects, their numbers and sources are in ``data/objects.toml``; what takes their place
-in the held-out variants of shape, and is nothing real, is in ``data/held_out_objects.toml``.
+Independent of any simulator. Real objects, their numbers and sources are in ``data/objects.toml``; the fictitious objects
+that replace them in the held-out shape variants are in ``data/held_out_objects.toml``.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hpac_gym.model.checks import Array
 REAL_FILE = Path(__file__).parent / "data" / "objects.toml"
 HELD_OUT_FILE = Path(__file__).parent / "data" / "held_out_objects.toml"
 STAVES = 16
-"""Flat pieces that a ring is made of, unless it says how many."""
+"""Default number of flat staves that make up a ring."""
 
 _AXES = {"x": rotation_about((0, 1, 0), math.pi / 2), "y": rotation_about((1, 0, 0), -math.pi / 2), "z": np.eye(3)}
 FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
@@ -43,9 +43,9 @@ class Hull:
     """Corners of each triangle, counter-clockwise seen from outside, shape (m, 3)."""
 
     def moments(self) -> tuple[float, Array, Array]:
-        """Volume [m³], its centre, shape (3,) [m], and ∫ r rᵀ dV about the origin, shape (3, 3) [m⁵]."""
+        """Volume [m³], centroid, shape (3,) [m], and ∫ r rᵀ dV about the origin, shape (3, 3) [m⁵]."""
         corners = self.vertices[self.faces]
-        sixfold = np.linalg.det(corners)  # of the tetrahedron between a face and the origin
+        sixfold = np.linalg.det(corners)  # six times the volume of the tetrahedron between a face and the origin
         total = corners.sum(axis=1)
         volume = sixfold.sum() / 6
         centre = (sixfold[:, None] * total).sum(axis=0) / 24 / volume
@@ -55,30 +55,30 @@ class Hull:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A convex body of one density; round ones have their axis along their own z."""
+    """A convex solid of uniform density; the axis of a round solid is its own z axis."""
 
     kind: Literal["box", "cylinder", "sphere", "capsule", "hull"]
     mass: float
     """[kg]"""
     size: tuple[float, float, float]
-    """Of the box around it, along its own axes; a capsule's includes its round ends [m]."""
+    """Size of the bounding box along its own axes [m]; a capsule's includes the round ends."""
     center: Array
-    """Of its mass, shape (3,) [m]."""
+    """Centre of mass in the object's frame, shape (3,) [m]."""
     rotation: Array
-    """From its own axes to the object's, shape (3, 3)."""
+    """Rotation from its own axes to the object's, shape (3, 3)."""
     inner_radius: float = 0.0
-    """Of the hollow of a cylinder or sphere; only its inertia shows it [m]."""
+    """Inner radius of a hollow cylinder or sphere [m]; it affects the inertia only."""
     hull: Hull | None = None
-    """Form of a hull, about its centre."""
+    """Polyhedron of a hull, relative to its centre of mass; None for a primitive."""
 
     @property
     def radius(self) -> float:
-        """Of a round solid [m]."""
+        """Radius of a round solid [m]."""
         return self.size[0] / 2
 
     @property
     def inertia(self) -> Array:
-        """About its own centre, in the object's axes, shape (3, 3) [kg m²]."""
+        """Inertia about its own centre of mass, in the object's axes, shape (3, 3) [kg·m²]."""
         if self.hull is not None:
             volume, _, squares = self.hull.moments()
             squares = self.rotation @ squares @ self.rotation.T * (self.mass / volume)
@@ -88,7 +88,7 @@ class Solid:
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper corner of the box around it along the object's axes, shapes (3,) [m]."""
+        """Lower and upper corner of the bounding box along the object's axes, shapes (3,) [m]."""
         if self.hull is not None:
             corners = self.center + self.hull.vertices @ self.rotation.T
             return corners.min(axis=0), corners.max(axis=0)
@@ -96,7 +96,7 @@ class Solid:
         return self.center - reach, self.center + reach
 
     def _reach(self) -> Array:
-        """Half of a primitive's extent along each of the object's axes, shape (3,) [m]."""
+        """Half-extents of a primitive's bounding box along the object's axes, shape (3,) [m]."""
         half = np.array(self.size) / 2
         if self.kind == "box":
             return np.abs(self.rotation) @ half
@@ -110,28 +110,28 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectModel:
-    """One object: the measures of the real thing, and the solids that stand for it. It is equal to itself alone.
+    """One object: dimensions of the real object, and the solids that approximate it. Compared by identity.
 
     Raises:
-        ParameterError: The solids' masses do not add up to the object's, or their middle is not the origin.
+        ParameterError: The solids' masses do not add up to the object's, or their bounding box is not centred at the origin.
     """
 
     name: str
     about: str
     size: tuple[float, float, float]
-    """Of the real thing [m]."""
+    """Size of the real object along x, y and z [m]."""
     mass: float
-    """Of the real thing [kg]."""
+    """Mass of the real object [kg]."""
     shape: str
     """The nearest primitive: cylinder, box or sphere."""
     color: tuple[float, ...]
     solids: tuple[Solid, ...]
     source: str = ""
-    """The publication that `published` is from; empty for what is nothing real."""
+    """Source of `published`; empty for a fictitious object."""
     published: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Least and greatest size along x, y and z [m] and mass [kg], as far as the source prints them."""
+    """Lowest and highest size along x, y and z [m] and mass [kg], where the source gives them."""
     chosen: str = ""
-    """Where the other numbers are from; empty if all are published."""
+    """Origin of the numbers that are not published; empty if all are."""
 
     def __post_init__(self) -> None:
         total = sum(solid.mass for solid in self.solids)
@@ -147,33 +147,33 @@ class ObjectModel:
         return self.turned_bounds(np.eye(3))
 
     def turned_bounds(self, rotation: Array) -> tuple[Array, Array]:
-        """Lower and upper corner of the bounding box of the solids once they are turned about the origin, shapes (3,) [m].
+        """Lower and upper corner of the bounding box of the solids after a rotation about the origin, shapes (3,) [m].
 
         Args:
-            rotation: from the object's axes to those of the box, shape (3, 3).
+            rotation: rotation from the object's axes to those of the box, shape (3, 3).
         """
         turned = (replace(solid, center=rotation @ solid.center, rotation=rotation @ solid.rotation) for solid in self.solids)
         return bounds_of(turned)
 
     @property
     def has_hulls(self) -> bool:
-        """Whether a solid is no primitive."""
+        """True if any solid is a convex hull."""
         return any(solid.hull is not None for solid in self.solids)
 
     @property
     def half_extents(self) -> tuple[float, float, float]:
-        """Half of the real thing's size; of a round thing its radius along both axes [m]."""
+        """Half of the real object's size along x, y and z [m]."""
         x, y, z = (side / 2 for side in self.size)
         return x, y, z
 
     @property
     def center_of_mass(self) -> Array:
-        """Shape (3,) [m]."""
+        """Centre of mass in the object's frame, shape (3,) [m]."""
         return sum(solid.mass * solid.center for solid in self.solids) / self.mass
 
     @property
     def inertia(self) -> Array:
-        """About the centre of mass, shape (3, 3) [kg m²]."""
+        """Inertia about the centre of mass, in the object's axes, shape (3, 3) [kg·m²]."""
         total = np.zeros((3, 3))
         for solid in self.solids:
             offset = solid.center - self.center_of_mass
@@ -182,14 +182,14 @@ class ObjectModel:
 
 
 def bounds_of(solids: Iterable[Solid]) -> tuple[Array, Array]:
-    """Lower and upper corner of the box around solids, along the object's axes, shapes (3,) [m]."""
+    """Lower and upper corner of the bounding box of solids along the object's axes, shapes (3,) [m]."""
     lows, highs = zip(*(solid.bounds for solid in solids), strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 @cache
 def load_object_models() -> Mapping[str, ObjectModel]:
-    """The objects of the named grasps by name: the real ones, then those that are held out. Every call gives the same objects.
+    """Objects of the named grasps by name: the real ones, then the held-out ones. Every call returns the same objects.
 
     Raises:
         ParameterError: A field is missing or unknown, or an object does not add up.
@@ -199,7 +199,7 @@ def load_object_models() -> Mapping[str, ObjectModel]:
 
 
 def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectModel]:
-    """The objects that a TOML text describes, each with exactly these fields.
+    """Objects described by a TOML text; each entry must have exactly these fields.
 
     Raises:
         ParameterError: A field is missing or unknown, or an object does not add up.
@@ -208,7 +208,7 @@ def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectMode
 
 
 def object_model(name: str, entry: Mapping[str, Any], fields: set[str]) -> ObjectModel:
-    """The object that an entry of an object file describes, with exactly these fields.
+    """Object described by an entry of an object file, which must have exactly these fields.
 
     Raises:
         ParameterError: A field is missing or unknown, or the object does not add up.
@@ -235,7 +235,7 @@ def _interval(value: float | list[float]) -> tuple[float, float]:
 
 
 def solids_from(solid: Mapping[str, Any]) -> Iterator[Solid]:
-    """The solids of one entry of `solids` in an object file; a ring has many."""
+    """Solids described by one entry of `solids` in an object file; a ring yields several."""
     kind, mass = solid["kind"], solid["mass"]
     center, axis = np.array(solid.get("center", (0.0, 0.0, 0.0))), _AXES[solid.get("axis", "z")]
     if kind == "box":
@@ -247,30 +247,30 @@ def solids_from(solid: Mapping[str, Any]) -> Iterator[Solid]:
         length = width if kind == "sphere" else solid["length"]
         yield Solid(kind, mass, (width, width, length), center, axis, solid.get("inner_radius", 0.0))
     else:
-        raise ValueError(f"kind {kind!r} is none of box, cylinder, sphere, capsule, ring")
+        raise ValueError(f"kind {kind!r} is not one of box, cylinder, sphere, capsule, ring")
 
 
 def _ring(solid: Mapping[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
-    """Staves around an axis; their middles lie on the circle between both radii, stretched along the ring's own y.
+    """Staves of a ring; their centres lie on the circle midway between both radii, stretched along the ring's own y.
 
-    Few staves make a bar: six with radii at 1 : 0.268 have the inertia of a solid hexagonal one.
+    Few staves can model a bar: six with a radius ratio of 1 : 0.268 have the inertia of a solid hexagonal bar.
     """
     outer, inner, stretch = solid["radius"], solid["inner_radius"], solid.get("stretch", 1.0)
     staves, turned = solid.get("staves", STAVES), rotation_about((0, 0, 1), solid.get("turn", 0.0))
     wall, middle = outer - inner, (outer + inner) / 2
-    # A chord's middle lies inside of its arc: this puts it on the ellipse.
+    # The midpoint of a chord lies inside its arc; this factor puts it on the ellipse.
     radii = np.array([middle, outer * stretch - wall / 2, 0.0]) / math.cos(math.pi / staves)
     angles = [(index - 0.5) * 2 * math.pi / staves for index in range(staves + 1)]
     corners = [turned @ (radii * (math.cos(angle), math.sin(angle), 0.0)) for angle in angles]
     for start, end in itertools.pairwise(corners):
         chord = end - start
         turn = rotation_about((0, 0, 1), math.atan2(chord[1], chord[0]))
-        size = (float(np.linalg.norm(chord)) * outer / middle, wall, solid["length"])  # their outer edges meet
+        size = (float(np.linalg.norm(chord)) * outer / middle, wall, solid["length"])  # so that the outer edges meet
         yield Solid("box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn)
 
 
 def principal_inertia(kind: str, mass: float, size: tuple[float, float, float], inner: float = 0.0) -> list[float]:
-    """Moments of a primitive `Solid` about its own centre and axes, by its fields, 3 values [kg·m²]."""
+    """Principal moments of inertia of a primitive `Solid` about its own centre, from its fields, 3 values [kg·m²]."""
     x, y, z = size
     outer = x / 2
     if kind == "box":

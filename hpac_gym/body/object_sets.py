@@ -1,7 +1,7 @@
-"""Sets of objects for tasks that ask for any object: 200 procedural ones to train on, 50 held out, and real ones.
+"""Object sets for tasks with arbitrary objects: 200 procedural training objects, 50 held-out ones, and real ones.
 
-Every object comes with the poses in which it lies or stands by itself. The procedural objects are drawn by
-``tools/object_families.py``; the poses were found by physics (``tools/resting_poses.py``) and are kept as data.
+Every object has its stable poses. The procedural objects are drawn by ``tools/object_families.py``; the poses
+were found by simulation (``tools/resting_poses.py``) and are stored as data.
 """
 
 from __future__ import annotations
@@ -19,63 +19,63 @@ from hpac_gym.body.object_models import FIELDS, SOURCE_FIELDS, ObjectModel, load
 from hpac_gym.errors import ParameterError
 
 SPLITS = ("train", "test", "real")
-"""Procedural objects to train on, procedural ones that are held out, real ones that are never trained on."""
+"""Procedural training objects, held-out procedural objects, and real objects, which are never used in training."""
 SPAN = 0.082
-"""Width of the widest thing that the hand is asked to grip across [m]: the large variant of the puck in the named grasps."""
+"""Largest object width that the hand is asked to span [m]: that of the puck's large variant in the named grasps."""
 
 _DATA = Path(__file__).parent / "data"
 
 
 @dataclass(frozen=True, slots=True)
 class RestingPose:
-    """One way in which an object stays by itself on a level surface; its turn about the vertical is arbitrary."""
+    """A stable pose of an object on a level surface; its yaw is arbitrary."""
 
     quaternion: tuple[float, float, float, float]
-    """Orientation of the object in the world, xyzw. Its longer horizontal side is along x."""
+    """Orientation of the object in the world, xyzw, with its longer horizontal side along x."""
     height: float
-    """Of the object's origin, the middle of its bounding box, above the surface [m]."""
+    """Height of the object's origin, the centre of its bounding box, above the surface [m]."""
     size: tuple[float, float, float]
     """Extents along the world's axes [m]."""
     share: float
-    """How often it came to rest like this, of all drops in random orientations; 0 if it only stays when set down so."""
+    """Fraction of drops in random orientations that came to rest in this pose; 0 if it is stable only when placed."""
 
     @property
     def width(self) -> float:
-        """Smaller one of both horizontal extents [m]."""
+        """Smaller horizontal extent [m]."""
         return min(self.size[:2])
 
 
 @dataclass(frozen=True, slots=True)
 class RestingObject:
-    """An object with all that a task needs to put it somewhere."""
+    """An object with the data that a task needs to place it."""
 
     model: ObjectModel
     friction: float
-    """Coulomb coefficient of its surface, which the skin's and the support's multiply."""
+    """Coulomb coefficient of its surface, to be multiplied by the skin's or the support's."""
     poses: tuple[RestingPose, ...]
-    """Stable ones, the most usual first."""
+    """Stable poses, the most frequent first."""
     stand: bool
-    """Whether it stands upright on a narrow post, so that a hand beside it has room below; otherwise it is on the table."""
+    """True if it stands upright on a narrow post, which leaves room for a hand beside it; False if it is on the table."""
 
     @property
     def name(self) -> str:
-        """Of the object: `train_017`, `test_03`, or that of the real thing."""
+        """Name of the object, such as `train_017`, `test_03` or that of a real object."""
         return self.model.name
 
 
 def object_set(split: str) -> tuple[RestingObject, ...]:
-    """The objects of a split, always the same ones in the same order.
+    """Objects of a split; every call returns the same objects in the same order.
 
     Raises:
-        ParameterError: There is no such split.
+        ParameterError: `split` is not one of `SPLITS`.
     """
     if split not in SPLITS:
-        raise ParameterError(f"split {split!r} of objects is none of {', '.join(SPLITS)}")
+        raise ParameterError(f"split {split!r} of objects is not one of {', '.join(SPLITS)}")
     return _object_sets()[split]
 
 
 def difference(one: ObjectModel, other: ObjectModel) -> float:
-    """How much two objects differ in what they differ most: a side, shortest to longest, or the mass; 0.1 is 10 %."""
+    """Largest relative difference between two objects in their sorted side lengths and their mass; 0.1 is 10 %."""
     measures = np.array([[*sorted(model.size), model.mass] for model in (one, other)])
     return float((measures.max(axis=0) / measures.min(axis=0)).max() - 1)
 
@@ -103,18 +103,18 @@ def _object_sets() -> dict[str, tuple[RestingObject, ...]]:
 
 
 def resting(model: ObjectModel, friction: float, entry: Mapping[str, Any]) -> RestingObject:
-    """An object with the poses that an entry of ``data/resting_poses.toml`` says."""
+    """An object with the stable poses given by an entry of ``data/resting_poses.toml``."""
     poses = tuple(resting_pose(model, tuple(numbers[:4]), numbers[4]) for numbers in entry["poses"])
     return RestingObject(model, friction, poses, entry["stand"])
 
 
 def resting_pose(model: ObjectModel, quaternion: tuple[float, float, float, float], share: float) -> RestingPose:
-    """A pose of an object that lies on its lowest point.
+    """The resting pose of an object in a given orientation, with its lowest point on the surface.
 
     Args:
         model: the object.
         quaternion: its orientation in the world, xyzw, of about unit length.
-        share: how often it came to rest like this.
+        share: fraction of random drops that came to rest in this pose.
     """
     x, y, z, w = turn = np.array(quaternion) / np.linalg.norm(quaternion)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,7 +1,7 @@
 """An object's URDF as text; ``make generate`` writes the committed files.
 
-Measures, masses and their sources come from ``data/objects.toml`` and ``data/held_out_objects.toml``. An object's
-frame has its origin in the middle of its bounding box; its centre of mass lies where its solids put it.
+Dimensions, masses and their sources come from ``data/objects.toml`` and ``data/held_out_objects.toml``. An object's
+frame has its origin at the centre of its bounding box; its centre of mass follows from its solids.
 """
 
 from __future__ import annotations
@@ -13,14 +13,33 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from hpac_gym.body.assets import asset_path
 from hpac_gym.body.object_models import ObjectModel, Solid, load_object_models
 from hpac_gym.body.urdf import HEADER, add_inertial, add_shape, text_of
+from hpac_gym.errors import HpacError
 from hpac_gym.model.checks import Array
+
+PACKAGE = Path(__file__).resolve().parents[1]
+ASSET_FOLDERS = (PACKAGE / "assets" / "urdf", PACKAGE.parent / "assets" / "urdf")
+
+
+class AssetError(HpacError, FileNotFoundError):
+    """A model file is neither in the package nor in the checkout."""
+
+
+def asset_path(name: str) -> Path:
+    """The path of a model file such as ``hpac_hand.urdf``; the installed package is asked first.
+
+    Raises:
+        AssetError: No folder has a file of that name.
+    """
+    for folder in ASSET_FOLDERS:
+        if (folder / name).is_file():
+            return folder / name
+    raise AssetError(f"no model file {name!r} in {' or '.join(str(folder) for folder in ASSET_FOLDERS)}")
 
 
 def object_urdf(model: ObjectModel) -> str:
-    """An object as URDF text: one link, its visual shapes those that collide."""
+    """An object as URDF text: one link, with the same shapes for display and collision."""
     robot = Xml.Element("robot", name=model.name)
     Xml.SubElement(Xml.SubElement(robot, "material", name="surface"), "color", rgba=text_of(model.color))
     link = Xml.SubElement(robot, "link", name=model.name)
@@ -36,7 +55,7 @@ def object_urdf(model: ObjectModel) -> str:
 
 @cache
 def object_urdf_file(model: ObjectModel) -> Path:
-    """The URDF of an object as a file: the committed one of a named grasp, else one that is there until this process ends."""
+    """URDF file of an object: the committed file for a named grasp's object, otherwise a temporary one for this process."""
     if load_object_models().get(model.name) is model:
         return asset_path(f"objects/{model.name}.urdf")
     folder = Path(tempfile.mkdtemp(dir=_folder().name))
@@ -71,7 +90,7 @@ def _form(solid: Solid, index: int) -> tuple[str, dict[str, str]]:
 
 
 def _rpy(rotation: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation matrix, Rz(yaw) Ry(pitch) Rx(roll); pitch within a quarter turn."""
+    """Roll, pitch and yaw of a rotation matrix, Rz(yaw) Ry(pitch) Rx(roll); pitch within ±π/2 [rad]."""
     pitch = np.arcsin(-np.clip(rotation[2, 0], -1.0, 1.0))
     if abs(rotation[2, 0]) > 1 - 1e-12:
         return 0.0, float(pitch), float(np.arctan2(-rotation[0, 1], rotation[1, 1]))

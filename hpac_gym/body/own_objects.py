@@ -1,6 +1,6 @@
-"""An object of one's own: a mesh or URDF file, made into convex parts that both engines collide.
+"""User-supplied objects: a mesh or URDF file, decomposed into convex parts that both engines collide.
 
-The parts come from CoACD once, and are kept in a file beside the mesh, so that only the first call takes long.
+CoACD computes the parts once; they are cached in a file beside the mesh, so that only the first call is slow.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from hpac_gym.output import write_text
 
 MESHES = (".stl", ".obj", ".ply", ".off")
 MIN_SIDE, MAX_SIDE = 0.002, 0.4
-"""Of the box around an object [m]: less is lost in the contacts' softness, more is beyond what observations hold."""
+"""Smallest and largest side of the bounding box [m]: limited by contact softness and by the observation bounds."""
 MAX_MASS, MAX_FRICTION = 5.0, 2.0
-"""[kg] and Coulomb coefficient."""
+"""Largest mass [kg] and Coulomb coefficient."""
 MAX_SCALE = 1000.0
 COLOR = (0.45, 0.52, 0.62, 1.0)
 
 _DECOMPOSITION = {"threshold": 0.05, "max_convex_hull": 32, "decimate": True, "max_ch_vertex": 64, "seed": 0}
 _CONVEX = 0.99
-"""A mesh with more than this share of its hull's volume is one part."""
+"""A mesh that fills at least this fraction of its convex hull is not decomposed."""
 _UP = {"z": np.eye(3), "y": rotation_about((1, 0, 0), math.pi / 2)}
 
 
@@ -45,19 +45,19 @@ def own_object(
     up: str = "z",
     folder: str | os.PathLike[str] | None = None,
 ) -> ObjectSpec:
-    """The object of a file, for ``gymnasium.make("HPAC-Grasp-v0", object=...)`` or a `SceneSetup`.
+    """Load an object from a file, for ``gymnasium.make("HPAC-Grasp-v0", object=...)`` or a `SceneSetup`.
 
     Args:
-        path: of a mesh (.stl, .obj, .ply, .off), closed, or of a URDF of links that no joint moves.
-        mass: all over [kg]; it is spread evenly over the volume. None is the sum of a URDF's masses.
-        friction: Coulomb coefficient of its surface, which the skin's multiplies.
-        scale: of the file's lengths to metres: 0.001 for a mesh in mm.
+        path: a closed mesh (.stl, .obj, .ply, .off), or a URDF in which all joints are fixed.
+        mass: total mass [kg], spread evenly over the volume. None is the sum of a URDF's masses.
+        friction: Coulomb coefficient of its surface, to be multiplied by the skin's.
+        scale: factor from the file's lengths to metres: 0.001 for a mesh in mm.
         up: axis of the file that points up: "z" or "y".
-        folder: where the convex parts of meshes are kept, as ``{stem}.hulls.json``; None is beside each mesh.
+        folder: folder in which the convex parts of meshes are cached, as ``{stem}.hulls.json``; None is beside each mesh.
 
     Raises:
-        ParameterError: No such file, not a closed mesh, no volume, too small or too large, a mass, friction, scale or axis that
-            cannot be, or the packages of ``pip install 'hpac_gym[objects]'`` are missing.
+        ParameterError: No such file, mesh not closed, no volume, too small or too large, an inadmissible mass, friction, scale or
+            axis, or the packages of ``pip install 'hpac_gym[objects]'`` are missing.
         OutputError: The parts cannot be written.
     """
     path = Path(path)
@@ -68,21 +68,21 @@ def own_object(
         if value is not None and not 0 < value <= most:
             raise ParameterError(f"{name} {value:g}{unit} of '{path}' must be greater than 0 and at most {most:g}{unit}")
     if up not in _UP:
-        raise ParameterError(f"up {up!r} is none of {', '.join(_UP)}")
+        raise ParameterError(f"up {up!r} is not one of {', '.join(_UP)}")
     if path.suffix.lower() == ".urdf":
         solids, found = _of_urdf(path, scale, folder)
         mass = found if mass is None else mass
     elif path.suffix.lower() in MESHES:
         solids = _of_mesh(path, np.full(3, scale), folder)
     else:
-        raise ParameterError(f"'{path}' is none of {', '.join((*MESHES, '.urdf'))}")
+        raise ParameterError(f"'{path}' is not one of {', '.join((*MESHES, '.urdf'))}")
     if mass is None:
         raise ParameterError(f"'{path}' says no mass: give one in kg")
     return _spec(path, [_moved(solid, _UP[up], np.zeros(3)) for solid in solids], mass, friction)
 
 
 def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> ObjectSpec:
-    """The spec of solids whose masses are their volumes so far."""
+    """Spec of an object of given mass [kg], made of solids whose mass fields still hold their volumes."""
     low, high = bounds_of(solids)
     size = high - low
     if not (size.min() >= MIN_SIDE and size.max() <= MAX_SIDE):
@@ -96,7 +96,7 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
 
 
 def _moved(solid: Solid, rotation: Array, place: Array) -> Solid:
-    """A solid turned about the origin, and then moved."""
+    """A solid rotated about the origin, then translated."""
     return replace(solid, center=rotation @ solid.center + place, rotation=rotation @ solid.rotation)
 
 
@@ -115,7 +115,7 @@ def _of_mesh(path: Path, scale: Array, folder: str | os.PathLike[str] | None) ->
 
 
 def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
-    """The parts in a file, if it was made from the same mesh in the same way."""
+    """Parts cached in a file; None unless it was made from the same mesh with the same settings."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -133,7 +133,7 @@ def _decomposed(path: Path) -> list:
         raise ParameterError(f"own_object needs the package {error.name}: pip install 'hpac_gym[objects]'") from None
     try:
         mesh = trimesh.load_mesh(path)
-    except Exception as error:  # whatever a broken file makes the reader raise
+    except Exception as error:  # the reader may raise anything on a broken file
         raise ParameterError(f"'{path}' cannot be read as a mesh: {next(iter(str(error).splitlines()), repr(error))}") from None
     if not (isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all()):
         raise ParameterError(f"'{path}' has no triangles with finite corners")
@@ -164,7 +164,7 @@ def _hull(corners: Array, faces: Array) -> Solid:
 
 
 def _of_urdf(path: Path, scale: float, folder: str | os.PathLike[str] | None) -> tuple[list[Solid], float | None]:
-    """The collision shapes of a URDF, each with its volume as its mass, and the sum of the masses that it says."""
+    """Collision shapes of a URDF, each with its volume as its mass, and the sum of its link masses; None if it has none."""
     try:
         robot = Xml.parse(path).getroot()
         solids, mass = _of_links(path, robot, folder)
@@ -198,7 +198,7 @@ def _of_links(path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | N
 
 
 def _origin(element: Xml.Element) -> tuple[Array, Array]:
-    """Rotation (3, 3) and place (3,) that an element's origin says."""
+    """Rotation, shape (3, 3), and translation, shape (3,), of an element's origin."""
     origin = element.find("origin")
     xyz, rpy = ((0.0,) * 3 if origin is None else _numbers(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))
     return rotation_from_rpy(rpy), np.array(xyz)
@@ -215,7 +215,7 @@ def _of_geometry(path: Path, form: Xml.Element, folder: str | os.PathLike[str] |
         x, y, z = _numbers(form.get("size"))
         return [Solid("box", x * y * z, (x, y, z), np.zeros(3), np.eye(3))]
     if form.tag not in ("sphere", "cylinder", "capsule"):
-        raise ParameterError(f"'{path}' has a shape {form.tag!r}, which is none of box, cylinder, sphere, capsule, mesh")
+        raise ParameterError(f"'{path}' has a shape {form.tag!r}, which is not one of box, cylinder, sphere, capsule, mesh")
     radius, length = float(form.get("radius")), float(form.get("length", 0.0))
     ball, tube, wide = 4 / 3 * math.pi * radius**3, math.pi * radius**2 * length, 2 * radius
     whole, volume = {"sphere": (wide, ball), "cylinder": (length, tube), "capsule": (length + wide, ball + tube)}[form.tag]

@@ -1,4 +1,4 @@
-"""The wire: from a `ServoCommand` to the pulses of six servos. Needs the model, numpy and pyserial.
+"""The serial link: from a `ServoCommand` to the pulses of six servos. Needs the model, numpy and pyserial.
 
 ```python
 from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, servo_from_pulses
@@ -8,7 +8,7 @@ with HostBoard() as hand, HandLink(hand.connect) as link:   # or VirtualHand(): 
     for command in commands:
         link.move(command)
         link.wait()
-        servo = servo_from_pulses(hand.pulses())            # what the servos were told, within 1e-4 rad of command.servo
+        servo = servo_from_pulses(hand.pulses())            # commanded angles, within 1e-4 rad of command.servo
 ```
 """
 

@@ -1,4 +1,4 @@
-"""The bridge's commands of `hpac`: clear, conform, doctor, estop, safety, wiggle; and what `hpac posture` sends with."""
+"""The bridge's commands of `hpac`: clear, conform, doctor, estop, safety, wiggle; and the sender of `hpac posture`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this pr
 
 def add_safety(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac safety`."""
-    parser.add_argument("--json", action="store_true", help="a list of claim, figure, limit, unit, tried, control, holds")
+    parser.add_argument("--json", action="store_true", help="print a list of claim, figure, limit, unit, tried, control, holds")
     parser.add_argument("--frames", type=whole_number(1), default=10_000_000, help="hostile frames (default: %(default)s)")
     parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions (default: %(default)s)")
     parser.add_argument("--sessions", type=whole_number(1), default=10_000, help="random sessions (default: %(default)s)")
@@ -41,15 +41,15 @@ def add_safety(parser: argparse.ArgumentParser) -> None:
 def add_conform(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac conform`."""
     _add_hand(parser)
-    parser.add_argument("--json", action="store_true", help="a list of rule, tried, holds, failure")
+    parser.add_argument("--json", action="store_true", help="print a JSON list of rule, tried, holds, failure")
     parser.set_defaults(run=_conform)
 
 
 def add_wiggle(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac wiggle`."""
     _add_hand(parser)
-    parser.add_argument("--servo", choices=SERVOS, action="append", help="only this one; can be given again")
-    parser.add_argument("--angle", type=float, default=0.3, help="how far from rest [rad] (default: %(default)s)")
+    parser.add_argument("--servo", choices=SERVOS, action="append", help="only this servo; may be repeated")
+    parser.add_argument("--angle", type=float, default=0.3, help="angle from rest [rad] (default: %(default)s)")
     parser.set_defaults(run=_wiggle)
 
 
@@ -68,18 +68,18 @@ def add_clear(parser: argparse.ArgumentParser) -> None:
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac doctor`."""
     _add_hand(parser, required=False)
-    parser.add_argument("--json", action="store_true", help="a list of port, healthy, what, advice")
+    parser.add_argument("--json", action="store_true", help="print a JSON list of port, healthy, what, advice")
     parser.set_defaults(run=_doctor)
 
 
 def _add_hand(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """The arguments of every command that talks to a hand."""
-    parser.add_argument("--port", required=required, help=PORT_HELP if required else f"look only here: {PORT_HELP}")
+    parser.add_argument("--port", required=required, help=PORT_HELP if required else f"check only this port: {PORT_HELP}")
     parser.add_argument("--hand", metavar="FILE", help="hand parameters (TOML) of the firmware (default: nominal)")
 
 
 def connector(port: str, hand: Hand, stack: ExitStack) -> str | Callable[[], Transport]:
-    """The `port` argument of a `HandLink` for a `--port`; starts the firmware if it names one."""
+    """The `port` argument of a `HandLink` for a `--port`; starts the firmware for `virtual` and `host`."""
     if port == "virtual":
         return VirtualHand(config=config_of(hand)).connect
     if port == "host":
@@ -97,7 +97,7 @@ def _opened(options: argparse.Namespace, stack: ExitStack) -> Transport:
 
 
 def _print_json(rows: list[object], *names: str) -> None:
-    """Print a list of objects with these attributes."""
+    """Print rows as a JSON list of objects with the named attributes."""
     print(json.dumps([{name: getattr(row, name) for name in names} for row in rows], indent=2, ensure_ascii=False))
 
 
@@ -153,7 +153,7 @@ def _wiggle(options: argparse.Namespace) -> int:
 
 
 def _estop(options: argparse.Namespace) -> int:
-    """Without a handshake: ESTOP is taken from anybody."""
+    """Send ESTOP without a handshake: the hand accepts it from any sender."""
     with ExitStack() as stack:
         transport = _opened(options, stack)
         stack.callback(transport.close)
@@ -197,13 +197,13 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
     """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until Ctrl-C.
 
     Args:
-        port: as the commands take it.
+        port: as in the commands.
         command: target angles and duration of the move.
-        hand: whose limits the firmware must have been built with.
+        hand: the hand with whose limits the firmware must have been built.
 
     Raises:
-        BridgeError: The port, the hand or the firmware does not do its part; the hand is then without pulses, or said not
-            to have confirmed it.
+        BridgeError: The port, the hand or the firmware failed; the hand is then without pulses, or an `UnconfirmedWarning`
+            was issued.
     """
     with ExitStack() as stack:
         link = stack.enter_context(HandLink(connector(port, hand, stack), hand=hand))

@@ -1,4 +1,4 @@
-"""One opened port with a hand behind it: from HELLO to the hand's word that it has no pulses."""
+"""One connection to a hand: from HELLO to the hand's confirmation that its pulses are off."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _PREEMPT_TIMEOUT = 3.0
 
 _LAST_WORDS = ("clear",) * 6 + ("estop",) * 4
 _LAST_WORDS_UNGREETED = ("hello", "clear") * 3
-"""Messages to a device that never answered: it may be no hand, or one that an earlier session left in a fault that holds."""
+"""Messages to a device that never answered: not a hand, perhaps, or one that an earlier session left holding in a fault."""
 
 
 class Turns:
-    """Whose turn it is to talk: calls wait for each other, `estop` and `close` for none."""
+    """Mutual exclusion of calls: they wait for each other, except `estop` and `close`, which pre-empt."""
 
     def __init__(self) -> None:
         self._lock = RLock()
@@ -58,21 +58,21 @@ class Turns:
             raise StoppedError(f"stopped by {stopped}")
 
     def check(self) -> None:
-        """End the call that has the turn, if `preempt` has asked for it.
+        """End the current call if `preempt` has requested it.
 
         Raises:
-            StoppedError: It has.
+            StoppedError: The call has been pre-empted.
         """
         if self._stopped_by and not self._preempted:
             raise StoppedError(f"stopped by {self._stopped_by}")
 
     @contextmanager
     def preempt(self, by: str, insist: Callable[[], None]) -> Iterator[None]:
-        """Take the turn from the call that has it, in another thread or interrupted by a signal handler in this one.
+        """Take the turn from the current call, which runs in another thread or was interrupted by a signal handler in this one.
 
         Args:
-            by: what its `StoppedError` names.
-            insist: called every 20 ms until another thread's call has ended; one that does not in 3 s is passed over.
+            by: name of the pre-empting call for the `StoppedError`.
+            insist: called every 20 ms until another thread's call has ended; after 3 s it is ignored.
         """
         deadline = monotonic() + _PREEMPT_TIMEOUT
         taken = self._lock.acquire(blocking=False)
@@ -95,20 +95,20 @@ class Turns:
 
 
 class Connection:
-    """One connection and what is known of the hand through it. Ends once, by `end`, and in no other way.
+    """One connection and the state of the hand known through it. It ends exactly once, by `end`.
 
     Args:
-        transport: opened; `end` closes it.
-        turns: the link's.
-        timeout, attempts: patience with one answer [s], and how often a frame is sent.
+        transport: an open transport; `end` closes it.
+        turns: the link's mutual exclusion.
+        timeout, attempts: time-out of one answer [s], and number of times that a frame is sent.
 
     Attributes:
         info: the hand's answer to HELLO.
-        known: what the hand has said about its state.
+        known: the state that the hand has reported.
         ended: whether the port is closed.
-        watchdog: how long the armed hand waits for a sign of life [s].
-        fed_at: when the last one was sent [s, the transport's clock].
-        busy_until: when the last move will have ended [s, the transport's clock].
+        watchdog: watchdog period of the armed hand [s].
+        fed_at: time of the last message that fed the watchdog [s, the transport's clock].
+        busy_until: end of the last move [s, the transport's clock].
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class Connection:
         interrupts.link_opened(self)
 
     def require_owner(self) -> None:
-        """Refuse to talk in a fork's child.
+        """Refuse to talk in a forked child.
 
         Raises:
             PortError: Another process opened this connection.
@@ -143,11 +143,11 @@ class Connection:
             raise PortError(f"this link belongs to process {self._owner}: open one of your own")
 
     def greet(self, patience: float) -> None:
-        """Say HELLO for `patience` [s] and take in the answer.
+        """Send HELLO for up to `patience` [s] and read the answer.
 
         Raises:
-            HandshakeError: No answer, or not that of a hand of this protocol.
-            PortError: The port has gone.
+            HandshakeError: No answer, or not from a hand of this protocol.
+            PortError: The port is gone.
         """
         attempts = max(1, math.ceil(patience / _HELLO_PERIOD))
         try:
@@ -156,7 +156,7 @@ class Connection:
             raise self._handshake_error(patience) from None
         if answer.name == "ack":
             reason = name_of(Reason, answer.fields["reason"])
-            raise HandshakeError(f"the device answers HELLO with an ACK ({reason}): no firmware for this hand")
+            raise HandshakeError(f"the device answers HELLO with an ACK ({reason}): it does not run this hand's firmware")
         self.info = HandInfo.from_frame(answer)
         self._statistics.connections += 1
         self._statistics.acked += 1
@@ -166,15 +166,15 @@ class Connection:
         heard = self.exchange.splitter
         if heard.other_version is not None:
             return HandshakeError(f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them")
-        what = f"{heard.rejected_bytes} bytes came that were no frame" if heard.rejected_bytes else "silence"
+        what = f"{heard.rejected_bytes} bytes received that are not frames" if heard.rejected_bytes else "silence"
         what = "an echo of what is sent" if self.exchange.host_frames else what
-        return HandshakeError(f"no hand answered within {patience:g} s ({what}); `hpac doctor` says more")
+        return HandshakeError(f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details")
 
     def request(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
-        """Have a message carried out.
+        """Send a message and require that the hand executes it.
 
         Raises:
-            RejectedError: The hand refuses it. LinkTimeout, PortError: no answer; the port has gone.
+            RejectedError: The hand refuses it. LinkTimeout, PortError: no answer; the port is gone.
         """
         answer = self.exchange.request(name, fields, flags, self._timeout, self._attempts)
         if answer.name == "ack" and answer.fields["reason"] != Reason.ok:
@@ -182,7 +182,7 @@ class Connection:
         self._statistics.acked += 1
 
     def raise_unasked(self, what: str) -> None:
-        """Raise what the hand has said meanwhile: a fault, or the refusal of an unacknowledged message."""
+        """Raise a fault, or the refusal of an unacknowledged message, that the hand has reported in the meantime."""
         refused, self.exchange.refused = self.exchange.refused, None
         if refused is not None:
             raise self._refusal(what, refused)
@@ -196,19 +196,19 @@ class Connection:
         return self.known.refusal(name, answer)
 
     def learn_fault(self) -> None:
-        """Ask which fault it is, and what it does, if the frame that told of it was lost."""
+        """Request the kind of a fault whose FAULT frame was lost."""
         if self.known.in_fault and self.known.fault == Fault.none.name:
             with suppress(BridgeError):
                 self.exchange.request("status", {"period_ms": 0}, 0, self._timeout, self._attempts)
 
     @interrupts.closing
     def end(self, error: BaseException | None = None) -> None:
-        """Leave the hand without pulses and let the port go. Nothing that happens meanwhile keeps it from doing so.
+        """Leave the hand without pulses and release the port, whatever happens meanwhile.
 
-        What is not confirmed is told in an `UnconfirmedWarning`, and noted on `error`, the exception that is on its way.
+        If the hand does not confirm, an `UnconfirmedWarning` is issued and a note is added to `error`, the propagating exception.
 
         Raises:
-            KeyboardInterrupt, SystemExit: One that came meanwhile, at the end, unless `error` is one already.
+            KeyboardInterrupt, SystemExit: Received during the release; raised at its end, unless `error` is one already.
         """
         if self.ended:
             return
@@ -235,11 +235,11 @@ class Connection:
         interrupts.deliver(already_ending)
 
     def _release(self) -> tuple[str, BaseException | None]:
-        """Send CLEAR, then ESTOP, until the hand says that it has no pulses.
+        """Send CLEAR, then ESTOP, until the hand confirms that its pulses are off.
 
         Returns:
-            What was tried in vain, in one sentence, or nothing if the hand has confirmed it; and the interrupt that came
-            meanwhile (`KeyboardInterrupt`, `SystemExit`).
+            A sentence on the failed attempts, empty if the hand has confirmed; and the interrupt received in the meantime
+            (`KeyboardInterrupt`, `SystemExit`), or None.
         """
         sent_before = dict(self.exchange.sent)
         failure, interrupt = "no answer", None
@@ -247,7 +247,7 @@ class Connection:
             try:
                 if self.known.may_have_power:
                     self.exchange.request(name, timeout=self._timeout, attempts=1)
-                if self.known.may_have_power:  # refused, or HELLO alone: how does it stand?
+                if self.known.may_have_power:  # refused, or only HELLO: query the state
                     self.exchange.request("status", {"period_ms": 0}, timeout=self._timeout, attempts=1)
             except LinkTimeout:
                 pass

@@ -1,4 +1,4 @@
-"""Find hands, say what is wrong with each, and the first step to take. Looks only: no hand is greeted, moved or disarmed."""
+"""Find hands and report the fault and first remedy of each. Read-only: no hand is taken over, moved or disarmed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand
 
 _PATIENCE = 3.0
-"""Boards that reset when their port opens need up to 2 s [s]."""
+"""Time-out [s]; boards that reset when their port opens need up to 2 s."""
 _ATTEMPT = 0.1
 _HEARD_MAX = 4096
 _TEXT_SHARE = 0.9
@@ -38,7 +38,7 @@ class Finding:
     healthy: bool
     what: str
     advice: str = ""
-    """The first step to take."""
+    """First remedy."""
 
     def __str__(self) -> str:
         mark = "ok " if self.healthy else "BAD"
@@ -46,7 +46,7 @@ class Finding:
 
 
 class _Heard:
-    """A transport that keeps what it has read."""
+    """A transport that records the received bytes."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -61,21 +61,21 @@ class _Heard:
 
 
 class _Echo(Exception):
-    """The device sends back what it receives."""
+    """The device echoes its input."""
 
 
 def find_ports() -> list[str]:
-    """Serial ports of this machine that could be a hand: those behind USB."""
+    """Serial ports that could be a hand: those connected through USB."""
     return sorted(port.device for port in list_ports.comports() if port.vid is not None)
 
 
 def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) -> Finding:
-    """Look at what is at a port: HELLO 0, which changes nothing, and STATUS where no program has the hand armed.
+    """Query the device at a port with HELLO 0, which changes nothing, and with STATUS unless the hand is armed.
 
     Args:
-        name: how the finding calls the port.
+        name: name of the port in the finding.
         port: as in `HandLink`.
-        hand: whose limits the firmware should have.
+        hand: the hand whose limits the firmware should have.
     """
     try:
         transport = _Heard(open_transport(port) if isinstance(port, str) else port())
@@ -92,7 +92,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         info = HandInfo.from_frame(answer)
         if info.state == "armed":
             what = f"hand with firmware {info.firmware_version}, armed by session {info.session:08x}: left alone"
-            return Finding(name, True, what, "stop the program that has it before you start another, or hpac estop")
+            return Finding(name, True, what, "stop the program that controls it before you start another, or run hpac estop")
         status = HandStatus.from_frame(exchange.request("status", {"period_ms": 0}))
         return _judge(name, info, status, statistics, hand)
     except _Echo:
@@ -109,7 +109,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
 
 
 def _look(exchange: Exchange) -> Frame:
-    """The answer to HELLO 0, in time also for a board that resets when its port opens."""
+    """Get the answer to HELLO 0, waiting long enough for a board that resets when its port opens."""
     deadline = exchange.transport.now() + _PATIENCE
     while True:
         try:

@@ -1,4 +1,4 @@
-"""The bridge's exceptions: one tree below `HpacError`, each also the built-in type that a caller would expect."""
+"""The bridge's exceptions: subclasses of `HpacError`, each also of the built-in type that a caller would expect."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from hpac_gym.errors import HpacError
 
 
 class BridgeError(HpacError):
-    """Base of everything that goes wrong between host and hand."""
+    """Base class of all errors between host and hand."""
 
 
 class FrameError(BridgeError, ValueError):
-    """A value does not fit its field on the wire, or received bytes are no frame of ours."""
+    """A value does not fit its field on the wire, or received bytes are not a valid frame."""
 
 
 class VersionError(FrameError):
@@ -29,7 +29,7 @@ class PortError(BridgeError, OSError):
 
 
 class HandshakeError(BridgeError, ConnectionError):
-    """Nothing answered HELLO, or what answered is not a firmware for this hand."""
+    """Nothing answered HELLO, or the answer is not from a firmware for this hand."""
 
 
 class LinkTimeout(BridgeError, TimeoutError):
@@ -61,19 +61,19 @@ class StoppedError(BridgeError, RuntimeError):
 
 
 class UnconfirmedWarning(UserWarning):
-    """A link was closed without the hand's word that it has no pulses. The text says what was tried and what to do."""
+    """A link was closed without confirmation that the pulses are off. The text states what was tried and what to do."""
 
 
 class LogWarning(UserWarning):
-    """A wire log takes no more lines. The link goes on without it and counts what is missing."""
+    """A wire log cannot be written. The link continues without it and counts the missing lines."""
 
 
 class FirmwareMissing(BridgeError, FileNotFoundError):
-    """The host build of the firmware is not there. `make firmware` builds it."""
+    """The host build of the firmware is missing. `make firmware` builds it."""
 
 
 def tell(warning: Warning) -> None:
-    """Warn, and never raise, not even where warnings are errors."""
+    """Warn without ever raising, even if warnings are treated as errors."""
     try:
         warnings.warn(warning, stacklevel=3)
     except Warning:

@@ -1,4 +1,4 @@
-"""Questions and answers over one transport: sequence numbers, repeats, time-outs, counters, the log of every frame."""
+"""Requests and answers over one transport: sequence numbers, repeats, time-outs, counters, the log of every frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport
 
 _ANSWERS = {"hello": "device_hello", "status": "device_status"}
-"""What answers a message that is carried out; ACK for all others, and for every refusal."""
+"""Answers to executed messages other than ACK, which answers all others and every refusal."""
 
 _SEQ_MAX = 0xFFFF
 _ROUND_TRIPS_KEPT = 100_000
@@ -30,11 +30,11 @@ class LinkStatistics:
     """Counters of one `HandLink`, over all of its connections."""
 
     sent: int = 0
-    """Frames written, repeats included."""
+    """Frames written, including repeats."""
     acked: int = 0
-    """Frames answered and carried out."""
+    """Frames answered as executed."""
     retried: int = 0
-    """Frames written again because no answer came in time."""
+    """Repeated frames, after a time-out."""
     rejected: int = 0
     """Frames that the hand refused."""
     timeouts: int = 0
@@ -42,15 +42,15 @@ class LinkStatistics:
     received: int = 0
     """Intact frames from the hand."""
     bad_frames: int = 0
-    """Received pieces that were no frame, boot text among them."""
+    """Received pieces that are not valid frames, including boot text."""
     bad_bytes: int = 0
-    """Their length [bytes]."""
+    """Total length of the bad frames [bytes]."""
     unlogged: int = 0
-    """Frames that the log did not take."""
+    """Frames missing from the log."""
     connections: int = 0
-    """Handshakes that succeeded."""
+    """Successful handshakes."""
     round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=_ROUND_TRIPS_KEPT), repr=False)
-    """Times from writing a frame to its answer, repeats left out [s]."""
+    """Times from writing a frame to its answer, without repeated frames [s]."""
 
     def round_trip(self, percentile: float) -> float:
         """A percentile of the round trips [s]; NaN before the first."""
@@ -58,11 +58,11 @@ class LinkStatistics:
 
 
 class WireLog:
-    """Writes frames as they pass, one JSON object a line; a context manager.
+    """Logs all frames, one JSON object per line; a context manager.
 
     Each line has `t` [s], `direction` (`sent` or `received`), `hex` (the frame between its zeros), `message`, `seq`,
     `flags` and `fields` (raw integers, units in docs/wire.md). An ACK's line also has `acked`, `reason` and `state` by
-    name, and every answer `round_trip` [s]. A link whose log fails says so once and goes on without it.
+    name, and every answer `round_trip` [s]. If the log fails, the link warns once and continues without it.
 
     Raises:
         OSError: The file cannot be written.
@@ -78,7 +78,7 @@ class WireLog:
         try:
             self.close()
         except OSError:
-            if kind is None:  # an exception of the program's own says more
+            if kind is None:  # do not hide the program's own exception
                 raise
 
     def record(self, time: float, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None) -> None:
@@ -102,7 +102,7 @@ class WireLog:
         self._file.write(json.dumps(line) + "\n")
 
     def close(self) -> None:
-        """Finish the file."""
+        """Close the file."""
         self._file.close()
 
 
@@ -115,17 +115,17 @@ class _Open:
 
 
 class Exchange:
-    """One connection's conversation, in a session of its own.
+    """The exchange of frames over one connection, in a session of its own.
 
     Args:
-        known: learns from every frame.
-        check: called at every step of a call; raises `StoppedError` when the call must end.
+        known: known state of the hand, updated by every frame.
+        check: called at every step of a call; raises `StoppedError` if the call must end.
 
     Attributes:
-        session: nonce of this controller's HELLO, which ties its other messages to it.
-        sent: how often each message has been written, by name.
+        session: nonce of this controller's HELLO, which its other messages carry.
+        sent: number of frames written, by message name.
         refused: the latest refusal of a message that was sent without waiting for an answer, or None.
-        host_frames: frames of a host's types that came back: an echo.
+        host_frames: number of received frames of host message types, which indicate an echo.
     """
 
     def __init__(
@@ -158,13 +158,13 @@ class Exchange:
         timeout: float = 0.1,
         attempts: int = 3,
     ) -> Frame:
-        """Send a message and return its answer: an ACK, or what answers this message.
+        """Send a message and return its answer: an ACK, or the specific answer to this message.
 
-        The same frame is sent up to `attempts` times, `timeout` [s] apart; the hand carries a repeat out only once.
+        The same frame is sent up to `attempts` times, `timeout` [s] apart; the hand executes it only once.
 
         Raises:
             LinkTimeout: No answer.
-            PortError: The port has gone.
+            PortError: The port is gone.
             StoppedError: See `check`.
         """
         self._check()
@@ -184,31 +184,31 @@ class Exchange:
         raise LinkTimeout(f"no answer to {name}: {attempts} times, {timeout:g} s each")
 
     def send(self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None = None, flags: int = 0) -> None:
-        """Send a message and do not wait for an answer.
+        """Send a message without waiting for an answer.
 
         Raises:
-            PortError: The port has gone.
+            PortError: The port is gone.
         """
         frame = self._frame(name, fields, flags)
         self._unacknowledged.append(frame.seq)
         self._write(frame)
 
     def listen(self, seconds: float) -> None:
-        """Let time pass, taking in what the hand says.
+        """Receive frames from the hand for `seconds`.
 
         Raises:
-            PortError: The port has gone.
+            PortError: The port is gone.
             StoppedError: See `check`.
         """
         self._receive_until(self.transport.now() + seconds, None)
 
     def _frame(self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None, flags: int) -> Frame:
-        self._seq = self._seq % _SEQ_MAX + 1  # 0 is left to what the hand says unasked
+        self._seq = self._seq % _SEQ_MAX + 1  # 0 is reserved for unsolicited messages of the hand
         ours = {part.name: self.session for part in MESSAGES[name].fields if part.name in ("session", "nonce")}
         return Frame(name, self._seq, flags, ours | dict(fields or {}))
 
     def _write(self, frame: Frame) -> None:
-        """Write a frame to the port before anything else is done with it: nothing may stand between an intent and the hand."""
+        """Write a frame to the port before counting and logging it, so that nothing delays it."""
         data = encode(frame)
         self.sent[frame.name] += 1
         self._known.about_to_send(frame.name)
@@ -227,7 +227,7 @@ class Exchange:
             try:
                 data = self.transport.read(max(left, 0.0))
             except PortError:
-                self._check()  # a signal handler that reads meanwhile makes a serial port look gone
+                self._check()  # a read in a signal handler makes this one fail as if the port were gone
                 raise
             for encoded, frame in self.splitter.push(data):
                 self._take_in(encoded, frame)
@@ -257,10 +257,10 @@ class Exchange:
             return
         try:
             self._log.record(self.transport.now(), direction, encoded, frame, round_trip)
-        except Exception as error:  # whatever a log does, the hand comes first
+        except Exception as error:  # a failing log must not affect the link
             self._statistics.unlogged += 1
             if self._statistics.unlogged == 1:
-                tell(LogWarning(f"the wire log takes no more lines, the link goes on without it: {error}"))
+                tell(LogWarning(f"the wire log cannot be written, the link continues without it: {error}"))
 
 
 def _is_answer(frame: Frame, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""The codec: frames as values, bytes in and out. Pure functions and one splitter; no I/O, no clock, no thread.
+"""The codec: conversion between frames and bytes. Pure functions and one splitter; no I/O, no clock, no thread.
 
 On the wire a frame is COBS between zero bytes: header, payload of a fixed length, CRC-32 over both.
 """
@@ -30,7 +30,7 @@ _COBS_MAX = FRAME_MAX + 1
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One message as it stands in a frame: raw integers, in the units of docs/wire.md."""
+    """Contents of one frame: raw integers, in the units of docs/wire.md."""
 
     name: str
     seq: int = 0
@@ -44,10 +44,10 @@ def _payload(message: Message) -> struct.Struct:
 
 
 def encode(frame: Frame, version: int = VERSION) -> bytes:
-    """Bytes of a frame on the wire, with a zero before and after.
+    """Encode a frame for the wire, with a zero before and after.
 
     Raises:
-        FrameError: Unknown message, a field missing or too many, or a value that does not fit its field.
+        FrameError: The message is unknown, a field is missing or superfluous, or a value does not fit its field.
     """
     message = MESSAGES.get(frame.name)
     if message is None:
@@ -69,10 +69,10 @@ def encode(frame: Frame, version: int = VERSION) -> bytes:
 
 
 def decode(encoded: bytes) -> Frame:
-    """The frame in what stood between two zero bytes.
+    """Decode the bytes between two zero bytes.
 
     Raises:
-        FrameError: Not COBS, too short or too long, damaged, of another version, of an unknown type, or of a wrong length.
+        FrameError: Not COBS, too short or too long, damaged, or of another version, an unknown type or a wrong length.
     """
     data = cobs_decode(encoded)
     if not HEADER_LENGTH + CRC_LENGTH <= len(data) <= FRAME_MAX:
@@ -102,7 +102,7 @@ def cobs_decode(encoded: bytes) -> bytes:
     """The inverse of `cobs_encode`.
 
     Raises:
-        FrameError: A zero byte, or a run that is longer than the rest.
+        FrameError: The data contains a zero byte, or a run exceeds its end.
     """
     runs = []
     at = 0
@@ -117,12 +117,12 @@ def cobs_decode(encoded: bytes) -> bytes:
 
 
 class FrameSplitter:
-    """Cuts a byte stream at its zeros; whatever is not a frame of ours is counted and left out.
+    """Splits a byte stream at its zeros; pieces that are not valid frames are counted and dropped.
 
     Attributes:
-        rejected_bytes: bytes between zeros that made no frame, boot text for example.
-        rejected_frames: how many such pieces there were.
-        other_version: protocol version of the last intact frame that was not of ours, or None.
+        rejected_bytes: number of bytes in invalid pieces, for example boot text.
+        rejected_frames: number of invalid pieces.
+        other_version: protocol version of the last intact frame of another version, or None.
     """
 
     def __init__(self) -> None:
@@ -133,7 +133,7 @@ class FrameSplitter:
         self._discarded = 0
 
     def push(self, data: bytes) -> list[tuple[bytes, Frame]]:
-        """Take in received bytes; returns each whole frame's bytes between its zeros, and the frame."""
+        """Process received bytes; returns each complete frame, preceded by its encoded bytes."""
         frames = []
         *ended, rest = data.split(b"\0")
         for piece in ended:
@@ -155,7 +155,7 @@ class FrameSplitter:
         return frames
 
     def _append(self, piece: bytes) -> None:
-        """Keep at most what a frame can hold: a flood without zeros must not fill the memory."""
+        """Keep at most the length of a frame: a flood without zeros must not fill the memory."""
         self._pending += piece
         if self._discarded or len(self._pending) > _COBS_MAX:
             self._discarded += len(self._pending)

@@ -1,4 +1,4 @@
-"""The firmware as a process of its own behind a pseudo-terminal, in real time."""
+"""The firmware as a separate process behind a pseudo-terminal, in real time."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _START_TIMEOUT = 5.0
 _END_TIMEOUT = 1.0
 
 BUILD_VARIABLE = "HPAC_FIRMWARE_BUILD"
-"""Environment variable that names another build folder, for a program that runs outside of a checkout."""
+"""Environment variable for another build folder, for programs that run outside a checkout."""
 
 
 def firmware_file(name: str) -> Path:
     """Path of a file of the host build: `hpac_host`, `hpac_driver` or `libhpac.so`.
 
     Raises:
-        FirmwareMissing: It has not been built.
+        FirmwareMissing: The file has not been built.
     """
     checkout = Path(__file__).parents[2] / "firmware" / "build"
     path = Path(os.environ.get(BUILD_VARIABLE, checkout)) / name
@@ -36,10 +36,10 @@ def firmware_file(name: str) -> Path:
 
 
 class HostBoard:
-    """Starts the host firmware on entry and ends it on exit; it also ends by itself when this process goes.
+    """Starts the host firmware on entry and ends it on exit; it also ends by itself when this process ends.
 
     Args:
-        arguments: more command-line arguments of `hpac_host`, for example `("--boot-text",)`.
+        arguments: additional command-line arguments of `hpac_host`, for example `("--boot-text",)`.
 
     Attributes:
         port: path of the pseudo-terminal.
@@ -61,7 +61,7 @@ class HostBoard:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             text=True,
-            start_new_session=True,  # a Ctrl-C at the terminal is for the host: the board must live to be released
+            start_new_session=True,  # Ctrl-C must not end the board before the host has released it
         )
         ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT)
         self.port = self.process.stdout.readline().strip() if ready else ""
@@ -71,12 +71,12 @@ class HostBoard:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._owner != os.getpid():  # in a fork's child: the board is its parent's
+        if self._owner != os.getpid():  # a forked child: the board belongs to its parent
             return
         self.process.terminate()
         try:
             self.process.wait(_END_TIMEOUT)
-        except subprocess.TimeoutExpired:  # stopped in a debugger, say
+        except subprocess.TimeoutExpired:  # for example stopped in a debugger
             self.process.kill()
             self.process.wait()
         self.process.stdout.close()
@@ -86,16 +86,16 @@ class HostBoard:
         """A serial transport to this board, for `HandLink(board.connect)`.
 
         Raises:
-            PortError: The board has ended; its pseudo-terminal may be another program's by now.
+            PortError: The board has ended; its pseudo-terminal may belong to another program by now.
         """
         if self.process.poll() is not None:
             raise PortError(f"{self.port}: no such port; the board behind it has ended")
         return SerialTransport(self.port)
 
     def pulses(self) -> np.ndarray:
-        """The six pulse widths that the servos get now, shape (6,) [ns]; 0 is no pulse.
+        """The present pulse widths, shape (6,) [ns]; 0 means no pulses.
 
-        The firmware logs a change before it sends the answer that tells of it: after `HandLink.wait` or
+        The firmware logs a change before it sends the answer that reports it: after `HandLink.wait` or
         `HandLink.status` this is at least as new as that answer.
         """
         changes = self.pulse_changes()
@@ -104,7 +104,7 @@ class HostBoard:
         return self._pulses.copy()
 
     def pulse_changes(self) -> np.ndarray:
-        """Every change of the widths since the last call, shape (n, 7): time [µs], then six widths [ns]."""
+        """All changes of the pulse widths since the last call, shape (n, 7): time [µs], then six widths [ns]."""
         with self._log.open("rb") as log:
             log.seek(self._read_to)
             lines, newline, _ = log.read().rpartition(b"\n")

@@ -1,4 +1,4 @@
-"""Signals that would end the program: they raise where a hand can still be released, and wait while one is."""
+"""Handling of signals that would end the program: they raise, so that the hand is released, and wait during the release."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from typing import NoReturn
 from weakref import WeakSet
 
 _SAME_INTENT = 1.0
-"""A second signal within this time of the first asks for the same thing [s]."""
+"""A second signal within this time of the first counts as a repetition [s]."""
 
 
 class _Interrupts:
-    """SIGINT, SIGTERM and SIGHUP of this process while links are open, where the program has no handler of its own.
+    """Handles SIGINT, SIGTERM and SIGHUP while links are open, unless the program has its own handlers.
 
-    The first one raises (`KeyboardInterrupt`, or `SystemExit` with 128 + its number), so that every `with` releases its
-    hand. While a link is being closed they wait until it is. One that follows within a second of the first is the same
-    intent, and must not interrupt what the first began.
+    The first signal raises (`KeyboardInterrupt`, or `SystemExit` with 128 + its number), so that every `with` releases its
+    hand. Signals that arrive while a link is being closed are delayed until it is closed. A second signal within a second is
+    a repetition, and must not interrupt the clean-up that the first started.
     """
 
     def __init__(self) -> None:
-        self._links: WeakSet[object] = WeakSet()  # one that an interrupt lost while it was made drops out by itself
+        self._links: WeakSet[object] = WeakSet()  # weak: a link lost to an interrupt in its constructor is dropped
         self._raised_at = -_SAME_INTENT
         self._held: list[int] = []
         self._before: dict[int, object] = {}
@@ -32,12 +32,12 @@ class _Interrupts:
         self._owner = os.getpid()
 
     def closing(self, function: Callable) -> Callable:
-        """Mark a function as one that signals must wait for."""
+        """Mark a function during which signals are delayed."""
         self._closing.add(function.__code__)
         return function
 
     def link_opened(self, link: object) -> None:
-        """Take the signals, with the first link. Only a program's main thread can."""
+        """Install the handlers with the first link. This is possible only in the main thread."""
         if not self._links:
             self._raised_at = -_SAME_INTENT
         self._links.add(link)
@@ -50,7 +50,7 @@ class _Interrupts:
                 self._before[number] = signal.signal(number, self._on_signal)
 
     def link_closed(self, link: object) -> None:
-        """Give the signals back, with the last link."""
+        """Restore the previous handlers with the last link."""
         self._links.discard(link)
         if not self._links:
             self._raised_at = -_SAME_INTENT
@@ -60,13 +60,13 @@ class _Interrupts:
                     signal.signal(number, before)
 
     def deliver(self, already_ending: bool) -> None:
-        """Raise what had to wait, unless the program is ending because of an earlier one."""
+        """Raise the delayed signal, unless the program is already ending because of an earlier one."""
         held, self._held = self._held, []
         if held and not already_ending:
             self._raise(held[0])
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if os.getpid() != self._owner:  # a fork's child
+        if os.getpid() != self._owner:  # in a forked child
             signal.signal(number, self._before[number])
             signal.raise_signal(number)
             return
@@ -86,4 +86,4 @@ class _Interrupts:
 
 
 interrupts = _Interrupts()
-"""Signals belong to the process, and so does this."""
+"""The instance of this process, since signal handlers belong to the process."""

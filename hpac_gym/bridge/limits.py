@@ -1,6 +1,6 @@
 """The servo table on the wire: limits in integer units, taken from the hand's parameters, their hash, and the pulses of an angle.
 
-Host and firmware compare the hash in the handshake, so that neither drives a hand that the other does not know.
+Host and firmware compare the hash in the handshake, so that a host drives only a hand with the limits that it knows.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def servo_limits(hand: Hand = HPAC) -> tuple[ServoLimits, ...]:
     """The servo table of a hand, in the order of `SERVOS`.
 
     Angles are rounded to the wire's step, so that a command for exactly the limit is accepted. Rest is 0 rad, or the
-    limit nearest to it; the pulse's centre stands at the middle of the range.
+    limit closest to it; the centre pulse corresponds to the middle of the range.
     """
     step = round(ANGLE_UNIT * 1e6)
     lower = np.rint(hand.servo_min / ANGLE_UNIT).astype(int) * step
@@ -61,11 +61,11 @@ def servo_limits(hand: Hand = HPAC) -> tuple[ServoLimits, ...]:
 
 
 def limits_hash(hand: Hand = HPAC, trim_ns: Sequence[int] = (0,) * len(SERVOS), reversed_mask: int = 0) -> int:
-    """CRC-32 of everything that bounds the hand's output, as docs/wire.md lists it byte by byte.
+    """CRC-32 of all limits of the hand's output, in the byte order of docs/wire.md.
 
     Args:
-        trim_ns: zero trims of this copy of the hand, as its DEVICE_HELLO tells them, shape (6,) [ns].
-        reversed_mask: bit i for a servo i that is mounted the other way round, as its DEVICE_HELLO tells it.
+        trim_ns: zero trims of the individual hand, from its DEVICE_HELLO, shape (6,) [ns].
+        reversed_mask: bit i is set if servo i is mounted in reverse, from its DEVICE_HELLO.
     """
     numbers = [VERSION, *(PULSE[name] for name in HASHED_PULSE), *(CONSTANTS[name] for name in HASHED_CONSTANTS)]
     for i, servo in enumerate(servo_limits(hand)):
@@ -88,7 +88,7 @@ def pulses_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
 
 
 def servo_from_pulses(pulses: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
-    """Servo angles that a servo without trim takes from these pulses: the inverse of `pulses_from_servo`.
+    """Angles that servos without trim take for these pulses: the inverse of `pulses_from_servo`.
 
     Args:
         pulses: shape (..., 6) [ns].
@@ -97,7 +97,7 @@ def servo_from_pulses(pulses: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
         shape (..., 6) [rad].
 
     Raises:
-        FrameError: A width of 0: that servo gets no pulses, so it has no commanded angle.
+        FrameError: A width is 0: a servo without pulses has no commanded angle.
     """
     pulses = np.asarray(pulses)
     if np.any(pulses == 0):

@@ -1,4 +1,4 @@
-"""A connection to one hand that can be opened again: status, e-stop and clear; it ends with the hand without pulses."""
+"""A reconnectable link to one hand with status, e-stop and clear; on closing it leaves the hand without pulses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _Result = TypeVar("_Result")
 
 
 def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
-    """A method that talks to the hand: one at a time, and only in the process that opened the link."""
+    """Decorate a method that talks to the hand: one call at a time, only in the process that opened the link."""
 
     @wraps(method)
     def call(self: Line, *args: object, **kwargs: object) -> _Result:
@@ -31,7 +31,7 @@ def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
         try:
             with self._turns:
                 return method(self, *args, **kwargs)
-        except StoppedError:  # whatever this call took in last may be older than the e-stop
+        except StoppedError:  # the status received last may be older than the e-stop
             with suppress(BridgeError), self._turns:
                 self._connection.request("status", {"period_ms": 0})
             raise
@@ -40,16 +40,16 @@ def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
 
 
 class Line:
-    """A connection that may look at a hand, stop it, clear it and let it go safely, whether it is armed or not.
+    """A connection that can query a hand, stop it, clear it and release it safely, whether it is armed or not.
 
-    `HandLink` is a line that also drives the hand, and tells more.
+    `HandLink` is a line that also drives the hand, and has more documentation.
 
     Args:
-        port: name of a port (see `open_transport`), or a function that opens a transport, `VirtualHand.connect` say.
-        timeout: patience with one answer [s].
-        attempts: how often a frame is sent before `LinkTimeout`.
-        handshake_timeout: patience with HELLO [s]; boards that reset when the port opens need 1 to 2 s.
-        log: gets every frame.
+        port: name of a port (see `open_transport`), or a function that opens a transport, such as `VirtualHand.connect`.
+        timeout: time-out of one answer [s].
+        attempts: number of times that a frame is sent before `LinkTimeout`.
+        handshake_timeout: time-out of HELLO [s]; boards that reset when the port opens need 1 to 2 s.
+        log: log of every frame.
 
     Attributes:
         statistics: counters and round trips, over all connections.
@@ -79,12 +79,12 @@ class Line:
 
     @property
     def state(self) -> str:
-        """The hand's last known state, of `protocol.State`; `boot` when not connected."""
+        """The hand's last known state, a name of `protocol.State`; `boot` if not connected."""
         return self._connection.known.state if self._connection else State.boot.name
 
     @property
     def last_status(self) -> HandStatus | None:
-        """The latest STATUS, asked for or periodic."""
+        """The latest STATUS, requested or periodic."""
         return self._connection.known.status if self._connection else None
 
     def __enter__(self) -> Self:
@@ -97,10 +97,10 @@ class Line:
 
     @interrupts.closing
     def close(self) -> None:
-        """Leave the hand without pulses and let the port go. May be called twice, from any thread and a signal handler.
+        """Leave the hand without pulses and release the port. May be called repeatedly, from any thread or signal handler.
 
-        A hand that does not confirm it is told of in an `UnconfirmedWarning`; no error is raised. Signals wait until the
-        end. A link that is forgotten open is closed when it is collected or the program ends.
+        If the hand does not confirm this, an `UnconfirmedWarning` is issued; no error is raised. Signals are delayed until the
+        end. A link that was not closed is closed when it is garbage-collected or the program ends.
         """
         self._end(None)
 
@@ -110,11 +110,11 @@ class Line:
             self._when_forgotten.detach()
 
     def connect(self) -> HandInfo:
-        """Open the port and greet the hand. Afterwards it is not armed, whatever it was before.
+        """Open the port and perform the handshake. Afterwards the hand is not armed, whatever its state was before.
 
         Raises:
             PortError: The port cannot be opened.
-            HandshakeError: Nothing answers, or a firmware of another protocol version.
+            HandshakeError: Nothing answers, or the firmware has another protocol version.
         """
         self.close()
         connection = Connection(self._open(), self._turns, self.statistics, log=self._log, **self._patience)
@@ -129,10 +129,10 @@ class Line:
         return connection.info
 
     def reconnect(self, timeout: float = 10.0) -> HandInfo:
-        """Wait until the port is there again [s, wall clock], and connect. The hand is then not armed.
+        """Wait for the port for up to `timeout` [s, wall clock], and connect. The hand is then not armed.
 
         Raises:
-            PortError, HandshakeError: It did not come back in time; the last reason.
+            PortError, HandshakeError: The port did not return in time; the last reason is given.
         """
         deadline = monotonic() + timeout
         while True:
@@ -144,11 +144,11 @@ class Line:
                 sleep(0.05)
 
     def estop(self) -> None:
-        """Stop all pulses now and latch a fault, in any state. From any thread and from a signal handler: the call that is
-        under way ends with `StoppedError`.
+        """Stop all pulses now and latch a fault, in any state, from any thread or signal handler. A call in progress ends with
+        `StoppedError`.
 
         Raises:
-            LinkTimeout, PortError: It is not confirmed: switch the servo supply off.
+            LinkTimeout, PortError: The stop is not confirmed: switch the servo supply off.
         """
         connection = self._connected()
         connection.require_owner()
@@ -166,10 +166,10 @@ class Line:
 
     @turn
     def status(self, period: float = 0.0) -> HandStatus:
-        """Ask what the hand does; from now on it also says so by itself every `period` [s], or not at all for 0.
+        """Request STATUS; the hand then also sends it every `period` [s], or not at all for 0.
 
         Raises:
-            RejectedError: A period below 10 ms.
+            RejectedError: The period is below 10 ms.
         """
         self._connected().request("status", {"period_ms": round(period * 1e3)})
         return self.last_status

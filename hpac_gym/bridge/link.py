@@ -1,4 +1,4 @@
-"""The link to one hand: arming, moves, heartbeat. No call blocks for ever."""
+"""The link to one hand: arming, moves, heartbeat. No call blocks indefinitely."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ _HEARTBEATS_PER_WATCHDOG = 4
 
 
 class HandLink(Line):
-    """A hand at the other end of a wire; connects on entry, and on exit leaves it without pulses.
+    """A connection to a hand, opened on entry; on exit it leaves the hand without pulses.
 
     ```python
     with HandLink("/dev/ttyUSB0") as link:
         link.arm()
-        for command in commands:      # one every command.duration: move() waits for the one before to end
+        for command in commands:      # one per command.duration: move() waits for the previous one to end
             link.move(command)
         link.wait()
     ```
-    There is no hidden thread: a program that hangs falls silent, and once the watchdog's period has passed the hand does
-    what `arm` was told. Use `sleep` instead of `time.sleep` while armed; it sends heartbeats. Calls from several threads
-    wait for each other; `estop` and `close` do not wait, and may come from a signal handler: the call that they interrupt
-    raises `StoppedError`. A fork's child cannot use its parent's link, and does not disturb it.
+    There is no background thread: if the program hangs, the watchdog expires and the hand executes the safe action given
+    to `arm`. Use `sleep` instead of `time.sleep` while armed; it sends heartbeats. Calls from several threads
+    wait for each other; `estop` and `close` do not wait, and may be called from a signal handler: the call that they
+    interrupt raises `StoppedError`. A forked child cannot use its parent's link, and does not disturb it.
 
     Args:
-        port: name of a port (see `open_transport`), or a function that opens a transport, `VirtualHand.connect` say.
-        hand: whose limits the firmware must have been built with.
+        port: name of a port (see `open_transport`), or a function that opens a transport, such as `VirtualHand.connect`.
+        hand: the hand with whose limits the firmware must have been built.
         timeout, attempts, handshake_timeout, log: see `Line`.
     """
 
@@ -55,16 +55,16 @@ class HandLink(Line):
 
     @turn
     def arm(self, action: Action = Action.relax, watchdog: float = CONSTANTS["watchdog_ms"] * 1e-3) -> None:
-        """Arm the hand and wait until all servos have pulses, one after the other, and stand at rest.
+        """Arm the hand and wait until all servos have pulses, one after the other, and are at rest.
 
         Args:
-            action: what the hand does when this program falls silent. `hold` relaxes as well, after 30 s. If the link is dead,
-                `relax` keeps the pulses for up to 3.2 s after the watchdog, `hold` for up to 33.2 s; `detach` ends them at once.
-            watchdog: for how long it may be silent, 0.1 to 2 [s].
+            action: safe action of the hand when this program stops sending. `hold` also relaxes, after 30 s. If the link fails,
+                `relax` keeps the pulses for up to 3.2 s after the watchdog, `hold` for up to 33.2 s; `detach` stops them at once.
+            watchdog: longest silence before the safe action, 0.1 to 2 [s].
 
         Raises:
             HandshakeError: The firmware was built with other limits than those of `hand`.
-            RejectedError: Not in IDLE, a servo is too hot, or `watchdog` out of bounds. FaultError: clear a fault first.
+            RejectedError: Not in IDLE, a servo is too hot, or `watchdog` is out of bounds. FaultError: a fault is latched.
             LinkTimeout: No answer, or not all servos got pulses.
         """
         connection = self._connected()
@@ -83,18 +83,18 @@ class HandLink(Line):
     def move(self, command: ServoCommand, *, minimum_jerk: bool = False, acknowledge: bool = True, pace: bool = True) -> None:
         """Send one synchronised move, and wait for the hand's ACK.
 
-        The duration goes out in whole ms, rounded up, so that no move gets faster; angles in 1e-4 rad.
+        The duration is sent in whole ms, rounded up, so that no move gets faster; angles in units of 1e-4 rad.
 
         Args:
             minimum_jerk: a smooth move from the present pose and velocity, instead of a linear one from the pose.
-            acknowledge: False asks for no ACK and does not wait; a refusal or a fault is raised by the first call after it
-                has come.
-            pace: first wait until the move before has ended. False pre-empts it.
+            acknowledge: False requests no ACK and does not wait; a refusal or a fault is raised by the first call after its
+                arrival.
+            pace: first wait until the previous move has ended. False pre-empts it.
 
         Raises:
             FrameError: An angle beyond ±3.2767 rad, or a duration beyond 65.535 s.
-            RejectedError: Outside of the limits, too fast, or not armed. FaultError: a fault has latched.
-            LinkTimeout, PortError: No answer; the port has gone.
+            RejectedError: Outside the limits, too fast, or not armed. FaultError: a fault is latched.
+            LinkTimeout, PortError: No answer; the port is gone.
         """
         duration_ms = math.ceil(command.duration * 1e3 - 1e-6)
         steps = np.rint(np.asarray(command.servo) / ANGLE_UNIT).astype(int)
@@ -113,11 +113,11 @@ class HandLink(Line):
 
     @turn
     def wait(self) -> HandStatus:
-        """Let time pass until the hand says that the move has ended.
+        """Wait until the hand reports that the move has ended.
 
         Raises:
-            FaultError: A fault latched meanwhile.
-            LinkTimeout: It still says that it moves long after the move's duration.
+            FaultError: A fault latched in the meantime.
+            LinkTimeout: The hand still reports motion long after the move's duration.
         """
         self.sleep(self._connected().busy_until - self._now())
         deadline = self._now() + 1.0
@@ -129,11 +129,11 @@ class HandLink(Line):
 
     @turn
     def sleep(self, seconds: float) -> None:
-        """Let time pass, with heartbeats while armed; returns at once for `seconds` ≤ 0.
+        """Wait, sending heartbeats while armed; returns at once for `seconds` ≤ 0.
 
         Raises:
-            FaultError: A fault latched meanwhile.
-            LinkTimeout, PortError: A heartbeat got no answer; the port has gone.
+            FaultError: A fault latched in the meantime.
+            LinkTimeout, PortError: A heartbeat got no answer; the port is gone.
         """
         connection = self._connected()
         deadline = self._now() + seconds
@@ -149,7 +149,7 @@ class HandLink(Line):
 
     @turn
     def heartbeat(self) -> str:
-        """Tell the hand that this program is alive; returns the hand's state, of `protocol.State`."""
+        """Send a heartbeat; returns the hand's state, a name of `protocol.State`."""
         self._feed("heartbeat")
         return self.state
 
@@ -157,7 +157,7 @@ class HandLink(Line):
         return self._connected().exchange.transport.now()
 
     def _feed(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
-        """Send what also feeds the hand's watchdog."""
+        """Send a message that feeds the hand's watchdog."""
         connection = self._connected()
         sent_at = self._now()
         connection.request(name, fields, flags)

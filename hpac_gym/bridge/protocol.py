@@ -1,6 +1,6 @@
-"""The protocol description as Python values, read from `protocol.toml` beside this file.
+"""The protocol description as Python values, read from `protocol.toml` in this folder.
 
-Pure data: names, codes and layouts. `frame` turns them into bytes, `generate` into the C header.
+Pure data: names, codes and layouts. `frame` encodes them as bytes, `generate` writes the C header.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Field:
 
     @property
     def struct_format(self) -> str:
-        """This field in the notation of the `struct` module."""
+        """Format of this field for the `struct` module."""
         letter = {1: "b", 2: "h", 4: "i"}[self.size]
         return f"{self.count}{letter if self.signed else letter.upper()}"
 
@@ -62,7 +62,7 @@ def _read_fields(pairs: list[list[str]]) -> tuple[Field, ...]:
 
 SOURCE = files(__package__).joinpath("protocol.toml").read_text(encoding="utf-8")
 DESCRIPTION = tomllib.loads(SOURCE)
-"""The whole file, as read."""
+"""The contents of the file."""
 
 VERSION: int = DESCRIPTION["version"]
 FIRMWARE_VERSION: tuple[int, int, int] = tuple(DESCRIPTION["firmware_version"])
@@ -97,7 +97,7 @@ MESSAGES = _messages("message")
 """All messages by name."""
 
 PLANNED = _messages("planned")
-"""Messages that no firmware carries out yet; their codes are kept free."""
+"""Messages that no firmware implements yet; their codes are reserved."""
 
 MESSAGE_BY_CODE = {message.code: message for message in MESSAGES.values()}
 
@@ -108,11 +108,11 @@ ANGLE_UNIT = CONSTANTS["angle_unit_urad"] / 1e6
 """One step of an angle on the wire [rad]."""
 
 NO_SERVO = 255
-"""`servo` field of an ACK or FAULT that concerns no single servo."""
+"""Value of the `servo` field of an ACK or FAULT that does not concern a single servo."""
 
 
 def name_of(enum: type[IntEnum], value: int) -> str:
-    """Name of an enum's value; a value that this version does not know reads `unknown_7`."""
+    """Name of an enum value, such as `unknown_7` for a value that this version does not know."""
     try:
         return enum(value).name
     except ValueError:

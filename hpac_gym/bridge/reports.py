@@ -1,4 +1,4 @@
-"""Reports of the hand about itself, in SI units and names, and the state of the hand that is known from them."""
+"""Reports of the hand in SI units and names, and the state of the hand known from them."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class HandInfo:
     firmware_version: str
     limits_hash: int
     watchdog: float
-    """Silence that ends in the safe action [s]."""
+    """Watchdog period: silence after which the safe action starts [s]."""
     reset: str
-    """Why the chip last started, of `protocol.Reset`."""
+    """Cause of the last reset, a name of `protocol.Reset`."""
     boot_count: int
     state: str
     """Name of the state at the time of the answer, of `protocol.State`."""
     session: int
-    """The nonce of the HELLO whose session is in force; 0 for none."""
+    """Nonce of the active session; 0 for none."""
     trim_ns: tuple[int, ...]
-    """Zero trims of this copy of the hand, shape (6,) [ns]."""
+    """Zero trims of the individual hand, shape (6,) [ns]."""
     reversed_mask: int
-    """Bit i for a servo i that is mounted the other way round."""
+    """Bit i is set if servo i is mounted in reverse."""
 
     @classmethod
     def from_frame(cls, frame: Frame) -> HandInfo:
@@ -57,7 +57,7 @@ class HandInfo:
         """Compare the firmware's limits with those of a hand.
 
         Raises:
-            HandshakeError: They differ; the message says how the firmware is made to fit.
+            HandshakeError: They differ; the message states how to make the firmware match.
         """
         wanted = limits_hash(hand, self.trim_ns, self.reversed_mask)
         if self.limits_hash != wanted:
@@ -83,14 +83,14 @@ class HandStatus:
     servo: np.ndarray
     """Commanded angles, shape (6,) [rad]."""
     heat: np.ndarray
-    """Estimated heat of each servo as a share of what is admissible, shape (6,)."""
+    """Estimated heat of each servo as a share of the admissible heat, shape (6,)."""
     rate_share: float
-    """What is left of the rate limit of the hottest servo, 0…1."""
+    """Remaining share of the rate limit of the hottest servo, 0…1."""
     supply: float
-    """Voltage of the servo supply [V]; NaN where the board does not measure it."""
+    """Voltage of the servo supply [V]; NaN if the board does not measure it."""
     last_seq: int
     counters: dict[str, int]
-    """By the names of `COUNTERS`, since boot."""
+    """Counts since boot, by the names of `COUNTERS`."""
 
     @classmethod
     def from_frame(cls, frame: Frame) -> HandStatus:
@@ -112,14 +112,14 @@ class HandStatus:
 
 
 class KnownState:
-    """The latest news of the hand: learnt from whatever it says, and from nothing else.
+    """The latest known state of the hand, derived only from its messages.
 
     Attributes:
-        state: of `protocol.State`; `boot` when not connected.
-        fault: of `protocol.Fault`; `none` also when a fault is known but not yet which.
+        state: name of `protocol.State`; `boot` if not connected.
+        fault: name of `protocol.Fault`; also `none` if the kind of a fault is not known yet.
         status: the latest STATUS, or None.
-        may_have_power: False once the hand has said, in answer to a message that was sent after the last ARM, that it has
-            no pulses.
+        may_have_power: False once the hand has confirmed, in answer to a message sent after the last ARM, that its pulses
+            are off.
     """
 
     def __init__(self) -> None:
@@ -127,17 +127,17 @@ class KnownState:
         self.forget()
 
     def forget(self) -> None:
-        """The connection is gone: nothing is known."""
+        """Forget the state when the connection is gone."""
         self.state = State.boot.name
         self.fault = Fault.none.name
         self.may_have_power = True
 
     def about_to_send(self, name: str) -> None:
-        """Note a message before its first byte goes out: from ARM on, the hand may have pulses."""
+        """Record a message before it is sent: from ARM on, the hand may have pulses."""
         self.may_have_power = self.may_have_power or name == "arm"
 
     def take_in(self, frame: Frame, answered: str | None = None) -> None:
-        """Learn from any frame of the hand; `answered` names the message that it answers."""
+        """Update the state from a frame of the hand; `answered` names the message that it answers."""
         if "state" in frame.fields:
             self.state = name_of(State, frame.fields["state"])
         if frame.name == "device_status":
@@ -148,22 +148,22 @@ class KnownState:
             self.fault = name_of(Fault, frame.fields["fault"])
         elif self.state != State.fault.name:
             self.fault = Fault.none.name
-        # An answer to ARM or MOVE proves nothing: a repeat of the same frame may still be on its way.
+        # An answer to ARM or MOVE proves nothing: a repeated frame may still be in transit.
         if answered in ("hello", "clear", "estop", "status"):
             self.may_have_power = not _without_pulses(frame, answered)
 
     @property
     def armed(self) -> bool:
-        """True once the hand has said that it is armed."""
+        """Whether the hand has reported that it is armed."""
         return self.state == State.armed.name
 
     @property
     def in_fault(self) -> bool:
-        """True once the hand has said that a fault has latched."""
+        """Whether the hand has reported a latched fault."""
         return self.state == State.fault.name
 
     def refusal(self, name: str, ack: Frame) -> RejectedError:
-        """The error that an ACK with a reason stands for."""
+        """The error for an ACK with a reason."""
         reason = name_of(Reason, ack.fields["reason"])
         servo = SERVOS[ack.fields["servo"]] if ack.fields["servo"] < len(SERVOS) else None
         if self.in_fault:
@@ -174,7 +174,7 @@ class KnownState:
         return RejectedError(f"the hand refused {name}: {reason}{where} (state {self.state})", reason, servo, self.state)
 
     def fault_error(self, what: str, reason: str = Reason.state.name, servo: str | None = None) -> FaultError:
-        """The error of whoever meets a latched fault."""
+        """The error for a latched fault."""
         return FaultError(f"the hand is in fault ({self.fault}): {what}; clear() leaves it", reason, servo, self.state)
 
 

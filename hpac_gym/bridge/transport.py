@@ -1,6 +1,6 @@
-"""Transports of bytes: a serial port or pseudo-terminal, or a TCP socket. `virtual_hand` has the in-process one.
+"""Byte transports: a serial port or pseudo-terminal, or a TCP socket. The in-process transport is in `virtual_hand`.
 
-A transport also owns the clock, so that a link over a virtual hand runs in virtual time and none of it sleeps.
+A transport also owns the clock, so that a link to a virtual hand runs in virtual time without sleeping.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ READ_SIZE = 4096
 
 
 class Transport(Protocol):
-    """The methods that a `HandLink` needs of a connection. Each raises `PortError` once the other end has gone."""
+    """The methods that a `HandLink` needs. Each raises `PortError` once the other end is gone."""
 
     def read(self, timeout: float) -> bytes:
-        """Bytes as soon as there are any; none after `timeout` [s]."""
+        """Return bytes as soon as there are any, or none after `timeout` [s]."""
 
     def write(self, data: bytes) -> None:
         """Send all of `data`, or raise."""
@@ -31,20 +31,20 @@ class Transport(Protocol):
         return time.monotonic()
 
     def close(self) -> None:
-        """Let the port go. May be called twice."""
+        """Release the port. May be called repeatedly."""
 
 
 class SerialTransport(Transport):
-    """A serial port or pseudo-terminal through pyserial, locked against a second program.
+    """A serial port or pseudo-terminal through pyserial, locked against other programs.
 
-    DTR and RTS are low before the port opens: many boards reset, or stay in their boot loader, otherwise.
+    DTR and RTS are set low before the port opens; otherwise many boards reset or stay in their boot loader.
 
     Args:
         port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, or any URL that pyserial takes.
-        write_timeout: a port that takes no bytes for this long has gone [s].
+        write_timeout: a port that accepts no bytes for this long is considered gone [s].
 
     Raises:
-        PortError: No such port, no permission, or another program has it.
+        PortError: The port does not exist, access is denied, or another program uses it.
     """
 
     def __init__(self, port: str, baud: int = CONSTANTS["baud"], write_timeout: float = 1.0) -> None:
@@ -66,7 +66,7 @@ class SerialTransport(Transport):
                 self._serial.timeout = timeout
             first = self._serial.read(1)
             return first + self._serial.read(self._serial.in_waiting) if first else b""
-        except (OSError, TypeError) as error:  # TypeError: pyserial on a port that was closed meanwhile
+        except (OSError, TypeError) as error:  # TypeError: raised by pyserial if the port was closed meanwhile
             raise PortError(f"{self.port} has gone: {error}") from error
 
     def write(self, data: bytes) -> None:
@@ -94,7 +94,7 @@ class SocketTransport(Transport):
     """A TCP connection, for an emulated board or a serial-to-network bridge.
 
     Raises:
-        PortError: Nobody listens there.
+        PortError: The connection is refused or times out.
     """
 
     def __init__(self, host: str, port: int, timeout: float = 1.0) -> None:
@@ -108,7 +108,7 @@ class SocketTransport(Transport):
 
     def read(self, timeout: float) -> bytes:
         try:
-            self._socket.settimeout(max(timeout, 1e-6))  # 0 would mean non-blocking, another error
+            self._socket.settimeout(max(timeout, 1e-6))  # 0 would mean non-blocking mode
             data = self._socket.recv(READ_SIZE)
         except TimeoutError:
             return b""
@@ -130,7 +130,7 @@ class SocketTransport(Transport):
 
 
 def open_transport(port: str) -> Transport:
-    """The transport that a port's name asks for: `socket://HOST:PORT`, or else a serial port.
+    """Open the transport for a port name: `socket://HOST:PORT`, or else a serial port.
 
     Raises:
         PortError: The name is malformed, or the port cannot be opened.

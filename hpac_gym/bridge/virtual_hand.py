@@ -1,6 +1,6 @@
-"""The firmware core in this process: the same C code, a clock that only moves when somebody waits.
+"""The firmware core in this process: the same C code with a virtual clock, which advances only while a link waits.
 
-Deterministic and faster than real time; nothing of it is a model of the firmware, it *is* the firmware.
+Deterministic and faster than real time. This is the firmware itself, not a model of it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _Pulses = ctypes.c_uint32 * len(SERVOS)
 
 
 class ServoConfig(ctypes.Structure):
-    """`hpac_servo_t` of firmware/core/hpac_servo.h: the limits, in their order, and what differs between copies of a hand."""
+    """`hpac_servo_t` of firmware/core/hpac_servo.h: the limits, in their order, then trim and direction."""
 
     _limits = tuple(field.name for field in fields(ServoLimits))[1:]
     _fields_ = [(name, ctypes.c_int32) for name in (*_limits, "trim_ns", "direction")]
@@ -36,12 +36,12 @@ Config = ServoConfig * len(SERVOS)
 
 @cache
 def load_library() -> ctypes.CDLL:
-    """The core as a shared library, its functions typed.
+    """Load the core as a shared library with typed functions.
 
     Raises:
-        FirmwareMissing: It has not been built.
+        FirmwareMissing: The library has not been built.
     """
-    library = ctypes.PyDLL(str(firmware_file("libhpac.so")))  # holds the GIL: no second thread in the core meanwhile
+    library = ctypes.PyDLL(str(firmware_file("libhpac.so")))  # holds the GIL, so that only one thread is in the core
     pointer, size, u64 = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
     signatures = {
         "hpac_library_hand_size": (size, []),
@@ -61,14 +61,14 @@ def load_library() -> ctypes.CDLL:
 
 
 def default_config() -> ctypes.Array[ServoConfig]:
-    """The servo table that the firmware was built with, for a test to change: trims, directions."""
+    """Copy of the servo table that the firmware was built with, whose trims and directions a test may change."""
     config = Config()
     load_library().hpac_config_default(config)
     return config
 
 
 def config_of(hand: Hand) -> ctypes.Array[ServoConfig]:
-    """The servo table of a hand as the generator writes it into a firmware for that hand."""
+    """The servo table of a firmware that is generated for a hand."""
     return Config(*(ServoConfig(*astuple(servo)[1:], 0, 1) for servo in servo_limits(hand)))
 
 
@@ -76,10 +76,10 @@ class VirtualHand:
     """One hand with its own virtual clock. Use it like `HostBoard`.
 
     Args:
-        period_us: how often the board ticks the core [µs].
+        period_us: period of the board's ticks [µs].
         config: servo table, see `default_config`.
-        on_pulses: called as `on_pulses(now_us, pulses)` after every tick that a link waits for; widths as in `pulses`.
-        start_us: where the clock starts [µs].
+        on_pulses: called as `on_pulses(now_us, pulses)` after every tick; widths as in `pulses`.
+        start_us: initial value of the clock [µs].
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class VirtualHand:
         self.now_us = start_us
         """Virtual time [µs]."""
         self.plugged = True
-        """Set to False to pull the cable: every transport then raises `PortError`."""
+        """Set to False to simulate an unplugged cable: every transport then raises `PortError`."""
         self.restart(reset)
 
     def __enter__(self) -> VirtualHand:
@@ -110,7 +110,7 @@ class VirtualHand:
         pass
 
     def restart(self, reset: Reset = Reset.power_on, boot_count: int = 1) -> None:
-        """Reset the chip; the clock goes on."""
+        """Reset the chip without resetting the clock."""
         self._library.hpac_hand_init(self._hand, self._config, reset, boot_count, None)
         self.tick()
 
@@ -119,27 +119,27 @@ class VirtualHand:
         return VirtualTransport(self)
 
     def pulses(self) -> np.ndarray:
-        """The six pulse widths now, shape (6,) [ns]; 0 is no pulse."""
+        """The present pulse widths, shape (6,) [ns]; 0 means no pulses."""
         return np.array(self._pulses, dtype=np.int64)
 
     def receive(self, data: bytes) -> None:
-        """Give the firmware bytes from the host, now."""
+        """Pass bytes from the host to the firmware."""
         self._library.hpac_hand_receive(self._hand, self._config, self.now_us, data, len(data))
         self.tick()
 
     def transmit(self) -> bytes:
-        """Take what the firmware has to say."""
+        """Read the bytes that the firmware has to send."""
         length = self._library.hpac_hand_transmit(self._hand, self._out, len(self._out))
         return self._out.raw[:length]
 
     def tick(self) -> None:
-        """Let the firmware look at the clock, as the board does every period."""
+        """Call the firmware's tick, as the board does every period."""
         self._library.hpac_hand_tick(self._hand, self._config, self.now_us, self._pulses)
         if self._on_pulses:
             self._on_pulses(self.now_us, self.pulses())
 
     def run(self, seconds: float) -> bytes:
-        """Let time pass, in ticks, until the firmware has something to say or `seconds` are over; returns what it says."""
+        """Advance the clock in ticks until the firmware sends bytes or `seconds` have passed; returns the bytes."""
         said = self.transmit()
         until_us = self.now_us + math.ceil(seconds * 1e6)
         while not said and self.now_us < until_us:
@@ -154,7 +154,7 @@ class VirtualHand:
 
 
 class VirtualTransport(Transport):
-    """The in-process twin of a serial port: reading lets virtual time pass."""
+    """In-process equivalent of a serial port: reading advances the virtual clock."""
 
     def __init__(self, hand: VirtualHand) -> None:
         self._hand = hand

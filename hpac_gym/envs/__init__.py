@@ -68,15 +68,15 @@ def grasp_task(
     """The task of `HPAC-Grasp-v0`.
 
     Args:
-        grasp: one of the sixteen of `GRASPS` by its name; None draws a primitive of any size in front of the open hand.
-        variant: of a named grasp's object, such as "large" or "slippery"; see `tasks/data/grasps.toml`.
-        object: takes the primitive's place in every episode; a dictionary has the arguments of `own_object`.
-        config: what episodes are drawn from and judged by, or a mapping of its fields; None is the default.
+        grasp: name of one of the sixteen `GRASPS`; None draws a primitive in front of the open hand.
+        variant: variant of a named grasp's object, such as "large" or "slippery"; see `tasks/data/grasps.toml`.
+        object: object that replaces the primitive in every episode; a dictionary holds the arguments of `own_object`.
+        config: sampling ranges, success criteria and reward weights, or a mapping of its fields; None is the default.
 
     Raises:
-        GraspError: No grasp or variant has that name, a variant of no named grasp is asked for, or another object for one.
-        ParameterError: No such object; or a config that is none, with ranges for a named grasp, with ranges of the object for an
-            object of one's own, or with too long an episode.
+        GraspError: Unknown grasp or variant; or `variant` without a named grasp, or `object` with one.
+        ParameterError: Invalid object or config; a config with ranges for a named grasp, with object ranges for `object`, or with
+            too long an episode.
     """
     chosen = settings_from(GraspConfig(), config, "config")
     ranges = [field.name for field in fields(chosen) if "bounds" in field.metadata and field.name != "drop_distance"]
@@ -102,7 +102,7 @@ def grasp_task(
 
 
 def _fitting(task: Task, env_id: str) -> Task:
-    """The task, if its episodes end before the time limit of an id cuts them."""
+    """Return the task, refusing one whose episodes reach the time limit of its id."""
     steps, limit = round(task.duration * CONTROL_HZ), gymnasium.spec(env_id).max_episode_steps
     if steps >= limit:
         kind = type(task).__name__
@@ -133,13 +133,13 @@ def grasp_type_task(
 
 
 def _entry_points(env_id: str, make_task: Callable[..., Task]) -> tuple[Callable[..., HandEnv], Callable[..., VectorEnv]]:
-    """What makes one environment of an id, and what makes n: of the task's arguments, and the options of `HandEnv`.
+    """Entry points of an id, for one environment and for n; they take the task's arguments and the options of `HandEnv`.
 
-    n environments are one `HandVectorEnv` on MuJoCo; on PyBullet, which keeps Python's lock, they are Gymnasium's n processes.
+    n environments are one `HandVectorEnv` on MuJoCo, and n processes of Gymnasium on PyBullet, which holds the GIL.
     """
 
     def given(options: dict[str, Any]) -> tuple[Task, dict[str, Any], dict[str, Any]]:
-        """The task, what it was made of, and the other options."""
+        """The task, its arguments, and the other options."""
         if options.get("hands", "nominal") != "nominal" and options.get("hand", HPAC) is not HPAC:
             raise ParameterError(f"hands {options['hands']!r} and a hand of one's own were given: give either")
         of_task = {name: options.pop(name) for name in signature(make_task).parameters if name in options}
@@ -156,7 +156,7 @@ def _entry_points(env_id: str, make_task: Callable[..., Task]) -> tuple[Callable
         if num_envs < 1:
             raise ParameterError(f"num_envs = {num_envs} must be at least 1")
         make = partial(gymnasium.make, f"hpac_gym:{env_id}", **of_task, **others)
-        # A fork would copy locks that threads of other libraries hold at that moment, and its child would wait for them for ever.
+        # A fork would copy locks held by threads of other libraries, and its child would wait for them for ever.
         return AsyncVectorEnv([make] * num_envs, autoreset_mode=autoreset_mode, context="spawn")
 
     return one, many

@@ -1,4 +1,4 @@
-"""n episodes of a task as arrays: action to servos to physics to observation and reward. Both environment classes run on it."""
+"""n episodes of a task as arrays: action, servos, physics, observation and reward. Both environment classes use it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from hpac_gym.tasks.terms import Layout, Moment
 IMAGE_SIZE = 84
 """Width and height of an observed picture [px]."""
 VIEW_TARGET = np.array([0.03, 0.0, 0.10])
-"""What pictures are centred on, in the hand frame [m]."""
+"""Point in the hand frame on which images are centred [m]."""
 
 Transmit = Callable[[ServoCommand], ServoCommand]
 _NO_CHOICE = HandSettings()
@@ -51,17 +51,17 @@ class Episodes:
     Args:
         task: draws episodes, judges them and shapes the reward.
         num_worlds: n.
-        options: what the environment was asked for.
-        transmit: what a command passes through on its way to the servos, for n = 1; None leaves it as it is.
+        options: options of the environment.
+        transmit: function applied to a command on its way to the servos, for n = 1; None is the identity.
 
     Raises:
-        ParameterError: The task has no such observation.
+        ParameterError: The task does not have the requested observation.
 
     Attributes:
-        observation_space: of one world.
-        randomizations: of the episodes to come, one for each world.
-        action_space: of one world.
-        outcome: how each episode stands, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
+        observation_space: observation space of one world.
+        randomizations: randomization of future episodes, one per world.
+        action_space: action space of one world.
+        outcome: status of each episode, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
     """
 
     def __init__(self, task: Task, num_worlds: int, options: Options, transmit: Transmit | None = None) -> None:
@@ -121,12 +121,12 @@ class Episodes:
         """Start episodes in some worlds.
 
         Args:
-            worlds: which ones.
-            generators: of each of them; a world's episodes depend on its own alone.
-            given: the episode, instead of a drawn one.
+            worlds: indices of the worlds.
+            generators: random generator of each of them; a world's episodes depend only on its own.
+            given: setup to use instead of a drawn one.
 
         Returns:
-            What the randomization drew, for each of them.
+            Values drawn by the randomization, by name, for each of the worlds.
         """
         options, body = self.options, BODIES[self.options.body]
         setups, values, cameras = [], [], []
@@ -152,13 +152,13 @@ class Episodes:
         return values
 
     def _begin(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Set the scenes of some worlds."""
+        """Set up the scenes of some worlds."""
         self.task.start(worlds, setups)
         self.simulation.reset(worlds, setups)
         for layout in (self._layout, self._goals):
             if layout:
                 layout.start(worlds, setups)
-        self._predicted = self._predicted.copy()  # the last moment keeps its own
+        self._predicted = self._predicted.copy()  # the previous `Moment` keeps its array
         for world, setup in zip(worlds, setups, strict=True):
             self.setups[world] = setup
             self._rotation[world] = setup.hand_rotation
@@ -167,17 +167,11 @@ class Episodes:
             servo, self._predicted[world], self._last_action[world] = self._start_of(*map(float, setup.synergy))
             self._servo[world] = self._arrived[world] = servo
 
-    def _choose(self, actions: Array) -> None:
-        """Set the scenes anew in which an episode's first action chooses the wrist's place."""
-        worlds = np.flatnonzero((self._step == 0) & (self.outcome == RUNNING)).tolist()
-        if worlds:
-            self._begin(worlds, [self.task.chosen(self.setups[world], actions[world]) for world in worlds])
-
     def step(self, actions: NDArray) -> Array:
         """Carry out one action in every world for one control period, and judge it.
 
         Args:
-            actions: shape (n, 6), −1…1; more with a free wrist.
+            actions: shape (n, 6), −1…1; more columns with a free wrist.
 
         Returns:
             Rewards, shape (n,).
@@ -194,7 +188,8 @@ class Episodes:
             if self.task.wrist_actions:
                 one = np.ones(len(self.task.wrist_actions))
                 as_bounded_array(choices, -one, one, self.task.wrist_actions, "action", "(no unit)", 1e-6)
-                self._choose(every)
+                if first := np.flatnonzero((self._step == 0) & (self.outcome == RUNNING)).tolist():  # places the wrist
+                    self._begin(first, [self.task.chosen(self.setups[world], every[world]) for world in first])
         except WorkspaceError as error:
             if np.isnan(every).any():
                 raise
@@ -211,17 +206,17 @@ class Episodes:
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
         self.outcome = self.task.judge(state, self.dt)
         change = np.asarray(actions, dtype=float) - self._last_action
-        self._last_action = np.array(actions, dtype=float)  # the caller may write the next one over it
+        self._last_action = np.array(actions, dtype=float)  # the caller may reuse its array
         self._predicted = elastic_joints_from_servo(self._servo, self.options.hand)
         self._look(state, change, range(len(self.setups)))
-        self.now.phase, after = phase, self.now.phase  # a step is rewarded by the phase that it began in
+        self.now.phase, after = phase, self.now.phase  # a step's reward belongs to the phase in which it began
         self.terms = {term.name: term.value(self.now) for term in self.task.reward_terms}
         reward = sum(self.terms.values()) if self.options.reward == "dense" else self.task.sparse_reward(self.now)
         self.now.phase = after
         return reward
 
     def _arrive(self) -> None:
-        """What reaches the servos: a lost command leaves them where the last one sent them."""
+        """Compute the angles that reach the servos; after a lost command they keep the previous ones."""
         lost = np.zeros(len(self._servo), dtype=bool)
         for world in np.flatnonzero(self._lost_share):
             lost[world] = self._losses[world].random() < self._lost_share[world]
@@ -231,7 +226,7 @@ class Episodes:
             self._arrived = np.where(lost[:, None], self._arrived, self._servo)
 
     def _look(self, state: SceneState, change: Array, worlds: Iterable[int]) -> None:
-        """Take in a state; the camera looks anew at some worlds alone, so that no world's noise hangs on the others."""
+        """Record a state; the camera measures only the given worlds anew, so that no world's noise depends on the others."""
         self.now = Moment(
             state, self._servo, self._predicted, self._down,
             self.task.phase(state.time), self._last_action, change, self._camera.look(state, worlds), self.task.grip,
@@ -245,26 +240,26 @@ class Episodes:
 
     @property
     def command(self) -> ServoCommand:
-        """The last command to the servos of world 0: what a bridge sends to the real hand."""
+        """Last servo command of world 0, as a bridge sends it to the real hand."""
         return ServoCommand(self._servo[0], self.dt)
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where the entries of each field are in the observed vector, by the field's name."""
+        """Slices of the observation vector, by field name."""
         return dict(self._layout.slices)
 
-    # Going back ----------------------------------------------------------------------------------------------------
+    # Snapshots -----------------------------------------------------------------------------------------------------
 
     def save(self) -> Any:
-        """A snapshot of an only world, from which `restore` goes on to the bit.
+        """A snapshot of a single world, which `restore` continues bit-exactly.
 
-        What changes while an episode runs are arrays and generators: the task's, the camera's, the servos' and this object's.
+        The mutable state of an episode is arrays and generators of the task, the camera, the servos and this object.
         """
         values = [(owner, name, deepcopy(vars(owner)[name])) for owner, name in _changing(self)]
         return self._episode, self.setups[0], self.simulation.engine.save(0), values, self.now, self.terms
 
     def restore(self, snapshot: Any) -> None:
-        """Put the world back to a snapshot, which stays as it is.
+        """Restore the world to a snapshot, which is not modified.
 
         Raises:
             EpisodeError: The snapshot is of another episode, or of another environment.
@@ -272,17 +267,17 @@ class Episodes:
         episode, setup, physics, values, now, terms = snapshot
         if episode is not self._episode:
             raise EpisodeError("a state can be restored only in the episode that it was saved in, not after another reset()")
-        if setup is not self.setups[0]:  # a wrist that was placed since then
+        if setup is not self.setups[0]:  # the wrist has been placed since then
             self._begin([0], [setup])
         self.simulation.engine.restore(0, physics)
         for owner, name, value in values:
             setattr(owner, name, deepcopy(value))
         self.now, self.terms = now, terms
 
-    # What is told --------------------------------------------------------------------------------------------------
+    # Outputs -------------------------------------------------------------------------------------------------------
 
     def observe(self) -> NDArray[np.float32] | dict[str, NDArray]:
-        """The observations now, with a leading axis n."""
+        """Current observations, with a leading axis n."""
         vector = self._layout.see(self.now)
         if isinstance(self.observation_space, spaces.Box):
             return vector
@@ -297,31 +292,52 @@ class Episodes:
         return parts
 
     def report(self) -> dict[str, Any]:
-        """What `info` says: arrays of shape (n,), by name."""
+        """Entries of `info`: arrays of shape (n,), by name."""
         return dict(self.task.report(self.now))
 
     def quality(self, world: int) -> float:
-        """Epsilon of the grasp of a world [N]; it takes milliseconds, so that it is given once, with an episode's last step."""
-        if not self.now.state.touching[world].any():  # most lost episodes; the contacts themselves take milliseconds
+        """Grasp quality epsilon of a world [N]; since it takes milliseconds, it is reported only in an episode's last step."""
+        if not self.now.state.touching[world].any():  # most failed episodes; reading the contacts takes milliseconds
             return 0.0
         return grasp_quality(self.simulation.engine.contacts(world), self.setups[world].object)
 
     def picture(self, world: int, viewpoint: Viewpoint | None = None, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
-        """RGB of a world, shape (height, width, 3), with a point of the hand frame, shape (3,) [m], in the middle."""
+        """RGB image of a world, shape (height, width, 3), centred on a point of the hand frame, shape (3,) [m]."""
         target = HAND_POSITION + self.now.state.palm_offset[world] + self._rotation[world] @ centre
         return self.simulation.engine.picture(world, viewpoint or self.task.viewpoint, target)
 
+    def pictures(self, render_mode: str | None) -> list[NDArray[np.uint8]] | None:
+        """A picture of every world; None without a render mode, and with "human", which shows every step by itself.
+
+        Raises:
+            EpisodeError: Before the first `reset`.
+        """
+        if render_mode is not None and self.now is None:
+            raise EpisodeError("nothing to render: call reset() first")
+        return [self.picture(world) for world in range(len(self.setups))] if render_mode == "rgb_array" else None
+
     def show(self) -> None:
-        """Put a picture of world 0 on the page of `render_mode="human"`, in real time."""
+        """Show an image of world 0 on the page of `render_mode="human"`, in real time."""
         self._page = self._page or Page()
         self._page.show(self.picture(0))
 
     def close(self) -> None:
-        """Free the engine, and end the page. Closing twice is no error."""
+        """Close the engine and the page. Closing twice is allowed."""
         self.simulation.engine.close()
         if self._page is not None:
             self._page.close()
         self._page = None
+
+
+def open_episodes(env: Any) -> Episodes:
+    """What runs below an environment. For figures and tests; a policy must not look.
+
+    Raises:
+        EpisodeError: The environment is closed.
+    """
+    if env._episodes is None:
+        raise EpisodeError("this environment is closed: make a new one")
+    return env._episodes
 
 
 def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
@@ -331,7 +347,7 @@ def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
 
 
 def _changing(owner: Any) -> Iterator[tuple[Any, str]]:
-    """The attributes that hold arrays, numbers or generators: of an object, and of the package's objects in it but the engine."""
+    """Attributes that hold arrays, numbers or generators, of an object and of its hpac_gym objects except the engine."""
     for name, value in vars(owner).items():
         generators = isinstance(value, list) and all(isinstance(entry, np.random.Generator) for entry in value)
         arrays = isinstance(value, dict) and all(isinstance(entry, np.ndarray) for entry in value.values())

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.envs.episodes import CONTROL_HZ, VIEW_TARGET, Episodes, Transmit
+from hpac_gym.envs.episodes import CONTROL_HZ, VIEW_TARGET, Episodes, Transmit, open_episodes
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
 from hpac_gym.envs.randomization import Randomization, randomization
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError
@@ -24,15 +24,14 @@ Observation = NDArray[np.float32] | dict[str, NDArray]
 
 
 class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """A hand with a task; six actions a step, one `ServoCommand` each. The task moves the wrist.
+    """A hand with a task: six actions per step, which become one `ServoCommand`. The task moves the wrist.
 
     Args:
         task: draws episodes, judges them and shapes the reward.
         render_mode: None, "rgb_array" or "human".
-        transmit: what a command passes through on its way to the simulated servos, such as the wire and the firmware; None
-            leaves it as it is. Observations keep to what was commanded.
-        options: hand, reward, noise, obs, randomize, engine, body: `hpac_gym.envs.options.OPTIONS` says what
-            they mean.
+        transmit: function applied to a command on its way to the simulated servos, such as the wire and the firmware; None is
+            the identity. Observations use the original command.
+        options: hand, reward, noise, obs, randomize, engine, body; see `hpac_gym.envs.options.OPTIONS`.
 
     Raises:
         TypeError: An unknown option.
@@ -60,20 +59,11 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         raise TypeError(f"a physics world cannot be copied or pickled: make a new {type(self).__name__}")
 
-    @property
-    def episodes(self) -> Episodes:
-        """What runs below. For figures and tests; a policy must not look.
-
-        Raises:
-            EpisodeError: The environment is closed.
-        """
-        if self._episodes is None:
-            raise EpisodeError("this environment is closed: make a new one")
-        return self._episodes
+    episodes = property(open_episodes)
 
     @property
     def randomization(self) -> Randomization:
-        """What differs between episodes beside the task's own draw. What is put here counts from the next `reset` on."""
+        """Domain randomization in addition to the task's own draw; a new value takes effect at the next `reset`."""
         return self.episodes.randomizations[0]
 
     @randomization.setter
@@ -82,22 +72,22 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def state(self) -> SceneState:
-        """The true state of the scene after the last step; arrays with a leading axis of one. A policy must not look."""
+        """The true state of the scene after the last step; arrays with a leading axis of one. Policies must not use it."""
         return self._begun().now.state
 
     @property
     def phase(self) -> str:
-        """What the wrist is doing: one of the task's `phases`."""
+        """Current phase of the wrist motion, one of the task's `phases`."""
         return self.task.phases[self._begun().now.phase[0]]
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where the entries of each field are in the observed vector, by the field's name."""
+        """Slices of the observation vector, by field name."""
         return self.episodes.slices
 
     @property
     def command(self) -> ServoCommand:
-        """The last command that went to the servos: what a bridge sends to the real hand."""
+        """Last servo command, as a bridge sends it to the real hand."""
         return self._begun().command
 
     def _begun(self) -> Episodes:
@@ -109,12 +99,12 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Start an episode.
 
         Args:
-            seed: of the environment's generator. Same seed, same episode, to the bit.
+            seed: seed of the environment's generator. The same seed gives the same episode, to the bit.
             options: `{"setup": SceneSetup}` gives the episode instead of drawing it; for a task with goals `{"goal": posture}`,
                 shape (15,) [rad].
 
         Raises:
-            ParameterError: Another option, or a setup that is none.
+            ParameterError: Unknown option, or an invalid setup.
             ShapeError: A setup or goal with an array of the wrong shape, NaN or infinity.
             WorkspaceError: A goal that leaves the bounds of the observation.
         """
@@ -152,17 +142,17 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def save_state(self) -> Any:
         """The state of the episode, for `restore_state`: physics, servos, task, camera and random generators.
 
-        Wrappers keep their own: while planning, step `env.unwrapped`.
+        Wrappers have state of their own: step `env.unwrapped` while planning.
 
         Raises:
-            EpisodeError: Before `reset`, after `close`, or with `transmit`, whose far end has a state of its own.
+            EpisodeError: Before `reset`, after `close`, or with `transmit`, whose receiver has a state of its own.
         """
         if self._transmit is not None:
             raise EpisodeError("a state cannot be saved with transmit: what is at the far end keeps its own")
         return self._running, self._begun().save()
 
     def restore_state(self, state: Any) -> None:
-        """Go back to a state that `save_state` gave, as often as wanted: the same actions give the same steps, to the bit.
+        """Restore a state from `save_state`, any number of times: the same actions then give the same steps, to the bit.
 
         Raises:
             EpisodeError: The state is of another episode, or of another environment; or after `close`.
@@ -185,24 +175,20 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture, shape (360, 480, 3); None without a render mode, and with "human", which shows every step by itself.
+        """RGB image, shape (360, 480, 3); None without a render mode, and with "human", which shows every step by itself.
 
         Raises:
             EpisodeError: Before `reset`, or after `close`.
         """
-        episodes = self.episodes
-        if self.render_mode is None:
-            return None
-        if episodes.now is None:
-            raise EpisodeError("nothing to render: call reset() first")
-        return episodes.picture(0) if self.render_mode == "rgb_array" else None
+        seen = self.episodes.pictures(self.render_mode)
+        return seen[0] if seen else None
 
     def picture(self, viewpoint: Viewpoint, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
-        """A picture from anywhere, with a point of the hand frame, shape (3,) [m], in the middle; needs a render mode."""
+        """RGB image from any viewpoint, centred on a point of the hand frame, shape (3,) [m]; needs a render mode."""
         return self._begun().picture(0, viewpoint, centre)
 
     def close(self) -> None:
-        """Free the physics. Closing twice is no error."""
+        """Release the physics. Closing twice is allowed."""
         if self._episodes is not None:
             self._episodes.close()
         self._episodes, self._running = None, False
@@ -212,11 +198,11 @@ def posture_task(config: PostureConfig | Mapping | None = None, reachable: bool 
     """The task of `HPAC-Posture-v0`, and with `reachable` that of v1.
 
     Args:
-        config: what episodes are judged by, or a mapping of its fields; None is the default.
+        config: settings of the task, or a mapping of its fields; None is the default.
         reachable: as for `Posture`.
 
     Raises:
-        ParameterError: A config that is none, or one with another duration, which is the time limit's business.
+        ParameterError: Invalid config, or one with another duration, which the time limit determines.
     """
     chosen = settings_from(PostureConfig(), config, "config")
     if chosen.duration != PostureConfig().duration:
@@ -237,13 +223,13 @@ class PostureEnv(HandEnv):
         super().__init__(posture_task(config, reachable), **options)
 
     def compute_reward(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.float64]:
-        """The reward of postures against goals; `info` is not looked at."""
+        """Reward of achieved postures for given goals; `info` is ignored."""
         return self.task.goal_reward(achieved_goal, desired_goal, self.episodes.options.reward == "dense")
 
     def compute_terminated(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.bool_]:
-        """Whether postures end an episode: never, a posture that is reached is to be kept."""
+        """Always False: a posture that is reached has to be held."""
         return np.zeros(np.broadcast_shapes(np.shape(achieved_goal), np.shape(desired_goal))[:-1], dtype=bool)[()]
 
     def compute_truncated(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.bool_]:
-        """Whether postures cut an episode short: never, that is the time limit's business."""
+        """Always False: only the time limit truncates an episode."""
         return self.compute_terminated(achieved_goal, desired_goal, info)

@@ -1,4 +1,4 @@
-"""What a caller hands to an environment: the table that the documentation prints, and its check in one place."""
+"""Options of the environments: the table that the documentation prints, and their validation."""
 
 from __future__ import annotations
 
@@ -39,21 +39,21 @@ class Option:
 
     name: str
     values: tuple[str | None, ...]
-    """What may be given by name."""
+    """Values that can be given by name."""
     default: Any
     meaning: str
     others: str = ""
-    """What may be given beside `values`, in words."""
+    """Other accepted values, in words."""
     ids: tuple[str, ...] = IDS
-    """The ids that take it."""
+    """Ids that accept the option."""
 
 
 OPTIONS = (
     Option("grasp", (None, *GRASPS), None, "a named grasp with its object; None draws a primitive in front of the open hand",
            ids=(GRASP,)),
-    Option("variant", (NOMINAL, "large", "small", "heavy", "slippery", "shape"), NOMINAL, "of a named grasp's object",
+    Option("variant", (NOMINAL, "large", "small", "heavy", "slippery", "shape"), NOMINAL, "variant of a named grasp's object",
            ids=(GRASP,)),
-    Option("objects", SPLITS, "train", "the split that objects are drawn from; nothing may be trained on the other two",
+    Option("objects", SPLITS, "train", "split from which objects are drawn; the other two must not be used in training",
            ids=(GRASP_ANY,)),
     Option("hands", HANDS, "nominal", "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
            "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
@@ -66,28 +66,28 @@ OPTIONS = (
            "which nothing may be trained", ids=(GRASP_TYPE,)),
     Option("wrist", TYPE_WRISTS, "free", "*free* lets the first action of an episode say where the wrist goes, by six numbers "
            "more; *script* puts it where the type wants it", ids=(GRASP_TYPE,)),
-    Option("object", (None,), None, "an object of one's own in place of the primitive, as `own_object` makes one of a file; a "
+    Option("object", (None,), None, "object that replaces the primitive, such as one that `own_object` loads from a file; a "
            "dictionary has the arguments of `own_object`", others="`hpac_gym.body.objects.ObjectSpec`, dictionary", ids=(GRASP,)),
     Option("hand", (), HPAC, "the hand's parameters; `HPAC` is the hand of the paper, `hpac_gym.model.HPAC`, and a hand file is "
            "what `hpac calibrate` writes", others="`hpac_gym.model.Hand`, path of a hand file"),
-    Option("obs", ("deploy", "privileged", "image"), "deploy", "what is observed: what the real hand has, for a critic also what "
-           "only a simulation knows, or a picture beside the deployed vector",
+    Option("obs", ("deploy", "privileged", "image"), "deploy", "observation: that of the real hand; with terms known only in "
+           "simulation, for a critic; or with an image",
            ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE)),
-    Option("obs", ("deploy", "load", "points", "privileged", "image"), "deploy", "what is observed: what a hand and a camera "
-           "give; beside that what the servos tell, points of the object's surface that the camera sees, what only a simulation "
-           "knows, or a picture", ids=(GRASP_ANY,)),
-    Option("reward", ("dense", "sparse"), "dense", "the sum of the task's terms, or only whether the aim is reached"),
+    Option("obs", ("deploy", "load", "points", "privileged", "image"), "deploy", "observation: that of a hand and a "
+           "camera; with the servos' feedback, with visible points of the object's surface, with terms known only in simulation, "
+           "or with an image", ids=(GRASP_ANY,)),
+    Option("reward", ("dense", "sparse"), "dense", "sum of the task's reward terms, or success only"),
     *(
-        Option("randomize", (None, *PRESETS), default, "what else differs between episodes: a preset, or ranges by name; None is "
+        Option("randomize", (None, *PRESETS), default, "domain randomization of episodes: a preset, or ranges by name; None is "
                '"nominal", which changes nothing', others="`hpac_gym.envs.Randomization`, dictionary of ranges", ids=ids)
         for default, ids in (("hand", (POSTURE,)), (None, (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0)))
     ),
-    Option("noise", (None,), None, "of the camera that sees the object, standard deviations: `position`, of each coordinate of "
-           "the place [m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
+    Option("noise", (None,), None, "standard deviations of the object camera's noise: `position`, of each coordinate "
+           "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
            + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
            others="`hpac_gym.envs.CameraNoise`, dictionary of its fields", ids=(GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE)),
     *(
-        Option("config", (None,), None, "ranges that episodes are drawn from, and what judges and rewards them; None is as on "
+        Option("config", (None,), None, "sampling ranges, success criteria and reward weights; None is as on "
                "this page", others=f"`hpac_gym.envs.{kind}`, dictionary of its fields", ids=(env_id,))
         for env_id, kind in ((GRASP, "GraspConfig"), (GRASP_ANY, "GraspAnyConfig"), (GRASP_TYPE, "GraspTypeConfig"),
                              (PICK_PLACE, "PickPlaceConfig"), (POSTURE_V0, "PostureConfig"), (POSTURE, "PostureConfig"))
@@ -95,15 +95,15 @@ OPTIONS = (
     Option("engine", (None, *ENGINES), None, "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere"),
     Option("body", tuple(BODIES), "twin", "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
            "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo"),
-    Option("render_mode", (None, *RENDER_MODES), None, "whether `render()` gives pictures, or *human*: every step "
-           "is shown as a page in the browser, in real time"),
+    Option("render_mode", (None, *RENDER_MODES), None, "*rgb_array*: `render()` returns images; *human*: every step "
+           "is shown on a page in the browser, in real time"),
 )  # fmt: skip
-"""Every argument of the ids, beside those of `gymnasium.make` itself."""
+"""Every argument of the ids, except those of `gymnasium.make` itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The checked options of an environment; `OPTIONS` says what they mean."""
+    """Validated options of an environment; see `OPTIONS`."""
 
     hand: Hand
     obs: str
@@ -125,10 +125,10 @@ def checked_options(
     body: str = "twin",
     render_mode: str | None = None,
 ) -> Options:
-    """The options of an environment, as `OPTIONS` has them.
+    """Validate the options of an environment; see `OPTIONS`.
 
     Raises:
-        ParameterError: A value that there is not, or a bad hand file.
+        ParameterError: Unknown value, or a bad hand file.
     """
     given = {"obs": obs, "reward": reward, "engine": engine, "body": body, "render_mode": render_mode}
     for name, value in given.items():
@@ -143,10 +143,10 @@ def checked_options(
 
 
 def setup_of(options: Mapping[str, Any] | None, task: Task, hand: Hand) -> SceneSetup | None:
-    """The episode that the options of a `reset` give, or None.
+    """Setup given by the options of a `reset`, or None.
 
     Raises:
-        ParameterError: An option that the task does not have, or a setup that is none.
+        ParameterError: Unknown option, or an invalid setup.
         ShapeError: An array of the setup, its yaw, or a goal has the wrong shape, NaN or infinity.
         WorkspaceError: A goal that leaves the bounds of the observation.
     """

@@ -1,4 +1,4 @@
-"""`render_mode="human"`: the pictures as a page in the browser, which needs no display here and no package."""
+"""`render_mode="human"`: images on a web page, which needs neither a local display nor another package."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _PART = b"--picture\r\nContent-Type: image/png\r\nContent-Length: %d\r\n\r\n%s\r
 
 
 class Page:
-    """A server on this machine alone, at a free port, that shows the newest picture; its address is printed once.
+    """A web server on localhost, at a free port, that shows the latest image; its address is printed once.
 
     A browser elsewhere reaches it through `ssh -L PORT:127.0.0.1:PORT`.
 
     Attributes:
-        address: of the page.
+        address: URL of the page.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Page:
             self._server.shown.notify_all()
 
     def close(self) -> None:
-        """End the server; pages that are open keep their last picture."""
+        """Stop the server; open pages keep their last image."""
         with self._server.shown:
             self._server.picture = None
             self._server.shown.notify_all()
@@ -55,7 +55,7 @@ class Page:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers `/` with the page, and `/stream` with pictures for as long as both sides live."""
+    """Serves the page at `/`, and images at `/stream` until either side closes the connection."""
 
     def do_GET(self) -> None:
         if self.path not in ("/", "/stream"):
@@ -66,7 +66,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=picture" if stream else "text/html")
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
-        with suppress(OSError):  # when the browser has gone
+        with suppress(OSError):  # the browser has disconnected
             self._send_pictures() if stream else self.wfile.write(_HTML)
 
     def _send_pictures(self) -> None:
@@ -78,15 +78,15 @@ class _Handler(BaseHTTPRequestHandler):
                 last = self.server.picture
             if last is None:
                 return
-            # Twice, since browsers show a part when the next one begins.
+            # Sent twice: browsers display a part only when the next one begins.
             self.wfile.write(2 * (_PART % (len(last), last)))
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Suppress the log of requests."""
 
 
 def png(picture: NDArray[np.uint8]) -> bytes:
-    """A picture, shape (height, width, 3), as a PNG file, packed fast rather than small."""
+    """PNG file of an image, shape (height, width, 3), compressed for speed rather than size."""
     height, width, _ = picture.shape
     rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)  # a row begins with its filter
 

@@ -1,7 +1,7 @@
-"""What differs from episode to episode beside the task's own draw: the hand, the object, the camera, the link.
+"""Domain randomization in addition to the task's own draw: hand, object, camera and communication link.
 
-The nominal hand stays what the policy's model knows: only the simulated one is changed. Every quantity has a random stream
-of its own, derived from the environment's generator by the quantity's name, so that a new one changes no other's draws.
+The policy's model keeps the nominal hand; only the simulated hand changes. Every quantity has its own random stream, derived
+from the environment's generator and the quantity's name, so that adding a quantity does not change the draws of the others.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ _NONE: Range = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Randomization:
-    """Ranges, each drawn from uniformly once an episode. The defaults are the nominal hand: no range, no draw.
+    """Ranges of quantities that are drawn uniformly, once per episode. The defaults are nominal: nothing is drawn.
 
     Raises:
-        ParameterError: A range that is no pair of numbers, not ordered, or leaves its bounds.
+        ParameterError: A range is not an ordered pair of numbers, or leaves its bounds.
     """
 
     tendon_stiffness: Range = setting(
         _SAME, "factor of EA and of the drive's stiffness, one for each digit", bounds=(0.5, 1.3), draws=len(DIGITS)
     )
     slack: Range = setting(
-        _NONE, "length that a driving tendon has too much, one for each digit [m]", bounds=(0.0, 3e-3), draws=len(DIGITS)
+        _NONE, "slack of the driving tendons, one for each digit [m]", bounds=(0.0, 3e-3), draws=len(DIGITS)
     )
     joint_friction: Range = setting(_NONE, "Coulomb friction of every joint [N·m]", bounds=(0.0, 0.02))
     skin_friction: Range = setting(_SAME, "factor of the friction of the hand's skin", bounds=(0.3, 2.0))
@@ -48,23 +48,23 @@ class Randomization:
     object_position: Range = setting(
         _NONE, "offset of the object along y and along z of the hand frame [m]", bounds=(-0.02, 0.02), draws=2
     )
-    object_yaw: Range = setting(_NONE, "turn of the object about the vertical [rad]", bounds=(-np.pi, np.pi))
+    object_yaw: Range = setting(_NONE, "yaw of the object about the vertical [rad]", bounds=(-np.pi, np.pi))
     sensor_noise: Range = setting(_SAME, "factor of the camera's noise", bounds=(0.0, 10.0))
-    servo_lag: Range = setting(_NONE, "from a command to the servos' answer [s]", bounds=(0.0, 0.15))
-    dead_band: Range | None = setting(None, "error that a servo leaves alone; None is the servo's own [rad]", bounds=(0.0, 0.1))
+    servo_lag: Range = setting(_NONE, "delay from a command to the servos' response [s]", bounds=(0.0, 0.15))
+    dead_band: Range | None = setting(None, "servos' dead band; None is the servo's own [rad]", bounds=(0.0, 0.1))
     dropped_frames: Range = setting(_NONE, "share of the commands that never arrive", bounds=(0.0, 0.5))
 
     def __post_init__(self) -> None:
         check_bounds(self, "randomization")
 
     def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
-        """The values of one episode, by name; what has its nominal value is left out."""
+        """Values of one episode, by name; quantities with their default range are left out."""
         wanted = [name for name, nominal in _NOMINAL.items() if getattr(self, name) != nominal]
         return {name: stream(rng, name).uniform(*getattr(self, name), _DRAWS[name]) for name in wanted}
 
 
 BOUNDS: Mapping[str, Range] = MappingProxyType({quantity.name: quantity.metadata["bounds"] for quantity in fields(Randomization)})
-"""What a range may hold. The tendons' upper bound keeps the stiffest mode's ω dt where the integration is stable."""
+"""Bounds of each range. The upper bound of the tendon stiffness keeps the integration of the stiffest mode stable (ω dt)."""
 _NOMINAL = {quantity.name: quantity.default for quantity in fields(Randomization)}
 _DRAWS = {quantity.name: quantity.metadata.get("draws", 1) for quantity in fields(Randomization)}
 
@@ -81,18 +81,18 @@ PRESETS: Mapping[str, Randomization] = MappingProxyType(
         "full": Randomization(**_HAND, **_LINK, **_OBJECT, sensor_noise=(0.5, 2.0)),
     }
 )
-"""The named randomizations: nothing; the hand's mechanics; the way from host to servo; all of it, and object and camera."""
+"""Named randomizations: none; the hand's mechanics; the link from host to servo; all of these, and object and camera."""
 
 
 def randomization(given: Randomization | Mapping[str, Sequence[float]] | str | None) -> Randomization:
-    """The randomization that `randomize=` asks for.
+    """Randomization for a value of the option `randomize`.
 
     Args:
-        given: a `Randomization`; the name of a preset; ranges by name, as JSON has them, `{"servo_lag": [0, 0.1]}`, the
-            others nominal; None is "nominal".
+        given: a `Randomization`; the name of a preset; a dict of ranges such as `{"servo_lag": [0, 0.1]}`, the others
+            nominal; None is "nominal".
 
     Raises:
-        ParameterError: There is none of that name, or a range that is none.
+        ParameterError: Unknown preset or quantity, or an invalid range.
     """
     if given is None:
         return PRESETS["nominal"]
@@ -101,18 +101,18 @@ def randomization(given: Randomization | Mapping[str, Sequence[float]] | str | N
     if isinstance(given, str) and given in PRESETS:
         return PRESETS[given]
     if not isinstance(given, Mapping):
-        raise ParameterError(f"randomize {given!r} is none of {', '.join(PRESETS)}, no Randomization and no ranges by name")
+        raise ParameterError(f"randomize must be a preset ({', '.join(PRESETS)}), Randomization or dict of ranges; got {given!r}")
     return settings_from(Randomization(), given, "randomize")
 
 
 def stream(rng: np.random.Generator, name: str) -> np.random.Generator:
-    """A generator of its own for a name, the same whatever `rng` has drawn or spawned."""
+    """Separate generator for a name, regardless of what `rng` has drawn or spawned."""
     parent = rng.bit_generator.seed_seq
     return np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, crc32(name.encode()))))
 
 
 def changed_hand(hand: Hand, factors: Array) -> Hand:
-    """The hand with the stiffness of each digit's tendons multiplied, factors of shape (5,)."""
+    """The hand with each digit's tendon stiffnesses multiplied by a factor, shape (5,)."""
     digits = {
         name: scaled_digit(digit, {"tendon_stiffness": factor, "drive_stiffness": factor})
         for (name, digit), factor in zip(hand.digits.items(), factors, strict=True)
@@ -121,7 +121,7 @@ def changed_hand(hand: Hand, factors: Array) -> Hand:
 
 
 def changed_mechanics(hand: Hand, settings: HandSettings, values: Mapping[str, Array]) -> tuple[Hand, HandSettings]:
-    """The hand to simulate, and its settings, with drawn values put over them."""
+    """The hand to simulate and its settings, with drawn values applied."""
     if not values:
         return hand, settings
     if "tendon_stiffness" in values:
@@ -141,7 +141,7 @@ def changed_mechanics(hand: Hand, settings: HandSettings, values: Mapping[str, A
 
 
 def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
-    """An episode with drawn values put over it."""
+    """A setup with drawn values applied."""
     if not values:
         return setup
     hand, settings = changed_mechanics(setup.hand, setup.hand_settings, values)

@@ -18,21 +18,21 @@ class HandVecEnv(VecEnv):
     """n environments of an id for Stable-Baselines3: with `engine="mujoco"` one batch of arrays, without processes.
 
     `env_id` and `options` are those of `gymnasium.make_vec`. An observation, a reward (float32) and a done are, to the bit,
-    what `DummyVecEnv` gives. The info of an environment whose episode ends is complete: with `terminal_observation`,
-    `TimeLimit.truncated` and all that its last step tells. The info of a running one has `TimeLimit.truncated` alone, since
-    a dictionary for each of them would cost more than the batch saves; `infos` has the rest.
+    what `DummyVecEnv` gives. The info of an environment whose episode ends is complete: `terminal_observation`,
+    `TimeLimit.truncated` and all entries of its last step. The info of a running one has only `TimeLimit.truncated`, since
+    a full dictionary for each of them would cost more than the batch saves; `infos` has the rest.
 
     Args:
-        env_id: such as "HPAC-Grasp-v0".
+        env_id: id of the environment, such as "HPAC-Grasp-v0".
         num_envs: n.
-        options: of the id; and `max_episode_steps`.
+        options: options of the id, and `max_episode_steps`.
 
     Attributes:
-        envs: Gymnasium's vector environment below, which begins a new episode in the step that ends one.
-        infos: what it told in the last step, as Gymnasium has it: arrays by name with their masks.
+        envs: underlying Gymnasium vector environment, with autoreset in the step that ends an episode.
+        infos: its infos of the last step in Gymnasium's format: arrays by name with their masks.
 
     Raises:
-        ParameterError: What the id refuses.
+        ParameterError: An option that the id refuses.
     """
 
     def __init__(self, env_id: str, num_envs: int, **options: Any) -> None:
@@ -73,25 +73,25 @@ class HandVecEnv(VecEnv):
         return seen, rewards.astype(np.float32), done, infos
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of some environments, by default of all, as `HandVectorEnv.get_attr` has it."""
+        """Attribute of some environments, by default of all; see `HandVectorEnv.get_attr`."""
         return self._chosen(self.envs.get_attr(attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of some environments, by default of all, to one value, as `HandVectorEnv.set_attr` does."""
+        """Set an attribute of some environments, by default of all, to one value; see `HandVectorEnv.set_attr`."""
         values = list(self.envs.get_attr(attr_name))
         for world in self._get_indices(indices):
             values[world] = value
         self.envs.set_attr(attr_name, values)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """What a method gives in some environments, by default in all, as `HandVectorEnv.call` has it."""
+        """Results of a method in some environments, by default in all; see `HandVectorEnv.call`."""
         return self._chosen(self.envs.call(method_name, *method_args, **method_kwargs), indices)
 
     def _chosen(self, values: Sequence[Any], indices: Any) -> list[Any]:
         return [values[world] for world in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None) -> list[bool]:
-        """Never: no wrapper is around a single environment."""
+        """Always False: single environments are not wrapped."""
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
@@ -99,12 +99,12 @@ class HandVecEnv(VecEnv):
         return self.envs.render() or [None] * self.num_envs
 
     def close(self) -> None:
-        """Free the physics. Closing twice is no error."""
+        """Release the physics. Closing twice is allowed."""
         self.envs.close()
 
 
 def _info(infos: dict[str, Any], world: int) -> dict[str, Any]:
-    """The info of one environment, out of arrays with masks."""
+    """Info of one environment, extracted from arrays with masks."""
     found = {}
     for name, values in infos.items():
         mask = infos.get(f"_{name}")

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from hpac_gym.envs.episodes import CONTROL_HZ, Episodes
+from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import PostureEnv
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
 from hpac_gym.envs.randomization import randomization
@@ -20,23 +20,23 @@ from hpac_gym.model.checks import as_array
 from hpac_gym.tasks.task import RUNNING, Task
 
 ATTRIBUTES = ("action_space", "dt", "hand", "obs", "observation_space", "randomization", "render_mode", "spec", "task")
-"""What `HandVectorEnv.get_attr` gives."""
+"""Attributes that `HandVectorEnv.get_attr` returns."""
 
 
 class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
-    """n hands with a task, in one process. Each does, to the bit, what a `HandEnv` would do alone with the same seed.
+    """n hands with a task, in one process. Each behaves, to the bit, like a `HandEnv` with the same seed.
 
     Args:
         task: draws episodes, judges them and shapes the reward.
         num_envs: n.
-        autoreset_mode: when an environment whose episode is over begins a new one, as in Gymnasium's vector environments.
-        max_episode_steps: cuts episodes short; None leaves it to the task.
+        autoreset_mode: when a finished environment is reset, as in Gymnasium's vector environments.
+        max_episode_steps: truncates episodes; None leaves their length to the task.
         render_mode: None, "rgb_array", or "human", which shows the first environment.
         options: those of `HandEnv`, without `transmit`.
 
     Raises:
         TypeError: An unknown option.
-        ParameterError: `num_envs` or `max_episode_steps` is below 1, or what `HandEnv` refuses.
+        ParameterError: `num_envs` or `max_episode_steps` is below 1, or an option that `HandEnv` refuses.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
@@ -73,16 +73,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._over = np.ones(num_envs, dtype=bool)
         self._everywhere, self._running = np.ones(num_envs, dtype=bool), False
 
-    @property
-    def episodes(self) -> Episodes:
-        """What runs below.
-
-        Raises:
-            EpisodeError: The environment is closed.
-        """
-        if self._episodes is None:
-            raise EpisodeError("this vector environment is closed: make a new one")
-        return self._episodes
+    episodes = property(open_episodes)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -90,11 +81,11 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """Start episodes.
 
         Args:
-            seed: one for each environment; a number counts upwards from the first.
-            options: those of `HandEnv.reset`, the same for all; and `reset_mask`, shape (n,), to start some alone.
+            seed: one seed per environment, or the first of consecutive seeds.
+            options: those of `HandEnv.reset`, the same for all; and `reset_mask`, shape (n,), to reset only some environments.
 
         Raises:
-            ParameterError: As many seeds as environments are wanted, a mask of another kind, or what `HandEnv.reset` refuses.
+            ParameterError: Wrong number of seeds, an invalid mask, or an option that `HandEnv.reset` refuses.
         """
         episodes = self.episodes
         mask, options = self._mask(options)
@@ -125,7 +116,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         return mask, {name: value for name, value in options.items() if name != "reset_mask"}
 
     def _restart(self, worlds: list[int], infos: dict[str, Any], given: Any = None) -> None:
-        """Start episodes in some worlds, and say so in the infos."""
+        """Start episodes in some worlds, and add their infos."""
         drawn = self.episodes.reset(worlds, [self._generators[world] for world in worlds], given)
         self._steps[worlds], self._over[worlds] = 0, False
         report = {name: values.tolist() for name, values in self.episodes.report().items()}
@@ -138,7 +129,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """Carry out one action in every environment for one control period.
 
         Raises:
-            ShapeError: The actions are not of the shape of the action space.
+            ShapeError: The actions do not have the shape of the action space.
             WorkspaceError: An action has NaN, or leaves −1…1.
             EpisodeError: Before `reset`, after `close`, or without autoreset after the end of an episode.
             PhysicsError: A world's simulation failed; the message names it.
@@ -149,7 +140,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         actions = as_array(actions, *self.single_action_space.shape, "actions")
         if actions.shape != self.action_space.shape:
             raise ShapeError(f"actions must have shape {self.action_space.shape}, not {actions.shape}")
-        stale = self._over.copy()  # under NEXT_STEP these begin anew, and their action counts for nothing
+        stale = self._over.copy()  # under NEXT_STEP these are reset, and their action is ignored
         actions = np.where(stale[:, None], 0.0, actions)
         try:
             rewards = np.asarray(episodes.step(actions), dtype=float)
@@ -175,7 +166,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
     # Infos -----------------------------------------------------------------------------------------------------------
 
     def _infos(self, stepped: NDArray[np.bool_], terminated: NDArray[np.bool_]) -> dict[str, Any]:
-        """What `info` says of the environments that were stepped, as arrays with masks."""
+        """Infos of the environments that were stepped, as arrays with masks."""
         infos = _masked(self.episodes.report(), stepped)
         if not self.task.goal_terms:
             terms = _masked(self.episodes.terms, stepped) if stepped.any() else {}
@@ -185,7 +176,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         return infos
 
     def _finish(self, worlds: Iterable[int], terminated: NDArray[np.bool_]) -> dict[str, Any]:
-        """The infos of a step in which episodes end and begin at once."""
+        """Infos of a step in which episodes end and are reset (autoreset in the same step)."""
         last, over = self.episodes.observe(), self._over
         ended: dict[str, Any] = {}
         for world in worlds:
@@ -194,22 +185,16 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         ended |= {"final_info": self._infos(over.copy(), terminated), "_final_info": over.copy()}
         return ended | self._infos(~over, np.zeros_like(terminated))
 
-    # The rest --------------------------------------------------------------------------------------------------------
+    # Interface -------------------------------------------------------------------------------------------------------
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture of every environment; None without a render mode, and with "human", which shows every step by itself.
+        """RGB image of every environment; None without a render mode, and with "human", which shows every step by itself.
 
         Raises:
             EpisodeError: Before `reset`, or after `close`.
         """
-        episodes = self.episodes
-        if self.render_mode is None:
-            return None
-        if episodes.now is None:
-            raise EpisodeError("nothing to render: call reset() first")
-        if self.render_mode == "human":
-            return None
-        return tuple(episodes.picture(world) for world in range(self.num_envs))
+        seen = self.episodes.pictures(self.render_mode)
+        return tuple(seen) if seen else None
 
     def _show(self) -> None:
         if self.render_mode == "human":
@@ -219,7 +204,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """An attribute of each environment, as a `HandEnv` has it.
 
         Raises:
-            AttributeError: It is none of `ATTRIBUTES`.
+            AttributeError: `name` is not one of `ATTRIBUTES`.
         """
         if name not in ATTRIBUTES:
             raise AttributeError(f"get_attr: {name!r} is not one of {', '.join(ATTRIBUTES)}")
@@ -235,8 +220,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             values: a list or tuple with one for each environment, or one for all.
 
         Raises:
-            AttributeError: Another name.
-            ParameterError: Not one for each environment, or no randomization.
+            AttributeError: Any other name.
+            ParameterError: Wrong number of values, or an invalid randomization.
         """
         if name != "randomization":
             raise AttributeError(f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can")
@@ -246,33 +231,33 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.episodes.randomizations[:] = [randomization(value) for value in values]
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """The results of a method of each environment, or its attribute.
+        """Results of a method of each environment, or its attribute values.
 
         Args:
             name: "render"; of a task with goals "compute_reward", "compute_terminated" or "compute_truncated"; or one of
                 `ATTRIBUTES`.
-            args: of the method.
-            kwargs: of the method.
+            args: positional arguments of the method.
+            kwargs: keyword arguments of the method.
 
         Raises:
-            AttributeError: Another name.
+            AttributeError: Any other name.
         """
         if name == "render":
             return self.render() or (None,) * self.num_envs
         if self.task.goal_terms and name in ("compute_reward", "compute_terminated", "compute_truncated"):
-            # Such a method looks at the task and the options alone.
+            # These methods depend only on the task and the options.
             return (getattr(PostureEnv, name)(self, *args, **kwargs),) * self.num_envs
         return self.get_attr(name)
 
     def close_extras(self, **_: Any) -> None:
-        """Free the physics; `close` calls this once."""
+        """Release the physics; `close` calls this once."""
         if self._episodes is not None:
             self._episodes.close()
         self._episodes = None
 
 
 def _masked(columns: dict[str, NDArray], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Arrays by name with their masks; where nothing is told they hold what an empty array holds."""
+    """Arrays by name with their masks; entries outside the mask are zero, or None in object arrays."""
     found: dict[str, Any] = {}
     for name, values in columns.items():
         empty = None if values.dtype == object else values.dtype.type(0)

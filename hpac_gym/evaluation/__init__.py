@@ -1,1 +1,1 @@
-"""Judging policies on held-out episodes: seeds, workers, statistics, the benchmark of the sixteen named grasps, film strips."""
+"""Evaluation of policies on held-out seeds: workers, statistics, the benchmark of the sixteen named grasps, film strips."""

@@ -1,7 +1,7 @@
-"""`hpac agree`: the same episodes on several engines and bodies, and how far their outcomes agree.
+"""`hpac agree`: the same episodes on several engines and bodies, and how often their outcomes agree.
 
-The floor says what agreement can mean at all: an engine against itself, with the object moved by so little that nobody could
-see it. Contact amplifies every difference, so that single episodes part ways long before success rates do.
+The floor is the best agreement that can be expected: an engine compared with itself, with the object displaced imperceptibly.
+Contact amplifies every difference, so single episodes diverge long before success rates do.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from hpac_gym.progress import progress
 TASK = "HPAC-Grasp-v0"
 SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
 FLOOR = (1e-6, 1e-3)
-"""How far the object is moved along the palm's normal when an engine meets itself [m]."""
+"""Displacements of the object along the palm's normal when an engine is compared with itself [m]."""
 CHUNK = 10
-"""Episodes that a worker does at a time."""
+"""Episodes per job of a worker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Variant:
     engine: str
     body: str
     moved: float = 0.0
-    """The object's place is changed by this along the palm's normal [m]."""
+    """Displacement of the object along the palm's normal [m]."""
 
     @property
     def name(self) -> str:
@@ -48,7 +48,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """How one episode ended, and what kind of object it had."""
+    """The outcome of one episode and the shape of its object."""
 
     success: bool
     shape: str
@@ -75,7 +75,7 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
 
 
 def compare(first: Sequence[Trial], second: Sequence[Trial]) -> dict[str, Any]:
-    """The second's success less the first's over the same episodes, with a 95 % interval, and the share that agree."""
+    """Difference of success, second minus first, over the same episodes, with a 95 % interval, and the share that agrees."""
     pairs = list(zip(first, second, strict=True))
     gained = sum(b.success and not a.success for a, b in pairs)
     lost = sum(a.success and not b.success for a, b in pairs)
@@ -92,25 +92,25 @@ def agreement(
     policy: str, episodes: int, set_ups: Sequence[str] = SET_UPS, *,
     seed_start: int = HELD_OUT_SEED, randomize: str = "nominal", workers: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
-    """Run the same episodes everywhere.
+    """Run the same episodes in every set-up.
 
     Args:
         policy: scripted, random, or a policy file.
-        episodes: of each set-up.
-        set_ups: `engine/body`; the others are compared with the first one, and each with itself.
+        episodes: number of episodes per set-up.
+        set_ups: `engine/body` names; each is compared with the first and with itself.
         seed_start: seed of the first episode.
         randomize: a preset of `hpac_gym.envs.randomization.PRESETS`.
-        workers: processes.
+        workers: number of processes.
 
     Raises:
-        ParameterError: A set-up that is no engine and body.
-        PolicyError: The policy cannot be loaded, or is of another environment.
+        ParameterError: A set-up is not of the form engine/body.
+        PolicyError: The policy cannot be loaded, or was made for another environment.
         WorkerError: A worker process was ended from outside.
     """
     plain = [_variant(name) for name in dict.fromkeys(set_ups)]
     variants = plain + [replace(variant, moved=moved) for variant in plain for moved in FLOOR]
     for variant in plain:
-        run_trials(policy, variant, (), randomize)  # a mistake ends here, not in a worker
+        run_trials(policy, variant, (), randomize)  # errors are raised here, not in a worker
     seeds = range(seed_start, seed_start + episodes)
     parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
     jobs = [(policy, variant, part, randomize) for variant in variants for part in parts]
@@ -182,14 +182,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
     parser.add_argument("-n", "--episodes", type=whole_number(1), default=1200, metavar="N",
-                        help="of each set-up (default: %(default)s)")  # fmt: skip
+                        help="episodes per set-up (default: %(default)s)")  # fmt: skip
     parser.add_argument("--set-ups", nargs="+", default=list(SET_UPS), metavar="ENGINE/BODY",
-                        help="the others are compared with the first (default: %(default)s)")  # fmt: skip
+                        help="set-ups, compared with the first (default: %(default)s)")  # fmt: skip
     parser.add_argument("--randomize", default="nominal", help="nominal, hand, link or full (default: %(default)s)")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
                         help="seed of the first episode (default: %(default)s)")  # fmt: skip
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, metavar="N",
-                        help="processes (default: %(default)s)")  # fmt: skip
+                        help="number of processes (default: %(default)s)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the tables")
     parser.set_defaults(run=run)
 

@@ -1,8 +1,8 @@
-"""Blind closures of `HPAC-Grasp-v0`, the file of winning ones, and the scale that they give: from floor to ceiling.
+"""Blind closures of `HPAC-Grasp-v0`, the file of successful ones, and the score scale that they define.
 
-A closure is drawn before the object is seen, and looks at nothing. The floor is how often the first one drawn for a held-out
-seed holds the object; the ceiling is how often any of those tried does, which only luck or knowledge of the object finds.
-`python -m tools.closures` found them.
+A blind closure is drawn without observing the object and has no feedback. The floor is the success rate of the first one drawn
+for each held-out seed; the ceiling is the rate at which any of those tried succeeds, which requires luck or
+knowledge of the object. `python -m tools.closures` writes the file.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from hpac_gym.policies import Closures
 FILE = "grasp_closures.csv"
 COLUMNS = ("seed", "tries", *SERVOS, "steps", "lead")
 MEASURED_WITH = {"engine": "pybullet", "body": "twin", "randomize": "nominal"}
-"""Options of the environment in which the closures were tried."""
+"""Options of the environment in which the closures were evaluated."""
 CLOSURES = Closures(goal=(-1.0, 1.0), duration=(0.0, 32.0), thumb_delay=(-8.0, 8.0))
 _CMC = SERVO_INDEX["thumb_cmc"]
 
 
 def decision_of(closures: Closures, values: ArrayLike) -> NDArray[np.float64]:
-    """The decision, −1…1, that stands for the numbers of a closure, both of shape (..., len(closures.names))."""
+    """The numbers of a closure scaled to a decision, −1…1, both of shape (..., len(closures.names))."""
     low, high = closures.bounds
     return 2 * (np.asarray(values) - low) / (high - low) - 1
 
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """One of `CLOSURES`, in numbers that are told and written down; a thumb that leads begins partly closed.
+    """One of `CLOSURES`, in unscaled numbers; a leading thumb starts partly closed.
 
     Attributes:
-        goal: the last action, shape (6,), −1…1; that of the CMC is held all the time.
+        goal: the final action, shape (6,), −1…1; the CMC's is constant.
         steps: control steps from open to closed.
-        lead: control steps by which the thumb begins later than the fingers; earlier where it is negative.
+        lead: control steps by which the thumb starts after the fingers; negative if it starts before them.
     """
 
     goal: tuple[float, ...]
@@ -49,7 +49,7 @@ class Closure:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Closure:
-        """One that takes every digit to a place between half open and closed, in 0.4 to 1.1 s."""
+        """A random closure to targets between half open and closed, in 0.4 to 1.1 s."""
         goal = rng.uniform(-0.2, 1.0, len(SERVOS))
         goal[_CMC] = rng.uniform(-0.2, 0.9)
         steps, lead = rng.uniform(8.0, 22.0), rng.uniform(-6.0, 6.0)
@@ -62,11 +62,11 @@ class Closure:
 
 
 BLIND = Closure((0.786, 0.502, 0.372, 0.107, -0.113, 0.438), steps=10.68, lead=5.71)
-"""Held the most of 176 training episodes, of 128 closures; `python -m tools.closures --blind` found it."""
+"""The most successful of 128 closures on 176 training episodes; `python -m tools.closures --blind` found it."""
 
 
 class Blind:
-    """The policy that closes as `BLIND` in every episode, whatever it sees; made for an environment, as `load_policy` asks."""
+    """The policy that executes `BLIND` in every episode; takes an environment, as `load_policy` requires."""
 
     def __init__(self, env: object) -> None:
         pass
@@ -81,25 +81,25 @@ class Blind:
 
 @dataclass(frozen=True, slots=True)
 class Try:
-    """What was found for a held-out seed."""
+    """Result of the search for one held-out seed."""
 
     seed: int
     tries: int
-    """Closures tried, up to the first that won."""
+    """Number of closures tried, up to the first success."""
     closure: Closure | None
-    """The first that won; None if none did."""
+    """The first successful closure; None if none succeeded."""
 
     def row(self) -> str:
-        """As a line of the file."""
+        """The result as a line of the file."""
         values = () if self.closure is None else (*self.closure.goal, *astuple(self.closure)[1:])
         return ",".join(map(str, (self.seed, self.tries, *(values or [""] * (len(COLUMNS) - 2)))))
 
     @classmethod
     def of_row(cls, row: str) -> Try:
-        """Of a line of the file.
+        """Parse a line of the file.
 
         Raises:
-            ValueError: It is not one.
+            ValueError: The line has the wrong number of values.
         """
         seed, tries, *values = row.split(",")
         if len(values) != len(COLUMNS) - 2:
@@ -112,7 +112,7 @@ class Try:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Two success rates that a policy's is set between."""
+    """The two success rates that define the score scale."""
 
     floor: float
     ceiling: float
@@ -123,13 +123,13 @@ class Scale:
 
 
 def share_found(tries: Sequence[Try], within: int) -> float:
-    """Share of the seeds for which one of the first so many closures won."""
+    """Share of the seeds for which one of the first ``within`` closures succeeded."""
     return float(np.mean([found.closure is not None and found.tries <= within for found in tries]))
 
 
 @lru_cache
 def winning_closures() -> tuple[Try, ...]:
-    """The committed file, one entry for each held-out seed."""
+    """Entries of the committed file, one per held-out seed."""
     head, *rows = files("hpac_gym.evaluation").joinpath("data", FILE).read_text(encoding="utf-8").splitlines()
     if head != ",".join(COLUMNS):
         raise ValueError(f"{FILE} begins with '{head}', not with '{','.join(COLUMNS)}'")
@@ -137,7 +137,7 @@ def winning_closures() -> tuple[Try, ...]:
 
 
 def scale_of(env_id: str, options: Mapping[str, Any] | None = None) -> Scale | None:
-    """The scale of an id, with or without its module; None without one, or with options that it was not measured with."""
+    """The scale of an id, given with or without its module; None if the id or the options have no measured scale."""
     given = MEASURED_WITH | dict(options or {})
     if env_id.rpartition(":")[2] != "HPAC-Grasp-v0" or any(given[name] != value for name, value in MEASURED_WITH.items()):
         return None

@@ -27,16 +27,16 @@ if TYPE_CHECKING:
     from hpac_gym.policies import Policy
 
 PASSED_ON = ("engine", "body", "obs", "reward", "randomize")
-"""Options of the environment that the command passes on, where they have names."""
-CHUNK = 100  # episodes that are written at a time
+"""Options of the environment that the command offers, with their named values."""
+CHUNK = 100  # episodes per write
 _ABOUT = """\
-Runs a policy and writes what was observed, done and paid as a Minari dataset, with the seed of every episode and whether it
-succeeded. `minari.MinariDataset(DIR / "data")` opens it, `python -m agents.clone DIR` learns from it. The folder appears when all
+Runs a policy and writes observations, actions and rewards as a Minari dataset, with the seed and success of every episode.
+`minari.MinariDataset(DIR / "data")` opens it, `python -m agents.clone DIR` learns from it. The folder appears when all
 episodes are written."""
 
 
 class DatasetError(HpacError, ValueError):
-    """A folder that holds no dataset, or one that is there already."""
+    """A folder does not contain a dataset, or exists already."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,12 +46,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env", default=GRASP, choices=IDS, help="the environment (default: %(default)s)")
     for name in PASSED_ON:
         names = sorted({value for option in OPTIONS if option.name == name for value in option.values if value})
-        parser.add_argument(f"--{name}", choices=names, help="of the environment (default: its own)")
+        parser.add_argument(f"--{name}", choices=names, help="option of the environment (default: the environment's)")
     parser.add_argument("-n", "--episodes", type=whole_number(1), default=100, metavar="N",
-                        help="how many (default: %(default)s)")  # fmt: skip
+                        help="number of episodes (default: %(default)s)")  # fmt: skip
     parser.add_argument("--seed-start", type=whole_number(0), default=0, metavar="SEED",
-                        help="of the first episode; held-out ones begin at 1000000 (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="a folder that is not there yet")
+                        help="seed of the first episode; held-out seeds start at 1000000 (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to create; must not exist")
     parser.set_defaults(run=_record)
 
 
@@ -66,20 +66,20 @@ def _record(args: argparse.Namespace) -> int:
 def record(
     policy: str, env_id: str, episodes: int, out: Path, *, seed_start: int = 0, options: Mapping[str, Any] | None = None
 ) -> MinariDataset:
-    """Write a dataset.
+    """Record episodes of a policy as a dataset.
 
     Args:
         policy: "scripted", "random", or a policy file.
-        env_id: of the environment.
-        episodes: how many; their seeds count upwards.
-        out: a folder that is not there yet; it appears when all is written.
-        seed_start: of the first episode.
-        options: of the environment.
+        env_id: id of the environment.
+        episodes: number of episodes; their seeds count upwards.
+        out: folder, which must not exist; it appears when everything is written.
+        seed_start: seed of the first episode.
+        options: options of the environment.
 
     Raises:
-        DatasetError: `out` is there already.
+        DatasetError: `out` exists already.
         OutputError: `out` cannot be written.
-        PolicyError: No such policy, or one of another environment.
+        PolicyError: The policy does not exist, or was made for another environment.
     """
     import gymnasium
     from minari import create_dataset_from_buffers
@@ -87,7 +87,7 @@ def record(
     from hpac_gym.policies.loading import load_policy
 
     if out.exists():
-        raise DatasetError(f"'{out}' is there already: name a folder that is not")
+        raise DatasetError(f"'{out}' exists already: name a new folder")
     folder = writable_folder(out.absolute().parent)
     env = gymnasium.make(f"hpac_gym:{env_id}", disable_env_checker=True, **(options or {}))
     try:
@@ -100,7 +100,7 @@ def record(
                 buffers.append(_episode(env, actor, seed))
                 if len(buffers) == CHUNK or seed == seed_start + episodes - 1:
                     if dataset is None:
-                        with warnings.catch_warnings(action="ignore"):  # of who wrote it, which nobody is asked
+                        with warnings.catch_warnings(action="ignore"):  # Minari warns about missing author data
                             dataset = create_dataset_from_buffers(
                                 name, buffers, env=env, algorithm_name=policy, jpeg_encoding=False
                             )
@@ -114,7 +114,7 @@ def record(
 
 
 def _episode(env: gymnasium.Env, policy: Policy, seed: int) -> EpisodeBuffer:
-    """One episode; `is_success` of the infos, as all that is observed, begins with the reset."""
+    """Record one episode; `is_success` in the infos, like the observations, has an entry for the reset."""
     from minari.data_collector import EpisodeBuffer
 
     seen, _ = env.reset(seed=seed)
@@ -139,14 +139,14 @@ def _stacked(observations: list[Any]) -> Any:
 
 
 def read_dataset(folder: Path) -> MinariDataset:
-    """The dataset that `record` wrote into a folder.
+    """Open the dataset that `record` wrote into a folder.
 
     Raises:
-        DatasetError: There is none, or a damaged one.
+        DatasetError: The dataset is missing or damaged.
     """
     from minari import MinariDataset
 
     try:
         return MinariDataset(folder / "data")
     except (OSError, ValueError, KeyError, AssertionError) as error:
-        raise DatasetError(f"'{folder}' holds no dataset of `hpac record`: {error}") from None
+        raise DatasetError(f"'{folder}' is not a dataset of `hpac record`: {error}") from None

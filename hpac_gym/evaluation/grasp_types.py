@@ -1,4 +1,4 @@
-"""Episodes of the sixteen grasp types: whether the posture, executed, holds the object, and by which parts of the hand."""
+"""Episodes of the sixteen grasp types: whether the executed posture holds the object, and with which parts of the hand."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
 
 @dataclass(frozen=True, slots=True)
 class TypeTrial:
-    """How one episode of a type ended."""
+    """Result of one episode of a grasp type."""
 
     seed: int
     free: bool
-    """Nothing touched the object when the hand began to close."""
+    """Whether the hand was clear of the object when it began to close."""
     held: bool
-    """Lifted, held through the shake, and not dropped on the way down: `hpac_gym.tasks.grasp.Grasp`."""
+    """Whether the object was lifted, held through the shake and not dropped while lowered, as in `hpac_gym.tasks.grasp.Grasp`."""
     success: bool
-    """Held, and as the type's rule asks."""
+    """Whether the object was held as the type's rule requires."""
     share: float
-    """Share of the episode's time that passed before it ended."""
+    """Share of the task's duration at which the episode ended."""
     clauses: dict[str, float]
-    """How far each clause of the type's rule was kept; 1 is kept."""
+    """How far each clause of the type's rule was satisfied; 1 if fully."""
     touched: dict[str, float]
-    """Share of the hold in which each part touched."""
+    """Share of the hold in which each part of the hand touched the object."""
     force: dict[str, float]
-    """Mean normal force of each part in the hold [N]."""
+    """Mean normal force of each part during the hold [N]."""
 
 
 class _Queue(GraspByType):
-    """Draws the episodes of one type after another, in the order in which worlds ask for them."""
+    """Gives each new episode the next type of a list."""
 
     def __init__(self, types: Sequence[GraspType]) -> None:
         super().__init__(wrist="script")
         self.waiting = deque(types)
 
     def draw(self, rng: np.random.Generator) -> GraspType:
-        """The type of an episode: the next one."""
+        """The next type of the list."""
         return self.waiting.popleft()
 
 
@@ -53,12 +53,12 @@ def run_types(
     types: Sequence[GraspType], seeds: Sequence[int], *,
     engine: str = "pybullet", body: str = "twin", randomize: str = "nominal", num_worlds: int = 1,
 ) -> Iterator[tuple[int, TypeTrial]]:  # fmt: skip
-    """One episode of each type with its seed, by the closure that goes straight to the type's posture.
+    """Run one episode per type and seed, with a closure that moves straight to the type's posture.
 
-    An episode depends on its type and seed alone, whatever runs beside it.
+    An episode depends only on its type and seed, not on the episodes that run in parallel.
 
     Yields:
-        The episode's place among `types`, and how it ended, in the order in which they end.
+        Index of the episode in `types`, and its result, in the order in which the episodes end.
     """
     task, worlds = _Queue(types), min(num_worlds, len(types))
     episodes = Episodes(task, worlds, checked_options(engine=engine, body=body, randomize=randomize))
@@ -84,7 +84,7 @@ def run_types(
             steps += 1
             over = (job >= 0) & (episodes.outcome != RUNNING)
             for world in np.flatnonzero(over | (steps == close_end)):
-                if not task.hold(world).moments:  # of an episode that ends before it holds, at least this is told
+                if not task.hold(world).moments:  # an episode that ends before the hold gets one sample
                     task.look(world, episodes.now.state, episodes.simulation.engine.contacts(world))
             for world in np.flatnonzero(over):
                 hold, kind = task.hold(world), types[job[world]]

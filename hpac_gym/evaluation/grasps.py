@@ -1,4 +1,4 @@
-"""`hpac grasps`, the grasp benchmark: policies at the sixteen named grasps, all over the same held-out episodes."""
+"""`hpac grasps`, the grasp benchmark: policies on the sixteen named grasps, over the same held-out episodes."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_data import named_grasp
 
 TASK = "HPAC-Grasp-v0"
-CHUNK = 5  # episodes that a worker does at a time
+CHUNK = 5  # episodes per job of a worker
 RANDOM = "random"
 COLUMNS = ("grasp", "object", "policy", "success", "95 % interval", "hold force", "drops by phase")
 _ABOUT = """\
-Runs a policy, and random actions beside it, at the sixteen named grasps over the same held-out episodes. Prints a table:
-success with its Wilson 95 % interval, hold force, drops by phase. Writes it with a picture of each grasp and a contact
-sheet. A grasp is shown as the first episode left it that was a success, or the last one of all."""
+Runs a policy and a random policy on the sixteen named grasps over the same held-out episodes. Prints a table of success
+with its Wilson 95 % interval, holding force and drops by phase. Writes the table, a picture of each grasp and a contact
+sheet. A picture shows the end of the first successful episode, or of the last one if none succeeded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """How one episode of a grasp ended.
+    """Result of one episode of a grasp.
 
     Attributes:
-        phase: of the wrist when it ended.
-        hold_force: mean of all contact forces in the last phase [N]; None without one.
+        phase: phase of the wrist at the end.
+        hold_force: mean contact force in the last phase [N]; None if the episode ended before it.
     """
 
     seed: int
@@ -55,7 +55,7 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """The trials of one policy at one grasp, at least one, with the object of that variant."""
+    """The trials (at least one) of one policy at one grasp with one object variant."""
 
     grasp: str
     policy: str
@@ -63,7 +63,7 @@ class Row:
     variant: str = NOMINAL
 
     def summary(self) -> dict[str, Any]:
-        """Success with its interval, hold force of what was held [N], and drops by phase."""
+        """Success with its interval, holding force of the successes [N], and drops by phase."""
         grasp = GRASPS[self.grasp]
         wins = [trial for trial in self.trials if trial.success]
         forces = [trial.hold_force for trial in wins if trial.hold_force is not None]
@@ -82,7 +82,7 @@ class Row:
 
 
 def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
-    """One episode of a grasp."""
+    """Run one episode of a grasp."""
     forces = []
     for _, info in control_steps(env, policy, seed):
         if info["phase"] == "place":
@@ -91,7 +91,7 @@ def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
 
 
 def run_trials(policy: str, grasp: str, variant: str, seeds: Sequence[int]) -> list[Trial]:
-    """Episodes of one policy at one grasp, in an environment of their own."""
+    """Run episodes of one policy at one grasp in a new environment."""
     with gymnasium.make(TASK, grasp=grasp, variant=variant) as env:
         actor = load_policy(policy, env)
         return [run_trial(env, actor, seed) for seed in seeds]
@@ -101,17 +101,17 @@ def benchmark(
     policies: Sequence[str], grasps: Sequence[str], episodes: int,
     *, variant: str = NOMINAL, seed_start: int = HELD_OUT_SEED, workers: int = 1,
 ) -> list[Row]:  # fmt: skip
-    """Run policies at grasps over the same held-out seeds, with a progress bar where standard error is a terminal.
+    """Run policies at grasps over the same held-out seeds, with a progress bar if standard error is a terminal.
 
     Raises:
-        GraspError: No grasp or variant has that name.
-        PolicyError: A policy cannot be loaded, or is of another environment.
+        GraspError: A grasp or variant does not exist.
+        PolicyError: A policy cannot be loaded, or was made for another environment.
         WorkerError: A worker process was ended from outside.
     """
     for grasp in grasps:
         named_grasp(grasp).variant(variant)
     for policy in policies:
-        run_trials(policy, grasps[0], variant, ())  # a mistake ends here, not in a worker
+        run_trials(policy, grasps[0], variant, ())  # errors are raised here, not in a worker
     seeds = range(seed_start, seed_start + episodes)
     parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
@@ -142,23 +142,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = _ABOUT
     parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
     parser.add_argument("-n", "--episodes", type=whole_number(1), default=50, metavar="N",
-                        help="of each policy at each grasp (default: %(default)s; 5 for a first look)")  # fmt: skip
+                        help="episodes per policy and grasp (default: %(default)s; 5 for a quick look)")  # fmt: skip
     parser.add_argument("--grasps", nargs="+", metavar="NAME", help="only these (default: all sixteen)")
-    parser.add_argument("--variant", help="of the objects: large, small, heavy, slippery or shape (default: nominal)")
+    parser.add_argument("--variant", help="object variant: large, small, heavy, slippery or shape (default: nominal)")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
-                        help=f"of the first episode (default: %(default)s; training stays below {HELD_OUT_SEED})")  # fmt: skip
-    parser.add_argument("--no-baseline", action="store_true", help="no random actions beside the policy")
+                        help=f"first seed (default: %(default)s; training uses seeds below {HELD_OUT_SEED})")  # fmt: skip
+    parser.add_argument("--no-baseline", action="store_true", help="do not also run the random policy")
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, metavar="N",
-                        help="processes (default: %(default)s)")  # fmt: skip
+                        help="number of processes (default: %(default)s)")  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("runs/grasps"), metavar="DIR",
-                        help="where table and pictures go (default: %(default)s)")  # fmt: skip
+                        help="folder for table and pictures (default: %(default)s)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from hpac_gym.evaluation.pictures import portrait, write_pictures  # the help of this command needs no Pillow
+    from hpac_gym.evaluation.pictures import portrait, write_pictures  # imported here so that the command's help needs no Pillow
 
     variant, names = options.variant or NOMINAL, list(dict.fromkeys(options.grasps or GRASPS))
     policies = list(dict.fromkeys([options.policy] if options.no_baseline else [options.policy, RANDOM]))

@@ -1,4 +1,4 @@
-"""Pictures of the named grasps as a policy left them, and all of them on one sheet."""
+"""Pictures of the named grasps at the end of an episode, and a contact sheet of all of them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from hpac_gym.tasks.grasp_data import NOMINAL
 
 VIEW = Viewpoint(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=-14.0)
 VIEW_CENTRE = np.array([0.045, 0.0, 0.09])
-"""In the hand frame [m]."""
+"""Point that the camera looks at, in the hand frame [m]."""
 SHEET_COLUMNS = 4
 INK, WARNING = (40, 40, 40), (176, 48, 32)
 
 
 @dataclass(frozen=True, slots=True)
 class Portrait:
-    """The last moment of an episode.
+    """Picture of the end of an episode.
 
     Attributes:
         pixels: RGB, shape (height, width, 3).
@@ -38,19 +38,19 @@ class Portrait:
 
 
 def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Portrait:
-    """The last moment of the episode of that seed.
+    """Picture of the end of the episode with that seed.
 
     Raises:
-        GraspError: No grasp or variant has that name.
-        PolicyError: The policy cannot be loaded, or is of another environment.
+        GraspError: The grasp or variant does not exist.
+        PolicyError: The policy cannot be loaded, or was made for another environment.
     """
-    with gymnasium.make(TASK, grasp=grasp, variant=variant, render_mode="rgb_array") as env:  # else it has no colours
+    with gymnasium.make(TASK, grasp=grasp, variant=variant, render_mode="rgb_array") as env:  # else objects have no colours
         trial = run_trial(env, load_policy(policy, env), seed)
         return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), trial.success)
 
 
 def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:
-    """The portraits by the names of their grasps, in rows; each under its number in the paper's figure and its name."""
+    """The portraits, keyed by grasp, in rows, each with its panel number in the paper and its name."""
     height, width = next(iter(portraits.values())).pixels.shape[:2]
     rows = -(-len(portraits) // SHEET_COLUMNS)
     sheet = Image.new("RGB", (min(len(portraits), SHEET_COLUMNS) * width, rows * height), "white")

@@ -1,4 +1,4 @@
-"""Which seeds judge: an evaluation counts up from here, and a training draws its seeds below."""
+"""Seeds of evaluations, which count up from these numbers; training uses smaller seeds."""
 
 HELD_OUT_SEED = 1_000_000
 BENCHMARK_SEED = 2_000_000

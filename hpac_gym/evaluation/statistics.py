@@ -1,4 +1,4 @@
-"""How sure a success rate is, of one policy and over the runs of a training."""
+"""Confidence intervals of success rates, for one policy and over the runs of a training."""
 
 from collections.abc import Callable
 from math import sqrt
@@ -10,7 +10,7 @@ Z_95 = 1.959963984540054  # the standard normal's 97.5 % quantile
 
 
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
-    """The 95 % interval of a success probability.
+    """95 % confidence interval of a success probability.
 
     Wilson's score interval: all p with (successes/trials − p)² ≤ z² p (1 − p) / trials. It stays inside 0…1 and keeps
     its coverage near both ends, where the textbook interval collapses.
@@ -52,7 +52,7 @@ def paired_difference(only_first: int, only_second: int, trials: int) -> tuple[f
 
 
 def interquartile_mean(scores: ArrayLike) -> NDArray[np.float64]:
-    """Mean of the middle half of all scores: of n, the n // 4 lowest and as many of the highest are left out.
+    """Mean of the middle half of n scores, without the n // 4 lowest and the n // 4 highest.
 
     Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", section 4.3, as in `rliable`.
 
@@ -69,9 +69,9 @@ def interquartile_mean(scores: ArrayLike) -> NDArray[np.float64]:
 
 
 def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-    """How probable it is that a run of the first scores higher than one of the second, ties counting half.
+    """Probability that a run of the first scores higher than a run of the second, ties counting half.
 
-    The same paper, section 4.3: the mean over tasks of Mann and Whitney's U by the number of pairs.
+    The same paper, section 4.3: the mean over tasks of the Mann–Whitney U divided by the number of pairs.
 
     Args:
         first: shape (..., runs, tasks).
@@ -87,13 +87,13 @@ def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> NDArray[n
 def stratified_bootstrap(
     statistic: Callable[..., NDArray[np.float64]], *scores: ArrayLike, draws: int = 10_000, seed: int = 0
 ) -> tuple[float, float]:
-    """The 95 % percentile interval of a statistic: of each task, runs are drawn with replacement, as many as there are.
+    """95 % percentile interval of a statistic; the runs of each task are resampled with replacement.
 
     Args:
-        statistic: of arrays of scores with a leading axis.
+        statistic: function of score arrays with a leading axis of draws.
         scores: each of shape (runs, tasks).
-        draws: how often all runs are drawn.
-        seed: of these draws, so that the same scores give the same interval.
+        draws: number of resamples.
+        seed: seed of the resampling, so that the same scores give the same interval.
     """
     rng, tables = np.random.default_rng(seed), [np.asarray(table, float)[None] for table in scores]
     drawn = [np.take_along_axis(t, rng.integers(t.shape[1], size=(draws, *t.shape[1:])), axis=1) for t in tables]

@@ -1,4 +1,4 @@
-"""Processes that share the work, end with the command that started them, and leave Ctrl-C to it."""
+"""Worker processes, which end with the command that started them and leave Ctrl-C to it."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class WorkerError(HpacError, RuntimeError):
 def worker_pool(count: int, prepare: Callable[..., None] | None = None, arguments: tuple = ()) -> Iterator[Work]:
     """A pool of ``count`` processes, each of which first calls ``prepare(*arguments)``.
 
-    The block gets a function that returns the results of ``function(*job)`` in the order of the jobs. When the block ends, with
-    an error or Ctrl-C too, jobs that have not begun are dropped and those under way are finished: a process that is killed may
-    leave half a result in the pipe, for which Python's pool would wait for ever.
+    The block gets a function that returns the results of ``function(*job)`` in the order of the jobs. When the block ends, also
+    by an error or Ctrl-C, pending jobs are dropped and running ones finish: a killed process may leave half a result in the pipe,
+    for which Python's pool would wait for ever.
 
     Raises:
-        WorkerError: A process was ended from outside, as by a system that runs out of memory.
+        WorkerError: A process was ended from outside, for example by a system that is out of memory.
     """
     pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start, (prepare, arguments))
 
     def work(function: Callable[..., Result], jobs: Iterable[tuple]) -> Iterator[Result]:
-        # Not pool.map: it cancels its futures in this thread, and the pool's own thread prints a traceback if it finds one.
+        # Not pool.map: it cancels its futures in this thread, and the pool's own thread prints a traceback for a cancelled one.
         futures = deque()
         for job in jobs:
             with _interrupts_held():
@@ -54,10 +54,10 @@ def worker_pool(count: int, prepare: Callable[..., None] | None = None, argument
 
 
 def shared(function: Callable[..., Result], jobs: Sequence[tuple], count: int) -> Iterator[Result]:
-    """The results of ``function(*job)`` in the order of the jobs, as they are done by ``count`` processes; 1 is this one.
+    """Results of ``function(*job)`` in the order of the jobs, computed by ``count`` processes; 1 is the calling process.
 
     Raises:
-        WorkerError: As `worker_pool`.
+        WorkerError: As in `worker_pool`.
     """
     if count == 1:
         yield from (function(*job) for job in jobs)
@@ -68,7 +68,7 @@ def shared(function: Callable[..., Result], jobs: Sequence[tuple], count: int) -
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Let Ctrl-C wait until the block ends. Processes that are started in it never see one, not even while they start.
+    """Delay Ctrl-C until the block ends. Processes started in the block never receive it, not even during their start.
 
     Windows has no signal masks: there a worker may print a traceback on Ctrl-C.
     """
@@ -89,6 +89,6 @@ def _start(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> N
 
 
 def _end_with_parent() -> None:
-    """A killed command closes no pool: without this its workers would wait for work for ever."""
+    """End this worker when its parent ends: a killed command does not close its pool, and its workers would wait for ever."""
     multiprocessing.parent_process().join()
     os._exit(1)

@@ -1,6 +1,6 @@
 """The paper as data and pure functions: joints, parameters, transmission, elasticity, command.
 
-Needs numpy alone. Arrays have shape (..., n); angles are in rad; every function takes an optional `hand`.
+Depends on NumPy alone. Arrays have shape (..., n); angles are in rad; every function takes an optional `hand`.
 """
 
 from hpac_gym.model.command import (

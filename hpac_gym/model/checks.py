@@ -1,4 +1,4 @@
-"""Checks of a caller's arrays, with errors that name the value, the bound and the unit."""
+"""Validation of array arguments; errors give the value, the bound and the unit."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from hpac_gym.errors import ShapeError, WorkspaceError
 Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9
-"""Slack of every bound, for the rounding of a value that was computed to lie on it."""
+"""Tolerance of every bound, for rounding errors of a value computed to lie on it."""
 _REAL = "fiubO"
-"""Kinds of arrays that can hold real numbers."""
+"""NumPy dtype kinds that can hold real numbers."""
 
 
 def as_array(value: ArrayLike, size: int, name: str) -> Array:
     """The value as an array of shape (..., size).
 
     Raises:
-        ShapeError: It is not numeric, or its last axis has another length.
+        ShapeError: Not numeric, or the last axis has the wrong length.
     """
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in _REAL:  # which NumPy would make numbers of, with a warning at best
-            raise TypeError(f"{array.dtype} is no type of real numbers")
+        if array.dtype.kind not in _REAL:  # NumPy would convert these to numbers, with a warning at best
+            raise TypeError(f"{array.dtype} is not a type of real numbers")
         array = array.astype(float, copy=False)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name} must be an array of numbers: {error}") from None

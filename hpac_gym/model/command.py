@@ -1,4 +1,4 @@
-"""Eq. (15) and what surrounds it: from an action or a posture to the command that the servos get."""
+"""Eq. (15) and the pipeline around it: from an action or a posture to the servo command."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hpac_gym.model.parameters import Hand
 
 _ACTION_BOUND = np.ones(len(SERVOS))
 _ACTION_TOLERANCE = 1e-6
-"""What lies beyond ±1 by no more is ±1: float32 arithmetic, as in a wrapper that rescales actions, ends a few 1e-7 beyond it."""
+"""Actions beyond ±1 by at most this are clipped: float32 arithmetic in a rescaling wrapper can overshoot by a few 1e-7."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServoCommand:
-    """Target angles of all six servos and the duration of the move, at whose end they arrive together.
+    """Target angles of all six servos and the duration of their synchronised move.
 
     Raises:
         ShapeError: `servo` is not six finite numbers.
@@ -56,7 +56,7 @@ def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
 
     Raises:
         ShapeError: Wrong shape.
-        WorkspaceError: NaN, or outside −1…1 by more than float32 rounds.
+        WorkspaceError: NaN, or outside −1…1 by more than float32 rounding.
     """
     action = as_bounded_array(action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE)
     share = np.minimum(np.maximum(action + 1, 0.0), 2.0) / 2
@@ -64,7 +64,7 @@ def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def action_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
-    """The action that asks for given synergy coordinates: the inverse of `synergy_from_action`.
+    """Action for given synergy coordinates: the inverse of `synergy_from_action`.
 
     Args:
         synergy: shape (..., 6) [rad].
@@ -82,9 +82,9 @@ def action_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
-    """The manifold coordinates nearest to a posture: least squares per digit of q + b(q) against A q_root.
+    """Manifold coordinates nearest to a posture: least-squares fit of A q_root to q + b(q) for each digit.
 
-    Exact on the elastic manifold. Not limited: off the manifold a coordinate can pass Table I.
+    Exact on the elastic manifold. Not clipped: off the manifold a coordinate can exceed Table I.
 
     Args:
         joint_pos: q, shape (..., 15) [rad].
@@ -103,7 +103,7 @@ def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     """Servo angles for a posture: H⁺[q̃ + b(q̃)].
 
     Eq. (15). H⁺ is the closed-form inverse of each digit's block: exact on the elastic manifold, least squares per
-    digit off it. What the projection gives is then limited to the servo range, that is to Table I of the six driven joints.
+    digit off it. The result is clipped to the servo range, that is to Table I of the six driven joints.
 
     Args:
         joint_pos: q̃, inside of Table I (see `clip_to_workspace`), shape (..., 15) [rad].
@@ -120,7 +120,7 @@ def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
-    # One product a row: BLAS rounds a row of a larger product in another way, and n hands must move as one does.
+    # One product per row: BLAS rounds rows of a larger product differently, and results must not depend on the batch size.
     synergy = (joint_pos[..., None, :] @ hand.synergy_projection.T)[..., 0, :]
     np.maximum(synergy, hand.synergy_min, out=synergy)
     np.minimum(synergy, hand.synergy_max, out=synergy)
@@ -130,8 +130,8 @@ def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
 def servo_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
     """Servo angles for an action: the whole pipeline, action → synergy → joints → workspace → servos.
 
-    `synergy_from_action`, `joints_from_synergy`, `clip_to_workspace` and `servo_from_joints` in one go: every value is
-    checked where it comes in, and not again where it is known to be good.
+    Combines `synergy_from_action`, `joints_from_synergy`, `clip_to_workspace` and `servo_from_joints`, and checks the
+    action only once.
 
     Args:
         action: shape (..., 6), −1…1, in the order of `SERVOS`.
@@ -141,7 +141,7 @@ def servo_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
 
     Raises:
         ShapeError: Wrong shape.
-        WorkspaceError: NaN, or outside −1…1 by more than float32 rounds.
+        WorkspaceError: NaN, or outside −1…1 by more than float32 rounding.
     """
     target = synergy_from_action(action, hand).take(hand.servo_of_joint, axis=-1)
     target *= hand.elastic_ratio
@@ -153,7 +153,7 @@ def servo_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
 def move_duration(servo_from: ArrayLike, servo_to: ArrayLike, hand: Hand = HPAC) -> float:
     """Duration of the synchronised move between two servo poses at the rate limit.
 
-    The longest travel sets it and all six arrive together: one policy for every task, as in the paper.
+    The longest travel sets it and all six servos arrive together, in every task, as in the paper.
 
     Args:
         servo_from: shape (6,) [rad].
@@ -174,14 +174,14 @@ def _duration_of(travel: Array, hand: Hand) -> float:
 
 
 def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC) -> Array:
-    """Servo angles after one control period on the straight way to a target.
+    """Servo angles after one control period on the straight line to a target.
 
-    A policy changes its mind every period, so each command goes only as far along the straight line to the target as the
-    rate limit lets it, and ends exactly when the next one starts.
+    A policy may change its target every period, so each command moves only as far along the line as the rate limit allows
+    and ends exactly when the next one starts.
 
     Args:
-        servo: where the servos were last commanded, finite, shape (..., 6) [rad].
-        target: their target angles, finite, shape (..., 6) [rad].
+        servo: last commanded angles, finite, shape (..., 6) [rad].
+        target: target angles, finite, shape (..., 6) [rad].
         period: control period, positive [s].
 
     Returns:
@@ -193,7 +193,7 @@ def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC
 
 
 def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Hand = HPAC) -> ServoCommand:
-    """The part of a synchronised move that fits one control period: `streamed_servo` as a command.
+    """The part of a synchronised move that fits into one control period: `streamed_servo` as a command.
 
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
@@ -205,5 +205,5 @@ def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Han
 
 
 def minimum_jerk(share: Array | float) -> Array | float:
-    """Share of the way that a move of least jerk has gone after a share of its time: 10s³ − 15s⁴ + 6s⁵, any shape."""
+    """Minimum-jerk profile: fraction of the path covered after a fraction s of the duration, 10s³ − 15s⁴ + 6s⁵, any shape."""
     return share**3 * (10 - 15 * share + 6 * share**2)

@@ -1,4 +1,4 @@
-"""Eqs. (10)–(13): what the restoring springs and the tendons' elasticity do to the joint angles."""
+"""Eqs. (10)–(13): effect of the restoring springs and of tendon elasticity on the joint angles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hpac_gym.model.transmission import synergy_from_servo
 def spring_tension(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     """Tension of the five restoring springs.
 
-    Eq. (10), for the thumb over its two coupled joints. No pretension: a straight finger is slack.
+    Eq. (10), for the thumb over its two coupled joints. No pretension: the spring of a straight finger is slack.
 
     Args:
         joint_pos: q, shape (..., 15) [rad].
@@ -36,9 +36,9 @@ def spring_tension(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def elastic_deviation(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
-    """b(q), how far the elastic tendon leaves each joint behind its rigid angle: q_ideal − q_comp.
+    """Elastic deviation b(q) of each joint from its rigid-tendon angle: q_ideal − q_comp.
 
-    Eq. (11), of the angles that the joints really have. Zero for MCP, MP and CMC.
+    Eq. (11), evaluated at the actual joint angles. Zero for MCP, MP and CMC.
 
     Args:
         joint_pos: q, shape (..., 15) [rad].

@@ -1,4 +1,4 @@
-"""Hand files: a `Hand` from TOML, with errors that name the file, the table and the field, and back into it."""
+"""Hand files: reading and writing a `Hand` as TOML; errors name the file, the table and the field."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _TOP = ("schema", "name", "sources", "servo", "cmc", "digits", "workspace", "cal
 
 
 def load_hand(path: str | PathLike[str]) -> Hand:
-    """The hand that a TOML file describes.
+    """Hand described by a TOML file.
 
     Raises:
         ParameterError: The file cannot be read, is not TOML, has another schema, or a number is missing, not a
@@ -42,7 +42,7 @@ def load_hand(path: str | PathLike[str]) -> Hand:
 
 
 def hand_from_toml(text: str, origin: str) -> Hand:
-    """The hand that a TOML text describes; `origin` names it in errors.
+    """Hand described by a TOML text; `origin` is its name in errors.
 
     Raises:
         ParameterError: As `load_hand`.
@@ -58,7 +58,7 @@ def hand_from_toml(text: str, origin: str) -> Hand:
 
 
 def hand_to_toml(hand: Hand) -> str:
-    """A hand as the text of a hand file, which `hand_from_toml` reads again."""
+    """Text of a hand file for a hand, which `hand_from_toml` reads back."""
     lines = [f"schema = {SCHEMA}", f"name = {json.dumps(hand.name)}", "", "[sources]"]
     lines += [f"{key} = {json.dumps(text, ensure_ascii=False)}" for key, text in hand.sources.items()]
     lines += ["", "[servo]", f"rate_limit = {hand.rate_limit!r}", "", "[cmc]"]

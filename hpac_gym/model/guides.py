@@ -16,7 +16,7 @@ _CMC = len(SERVOS) - 1
 
 
 def chord_from_included(guide_sum: Array, guide_product: Array, included: Array) -> Array:
-    """Distance of two guides [m] that stand at an included angle [rad].
+    """Distance between two guides [m] at an included angle [rad].
 
     Eq. (3): √(d₁² + d₂² − 2 d₁ d₂ cos φ).
 
@@ -31,13 +31,13 @@ def chord_from_included(guide_sum: Array, guide_product: Array, included: Array)
 def included_from_chord(guide_sum: Array, guide_product: Array, chord: Array) -> Array:
     """Included angle [rad] of two guides at a given distance [m]: the inverse of `chord_from_included`.
 
-    Eq. (4). A chord that no angle has gives the nearest angle, 0 or π; whoever must refuse it checks first.
+    Eq. (4). An impossible chord gives the nearest angle, 0 or π; callers that must refuse it check first.
     """
     return np.arccos(np.clip((guide_sum - chord**2) / guide_product, -1.0, 1.0))
 
 
 def unchecked_servo_from_synergy(synergy: Array, hand: Hand) -> Array:
-    """Servo angles for angles of the driven joints that are known to lie in Table I, shape (..., 6) [rad].
+    """Servo angles for driven-joint angles that are known to lie within Table I, shape (..., 6) [rad].
 
     Eqs. (5), (7), (8) solved for u.
     """

@@ -1,7 +1,7 @@
-"""Names and order of the fifteen joints and six servos: the one owner of both.
+"""Names and order of the fifteen joints and six servos; no other module defines them.
 
 Joints follow the paper's q1…q15 (distal first within a digit), servos its 1…6. A servo carries the
-name of the joint that it drives. Code counts from 0; only labels for people count from 1.
+name of the joint that it drives. Indices count from 0; only labels for users count from 1.
 """
 
 DIGITS = ("thumb", "index", "middle", "ring", "pinky")

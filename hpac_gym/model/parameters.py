@@ -1,4 +1,4 @@
-"""The parameters of a hand: frozen, validated values, and what follows from them.
+"""Parameters of a hand: frozen, validated values, and the quantities derived from them.
 
 A `Digit` holds one tendon's numbers, a `Hand` five digits, the directly driven CMC joint and Table I.
 Everything else (ratios, matrices, servo range) is derived from these once, by the equations of the paper,
@@ -61,12 +61,12 @@ class Digit:
     drive_stiffness: float
     """Stiffness of the driving tendon between servo and root joint [N/m]; the model takes it as rigid."""
     tension_limit: float
-    """What the servo can pull on the driving tendon [N]."""
+    """Largest tension that the servo can exert on the driving tendon [N]."""
 
     def __post_init__(self) -> None:
         owner = f"digit {self.name}"
         if self.name not in DIGITS:
-            raise ParameterError(f"{owner} is none of {', '.join(DIGITS)}")
+            raise ParameterError(f"{owner} is not one of {', '.join(DIGITS)}")
         joints = len(self.joints)
         for name, length in (("joint_radius", joints), ("path_length", joints - 1)):
             if len(getattr(self, name)) != length:
@@ -93,7 +93,7 @@ class Digit:
     def rigid_ratio(self) -> Array:
         """A: joint angles per radian of the root joint, tendon taken as rigid. Eqs. (1), (2), (6).
 
-        A joint's angle is the inverse of its radius: 5:4:5 radii give 4:5:4 angles, 5:4 give 4:5.
+        Joint angles are inversely proportional to the radii: 5:4:5 radii give 4:5:4 angles, 5:4 give 4:5.
         """
         radius = np.array(self.joint_radius)
         return radius[0] / radius
@@ -102,10 +102,10 @@ class Digit:
     def segment_stiffness(self) -> Array:
         """Stiffness of each coupling segment, root first: EA/L, and 2EA/L in a finger's first [N/m].
 
-        The factor two is an assumption of this project, which the paper does not print. The restoring cable pulls on every
-        joint, so the balance of torques makes the first segment carry twice the spring's tension T: 2T stretches it by
-        2TL/EA, where Eq. (11) says TL/EA. Only with 2EA/L there is Eq. (12) a static equilibrium. The thumb has one segment,
-        which carries T alone.
+        The factor two is an assumption of this project; the paper does not state it. The restoring cable pulls on every
+        joint, so by torque balance the first segment carries twice the spring tension T. With EA/L it would stretch by
+        2TL/EA, whereas Eq. (11) gives TL/EA: Eq. (12) is a static equilibrium only with 2EA/L. The thumb has one segment,
+        which carries only T.
         """
         first = 2.0 if len(self.path_length) > 1 else 1.0
         factor = np.where(np.arange(len(self.path_length)) == 0, first, 1.0)
@@ -130,18 +130,18 @@ class Digit:
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """Dry friction of a digit's joints, against the motion.
+    """Dry friction of a digit's joints, opposing the motion.
 
     A joint's friction torque is `joint` + `tendon` times the torque of the tendons that load it.
 
     Raises:
-        ParameterError: A negative value, or guides that hold back all of the load.
+        ParameterError: A negative value, or `tendon` not below 1.
     """
 
     joint: float = 0.0
     """Friction torque of every joint's bearing [N·m]."""
     tendon: float = 0.0
-    """Share of the tendons' load that each joint's guides hold back."""
+    """Fraction of the tendons' load that each joint's guides hold back as friction."""
 
     def __post_init__(self) -> None:
         if not (0 <= self.joint < np.inf and 0 <= self.tendon < 1):
@@ -151,7 +151,7 @@ class Friction:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Results of a sweep of one hand beyond the numbers of the paper's model; all zero for a hand that was never swept.
+    """Calibration of one hand beyond the paper's model, identified from a sweep; all zero for an uncalibrated hand.
 
     The paper's maps, Eqs. (1)–(15), do not use it. `hpac_gym.model.settled` does.
 
@@ -160,7 +160,7 @@ class Calibration:
     """
 
     servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
-    """Where each servo's horn stands when it is commanded to 0 [rad]."""
+    """True angle of each servo's horn when commanded to 0 [rad]."""
     friction: tuple[Friction, ...] = (Friction(),) * len(DIGITS)
     """Friction of each digit."""
 
@@ -196,9 +196,9 @@ class Hand:
     cmc_torque_limit: float = 0.8
     """Stall torque of servo 6 [N·m]."""
     sources: Mapping[str, str] = field(default_factory=dict, compare=False)
-    """Where each number comes from, by field name."""
+    """Source of each number, by field name."""
     calibration: Calibration = Calibration()
-    """Results of a sweep beyond the paper's model."""
+    """Parameters beyond the paper's model, identified from a sweep."""
 
     def __post_init__(self) -> None:
         for name, wanted in (("digits", DIGITS), ("workspace", JOINTS)):
@@ -246,12 +246,12 @@ class Hand:
 
     @cached_property
     def synergy_min(self) -> Array:
-        """Table I of the six driven joints, shape (6,) [rad]."""
+        """Lower limits of the six driven joints, Table I, shape (6,) [rad]."""
         return _read_only(np.array([self.workspace[name][0] for name in SERVOS]))
 
     @cached_property
     def synergy_max(self) -> Array:
-        """Table I of the six driven joints, shape (6,) [rad]."""
+        """Upper limits of the six driven joints, Table I, shape (6,) [rad]."""
         return _read_only(np.array([self.workspace[name][1] for name in SERVOS]))
 
     @cached_property

@@ -31,11 +31,11 @@ class PostureError(HpacError, LookupError):
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """A named target."""
+    """A named joint-space target."""
 
     name: str
     panel: int
-    """Its panel in the paper's figure of postures and grasps, 1 to 29."""
+    """Panel number in the paper's figure of postures and grasps, 1 to 29."""
     kind: str
     """`opposition`, `gesture` or `grasp`."""
     about: str
@@ -46,14 +46,14 @@ class Posture:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """A posture as far as six servos can take it up."""
+    """The reachable posture nearest to a target, and its servo angles."""
 
     joint_pos: Array
-    """The posture that the hand takes, on its elastic manifold, shape (15,) [rad]."""
+    """Posture that the hand reaches, on its elastic manifold, shape (15,) [rad]."""
     servo: Array
     """u★ of Eq. (15), shape (6,) [rad]."""
     distance: float
-    """Euclidean distance of the target from what the hand takes, over all joints [rad]."""
+    """Euclidean distance between the target and the reached posture, over all joints [rad]."""
 
 
 def _posture(name: str, table: dict[str, Any]) -> Posture:
@@ -71,16 +71,16 @@ def _load() -> dict[str, Posture]:
 
 
 POSTURES: Mapping[str, Posture] = MappingProxyType(_load())
-"""All 29 by name, in the order of the paper's panels."""
+"""All 29 postures by name, in the order of the paper's panels."""
 
 _BY_ANY_NAME = {name: posture for posture in POSTURES.values() for name in (posture.name, *posture.aliases)}
 
 
 def posture(name: str) -> Posture:
-    """The posture of a name or an alias.
+    """Posture with a given name or alias.
 
     Raises:
-        PostureError: There is none; the message names the nearest ones.
+        PostureError: Unknown name; the message suggests similar ones.
     """
     if name in _BY_ANY_NAME:
         return _BY_ANY_NAME[name]

@@ -1,7 +1,7 @@
-"""The hand at rest on its servos, in closed form: what Eqs. (12), (13) leave out, and the command that undoes it.
+"""Static equilibrium of the hand in closed form, with effects that Eqs. (12), (13) omit, and the command that compensates them.
 
-The driving tendon's stretch, friction and the servos' zeros are here. All of a digit's angles and tensions are linear in the root
-joint's angle, so the servo angle is an explicit function of it. Free space, no gravity, a slow motion in one direction.
+These effects are the driving tendon's stretch, friction and servo zeros. All angles and tensions of a digit are linear in the
+root joint's angle, so the servo angle is an explicit function of it. Free space, no gravity, slow motion in one direction.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from hpac_gym.model.parameters import Calibration, Digit, Friction, Hand
 
 FLEXION, EXTENSION = 1.0, -1.0
 NO_FRICTION = Friction()
-_TINY = 1e-9  # where a folded digit has no arm left
-_ITERATIONS = 6  # of a contraction by less than 0.05 each
+_TINY = 1e-9  # avoids division by zero where a folded digit has no moment arm
+_ITERATIONS = 6  # fixed-point iterations, each a contraction by less than 0.05
 _CMC = len(SERVOS) - 1
 
 
 @dataclass(frozen=True, slots=True)
 class DigitStatics:
-    """A digit in equilibrium: what is linear in the root joint's angle q, as slope and offset.
+    """Equilibrium of a digit as linear functions of the root joint's angle q, given by slope and offset.
 
-    Joints and the first tension run root first; angles q_i = slope_i q + offset_i.
+    Joints run root first, with angles q_i = slope_i q + offset_i.
     """
 
     slope: Array
@@ -38,18 +38,18 @@ class DigitStatics:
     load_slope: float
     """Torque on the root joint per radian, which the driving tendon has to balance [N·m/rad]."""
     load_offset: float
-    """[N·m]."""
+    """Offset of that torque [N·m]."""
 
 
 def digit_statics(digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION) -> DigitStatics:
-    """Balance of torques of every joint but the root, and stretch of every coupling segment.
+    """Solve the torque balance of every joint but the root, with the stretch of every coupling segment.
 
     Unknowns are the other joints' angles, the segments' tensions and the spring's, all linear in the root joint's angle. Every
     coupling segment is taut, with `Digit.segment_stiffness`.
 
     Args:
-        digit: the tendon's numbers.
-        friction: what holds the joints back.
+        digit: the tendon's parameters.
+        friction: dry friction of the joints.
         direction: `FLEXION` or `EXTENSION`, the motion that friction opposes.
     """
     radius, count = np.array(digit.joint_radius), len(digit.joints)
@@ -98,7 +98,7 @@ def settled_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC, direction: fl
         direction: `FLEXION` or `EXTENSION`.
 
     Returns:
-        q, shape (..., 15) [rad]; a joint that friction keeps at its stop stays at 0.
+        q, shape (..., 15) [rad]; a joint that friction holds at its stop is at 0.
 
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
@@ -113,11 +113,11 @@ def settled_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC, direction: fl
 
 
 def settled_digit(horn: Array, digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION) -> Array:
-    """`settled_joints_from_servo` of one digit: angles of the servo's horn (...) to joint angles (..., n), root first."""
+    """`settled_joints_from_servo` for one digit: true horn angles (...) to joint angles (..., n), root first [rad]."""
     statics = digit_statics(digit, friction, direction)
     guide_sum, guide_product = digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2
     rest_chord = digit.rest_chord
-    slack_below = max(-statics.load_offset / statics.load_slope, 0.0)  # friction alone holds the spring there
+    slack_below = max(-statics.load_offset / statics.load_slope, 0.0)  # below this angle friction alone holds the spring
     stretch, root = np.zeros_like(horn), np.zeros_like(horn)
     for _ in range(_ITERATIONS):
         chord = rest_chord - np.maximum(digit.servo_radius * horn - stretch, 0.0)
@@ -137,15 +137,15 @@ def _drive_stretch(root: Array, digit: Digit, statics: DigitStatics) -> Array:
 
 
 def settled_synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
-    """Angles of the driven joints for which the hand, at rest, is nearest to a posture: least squares per digit.
+    """Driven-joint angles whose equilibrium is nearest to a posture, by least squares per digit.
 
-    The projection of Eq. (15), onto the postures in which `settled_joints_from_servo` says that this hand comes to rest. Not
-    limited: off the reachable postures a coordinate can pass Table I.
+    The projection of Eq. (15), onto the equilibrium postures of `settled_joints_from_servo`. Not clipped: for an unreachable
+    posture a coordinate can exceed Table I.
 
     Args:
         joint_pos: q_d, shape (..., 15) [rad].
         hand: the identified hand.
-        direction: `FLEXION` or `EXTENSION`, in which the hand comes there.
+        direction: `FLEXION` or `EXTENSION`, in which the hand approaches the posture.
 
     Returns:
         Shape (..., 6) [rad].
@@ -164,7 +164,7 @@ def settled_synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, directi
 
 
 def settled_servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
-    """Servo angles that bring this hand to rest nearest to a posture: Eq. (15) with what a sweep of the hand told.
+    """Servo angles whose equilibrium is nearest to a posture: Eq. (15) with the identified parameters of this hand.
 
     `servo_from_joints` takes the driving tendon as rigid, the servos' zeros as exact and the joints as free of friction. This
     one adds the tendon's stretch, subtracts the zeros and allows for the friction of the direction in which the hand moves.
@@ -172,7 +172,7 @@ def settled_servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction
     Args:
         joint_pos: q̃, inside of Table I (see `clip_to_workspace`), shape (..., 15) [rad].
         hand: the identified hand.
-        direction: `FLEXION` or `EXTENSION`, in which the hand comes there.
+        direction: `FLEXION` or `EXTENSION`, in which the hand approaches the posture.
 
     Returns:
         u, shape (..., 6) [rad], within `hand.servo_min` and `hand.servo_max`.

@@ -14,7 +14,7 @@ from hpac_gym.model.parameters import Hand
 
 _CMC = len(SERVOS) - 1
 _REST_BAND = 1e-7
-"""Below this servo angle [rad] H(u) is its limit at rest: q/u would lose more digits than the limit is off."""
+"""Below this servo angle [rad] H(u) is replaced by its limit at rest, which is more accurate there than q/u."""
 
 
 def synergy_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
@@ -31,7 +31,7 @@ def synergy_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
 
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
-        WorkspaceError: No included angle has the chord that a servo asks for.
+        WorkspaceError: A servo angle requires a chord that no included angle has.
     """
     servo = as_finite_array(servo, len(SERVOS), "servo")
     chord = hand.rest_chord - hand.servo_radius * servo[..., :_CMC]
@@ -93,9 +93,9 @@ def rigid_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def transmission_matrix(servo: ArrayLike, hand: Hand = HPAC) -> Array:
-    """H(u), the block-sparse map with q_ideal = H(u) u.
+    """Block-sparse transmission matrix H(u), with q_ideal = H(u) u.
 
-    Eq. (9): fifteen entries are not zero, each a function of one servo. At rest an entry is its limit,
+    Eq. (9): fifteen entries are non-zero, each a function of one servo. At rest an entry is its limit,
     the ratio times r L₀ / (d₁ d₂ sin α).
 
     Args:

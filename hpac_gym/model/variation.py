@@ -1,4 +1,4 @@
-"""Hands that differ from a given one."""
+"""Hands derived from a given one by scaling its parameters."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hpac_gym.model.parameters import Digit, Hand
 
 
 def scaled_digit(digit: Digit, scale: Mapping[str, ArrayLike]) -> Digit:
-    """The same digit with some numbers multiplied, by field name; radii and path lengths by one factor or one for each.
+    """A copy of a digit with fields multiplied by factors, by field name; radii and path lengths by one factor or one for each.
 
     Raises:
         AttributeError: `Digit` has no such field.
-        ParameterError: A number is then not finite and positive.
+        ParameterError: A scaled number is not finite and positive.
     """
     changed = {}
     for name, factor in scale.items():
@@ -27,10 +27,10 @@ def scaled_digit(digit: Digit, scale: Mapping[str, ArrayLike]) -> Digit:
 
 
 def scaled_hand(hand: Hand, scale: Mapping[str, float]) -> Hand:
-    """The same hand with some numbers of every digit multiplied, by field name of `Digit`.
+    """A copy of a hand with fields of every `Digit` multiplied by the factors in `scale`, by field name.
 
     Raises:
         AttributeError: `Digit` has no such field.
-        ParameterError: A number is then not finite and positive.
+        ParameterError: A scaled number is not finite and positive.
     """
     return replace(hand, digits={name: scaled_digit(digit, scale) for name, digit in hand.digits.items()})

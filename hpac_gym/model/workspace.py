@@ -1,4 +1,4 @@
-"""Table I and Eq. (14): the admissible workspace, and the explicit limits of joints and synergies."""
+"""Table I and Eq. (14): clipping of joint angles and synergies to the admissible workspace."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hpac_gym.model.parameters import Hand
 def clip_to_workspace(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     """Joint angles, each clipped to its admissible range.
 
-    Eq. (14), with Table I. The box is wider than what six servos can reach: `servo_from_joints` projects.
+    Eq. (14), with Table I. The box is larger than the set that six servos can reach; `servo_from_joints` projects onto that set.
 
     Args:
         joint_pos: q_d, shape (..., 15) [rad].
@@ -30,7 +30,7 @@ def clip_to_workspace(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
 
 
 def clip_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
-    """Synergy coordinates, each clipped to Table I's range of the joint that its servo drives.
+    """Synergy coordinates, each clipped to the range of its driven joint in Table I.
 
     Args:
         synergy: shape (..., 6) [rad].

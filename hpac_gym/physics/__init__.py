@@ -1,1 +1,1 @@
-"""Physics of hand, wrist and object: the engine seam, the servos, the tendon law; one folder for each engine."""
+"""Physics of hand, wrist and object: engine interface, servos and tendon law, with one folder per engine."""

@@ -1,7 +1,7 @@
 """Measures an engine's hand against the paper and against statics: ``hpac physics``.
 
-One suite for every engine and body. It reads what every engine gives (`SceneState`, `Contacts`), and compares it with the
-model's equations, the tendon law in numpy and forward kinematics from the geometry; no engine judges itself.
+One suite for every engine and body. It compares an engine's output (`SceneState`, `Contacts`) with the model's equations, the
+tendon law in NumPy and forward kinematics from the geometry; no engine is its own reference.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ Factory = Callable[[int, WorldSettings], Engine]
 """Makes an engine of n worlds."""
 
 COMBINATIONS = (("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light"))
-"""Engines and bodies that ship."""
+"""Supported combinations of engine and body."""
 _ROOTS = [JOINT_INDEX[name] for name in SERVOS]
 _PALM_DOWN = (0.0, float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)))
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One measured figure and its mark: it holds if the value is at most the limit."""
+    """One measured quantity and its limit; it holds if the value is at most the limit."""
 
     name: str
     value: float
@@ -63,11 +63,11 @@ def free_space(
     make: Factory, settings: HandSettings, world: WorldSettings, postures: int = 25, seed: int = 0,
     hand: Hand = HPAC, geometry: Geometry = HPAC_GEOMETRY,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Hands at random synergies without gravity, and passing through themselves so that all of the workspace is free space.
+    """Hands at random synergies, without gravity and without collisions, so that the whole workspace is free space.
 
     Returns:
-        Largest distance of PIP, DIP and IP from Eqs. (12), (13) of the simulated MCP and MP [rad]; largest distance of MCP, MP
-        and CMC from what was commanded [°]; largest joint speed that is left after eight seconds [rad/s].
+        Largest deviation of PIP, DIP and IP from Eqs. (12), (13) for the simulated MCP and MP [rad]; largest deviation of MCP,
+        MP and CMC from the command [°]; largest residual joint speed after eight seconds [rad/s].
     """
     rng = np.random.default_rng(seed)
     synergy = hand.synergy_max * rng.uniform(0.03, 0.97, (postures, len(SERVOS)))
@@ -86,8 +86,8 @@ def blocked_fingertip(make: Factory, settings: HandSettings, world: WorldSetting
     """A fingertip closes on a fixed frictionless ball.
 
     Returns:
-        How far the contact torque Jᵀf is from the tendons' torque, of MCP, PIP and DIP, relative; and the largest joint speed
-        that is left [rad/s].
+        Largest relative deviation of the contact torque Jᵀf from the tendon torque at MCP, PIP and DIP; largest residual joint
+        speed [rad/s].
     """
     joints = [f"{finger}_{suffix}" for suffix in ("mcp", "pip", "dip")]
     index = [JOINT_INDEX[name] for name in joints]
@@ -121,7 +121,7 @@ def held_cylinder(make: Factory, settings: HandSettings, world: WorldSettings, s
     """A cylinder of 0.15 kg, 50 mm wide, is grasped on its post, lifted by 60 mm and held.
 
     Returns:
-        How far it moves in the hand while it is held [m], infinite if it is lost; and the largest joint speed at the end [rad/s].
+        Displacement in the hand while it is held [m], infinite if it is lost; largest joint speed at the end [rad/s].
     """
     synergy = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
     spec = ObjectSpec("cylinder", (0.025, 0.025, 0.06), mass=0.15, friction=0.8)
@@ -144,7 +144,7 @@ def held_cylinder(make: Factory, settings: HandSettings, world: WorldSettings, s
 
 
 def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> float:
-    """Angle of the most drooping finger's MCP with the palm down and all servos at rest [rad]."""
+    """Largest MCP angle of the fingers with the palm down and all servos at rest [rad]."""
     hands = _hands(make, 1, SceneSetup(None, hand_settings=settings, hand_quaternion=_PALM_DOWN), world)
     hands.rest(4.0)
     joints = hands.state().joint_pos[0]
@@ -153,7 +153,7 @@ def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> 
 
 
 def opposition_gap(make: Factory, settings: HandSettings, world: WorldSettings, finger: str) -> float:
-    """Distance between the pads of thumb and finger at the posture that opposes them, as the engine takes it up [m]."""
+    """Distance between thumb pad and finger pad in the simulated opposition posture [m]."""
     synergy = np.array(HPAC_GEOMETRY.opposition[finger])
     hands = _hands(make, 1, SceneSetup(None, synergy=synergy, hand_settings=settings), replace(world, gravity=0.0))
     joints = hands.state().joint_pos[0]
@@ -177,12 +177,12 @@ def stiffest_mode(settings: HandSettings, world: WorldSettings) -> float:
 def figures(
     make: Factory, body: str = "twin", world: WorldSettings = WorldSettings(), postures: int = 25
 ) -> list[Figure]:
-    """All figures of an engine and a body, with the marks that they are held to.
+    """All measured quantities of an engine and a body, with their limits.
 
     Args:
-        make: makes the engine.
+        make: factory of the engine.
         body: one of `BODIES`.
-        world: its rate is what is measured.
+        world: world settings, whose physics rate is under test.
         postures: number of random postures in free space.
     """
     settings = BODIES[body]
@@ -203,7 +203,7 @@ def figures(
 
 
 def _hands(make: Factory, n: int, setup: SceneSetup, world: WorldSettings) -> Simulation:
-    """n worlds at the start of the same setup."""
+    """n worlds, reset to the same setup."""
     hands = Simulation(make(n, world))
     hands.reset(range(n), [setup] * n)
     return hands
@@ -220,10 +220,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure every engine and body that is wanted and installed; status 1 where a mark is missed.
+    """Measure every requested combination that is installed; exit status 1 if a limit is exceeded.
 
     Raises:
-        ParameterError: None of them is installed.
+        ParameterError: No requested combination is installed.
     """
     world = WorldSettings(physics_hz=arguments.physics_hz)
     wanted = [

@@ -1,8 +1,8 @@
-"""The seam between tasks and physics: what an engine is given, and the arrays that it gives back.
+"""Interface between tasks and physics engines: the inputs of an engine, and the state arrays that it returns.
 
-A control step is open-loop inside: servos and wrist never look at the physics. So an engine gets, for n worlds and the k
-physics steps of one control step, tables of servo angles and wrist offsets, and hands back one `SceneState` of arrays with a
-leading axis n. Nothing here knows an engine.
+Within a control step, servos and wrist run open loop. An engine therefore receives, for n worlds and the k physics steps of one
+control step, tables of servo angles and wrist offsets, and returns one `SceneState` of arrays with a leading axis n. This module
+is independent of any engine.
 """
 
 from __future__ import annotations
@@ -23,42 +23,42 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import HandSettings
 
 HAND_POSITION = np.array([0.0, 0.0, 0.25])
-"""Where the wrist starts in the world [m]."""
+"""Initial wrist position in the world [m]."""
 HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
-"""Unless a setup says otherwise: fingers along the world's +x, palm facing +y, thumb up."""
+"""Default orientation of the hand, xyzw: fingers along the world's +x, palm facing +y, thumb up."""
 POST = Support((0.012, 0.012))
-"""What an object stands on unless its setup has a support; this post does not turn with it."""
+"""Support of an object whose setup has none; this post does not rotate with the object's yaw."""
 TARGET_HALF_WIDTH = 0.05
 """Half the width of the post at a setup's target [m]."""
 SUPPORT_FRICTION = 0.8
-"""Coulomb coefficient of posts, walls and table; the object's multiplies it."""
+"""Coulomb coefficient of posts, walls and table, to be multiplied by the object's."""
 TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
-"""Half the size of the table along x, y and z [m]."""
+"""Half-extents of the table along x, y and z [m]."""
 GREY, GREEN, WOOD = (0.55, 0.55, 0.58, 1.0), (0.45, 0.62, 0.48, 1.0), (0.78, 0.70, 0.58, 1.0)
 """Colours of posts and walls, of the target's post and of the table, RGBA."""
 OBJECT_COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
 """Colours of the primitive objects, RGBA."""
 
 PARTS = ("palm", *DIGITS)
-"""The parts of the hand whose contacts with the object are told apart."""
+"""Parts of the hand whose contacts with the object are distinguished."""
 
 
 class PhysicsError(HpacError, RuntimeError):
-    """An engine could not go on: the message names the world and what failed in it."""
+    """A simulation failed; the message names the world and the cause."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSetup:
-    """Start of one episode: hand, object and what stands around them."""
+    """Initial state of one episode: hand, object and their surroundings."""
 
     object: ObjectSpec | None
-    """None for the hand alone, held at its palm: no object, no support, no table, no wrist."""
+    """Object to grasp; None for the hand alone, fixed at its palm, without object, support, table and wrist."""
     position: Array = field(default_factory=lambda: np.zeros(3))
     """Centre of the object in the hand frame, shape (3,) [m]."""
     yaw: float = 0.0
-    """Turn of the object about the vertical [rad]."""
+    """Rotation of the object about the vertical [rad]."""
     synergy: Array = field(default_factory=lambda: np.zeros(6))
-    """Hand at the start, shape (6,) [rad]."""
+    """Initial synergy of the hand, shape (6,) [rad]."""
     hand: Hand = HPAC
     geometry: Geometry = HPAC_GEOMETRY
     """Geometry of the hand's body."""
@@ -68,19 +68,19 @@ class SceneSetup:
     object_quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     """Orientation of the object in the world before its yaw, xyzw."""
     support: Support | None = None
-    """What the object stands on; None is `POST`."""
+    """Support of the object; None is `POST`."""
     target: Array | None = None
-    """Later place of the object's centre, on a post of its own, in the hand frame, shape (3,) [m]; None for none."""
+    """Target position of the object's centre, on its own post, in the initial hand frame, shape (3,) [m]; None for no target."""
     goal: Array | None = None
-    """Joint angles to reach, shape (15,) [rad], for a task that asks for a posture; physics does not look at it."""
+    """Goal joint angles of a posture task, shape (15,) [rad]; the physics ignores it."""
     fixed: bool = False
-    """True holds the object where it is for ever, without a support: an obstacle for measurements."""
+    """True fixes the object in the world, without a support, as an obstacle for measurements."""
     rest_height: float | None = None
-    """Height of the object's centre above what it stands on [m]; None is that of its bounding box."""
+    """Height of the object's centre above its support [m]; None computes it from the bounding box."""
     pull: Array | None = None
-    """Direction in the world of a force that a task may apply in the end, shape (3,); physics does not look at it."""
+    """World direction of a force that a task may apply at the end of an episode, shape (3,); the physics ignores it."""
     grasp: str | None = None
-    """Name of the grasp type that is asked for; physics does not look at it."""
+    """Name of the requested grasp type; the physics ignores it."""
 
     @property
     def hand_rotation(self) -> Array:
@@ -89,14 +89,14 @@ class SceneSetup:
 
     @property
     def stand_height(self) -> float:
-        """Height of the object's centre above what it stands on [m]."""
+        """Height of the object's centre above its support [m]."""
         if self.rest_height is not None:
             return self.rest_height
         return float(np.abs(matrix_from_quaternion(self.object_quaternion)[2]) @ self.object.half_extents)
 
     @property
     def object_turn(self) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-        """The object's orientation in the world, and its yaw alone, quaternions xyzw."""
+        """Orientation of the object in the world, and the rotation by its yaw only, quaternions xyzw."""
         (x, y, z, w), sine, cosine = self.object_quaternion, np.sin(self.yaw / 2), np.cos(self.yaw / 2)
         turned = cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w, cosine * w - sine * z
         return turned, (0.0, 0.0, sine, cosine)
@@ -104,14 +104,14 @@ class SceneSetup:
 
 @dataclass(slots=True)
 class SceneState:
-    """All that tasks, observations and rewards read of n worlds. Arrays with a leading axis n."""
+    """State of n worlds as tasks, observations and rewards read it; arrays with a leading axis n."""
 
     time: Array
     """Time since the episode began, shape (n,) [s]."""
     joint_pos: Array
     """True joint angles, shape (n, 15) [rad]."""
     joint_vel: Array
-    """Shape (n, 15) [rad/s]."""
+    """True joint velocities, shape (n, 15) [rad/s]."""
     horn: Array
     """Angles of the servos' horns, shape (n, 6) [rad]; `Simulation` fills it in."""
     tension: Array
@@ -123,17 +123,17 @@ class SceneState:
     object_rotation: Array
     """Rotation from the object's axes to the hand's, shape (n, 3, 3)."""
     object_vel: Array
-    """Velocity of the object against the world, along the axes of the hand frame, shape (n, 3) [m/s]."""
+    """Velocity of the object relative to the world, along the axes of the hand frame, shape (n, 3) [m/s]."""
     object_spin: Array
-    """Angular velocity of the object against the world, along the axes of the hand frame, shape (n, 3) [rad/s]."""
+    """Angular velocity of the object relative to the world, along the axes of the hand frame, shape (n, 3) [rad/s]."""
     touching: NDArray[np.bool_]
-    """Whether each of `PARTS` touches the object, shape (n, 6)."""
+    """True where each of `PARTS` touches the object, shape (n, 6)."""
     contact_force: Array
     """Sum of the normal forces between each of `PARTS` and the object, shape (n, 6) [N]."""
     supported: NDArray[np.bool_]
-    """Whether the object touches its support, the table or the target's post, shape (n,)."""
+    """True where the object touches its support, the table or the target's post, shape (n,)."""
     on_target: NDArray[np.bool_]
-    """Whether the object touches the target's post, shape (n,)."""
+    """True where the object touches the target's post, shape (n,)."""
 
     @classmethod
     def empty(cls, n: int) -> SceneState:
@@ -154,7 +154,7 @@ class Contacts:
     point: Array
     """Points on the object, shape (m, 3) [m]."""
     normal: Array
-    """Unit vectors into the object, shape (m, 3)."""
+    """Contact normals, unit vectors into the object, shape (m, 3)."""
     force: Array
     """Forces along the normals, shape (m,) [N]."""
     link: tuple[str, ...]
@@ -167,7 +167,7 @@ class Contacts:
 
 @dataclass(frozen=True, slots=True)
 class Viewpoint:
-    """Place of a camera and size of its picture.
+    """Camera pose relative to its target, and image size.
 
     Raises:
         ValueError: A size or distance that is not positive.
@@ -182,7 +182,7 @@ class Viewpoint:
     yaw_deg: float = 160.0
     pitch_deg: float = -20.0
     field_of_view_deg: float = 42.0
-    """Vertical."""
+    """Vertical field of view [deg]."""
 
     def __post_init__(self) -> None:
         if not (self.width > 0 and self.height > 0 and self.distance > 0):
@@ -190,7 +190,7 @@ class Viewpoint:
 
 
 class Engine(Protocol):
-    """Physics of n worlds, each with one hand. The same setup and tables give the same bits, whatever was before and beside."""
+    """Physics of n worlds, one hand each. Results depend, to the bit, only on setup and tables, not on history or neighbours."""
 
     num_worlds: int
     dt: float
@@ -200,11 +200,11 @@ class Engine(Protocol):
         """Refuse a hand that this engine cannot simulate.
 
         Raises:
-            ParameterError: It has something that the engine does not know.
+            ParameterError: The engine does not support one of the settings.
         """
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Set some of the worlds: hand at rest on its manifold, servos where they hold it there, object on its support."""
+        """Reset some worlds: hand at rest on its manifold, object on its support."""
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
         """Carry out k physics steps in every world.
@@ -214,29 +214,29 @@ class Engine(Protocol):
             servo_vel: their speeds, shape (n, k, 6) [rad/s].
             wrist: offset of the palm from its start at the end of each step, along the world's axes, shape (n, k, 3) [m].
             push: force on the object at its centre of mass during each step, along the world's axes, shape (n, k, 3) [N];
-                None is no force. A world without an object that can move ignores its rows.
+                None is no force. A world without a movable object ignores its rows.
 
         Raises:
             PhysicsError: A world's simulation failed; the message names the world.
         """
 
     def state(self) -> SceneState:
-        """State of every world now, in arrays that no later call changes."""
+        """Current state of every world, in arrays that later calls do not modify."""
 
     def contacts(self, world: int) -> Contacts:
-        """The contacts between hand and object of one world now."""
+        """Current contacts between hand and object of one world."""
 
     def picture(self, world: int, viewpoint: Viewpoint, target: Array) -> NDArray[np.uint8]:
-        """RGB of one world with a point of the world, shape (3,) [m], in the middle; shape (height, width, 3)."""
+        """RGB image of one world, shape (height, width, 3), centred on `target`, a world point, shape (3,) [m]."""
 
     def save(self, world: int) -> Any:
-        """A snapshot of one world, from which `restore` goes on to the bit."""
+        """A snapshot of one world, which `restore` continues bit-exactly."""
 
     def restore(self, world: int, snapshot: Any) -> None:
-        """Put a world back to a snapshot of the same setup."""
+        """Restore a world to a snapshot of the same episode."""
 
     def close(self) -> None:
-        """Free what the engine holds. Closing twice is no error."""
+        """Release the engine's resources. Closing twice is allowed."""
 
 
 def matrix_from_quaternion(quaternion: Sequence[float]) -> Array:
@@ -258,17 +258,17 @@ def _matrix(x: float, y: float, z: float, w: float) -> Array:
 
 
 Placed = tuple[Array, Array]
-"""Half extents and centre in the world of a box, shapes (3,) [m]."""
+"""Half-extents of a box and its centre in the world, shapes (3,) [m]."""
 
 
 def support_boxes(
     setup: SceneSetup, matrix: Callable[[Sequence[float]], Array] = matrix_from_quaternion
 ) -> tuple[list[Placed], Array, Placed | None, tuple[float, float, float, float]]:
-    """Boxes that the object of a setup stands on.
+    """Boxes that support the object of a setup.
 
     Args:
-        setup: with an object that is not fixed.
-        matrix: of a quaternion xyzw, since an engine may round in its own way.
+        setup: setup with an object that is not fixed.
+        matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds differently.
 
     Returns:
         Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion xyzw of posts and walls.

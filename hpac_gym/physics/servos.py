@@ -1,8 +1,7 @@
 """Six position servos in each of n worlds: a commanded ramp, and horns that follow it with limited speed and a dead band.
 
-The ramp is what the firmware does with a `ServoCommand`: all six move linearly from where their ramp stands, and arrive
-together. Servos never look at the physics, so the motion of a whole control step is one table. How hard a servo pulls is
-limited where it pulls: in the tendon law.
+The ramp is the firmware's response to a `ServoCommand`: all six move linearly from their current ramp positions and arrive
+together. Servos run open loop, so the motion of a whole control step is one table. The tendon law limits a servo's force.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ class Servos:
     """The servos of n worlds.
 
     Attributes:
-        horn: where the horns are for their own encoders, shape (n, 6) [rad].
-        zero: where each horn stands in truth when it is at 0 for its own encoder, shape (n, 6) [rad].
+        horn: horn angles as measured by the servos' encoders, shape (n, 6) [rad].
+        zero: true angle of each horn when its encoder reads 0, shape (n, 6) [rad].
 
     Args:
         num_worlds: n.
@@ -36,12 +35,12 @@ class Servos:
         self._elapsed, self._duration = np.ones((num_worlds, 1)), np.ones((num_worlds, 1))
         self._reach, self._dead_band = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 1))
         self._late = np.zeros(num_worlds, dtype=int)
-        self._past = np.zeros((num_worlds, 0, len(SERVOS)))  # the newest ramp positions, as many as the latest servo is late
+        self._past = np.zeros((num_worlds, 0, len(SERVOS)))  # the latest ramp positions, as many as the largest lag in steps
 
     def reset(
         self, worlds: Sequence[int], servo: ArrayLike, settings: Sequence[ServoSettings], zero: ArrayLike = 0.0
     ) -> None:
-        """Stand still in some worlds, at angles of shape (len(worlds), 6) [rad], with their settings and zeros, of that shape."""
+        """Reset the servos of some worlds to rest at given angles, with given zeros, both of shape (len(worlds), 6) [rad]."""
         index = np.asarray(worlds)
         self.zero[index] = zero
         self.horn[index] = self._start[index] = servo
@@ -57,17 +56,17 @@ class Servos:
 
     @property
     def commanded(self) -> Array:
-        """Commanded angles now, on their ramps to the targets, shape (n, 6) [rad]."""
+        """Current commanded angles, on their ramps to the targets, shape (n, 6) [rad]."""
         return self._start + np.minimum(self._elapsed / self._duration, 1.0) * self._way
 
     def command(self, servo: Array, duration: float) -> None:
-        """Start a move in every world from where its ramp stands: to angles (n, 6) [rad] within a duration [s]."""
+        """Start a move in every world from its current ramp position to angles, shape (n, 6) [rad], within a duration [s]."""
         self._start = self.commanded
         self._way = servo - self._start
         self._elapsed, self._duration = np.zeros_like(self._elapsed), np.full_like(self._duration, duration)
 
     def advance(self, steps: int) -> tuple[Array, Array]:
-        """Move on by some physics steps: the horns' true angles [rad] and speeds [rad/s] in each, shapes (n, steps, 6)."""
+        """Advance by physics steps; returns the horns' true angles [rad] and speeds [rad/s], shapes (n, steps, 6)."""
         elapsed = np.cumsum(np.concatenate([self._elapsed, np.full((len(self.horn), steps), self._dt)], axis=1), axis=1)[:, 1:]
         self._elapsed = elapsed[:, -1:]
         share = np.minimum(elapsed / self._duration, 1.0)[:, :, None]

@@ -1,4 +1,4 @@
-"""Settings of the simulated hand and of the world around it, as data that every engine reads."""
+"""Settings of the simulated hand and its world, as data for every engine."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from math import inf, pi
 from types import MappingProxyType
 
 GRAVITY = 9.81
-"""[m/s²]"""
+"""Gravitational acceleration [m/s²]."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServoSettings:
-    """Numbers of a servo's data sheet.
+    """Data-sheet parameters of a servo.
 
     Raises:
         ValueError: A speed that is not positive, or a negative dead band or lag.
@@ -22,9 +22,9 @@ class ServoSettings:
     speed: float = 8.0
     """No-load speed of the horn [rad/s]; chosen: 0.13 s/60°, a common hobby servo."""
     dead_band: float = 2e-3
-    """Error that the servo leaves alone [rad]; chosen: 1.3 µs of pulse, a digital servo."""
+    """Largest error that causes no motion [rad]; chosen: 1.3 µs of pulse, a digital servo."""
     lag: float = 0.0
-    """Delay from the ramp to the servo's answer: transport, electronics, filtering [s]. In whole physics steps."""
+    """Delay from the ramp to the servo's response: transport, electronics, filtering [s]; rounded to physics steps."""
 
     def __post_init__(self) -> None:
         if not (self.speed > 0 and self.dead_band >= 0 and self.lag >= 0):
@@ -46,8 +46,8 @@ class Damping:
     joint: float = 5e-3
     """Viscous friction of every joint [N·m·s/rad]."""
     overrun: float = 1.0
-    """Share of its damping that a slack drive keeps against flexion faster than its servo's. The twin's armature stands for
-    servos, which stop where they are told: without this a finger would fly on with an inertia that is not its own."""
+    """Fraction of its damping that a slack drive keeps against flexion faster than its servo's. The twin's armature represents
+    servos, which stop at their target: without this a finger would overshoot with inertia that is not its own."""
 
     def __post_init__(self) -> None:
         if not (self.ratio >= 0 and self.joint >= 0 and self.overrun >= 0):
@@ -57,7 +57,7 @@ class Damping:
 
 
 TIGHTEST = 1e-4
-"""Most that a driving tendon can be too short [m]: with the stiffness of `hpac.toml` it pulls with 25 N at rest."""
+"""Largest shortening of a driving tendon [m]: with the stiffness of `hpac.toml` it then pulls with 25 N at rest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,21 +71,21 @@ class HandSettings:
     servo: ServoSettings = ServoSettings()
     damping: Damping = Damping()
     slack: tuple[float, ...] = (0.0,) * 5
-    """What each driving tendon has to wind up before it pulls, by digit [m]; negative for one that already pulls at rest."""
+    """Slack that each driving tendon winds up before it pulls, by digit [m]; negative for a tendon that pulls at rest."""
     strength: tuple[float, ...] = (1.0,) * 5
-    """Share of its stall force with which each driving tendon pulls, by digit; 0 is a dead digit, whose servo turns in vain."""
+    """Fraction of its stall force that each driving tendon can exert, by digit; 0 is a dead digit."""
     servo_zero: tuple[float, ...] = (0.0,) * 6
-    """Where each servo's horn stands in truth when it is at 0 for its own encoder [rad]."""
+    """True angle of each servo's horn when its encoder reads 0 [rad]."""
     joint_friction: float = 0.0
     """Coulomb friction of every joint [N·m]."""
     tendon_friction: float = 0.0
-    """Share of the tendons' load that every joint's guides hold back, on top of `joint_friction`."""
+    """Fraction of the tendons' load that every joint's guides hold back as friction, in addition to `joint_friction`."""
     armature: tuple[float, float, float] = (3.2e-3, 1.2e-3, 3.6e-4)
     """Inertia added about each MCP, MP and CMC, about each PIP and IP, and about each DIP [kg·m²]."""
     hub_inertia: float = 0.0
     """Inertia of a servo's gears and rotor, reflected to its hub [kg·m²]; it moves with the driving tendon. See `BODIES`."""
     contact_friction: float = 0.9
-    """Coulomb coefficient of the hand's skin; the object's multiplies it."""
+    """Coulomb coefficient of the hand's skin, to be multiplied by the object's."""
 
     def __post_init__(self) -> None:
         bounds = {"slack": (5, -TIGHTEST, inf, "m"), "strength": (5, 0.0, 1.0, "(no unit)"), "servo_zero": (6, -pi, pi, "rad")}
@@ -102,12 +102,12 @@ BODIES: Mapping[str, HandSettings] = MappingProxyType(
     }
 )
 """The named bodies. *twin* carries armatures on its joints, which explicit integration needs: they change no static force, and
-keep the stiffest tendon's ω dt below 1.5 at 120 Hz. *light* has the links' own inertia and the servo's at its hub, as on metal.
+keep the stiffest tendon's ω dt below 1.5 at 120 Hz. *light*, like the real hand, has the links' and the servo hubs' own inertia.
 
 The hub's 1.3e-3 kg·m² are those of a DYNAMIXEL XL-320, the nearest servo to this hand's (0.39 N·m stall torque for the 0.32 N·m
 that pull 40 N on an 8 mm hub) with measured values: Rhoban's Better Actuator Models identified 1.1e-3 to 1.5e-3 kg·m² at its
 horn (github.com/Rhoban/bam, params/xl320; the XL-330, 0.52 N·m, has 1.8e-3). Through the data sheet's 238:1 gear that is a rotor
-of 2.3e-8 kg·m²: 3 g of iron, 8 mm wide. At 120 Hz the fingers are calm from 3e-4 kg·m² on, and chatter without any."""
+of 2.3e-8 kg·m²: 3 g of iron, 8 mm wide. At 120 Hz the fingers come to rest from 3e-4 kg·m² on, and chatter without any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,22 +115,22 @@ class WorldSettings:
     """Settings of the integration; `docs/physics.md` has the measurements behind the numbers.
 
     Raises:
-        ValueError: A rate that is not positive, negative iterations, or an error reduction that is no share.
+        ValueError: A rate that is not positive, negative iterations, or an error reduction outside ]0, 1].
     """
 
     physics_hz: int = 120
-    """Physics steps a second."""
+    """Physics steps per second."""
     gravity: float = GRAVITY
-    """Downwards, along −z [m/s²]."""
+    """Gravitational acceleration along −z [m/s²]."""
     collisions: bool = True
     """False lets the hand pass through itself and everything else."""
     constraint_softness: float = 1e-6
     """Constraint force mixing of PyBullet's direct solver: just enough to make redundant contacts solvable."""
     solver_iterations: int = 0
-    """Iterations of Bullet's iterative solver; 200 are enough. 0 chooses its direct solver, which is faster, but holds an object
+    """Iterations of Bullet's iterative solver; 200 are enough. 0 selects its direct solver, which is faster, but holds an object
     that fingers squeeze out only within half of the friction cone."""
     error_reduction: float = 0.4
-    """Share of a penetration, or of a joint beyond its stop, that a PyBullet step takes back (Bullet's ERP)."""
+    """Fraction of a penetration, or of a joint-limit violation, that a PyBullet step corrects (Bullet's ERP)."""
 
     def __post_init__(self) -> None:
         if not self.physics_hz > 0:

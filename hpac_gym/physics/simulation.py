@@ -1,4 +1,4 @@
-"""n hands under command: the servos in front of an engine."""
+"""Simulation of n commanded hands: servos and an engine."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Simulation:
         self.servos = Servos(engine.num_worlds, engine.dt)
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Start episodes in some worlds: hands at rest on their manifold, servos where they hold them there.
+        """Start episodes in some worlds: hands at rest on their manifold, servos at the angles that hold them there.
 
-        A servo zero moves the hand, not the servo: commands know nothing of it.
+        A servo zero moves the hand, not the servo: commands do not account for it.
         """
         horn = [servo_from_synergy(setup.synergy, setup.hand) for setup in setups]
         settings = [setup.hand_settings for setup in setups]
@@ -51,11 +51,11 @@ class Simulation:
         self.servos.command(servo, duration)
 
     def advance(self, wrist: Array, push: Array | None = None) -> None:
-        """Let k physics steps pass while the wrists follow their tables of offsets, shape (n, k, 3) [m].
+        """Advance by k physics steps while the wrists follow their tables of offsets.
 
         Args:
-            wrist: the tables.
-            push: force on the objects at their centres of mass, along the world's axes, shape (n, k, 3) [N]; None is none.
+            wrist: offsets of the wrists, along the world's axes, shape (n, k, 3) [m].
+            push: force on the objects at their centres of mass, along the world's axes, shape (n, k, 3) [N]; None is no force.
 
         Raises:
             PhysicsError: A world's simulation failed; the message names the world.
@@ -63,18 +63,18 @@ class Simulation:
         self.engine.advance(*self.servos.advance(wrist.shape[1]), wrist, push)
 
     def rest(self, seconds: float) -> None:
-        """Let time pass with the wrists at their start, in whole physics steps."""
+        """Advance by a duration [s], rounded to physics steps, with the wrists at their start."""
         self.advance(np.zeros((self.engine.num_worlds, round(seconds / self.engine.dt), 3)))
 
     def state(self) -> SceneState:
-        """State of every world now."""
+        """Current state of every world."""
         state = self.engine.state()
         state.horn = self.servos.horn + self.servos.zero
         return state
 
 
 def _held(setup: SceneSetup, servo: Array) -> SceneSetup:
-    """The setup with the hand where its servos hold it in truth when they are at angles of their own, shape (6,) [rad]."""
+    """The setup with the synergy at which its servos truly hold the hand for given encoder angles, shape (6,) [rad]."""
     if not any(setup.hand_settings.servo_zero):
         return setup
     true = np.clip(servo + setup.hand_settings.servo_zero, setup.hand.servo_min, setup.hand.servo_max)
@@ -82,23 +82,23 @@ def _held(setup: SceneSetup, servo: Array) -> SceneSetup:
 
 
 def default_engine() -> str:
-    """The engine of an environment that asks for none: PyBullet where it is installed, MuJoCo elsewhere."""
+    """Default engine of an environment: PyBullet where it is installed, MuJoCo elsewhere."""
     return "pybullet" if importlib.util.find_spec("pybullet") else "mujoco"
 
 
 def make_engine(
     name: str, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
 ) -> Engine:
-    """The engine of that name.
+    """Create an engine by name.
 
     Args:
         name: one of `ENGINES`.
         num_worlds: n.
-        settings: of every world.
-        visuals: load what only a camera sees.
+        settings: settings of every world.
+        visuals: load visual shapes.
 
     Raises:
-        ParameterError: There is no engine of that name, or its package is not installed.
+        ParameterError: Unknown engine, or its package is not installed.
     """
     if name not in ENGINES:
         raise ParameterError(f"engine {name!r} is not one of {', '.join(ENGINES)}")

@@ -1,4 +1,4 @@
-"""The tendons and springs: joint torques from joint states and servo angles. Pure numpy, no simulator.
+"""Tendon and spring torques from joint states and servo angles, in NumPy, without a simulator.
 
 Per digit, root joint first:
 
@@ -8,7 +8,7 @@ Per digit, root joint first:
   Eq. (12), because the restoring cable passes every joint and so the first segment carries twice the spring's tension. The
   thumb's one segment has EA/L, which is Eq. (13).
 * **spring**: tension ``k_s Σ R q``, Eq. (10), acts on every joint with its radius. No pretension: a straight finger is held
-  by nothing but its stop, and a finger with a slack drive hangs where its weight and its spring balance.
+  only by its stop, and a finger with a slack drive hangs where its weight and its spring balance.
 
 Tendons are Kelvin–Voigt elements: damping acts on the stretch's rate, so it vanishes in a tendon that follows its servo, and a
 slack one has none. CMC is a stiff spring between servo 6 and the joint.
@@ -32,7 +32,7 @@ _CMC_JOINT = JOINT_INDEX["thumb_cmc"]
 
 
 def coupling_rows(hand: Hand) -> tuple[Array, Array]:
-    """The coupling segments: how each one's stretch depends on the joints, and how stiff it is.
+    """Coupling segments: their stretch as a linear function of the joint angles, and their stiffnesses.
 
     Returns:
         Rows J with stretch = J q, shape (9, 15) [m/rad], and stiffnesses, shape (9,) [N/m].
@@ -58,9 +58,9 @@ def spring_rows(hand: Hand) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Stretch ``r u − (L₀ − chord(q))``; it pulls, never pushes, and never harder than the servo can.
+    """Driving tendon with stretch ``r u − (L₀ − chord(q))``: it only pulls, up to the servo's limit.
 
-    Plain floats, since each one is asked once a physics step: an array costs more to make than a tension to calculate.
+    Uses plain floats: for one tension per physics step, creating an array would cost more than the calculation.
     """
 
     joint: int
@@ -72,21 +72,21 @@ class Drive:
     product: float
     """2 d₁ d₂ [m²]."""
     servo_radius: float
-    """r [m]."""
+    """Radius r of the servo's hub [m]."""
     length: float
-    """Chord at which the tendon is taut while the servo is at zero: L₀ and the slack [m]."""
+    """Chord at which the tendon is taut while the servo is at zero: L₀ plus the slack [m]."""
     stiffness: float
-    """[N/m]"""
+    """Stiffness of the tendon [N/m]."""
     limit: float
-    """What the servo can pull [N]."""
+    """Largest tension that the servo can exert [N]."""
     viscosity: float = 0.0
     """Tension per rate of the stretch [N·s/m]."""
     brake: float = 0.0
-    """The same, of a slack tendon against flexion that is faster than the servo's [N·s/m]."""
+    """Viscosity of a slack tendon against flexion faster than the servo's [N·s/m]."""
 
     @classmethod
     def of(cls, digit: Digit, slack: float = 0.0, strength: float = 1.0) -> Drive:
-        """The undamped drive of a digit; it winds up `slack` [m] before it pulls, with at most that share of its stall force."""
+        """The undamped drive of a digit with `slack` [m], whose tension is limited to `strength` times its stall force."""
         return cls(
             JOINT_INDEX[digit.joints[0]],
             digit.alpha,
@@ -121,16 +121,16 @@ class Tendons:
     """Torques of all tendons and springs of one hand.
 
     Damping coefficients are those of an implicit step: a coefficient c on an element that moves the mass m becomes
-    c / (1 + c dt/m), which stays stable at any c. What happens six times a physics step is plain floats, since an array of six
-    costs more to make than to calculate; what is linear in all joints is one product of a matrix.
+    c / (1 + c dt/m), which stays stable at any c. Calculations for the six drives use plain floats, which are faster than arrays
+    of six; everything linear in the joints is one matrix product.
 
     Args:
         hand: the parameters.
         mass_matrix: joint-space inertia at a typical posture, shape (15, 15) [kg·m²]; only damping depends on it.
         dt: physics step [s].
-        damping: how the tendons lose energy.
-        slack: what each drive has to wind up before it pulls, shape (5,) or () [m].
-        strength: share of its stall force with which each drive pulls, shape (5,) or ().
+        damping: damping of the tendons and joints.
+        slack: slack that each drive winds up before it pulls, shape (5,) or () [m].
+        strength: fraction of its stall force that each drive can exert, shape (5,) or ().
 
     Attributes:
         drives: the five driving tendons, by digit.
@@ -181,11 +181,11 @@ class Tendons:
         return matrix
 
     def load(self, joint_pos: ArrayLike, tension: Sequence[float]) -> Array:
-        """Load of tendons and spring on every joint's guides: their torques, added without their signs.
+        """Load of tendons and spring on every joint's guides: the sum of their absolute torques.
 
         Args:
             joint_pos: q, shape (15,) [rad].
-            tension: of the drives, shape (5,) [N].
+            tension: tension of the drives, shape (5,) [N].
 
         Returns:
             Shape (15,) [N·m].
@@ -204,7 +204,7 @@ class Tendons:
         Args:
             joint_pos: q, shape (15,) [rad].
             joint_vel: shape (15,) [rad/s].
-            servo: where the servos' horns are, shape (6,) [rad].
+            servo: angles of the servos' horns, shape (6,) [rad].
             servo_vel: shape (6,) [rad/s].
 
         Returns:

@@ -1,6 +1,6 @@
-"""What acts: policy files, the policies in them, and the baselines that they are measured by.
+"""Policies: policy files, the policies in them, and the baselines that they are compared with.
 
-What stands here needs numpy alone, so that a host with a real hand runs a trained policy without a simulator:
+This package itself needs only numpy, so that a host with a real hand runs a trained policy without a simulator:
 
 ```python
 from hpac_gym.policies import LearnedPolicy, read_policy
@@ -10,7 +10,7 @@ policy.reset(seed=0)
 action = policy.act(observation)      # shape (6,), −1…1
 ```
 
-`hpac_gym.policies.loading` finds a policy by its name or file for an environment; it, `hpac_gym.policies.made_for` and
+`hpac_gym.policies.loading` loads a policy for an environment by name or file; this module, `hpac_gym.policies.made_for` and
 `hpac_gym.policies.baselines` need `hpac_gym.envs`.
 """
 

@@ -1,4 +1,4 @@
-"""The policies that nobody trained, which a trained one has to beat."""
+"""Untrained baseline policies."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hpac_gym.tasks.scripted import Script, ScriptedGraspType, ScriptedPosture
 
 
 class RandomPolicy:
-    """Uniform actions, anew at every control step."""
+    """Uniformly random actions, drawn at every control step."""
 
     def __init__(self, env: gymnasium.Env) -> None:
         self._shape = env.action_space.shape
 
     def reset(self, seed: int) -> None:
-        # A stream of its own: the environment draws from default_rng(seed) too.
+        # A separate stream: the environment also uses default_rng(seed).
         self._rng = np.random.default_rng([seed, 1])
 
     def act(self, observation: np.ndarray) -> np.ndarray:
@@ -26,7 +26,7 @@ class RandomPolicy:
 
 
 class ScriptedPolicy:
-    """The closure by rule that the environments bring for the task, or another one."""
+    """The scripted closure of the environment's task, or a given one."""
 
     def __init__(self, env: gymnasium.Env, closure: Script | None = None) -> None:
         self._closure = closure or scripted_closure(getattr(env.unwrapped, "task", None))
@@ -39,10 +39,10 @@ class ScriptedPolicy:
 
 
 def one_closure(env: gymnasium.Env, name: str) -> ScriptedPolicy:
-    """The closure of one grasp type for all types, the wrist where each type's own data put it.
+    """The closure of one grasp type for all types, with each type's own wrist pose.
 
     Raises:
-        PolicyError: No type has that name, or the environment asks for none.
+        PolicyError: The type is unknown, or the environment has no grasp types.
     """
     if name not in GRASP_TYPES:
         raise PolicyError(f"no grasp type '{name}': there are {', '.join(GRASP_TYPES)}")
@@ -52,9 +52,9 @@ def one_closure(env: gymnasium.Env, name: str) -> ScriptedPolicy:
 
 
 def constant_posture(env: gymnasium.Env) -> ScriptedPolicy:
-    """The one action that takes the nominal hand to the goal of `HPAC-Posture-v1`."""
+    """The constant action that moves the nominal hand to the goal of `HPAC-Posture-v1`."""
     return ScriptedPolicy(env, ScriptedPosture(gain=0.0))
 
 
 BASELINES = {"random": RandomPolicy, "scripted": ScriptedPolicy}
-"""By name; each is made for an environment."""
+"""Baseline classes by name; each is constructed with an environment."""

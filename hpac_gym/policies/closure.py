@@ -1,7 +1,7 @@
-"""Closures: ways to close the hand, told by eight numbers. One decision an episode instead of sixty.
+"""Closures: ways to close the hand, parametrised by eight numbers. One decision per episode instead of sixty.
 
-A closure takes every digit within one time from open to a goal, the thumb earlier or later than the fingers, while the CMC stands
-where it is told. It needs numpy alone, so that a host with a real hand runs one without a simulator.
+A closure moves every digit from open to a goal within a given duration, the thumb earlier or later than the fingers, at a
+constant CMC angle. It needs only numpy, so that a host with a real hand runs one without a simulator.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from hpac_gym.model import SERVO_INDEX, SERVOS
 from hpac_gym.policies.errors import PolicyError
 
 OPEN = -1.0
-"""Action of an open digit."""
+"""Action that opens a digit."""
 _THUMB, _CMC = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
 _NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
 
@@ -25,22 +25,22 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Closures:
-    """Ranges of the numbers of a closure; −1…1 of a decision spans each of them. Times are in control steps.
+    """Ranges of the numbers of a closure; −1…1 of a decision spans each range. Times are in control steps.
 
     Raises:
-        PolicyError: A range that is not a pair of ordered, finite numbers.
+        PolicyError: A range is not a pair of ordered, finite numbers.
     """
 
     goal: Range = (-0.4, 1.0)
-    """Action of the thumb and of each finger at the end of the closing, and of the CMC all the time."""
+    """Final action of the thumb and of each finger, and constant action of the CMC."""
     duration: Range = (6.0, 22.0)
-    """From open to the goals."""
+    """Duration of the motion from open to the goals."""
     thumb_delay: Range = (-8.0, 8.0)
-    """How much later than the fingers the thumb begins."""
+    """Delay of the thumb relative to the fingers."""
     begin: Range | None = None
-    """When the closing begins; None is at once."""
+    """Start of the closing; None means immediately."""
     release: Range | None = None
-    """When the hand opens again; None is never. With `begin`, or not at all."""
+    """Time at which the hand opens again; None means never. Given if and only if `begin` is given."""
 
     def __post_init__(self) -> None:
         if (self.begin is None) != (self.release is None):
@@ -58,7 +58,7 @@ class Closures:
         """The closures that a policy file describes.
 
         Raises:
-            PolicyError: A name that there is not, or a bad range.
+            PolicyError: A name is unknown, or a range is invalid.
         """
         unknown = set(ranges) - {entry.name for entry in fields(cls)}
         if unknown:
@@ -66,11 +66,11 @@ class Closures:
         try:
             return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in ranges.items()})
         except (TypeError, ValueError) as error:
-            raise PolicyError(f"the closure's ranges are none: {error}") from None
+            raise PolicyError(f"invalid closure ranges: {error}") from None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the numbers, in order."""
+        """Names of the closure's numbers, in order."""
         return (*_NAMES, "begin", "release") if self.begin is not None else _NAMES
 
     @property
@@ -81,7 +81,7 @@ class Closures:
         return np.array(ranges).T
 
     def actions(self, decisions: ArrayLike, steps: ArrayLike) -> NDArray[np.float64]:
-        """Actions of n closures.
+        """Actions of n closures at given control steps.
 
         Args:
             decisions: shape (n, len(names)), −1…1.

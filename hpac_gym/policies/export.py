@@ -1,7 +1,7 @@
 """`hpac export`: a policy file as ONNX with a card, in the layout that Hugging Face's hub expects.
 
-The folder gets ``model.onnx`` (the scaling of the observation is inside), ``card.json`` (what it takes and gives, and where it
-comes from) and ``README.md`` (the same for people, with the hub's header).
+The folder gets ``model.onnx`` (the scaling of the observation is inside), ``card.json`` (inputs, outputs and
+provenance) and ``README.md`` (the same in readable form, with the hub's header).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
 OPSET, IR_VERSION = 17, 8
-"""Of ONNX: old enough for every runtime of the last years."""
+"""ONNX versions, old enough for current and older runtimes."""
 CARD = "card.json"
 MODEL = "model.onnx"
 
@@ -30,7 +30,7 @@ MODEL = "model.onnx"
 def onnx_model(policy: PolicyFile) -> Any:
     """The actor as an `onnx.ModelProto`: `observation`, float32 (n, k), to `decision`, float32 (n, m).
 
-    All is computed in double precision, as `Actor` does.
+    All computations are in double precision, as in `Actor`.
     """
     import onnx
     from onnx import TensorProto, helper, numpy_helper
@@ -52,7 +52,7 @@ def onnx_model(policy: PolicyFile) -> Any:
         helper.make_node("Clip", ["scaled", "low", "high"], ["value_0"]),
     ]
     for place, (weight, bias) in enumerate(actor.layers):
-        # The file keeps single precision, and is half as large.
+        # The weights are stored in single precision, which halves the file size.
         arrays |= {f"single_weight_{place}": weight.T.copy(), f"single_bias_{place}": bias}
         for name in (f"weight_{place}", f"bias_{place}"):
             nodes.append(helper.make_node("Cast", [f"single_{name}"], [name], to=TensorProto.DOUBLE))
@@ -77,7 +77,7 @@ def onnx_model(policy: PolicyFile) -> Any:
 
 
 def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[str, Any]:
-    """What the exported policy takes and gives, and where it comes from; `evaluation` is what `agents.evaluate` wrote."""
+    """Inputs, outputs and provenance of the exported policy; `evaluation` is a result of `agents.evaluate`."""
     about, closures = policy.about, policy.closures
     fits = about.get("made_for", {})
     names = ("name", "label", "unit", "low", "high")
@@ -102,10 +102,10 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
 
 
 def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
-    """An exported policy, for an environment.
+    """Load an exported policy for an environment.
 
     Raises:
-        PolicyError: A file of it is missing or damaged, or it was made for another layout, rate or hand.
+        PolicyError: A file is missing or damaged, or the policy was made for another layout, rate or hand.
     """
     import onnxruntime
 
@@ -117,8 +117,8 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
         decision = told["decision"]
         made = told | {"observation": [list(entry.values()) for entry in told["observation"]]}
         closures = None if decision["closure"] is None else Closures.of(decision["closure"])
-    except Exception as error:  # whatever a damaged file makes its reader raise
-        raise PolicyError(f"'{folder}' is no exported policy: {str(error).splitlines()[0]}") from None
+    except Exception as error:  # a damaged file can make its reader raise anything
+        raise PolicyError(f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}") from None
     if (differs := difference(made, made_for(env))) is not None:
         raise PolicyError(f"exported policy '{folder}' does not fit {env.spec.id}: {differs}")
 
@@ -129,15 +129,15 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
 
 
 def export(path: Path, out: Path, evaluation: Path | None = None) -> list[Path]:
-    """Export a policy file into a folder; returns the files.
+    """Export a policy file into a folder and return the written files.
 
     Args:
-        path: of the policy file.
+        path: the policy file.
         out: the folder.
-        evaluation: what `agents.evaluate --out` wrote for it, which the card repeats.
+        evaluation: output of `agents.evaluate --out` for this policy, copied into the card.
 
     Raises:
-        PolicyError: No policy file, or no evaluation.
+        PolicyError: `path` is not a policy file, or `evaluation` is not an evaluation.
         OutputError: The folder cannot be written.
     """
     policy = read_policy(path)
@@ -147,7 +147,7 @@ def export(path: Path, out: Path, evaluation: Path | None = None) -> list[Path]:
             judged = json.loads(evaluation.read_text(encoding="utf-8"))
             judged["policies"], judged["first_seed"], judged["last_seed"]
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise PolicyError(f"'{evaluation}' is no result of agents.evaluate: {error!r}") from None
+            raise PolicyError(f"'{evaluation}' is not a result of agents.evaluate: {error!r}") from None
     told = card(policy, judged)
     writable_folder(out)
     with replacing(out / MODEL) as temporary:
@@ -158,19 +158,19 @@ def export(path: Path, out: Path, evaluation: Path | None = None) -> list[Path]:
 
 
 def _page(told: dict[str, Any]) -> str:
-    """The model card of the hub: a header in YAML, then text."""
+    """Model card for the hub: a YAML header, then text."""
     env_id = told["env_id"].rpartition(":")[2]
     lines = [
         "---", "library_name: hpac_gym", "pipeline_tag: reinforcement-learning",
         "tags:", "- reinforcement-learning", "- robotics", "- onnx", f"- {env_id}",
         "license: mit", "---", "", f"# A policy for {env_id}", "",
         f"`{MODEL}` maps `observation`, float32 (n, {len(told['observation'])}), to `decision`, −1…1; the scaling is inside.",
-        f"`{CARD}` has all of this page, exactly.", "",
+        f"`{CARD}` contains the same information in machine-readable form.", "",
     ]  # fmt: skip
     if told["decision"]["closure"]:
         lines += [
-            "One decision an episode, on its first observation: the numbers of a closure, each spanning its range.",
-            f"`hpac_gym.policies.Closures` makes the actions of every step of it, {told['control_hz']} a second.", "",
+            "One decision per episode, on its first observation: the numbers of a closure, each scaled to its range.",
+            f"`hpac_gym.policies.Closures` converts it to the action of every step, {told['control_hz']} per second.", "",
             "| number | −1 | 1 |", "| --- | --- | --- |",
             *(f"| {entry['name']} | {entry['low']:g} | {entry['high']:g} |" for entry in told["decision"]["numbers"]), "",
         ]  # fmt: skip
@@ -193,15 +193,15 @@ def _page(told: dict[str, Any]) -> str:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """`hpac export`."""
+    """Add the arguments of `hpac export`."""
     parser.add_argument("policy", type=Path, help="a policy file")
     parser.add_argument("--out", type=Path, required=True, help="folder of the exported policy")
-    parser.add_argument("--evaluation", type=Path, help="what agents.evaluate --out wrote for it")
+    parser.add_argument("--evaluation", type=Path, help="output of agents.evaluate --out for this policy")
     parser.set_defaults(run=_export)
 
 
 def _export(options: argparse.Namespace) -> int:
-    import onnx  # noqa: F401  before anything is written
+    import onnx  # noqa: F401  fails before anything is written
 
     for path in export(options.policy, options.out, options.evaluation):
         print(path)

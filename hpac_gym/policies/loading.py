@@ -1,4 +1,4 @@
-"""Any policy by its name, or from its file: what evaluation, replay and the bridge drive a hand with."""
+"""Loading of policies by name or from a file, for evaluation, replay and the bridge."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
 
 def load_policy(name: str, env: gymnasium.Env) -> Policy:
-    """A policy for this environment.
+    """Load a policy for this environment.
 
     Args:
-        name: ``random``, ``scripted``, a policy file, or ``module:function``, which gets the environment and returns a policy;
-            ``module:function:text`` gets the text too, such as the path of a file of its own.
-        env: what the policy is to act in.
+        name: ``random``, ``scripted``, a policy file, or ``module:function``, which takes the environment and returns a policy;
+            ``module:function:text`` passes it the text as well, for example the path of a weights file.
+        env: the environment in which the policy acts.
 
     Raises:
-        PolicyError: No policy has that name; the file is missing, damaged, or made for another environment.
+        PolicyError: The name is unknown; the file is missing, damaged, or made for another environment.
     """
     if name in BASELINES:
         return BASELINES[name](env)
@@ -32,7 +32,7 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
         return LearnedPolicy.of(policy_file_for(name, env))
     module, *rest = name.split(":", 2)
     if not rest:
-        raise PolicyError(f"no policy file '{name}', and it is none of the baselines {', '.join(BASELINES)}")
+        raise PolicyError(f"no policy file '{name}', and not one of the baselines {', '.join(BASELINES)}")
     try:
         make = getattr(import_module(module), rest[0])
     except (ImportError, AttributeError, ValueError) as error:
@@ -41,10 +41,10 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
 
 
 def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
-    """The policy file of that path, checked against the environment.
+    """Read a policy file and check it against the environment.
 
     Raises:
-        PolicyError: It is missing, damaged, or made for another environment.
+        PolicyError: The file is missing, damaged, or made for another environment.
     """
     policy = read_policy(name)
     trained_on, env_id = policy.about["env_id"], env.spec.id

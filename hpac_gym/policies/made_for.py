@@ -1,4 +1,4 @@
-"""What a policy was made for, in words and numbers, and how that differs from where it is to be used."""
+"""The environment interface that a policy was made for, and its differences from another environment."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from hpac_gym.tasks.task import CONTROL_HZ
 
 
 def made_for(env: gymnasium.Env) -> dict[str, Any]:
-    """What a policy that acts in an environment relies on; empty for one that is not of this package.
+    """The properties of an environment that its policies rely on; empty for environments of other packages.
 
     Returns:
         `observation`: name, label, unit and bounds of every entry of the *deploy* vector, in order; `action`: the servos, in
-        order; `control_hz`: decisions a second, each of 1 / control_hz [s]; `hand_sha256`: of the hand file of the model that
-        the observation is computed with; `task_sha256`: of the task's configuration.
+        order; `control_hz`: control rate [Hz]; `hand_sha256`: hash of the hand file of the model with which the
+        observation is computed; `task_sha256`: hash of the task's configuration.
     """
     task = getattr(env.unwrapped, "task", None)
     if task is None or not hasattr(task, "terms"):
@@ -35,10 +35,10 @@ def made_for(env: gymnasium.Env) -> dict[str, Any]:
 
 
 def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
-    """How an environment differs from what a policy was made for, in one line; None if it does not.
+    """First difference between an environment and the one a policy was made for, in one line; None if there is none.
 
-    What either of them does not tell is not compared; the task's configuration is told, and not compared, since a policy may
-    be judged on other ranges than it was trained on.
+    Missing entries are not compared. The task's configuration is recorded but not compared, since a policy may be
+    evaluated on other ranges than it was trained on.
     """
     for name in ("control_hz", "action", "hand_sha256"):
         if name in file and name in here and file[name] != here[name]:

@@ -1,4 +1,4 @@
-"""What a policy is, and one that was learned."""
+"""The policy protocol and the learned policy."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from hpac_gym.policies.policy_file import PolicyFile
 
 
 class Policy(Protocol):
-    """What acts. The same seed and the same observations give the same actions."""
+    """A policy. The same seed and observations give the same actions."""
 
     def reset(self, seed: int) -> None:
-        """Forget the last episode; ``seed`` is the new one's."""
+        """Start a new episode; ``seed`` is its seed."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """The action for an observation, shape (6,), −1…1."""
@@ -25,10 +25,10 @@ class LearnedPolicy:
     """A trained actor without its exploration.
 
     Args:
-        actor: from an observation, shape (n,), to an action, shape (6,), or with `closures` to the numbers of one, shape (m,);
-            all −1…1; whatever computes it.
-        action_repeat: control steps that each action is held for, at least 1; as in training.
-        closures: with them the actor decides once, on the first observation of an episode; None for actions.
+        actor: function of an observation, shape (n,), that returns an action, shape (6,), or with `closures` the numbers of a
+            closure, shape (m,); all −1…1.
+        action_repeat: number of control steps for which each action is held, at least 1, as in training.
+        closures: if given, the actor decides once, on the first observation of an episode; None if it sets actions.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class LearnedPolicy:
 
     @classmethod
     def of(cls, file: PolicyFile) -> LearnedPolicy:
-        """The policy that a policy file holds."""
+        """The policy of a policy file."""
         return cls(file.actor, file.action_repeat, file.closures)
 
     def reset(self, seed: int) -> None:

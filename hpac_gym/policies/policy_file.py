@@ -1,7 +1,7 @@
-"""A trained policy in one file: weights, scaling of the observation, and where it comes from.
+"""A trained policy in one file: weights, observation scaling and provenance.
 
-The file is a zip of ``policy.json`` (what it is and how it was made, with the SHA-256 of the weights) and ``actor.npz``
-(plain arrays: reading one runs no code of its maker, and needs neither PyTorch nor Stable-Baselines3).
+The file is a zip of ``policy.json`` (description and training, with the SHA-256 of the weights) and ``actor.npz``
+(plain arrays: reading them executes no foreign code, and needs neither PyTorch nor Stable-Baselines3).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class Actor:
     """The deterministic part of a trained actor: scaling, a multilayer perceptron with ReLU, tanh.
 
     Attributes:
-        observation_mean: shape (n,), subtracted from an observation.
-        observation_scale: shape (n,), divides it afterwards.
+        observation_mean: subtracted from an observation, shape (n,).
+        observation_scale: divisor of the difference, shape (n,).
         observation_clip: bound of the scaled observation.
         layers: weight, shape (outputs, inputs), and bias, shape (outputs,), of every layer.
         mean_clip: bound of the last layer's output, before tanh.
@@ -44,7 +44,7 @@ class Actor:
     mean_clip: float
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action for an observation, shape (n,) → shape (m,), −1…1; computed in double precision, given in single."""
+        """The action for an observation, shape (n,) → shape (m,), −1…1; computed in double precision, returned in single."""
         scaled = (np.asarray(observation, dtype=float) - self.observation_mean) / self.observation_scale
         value = np.clip(scaled, -self.observation_clip, self.observation_clip)
         *hidden, (last_weight, last_bias) = self.layers
@@ -55,28 +55,28 @@ class Actor:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """How many values it observes, and how many it sets."""
+        """Numbers of inputs and outputs."""
         return len(self.observation_mean), len(self.layers[-1][1])
 
 
 @dataclass(frozen=True, slots=True)
 class PolicyFile:
-    """What a policy file holds: the actor, and a description with at least ``env_id``."""
+    """Contents of a policy file: the actor, and a description with at least ``env_id``."""
 
     actor: Actor
     about: dict[str, Any]
 
     @property
     def action_repeat(self) -> int:
-        """Control steps that each action is held for, as in training."""
+        """Number of control steps for which each action is held, as in training."""
         return self.about.get("action_repeat", 1)
 
     @property
     def closures(self) -> Closures | None:
-        """The closures that the actor decides on; None where it sets actions.
+        """The closures among which the actor decides; None if it sets actions.
 
         Raises:
-            PolicyError: Their ranges are none, or not as many as the actor sets.
+            PolicyError: The ranges are invalid, or do not match the number of the actor's outputs.
         """
         if (ranges := self.about.get("closure")) is None:
             return None
@@ -87,13 +87,13 @@ class PolicyFile:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """How many values the policy observes, and how many actions it sets."""
+        """Numbers of observed values and of action values."""
         observed, decided = self.actor.sizes
         return observed, decided if self.closures is None else len(SERVOS)
 
 
 def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
-    """Write a policy file; the same policy gives the same bytes.
+    """Write a policy file, deterministically to the byte.
 
     Raises:
         OutputError: The folder cannot be written, or the disk is full.
@@ -119,7 +119,7 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
     """Read a policy file.
 
     Raises:
-        PolicyError: It is missing, damaged, no policy, or of a later format.
+        PolicyError: The file is missing, damaged, not a policy file, or of a later format.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -129,12 +129,12 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         if about["sha256"] != hashlib.sha256(packed).hexdigest():
             raise PolicyError(f"policy file '{path}' is damaged: its weights do not match their SHA-256")
         if not isinstance(about["env_id"], str):
-            raise PolicyError(f"policy file '{path}' is damaged: its env_id is no text")
+            raise PolicyError(f"policy file '{path}' is damaged: its env_id is not a string")
         policy = PolicyFile(_actor_from_arrays(dict(np.load(io.BytesIO(packed), allow_pickle=False))), about)
         if not (isinstance(policy.action_repeat, int) and policy.action_repeat >= 1):
             raise PolicyError(f"policy file '{path}' is damaged: its action_repeat is {policy.action_repeat!r}")
         try:
-            policy.closures  # noqa: B018  raises where there are none
+            policy.closures  # noqa: B018  raises if the closure is invalid
         except PolicyError as error:
             raise PolicyError(f"policy file '{path}' is damaged: {error}") from None
         return policy
@@ -147,7 +147,7 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
     except (KeyError, TypeError, ValueError, NotImplementedError, RuntimeError) as error:
         if isinstance(error, PolicyError):
             raise
-        raise PolicyError(f"'{path}' is no policy file: {error}") from None
+        raise PolicyError(f"'{path}' is not a policy file: {error}") from None
 
 
 def _actor_from_arrays(arrays: dict[str, np.ndarray]) -> Actor:

@@ -1,1 +1,1 @@
-"""The experiments: servo sweeps, accuracy, identification, and what the paper leaves to future work."""
+"""The experiments: servo sweeps, accuracy, identification, and the paper's future work."""

@@ -1,4 +1,4 @@
-"""Accuracy of a model on a sweep: residuals, mean absolute errors, the workspace that the sweep shows, and the figures."""
+"""Accuracy of a model on a sweep: residuals, mean absolute errors, the measured workspace, and the figures."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ class Residuals:
     measured: Array
     """q_meas, shape (k,) [rad]."""
     uncompensated: Array
-    """Against q_ideal = H(u)u, shape (k,) [rad]."""
+    """q_meas − q_ideal with q_ideal = H(u)u, shape (k,) [rad]."""
     compensated: Array
-    """Against q_comp = H(u)u − b(q), shape (k,) [rad]."""
+    """q_meas − q_comp with q_comp = H(u)u − b(q), shape (k,) [rad]."""
 
 
 def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
-    """Residuals of every joint at the points of its own servo's flexion, of all trials.
+    """Residuals of every joint at the points of its own servo's flexion, over all trials.
 
     Args:
-        points: the sweep.
-        hand: the model under test; none of the sweep goes into it.
+        points: sampling points of the sweep.
+        hand: the model under test, which is not fitted to the sweep.
     """
     rigid, elastic = rigid_joints_from_servo(points.servo, hand), elastic_joints_from_servo(points.servo, hand)
     found = {}
@@ -68,7 +68,7 @@ class Accuracy:
 
 
 def accuracy(found: dict[str, Residuals]) -> Accuracy:
-    """The paper's metrics of the joints that were measured."""
+    """The paper's metrics for the measured joints."""
 
     def errors(statistic) -> dict[str, dict[str, float]]:
         return {
@@ -86,11 +86,11 @@ PRINTED = (
     "all nine joints below 0.23° compensated",
     "largest reduction at the index DIP, every joint improves",
 )
-"""What the paper prints of its one hand, with the margins that this project reads it with."""
+"""Figures that the paper prints for its hand, with margins chosen by this project."""
 
 
 def met(errors: Accuracy) -> dict[str, bool]:
-    """Tell for each of the `PRINTED` figures whether a sweep shows it."""
+    """Whether a sweep reproduces each of the `PRINTED` figures."""
     before, after = ({name: errors.mae_deg[kind][name] for name in EVALUATED} for kind in ("uncompensated", "compensated"))
     largest = {name: errors.max_residual_deg["uncompensated"][name] for name in EVALUATED}
     gain = {name: before[name] - after[name] for name in EVALUATED}
@@ -105,7 +105,7 @@ def met(errors: Accuracy) -> dict[str, bool]:
 
 
 def workspace(points: Points) -> dict[str, tuple[float, float]]:
-    """Table I of a sweep: smallest and largest angle of each joint while its servo moved [rad]."""
+    """Table I from a sweep: smallest and largest angle of each joint while its servo moved [rad]."""
     return {name: (float(found.measured.min()), float(found.measured.max())) for name, found in residuals(points).items()}
 
 
@@ -117,8 +117,8 @@ _KINDS = (("uncompensated", RED, "o"), ("compensated", GREEN, "s"))
 def residual_figure(found: Mapping[str, Residuals]) -> Figure:
     """The paper's residual figure: nine joints over their servo's angle, red uncompensated, green compensated.
 
-    The axis shows ±2° as the paper's does, or more where the data needs it. Single points far from all others are left out of
-    the axis and counted in the panel's title.
+    The axis shows ±2° as in the paper, or more if the data needs it. Outliers beyond the axis are counted in the panel's
+    title.
     """
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplots(3, 3, sharey=True).flat
@@ -145,7 +145,7 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
 
 
 def residual_limit(found: Mapping[str, Residuals]) -> float:
-    """Half of the residual figure's axis: the paper's 2°, or a round number that holds 98 % of all points [°]."""
+    """Half-range of the residual figure's axis: the paper's 2°, or a round number that covers 98 % of all points [°]."""
     values = np.concatenate([np.degrees(np.abs(getattr(found[name], kind))) for name in found if name in EVALUATED
                              for kind, *_ in _KINDS])  # fmt: skip
     needed = float(np.quantile(values, 0.98))
@@ -158,7 +158,7 @@ def residual_limit(found: Mapping[str, Residuals]) -> float:
 def mae_figure(errors: Accuracy) -> Figure:
     """The paper's bar figure: mean absolute error of each joint, red without and green with compensation.
 
-    MP and MCP stand beside the nine joints as in the paper; the model does not compensate them, so their bars are equal.
+    MP and MCP are shown with the nine joints as in the paper; the model does not compensate them, so their bars are equal.
     """
     names = list(errors.mae_deg["uncompensated"])
     figure = Figure(figsize=(13, 4), layout="constrained")

@@ -1,6 +1,6 @@
-"""The test bench: how a servo is swept, what the camera makes of the joints, and records of hands in metal.
+"""The test bench: sweep protocol, camera model, and records of hands in metal (`quasistatic`).
 
-`rig.Rig.sweep` records the same of a hand in the physics engine; whatever makes a `Sweep` of a hand can stand in for either.
+`rig.Rig.sweep` makes the same record of a hand in the physics engine; any other source of a `Sweep` can replace either.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from hpac_gym.study.quasistatic import Built, hand_course
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate, joints_of_servo
 
 THUMB_CLEAR = 1.2
-"""CMC angle at which the thumb can bend over its whole range and touches neither finger nor palm [rad]."""
+"""CMC angle at which the thumb can flex over its whole range without touching fingers or palm [rad]."""
 _STEPS = 2
-"""Quasi-static steps from one sampling point to the next."""
+"""Quasi-static steps per sampling point."""
 
 
 def rest_pose(swept: str) -> Array:
-    """Servo angles from which a servo is swept: open, but the thumb clear of the index when it bends, shape (6,) [rad]."""
+    """Initial servo angles of a sweep: open, with the thumb clear of the index if it is swept, shape (6,) [rad]."""
     pose = np.zeros(len(SERVOS))
     if swept == "thumb_mp":
         pose[SERVO_INDEX["thumb_cmc"]] = THUMB_CLEAR
@@ -32,12 +32,12 @@ def rest_pose(swept: str) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class JointCamera:
-    """Camera that measures the joint angles: one sample a frame, with white noise and a slow drift of each joint.
+    """Model of a camera that measures the joint angles, with white noise and a slow drift of each joint.
 
-    The other errors are common to all joints of a frame, or of the whole record, and zero by default.
+    The other errors are common to all joints of a frame or of the record, and zero by default.
 
     Raises:
-        ParameterError: A rate or time that is not positive, a negative deviation, or a share of outliers beyond 1.
+        ParameterError: A rate or time is not positive, a deviation is negative, or the share of outliers is outside 0…1.
     """
 
     rate_hz: float = 20.0
@@ -46,13 +46,13 @@ class JointCamera:
     drift: float = np.deg2rad(0.2) / 60
     """Standard deviation of the joints' drift rates [rad/s]."""
     common_scale: float = 0.0
-    """Standard deviation of the relative error of every angle of a record: a camera whose calibration is off."""
+    """Standard deviation of the relative scale error of a record, due to camera calibration."""
     common_wander: float = 0.0
-    """Standard deviation of an error that all joints of a frame share [rad]."""
+    """Standard deviation of a slowly varying error common to all joints of a frame [rad]."""
     wander_time: float = 3.0
-    """Time over which that error forgets itself [s]."""
+    """Correlation time of that error [s]."""
     outliers: float = 0.0
-    """Share of samples in which a marker was mistaken: anything from −0.5 to 2 rad."""
+    """Share of samples with a mistaken marker, uniform between −0.5 and 2 rad."""
 
     def __post_init__(self) -> None:
         errors = (self.noise, self.drift, self.common_scale, self.common_wander)
@@ -82,21 +82,21 @@ class JointCamera:
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """Course of a servo sweep: rest, K points one after the other, back to rest.
+    """Protocol of a servo sweep: rest, K points in sequence, back to rest.
 
     Raises:
-        ParameterError: Fewer than two points, a hold that leaves no time to move, or a negative rest.
+        ParameterError: There are fewer than two points, the hold leaves no time to move, or the rest is negative.
     """
 
     points: int = 31
-    """K, over the servo's admissible range, both ends included."""
+    """Number of points K over the servo's admissible range, including both ends."""
     seconds_per_point: float = 1.5
     hold: float = 0.5
-    """The last part of a point, in which the servo stands still and the points are taken [s]."""
+    """Final part of a point, in which the servo is stationary and samples count [s]."""
     rest: float = 2.0
-    """Before and after: the tendon slack, the digit laid against its stops [s]."""
+    """Duration of the rest before and after, with a slack tendon and the digit against its stops [s]."""
     both_directions: bool = False
-    """Take points on the way back too, at the same angles."""
+    """Whether points are also taken in extension, at the same angles."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.points, int) and self.points >= 2):
@@ -118,14 +118,14 @@ def metal_sweeps(
     protocol: Protocol = PROTOCOL,
     servos: tuple[str, ...] = SERVOS,
 ) -> list[Sweep]:
-    """Records of hands in metal: the rest poses and the held samples of every point; nothing is recorded in motion.
+    """Records of hands in metal: the rest poses and the held samples of every point, without samples in motion.
 
     Args:
         built: the hands.
-        seed: of the camera; hand i of a seed has the same camera for any number of hands.
-        camera: what measures.
-        protocol: how the servos are swept.
-        servos: which ones.
+        seed: seed of the camera; hand i has the same camera for any number of hands.
+        camera: camera model.
+        protocol: sweep protocol.
+        servos: servos to sweep.
     """
     point, phase = np.arange(protocol.points), np.full(protocol.points, FLEXING)
     if protocol.both_directions:
@@ -146,7 +146,7 @@ def _segment(
     swept: int, phase: np.ndarray, point: np.ndarray, angles: Array, joint_pos: Array,
     rng: np.random.Generator, camera: JointCamera, protocol: Protocol,
 ) -> Sweep:  # fmt: skip
-    """A record's rows of one servo: rest, the held samples of each angle, rest."""
+    """Rows of one swept servo: rest, the held samples of each angle, rest."""
     rest = round(protocol.rest * camera.rate_hz)
     held = max(round(protocol.hold * camera.rate_hz) - 1, 1)
 

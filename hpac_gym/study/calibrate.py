@@ -1,4 +1,4 @@
-"""``hpac calibrate``: a hand file from a sweep of the hand, with what the record can and cannot tell."""
+"""``hpac calibrate``: a hand file from a sweep of the hand, with a report of what the record can identify."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ _IDENTIFIED = ("d2", "alpha_deg", "servo_radius", "joint_radius", "path_length",
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("record", type=Path, metavar="sweep.csv", help="the record; a joint without measurement may be left out")
+    parser.add_argument("record", type=Path, metavar="sweep.csv", help="the record; columns of unmeasured joints may be absent")
     parser.add_argument("--out", type=Path, default=OUT, metavar="TOML", help="the hand file to write (%(default)s)")
     parser.add_argument("--base", type=Path, metavar="TOML", help="the hand's design (default: the nominal hand)")
     parser.add_argument("--spread", type=float, default=SPREAD, metavar="S", help="relative spread of the design (%(default)s)")
     parser.add_argument(
-        "--radii-known", action="store_true", help="joint radii have the design's ratios to 0.1 %%, so that k_s L/EA can be told"
+        "--radii-known", action="store_true", help="joint radii have the design's ratios to 0.1 %%, making k_s L/EA identifiable"
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="where report and figures go (default: beside the hand file)")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="folder of report and figures (default: beside the file)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Judge the record, fit, write the hand file, and report how well that file predicts the points that were held out."""
+    """Check the record, fit, write the hand file, and report the file's error at the held-out points."""
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record, allow_missing=True)
     remarks = judged(record, base)
@@ -70,12 +70,12 @@ def named(found: Identification, base: Hand, record: str) -> Hand:
     return replace(found.hand, name=f"{base.name}, calibrated", sources=sources)
 
 
-# How good the written file is ---------------------------------------------------------
+# Accuracy of the written file ---------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class FileError:
-    """Error of the written file for one joint, at the points that were held out of its fit."""
+    """Error of the written file for one joint, at the held-out points."""
 
     mean_abs_deg: float
     max_deg: float
@@ -94,7 +94,7 @@ def papers_map(servo: Array, hand: Hand, direction: float) -> Array:
 def residuals(
     found: Identification, hand: Hand, model: Callable = settled_joints_from_servo
 ) -> dict[str, tuple[DigitSamples, Array]]:
-    """Points less what a hand makes of them, by joint: the digit's samples and the residuals (k,) [rad]."""
+    """Measured minus predicted angles by joint: the digit's samples and the residuals (k,) [rad]."""
     table = {}
     for column, samples in found.samples.items():
         servo, predicted = np.zeros((len(samples.servo), len(SERVOS))), np.empty((len(samples.servo), len(JOINTS)))
@@ -123,7 +123,7 @@ def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
 
 
 def summary(found: Identification, base: Hand, errors: dict[str, FileError], remarks: list[str]) -> dict[str, object]:
-    """Everything that the report says, for a program."""
+    """The contents of the report as data."""
     return {
         "base": base.name,
         "digits": {
@@ -157,7 +157,7 @@ def report(found: Identification, base: Hand, errors: dict[str, FileError], rema
         told = ("file, mean error [°]", "largest", "paper's map with the file's numbers", "camera noise", "points held out")
         cells = {name: (*(f"{value:.3f}" for value in astuple(error)[:-1]), error.points) for name, error in errors.items()}
         lines += [
-            f"The written file misses the points that were held out of its fit by {mean:.3f}° on average and "
+            f"The error of the written file at the held-out points is {mean:.3f}° on average and "
             f"{worst.mean_abs_deg:.3f}° at the worst joint.",
             "",
             markdown(("joint", *told), [(label(name), *row) for name, row in cells.items()]),
@@ -170,32 +170,32 @@ def report(found: Identification, base: Hand, errors: dict[str, FileError], rema
         lines += ["## thumb CMC", "", f"g_CMC = {gain.value:.4f}, 95 % interval {gain.low:.4f} … {gain.high:.4f}."]
         low, middle, high = np.degrees([zero.low, zero.value, zero.high])
         lines += [f"Zero {middle:.2f}°, 95 % interval {low:.2f}° … {high:.2f}°.", ""]
-    lines += [f"{name} keeps the design's numbers: {why}." for name, why in found.kept.items()]
+    lines += [f"{name} keeps the design's parameters: {why}." for name, why in found.kept.items()]
     lines += [f"Remark: {remark}." for remark in remarks]
     return "\n".join(lines) + "\n"
 
 
 def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
-    head = ("combination", "formula", "design", "found", "95 % interval", "told by the data")
+    head = ("combination", "formula", "design", "found", "95 % interval", "determined by the data")
     rows = [
         (item.name, item.formula, f"{nominal:.4g}", f"{item.value:.4g}", f"{item.low:.4g} … {item.high:.4g}", f"{item.told:.0%}")
         for item, nominal in zip(fit.estimates, values(SweptDigit(base.digits[name])), strict=True)
     ]
     lines = [f"## {name}", "", markdown(head, rows)]
     samples = fit.samples
-    lines += ["", f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times as "
-              f"much about the fit as their samples explain."]  # fmt: skip
+    lines += ["", f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times "
+              f"as much about the fit as expected from their samples."]  # fmt: skip
     lines += [f"{joint} rests at a stop at {angle:.3f} rad; {samples.at_stops} points from there on are left out, and the file's "
               f"workspace ends there." for joint, angle in samples.stops.items()]  # fmt: skip
     lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
     for first, *others in fit.confounded:
-        apart = f"; it cannot be told apart from {', '.join(others)}" if others else ""
-        lines.append(f"The record hardly tells {first}{apart}.")
+        apart = f"; it is confounded with {', '.join(others)}" if others else ""
+        lines.append(f"The record hardly determines {first}{apart}.")
     return [*lines, ""]
 
 
 def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
-    """Residuals of the points against the design and against the written file, joint by joint; held-out points are rings."""
+    """Residuals of the points for the design and for the written file, joint by joint; held-out points are rings."""
     figure = Figure(figsize=(13, 9), layout="constrained")
     axes = list(figure.subplots(3, 5).flat)
     designed, table = (residuals(found, hand) for hand in (base, written))
@@ -216,7 +216,7 @@ def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
 
 
 def estimate_figure(found: Identification, base: Hand) -> Figure:
-    """Every estimate over its design value, with its 95 % interval; pale where the data says little."""
+    """Every estimate divided by its design value, with its 95 % interval; pale where the data is uninformative."""
     figure = Figure(figsize=(3 * len(found.fits), 4), layout="constrained")
     axes = np.ravel(figure.subplots(1, len(found.fits), sharex=True, squeeze=False))
     for axis, (name, fit) in zip(axes, found.fits.items(), strict=True):

@@ -1,8 +1,8 @@
-"""The numbers of a digit that a free-space sweep can tell: dimensionless combinations, friction and the servo's zero.
+"""The parameters of a digit that a free-space sweep can identify: dimensionless combinations, friction and servo zero.
 
-Angles carry no scale of length or force: multiply every length of a digit, or every stiffness and friction, by one factor and
-no angle changes. The combinations below are what is left. A hand is made from them by keeping the base hand's d₁, root radius,
-k_s and EA, which nothing in the angles depends on.
+Angles have no scale of length or force: if all lengths of a digit, or all stiffnesses and frictions, are multiplied by one
+factor, no angle changes. Only the combinations below remain. A hand is reconstructed from them with the base hand's d₁, root
+radius, k_s and EA, on which the angles do not depend.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.parameters import Friction
 
 TYPICAL_FRICTION = Friction(joint=1e-3, tendon=0.03)
-"""Friction that the search starts from: small ball bearings with seals, a braided tendon in polymer guides."""
+"""Initial friction of the fit: small sealed ball bearings, a braided tendon in polymer guides."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweptDigit:
-    """A digit with what its servo and its joints add."""
+    """A digit with its friction and its servo's zero."""
 
     digit: Digit
     friction: Friction = TYPICAL_FRICTION
     servo_zero: float = 0.0
-    """[rad]"""
+    """Angle of the horn at the command 0 [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """One number that the data can say something about."""
+    """One identifiable number."""
 
     name: str
     formula: str
     spread: float | None
-    """Standard deviation of its logarithm for hands whose parameters each spread by one unit; None: known by its order alone."""
+    """Standard deviation of its logarithm per unit spread of the parameters; None: only its order of magnitude is known."""
     linear: bool = False
-    """The search runs in the number itself, on which the angles depend linearly, and not in its logarithm."""
+    """Whether the fit uses the number itself, on which the angles depend linearly, instead of its logarithm."""
 
 
 def combinations(digit: Digit) -> tuple[Combination, ...]:
@@ -63,7 +63,7 @@ def combinations(digit: Digit) -> tuple[Combination, ...]:
 
 
 def values(swept: SweptDigit) -> Array:
-    """The combinations' values for a digit; alpha, friction and zero in rad, the others pure numbers."""
+    """Values of the combinations for a digit; alpha, friction and zero in rad, the others dimensionless."""
     digit, friction = swept.digit, swept.friction
     radius, path = np.array(digit.joint_radius), np.array(digit.path_length)
     unit = digit.spring_stiffness * radius[0] ** 2
@@ -76,7 +76,7 @@ def values(swept: SweptDigit) -> Array:
 
 
 def digit_with(base: Digit, wanted: Array) -> SweptDigit:
-    """A digit, friction and zero that have given values; d₁, root radius, k_s and EA are the base digit's."""
+    """Digit, friction and zero with the given values; d₁, root radius, k_s and EA are the base digit's."""
     count = len(base.path_length)
     hub, reach, alpha = wanted[:3]
     ratio, strain = wanted[3 : 3 + count], wanted[3 + count : 3 + 2 * count]

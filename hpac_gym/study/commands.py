@@ -1,7 +1,7 @@
-"""Commands with what a sweep told: how far hands in metal end from where the command map says, before and after calibration.
+"""Accuracy of command maps on hands in metal, before and after calibration from a sweep.
 
-A command map takes a target to servo angles and says where the joints will be. The error here is between that and where they are;
-how far the promise lies from the target, because a digit has one servo and radii of its own, is given beside it.
+A command map converts a target to servo angles and predicts the resulting joint angles. The error is the difference between
+prediction and true angles; the distance from prediction to target, which a digit with one servo cannot avoid, is separate.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from hpac_gym.study.quasistatic import Built, hand_course
 from hpac_gym.study.results import Column, Part, range_of, rows_of, table
 
 GOAL_DEG = 0.15
-"""Every one of the nine joints on average; the aim is 95 % of the hands."""
+"""Goal for the mean error of each of the nine joints, in 95 % of the hands [°]."""
 TARGETS = 25
 CAMERA = JointCamera(outliers=0.005)
 _STEPS = 3  # quasi-static, from target to target
 
 Map = Callable[[Array, Hand, float], tuple[Array, Array]]
-"""Targets (k, 15), hand and direction to servo angles (k, 6) and promised joint angles (k, 15)."""
+"""Function from targets (k, 15), hand and direction to servo angles (k, 6) and predicted joint angles (k, 15)."""
 
 
 def papers_map(targets: Array, hand: Hand, direction: float) -> tuple[Array, Array]:
-    """Eqs. (14), (15) with a hand's numbers; the promise is Eqs. (5), (12)."""
+    """Eqs. (14), (15) with a hand's parameters; the prediction is Eqs. (5), (12)."""
     servo = servo_from_joints(clip_to_workspace(targets, hand), hand)
     return servo, elastic_joints_from_servo(servo, hand)
 
 
 def settled_map(targets: Array, hand: Hand, direction: float) -> tuple[Array, Array]:
-    """The identified hand inverted with drive stretch, zeros and friction."""
+    """Inverse of the identified hand with drive stretch, zeros and friction."""
     servo = settled_servo_from_joints(clip_to_workspace(targets, hand), hand, direction)
     return servo, settled_joints_from_servo(servo, hand, direction)
 
@@ -67,21 +67,21 @@ MAPS: dict[str, tuple[Map, Callable[[Hand], Hand]]] = {
     "… without friction": (settled_map, lambda hand: _calibrated(hand, friction=Calibration().friction)),
     "… friction of flexion both ways": (lambda targets, hand, direction: settled_map(targets, hand, FLEXION), lambda hand: hand),
 }
-"""Command maps by name, each with what it takes of the identified hand."""
+"""Command maps by name, each with the function that selects its parameters from the identified hand."""
 
 BEFORE_AND_AFTER = ("paper's map, nominal numbers", "identified, all of it")
 
 
 @dataclass(frozen=True, slots=True)
 class MapErrors:
-    """One command map on a population of hands: means over the targets, of the nine joints, shape (hands, 9) [°]."""
+    """Errors of one command map on a population: means over the targets for the nine joints, shape (hands, 9) [°]."""
 
     flexion: Array
-    """Where the joints are against where the map says, coming from the open hand."""
+    """Error of the predicted angles in flexion, from the open hand."""
     extension: Array
-    """The same, coming back from the closed hand."""
+    """Error of the predicted angles in extension, from the closed hand."""
     off_target: Array
-    """Where the map says that they will be, against the target: what no command can take away."""
+    """Distance of the prediction from the target, which no command can remove."""
 
 
 COLUMNS = (
@@ -96,7 +96,7 @@ COLUMNS = (
 
 
 def _share(well: np.ndarray) -> float:
-    """Share of the hands, shape (hands, 9), of which all nine joints are well."""
+    """Share of the hands whose nine joints are all True in ``well``, shape (hands, 9)."""
     return float(well.all(axis=1).mean())
 
 
@@ -104,11 +104,11 @@ def commands(name: str, workshop: Workshop, count: int, seed: int, maps: Collect
     """Sweep and calibrate every hand once, then command it through its range and back with every map.
 
     Args:
-        name: of the workshop.
-        workshop: how the hands are built.
-        count: hands.
-        seed: of hands and camera.
-        maps: which of `MAPS`.
+        name: name of the tolerances.
+        workshop: tolerances of the hands.
+        count: number of hands.
+        seed: seed of hands and camera.
+        maps: names from `MAPS`.
     """
     built = build(workshop, count, seed)
     records = metal_sweeps(built, seed, CAMERA, Protocol(both_directions=True), servos=SERVOS[:-1])
@@ -119,7 +119,7 @@ def commands(name: str, workshop: Workshop, count: int, seed: int, maps: Collect
 
 
 def errors_of_map(name: str, built: list[Built], identified: list[Hand]) -> MapErrors:
-    """Errors of one of the `MAPS` on hands, with the numbers that were identified for each."""
+    """Errors of one of the `MAPS` on hands, given the parameters identified for each."""
     command, hand_of = MAPS[name]
     share = np.linspace(0.0, 1.0, TARGETS)[1:, None]
     targets = joints_from_synergy(HPAC.synergy_min + share * (HPAC.synergy_max - HPAC.synergy_min))

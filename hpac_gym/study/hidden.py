@@ -1,4 +1,4 @@
-"""`hpac calibrate` on hidden hands: how far the file that it writes is off the truth, and how often its intervals hold it."""
+"""`hpac calibrate` on hidden hands: error of the written file and coverage of its intervals."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from hpac_gym.study.rig import Rig, settings_of
 REACH = {
     **geometry(0.05), "path_length": 0.05, "spring_stiffness": 0.2, "tendon_stiffness": 0.2, "drive_stiffness": 0.2
 }  # fmt: skip
-"""Hidden hands are drawn evenly within so much of the nominal numbers."""
+"""Hidden hands are drawn uniformly within these relative deviations from the nominal parameters."""
 DEAD_BAND = 5e-4
 LAWS = {"laws of the fit": replace(FIT_LAWS, dead_band=DEAD_BAND), "other laws": OTHER_LAWS}
-"""Hidden hands in metal whose physics is that of the fit, and whose physics is not."""
+"""Physics of the hidden hands: that of the fit, and another."""
 CAMERA = JointCamera(outliers=0.02)
 MARK_DEG = max(0.1, 1.3 * float(np.degrees(CAMERA.noise)))
-"""The mark of a good file: a mean error below 1.3 times the noise of a camera sample, or below 0.1°."""
+"""Threshold of a good file's mean error: 1.3 times the noise of a camera sample, or 0.1° [°]."""
 DROPPED = 0.02
-"""Share of the frames that the records lack."""
+"""Share of frames missing from the records."""
 NEAR_STOP = np.deg2rad(0.3)
-"""In the physics engine, a joint so near to its stop [rad] may rest at it."""
+"""In the physics engine, a joint this close to its stop may rest at it [rad]."""
 
 
 def hidden_hands(count: int, seed: int, metal: Metal) -> list[Built]:
-    """Hands about the nominal one, with Table I's stops; zeros of 0.5°, frictions and servos to a factor of 1.5.
+    """Random hands close to the nominal one, with Table I's stops; zeros of 0.5°, frictions and servos to a factor of 1.5.
 
     Args:
-        count: hands; hand i of a seed is the same for any count.
-        seed: of the draw.
-        metal: the middle of what the model leaves out.
+        count: number of hands; hand i of a seed is the same for any count.
+        seed: seed of the draw.
+        metal: median of the effects that the model omits.
     """
     built = []
     for number in range(count):
@@ -63,9 +63,9 @@ def hidden_hands(count: int, seed: int, metal: Metal) -> list[Built]:
 
 
 def swept_digit(built: Built, column: int) -> SweptDigit:
-    """The numbers that a perfect fit of a hand in metal would find for one of its digits.
+    """The parameters that a perfect fit of a hand in metal would find for one of its digits.
 
-    Servo and driving tendon give way in series. The dead band stops a horn short in flexion, like a zero.
+    The compliances of servo and driving tendon add up. In flexion the dead band stops the horn short, like a zero.
     """
     digit, metal = list(built.hand.digits.values())[column], built.metal[column]
     drive = 1 / (1 / digit.drive_stiffness + digit.servo_radius**2 / metal.servo_stiffness)
@@ -81,23 +81,23 @@ class HiddenHand:
     """Result of the calibration of one hidden hand."""
 
     error_deg: Array
-    """Mean absolute error of the written file against the truth where no joint is at a stop, by joint, NaN for the CMC [°]."""
+    """Mean absolute error of the written file, where no joint is at a stop, by joint; NaN for the CMC [°]."""
     inside: Mapping[str, list[bool]]
-    """Whether the intervals hold the truth, by combination, over the digits; empty where the laws have no such number."""
+    """Whether the intervals contain the truth, by combination, over the digits; empty if the laws have no such number."""
     told: Mapping[str, list[float]]
     stops_missed: int
-    """Digits with a joint at its stop for two points or more, of which the report says nothing."""
+    """Number of digits with a joint at its stop for two points or more that the report does not mention."""
     refused: bool = False
 
 
 def judge_hand(built: Built, record: Sweep, truth: Array, servo: Array, know_truth: bool) -> HiddenHand:
-    """Judge a hidden hand's record, fit it, write the file as ``hpac calibrate`` does, and compare that file with the truth.
+    """Check and fit a hidden hand's record, write the file as ``hpac calibrate`` does, and compare it with the truth.
 
     Args:
         built: the hand.
         record: its sweep.
-        truth: where its joints really rest, shape (k, 15) [rad].
-        servo: at these angles of all servos, shape (k, 6) [rad].
+        truth: true joint angles, shape (k, 15) [rad].
+        servo: servo angles of `truth`, shape (k, 6) [rad].
         know_truth: the hand obeys the laws of the fit, so that its combinations have true values.
     """
     errors = np.full(len(JOINTS), np.nan)
@@ -125,7 +125,7 @@ def judge_hand(built: Built, record: Sweep, truth: Array, servo: Array, know_tru
 
 
 def without_frames(record: Sweep, seed: int, number: int) -> Sweep:
-    """The record of a hand without some of its frames."""
+    """The record of a hand with randomly dropped frames."""
     rng = np.random.default_rng([seed, number, 9])
     return record[np.flatnonzero(rng.random(len(record)) >= DROPPED)]
 
@@ -144,7 +144,7 @@ def run_hidden(count: int, seed: int, laws: str) -> list[HiddenHand]:
 def run_hidden_in_physics(count: int, seed: int) -> list[HiddenHand]:
     """Calibrate hidden hands of the physics engine: one friction for all digits, no servo compliance, Table I's stops.
 
-    The truth is what a perfect camera saw of the same sweep at the sampling points.
+    The truth is the measurement of a perfect camera at the sampling points of the same sweep.
     """
     hands = []
     hidden = list(enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND))))
@@ -199,7 +199,7 @@ COVERAGE = (
     Column("coverage", "", lambda hands: _pooled([hand.inside for hand in hands])),
     Column("told", "", lambda hands: _pooled([hand.told for hand in hands])),
 )
-"""The intervals, for which the page has a table of its own."""
+"""Coverage of the intervals, which has a separate table in the report."""
 
 
 def calibration(count: int, seed: int, in_physics: int = 0) -> Part:
@@ -211,7 +211,7 @@ def calibration(count: int, seed: int, in_physics: int = 0) -> Part:
     lines = [f"## `hpac calibrate` on hidden hands, seed {seed}", "", table("hidden", COLUMNS, rows), ""]
     fit = rows["laws of the fit"]
     body = [(name, f"{share:.0%}", f"{fit['told'][name]:.0%}") for name, share in fit["coverage"].items()]
-    lines += [markdown(("combination", "95 % interval holds the truth", "told by the data"), body), ""]
+    lines += [markdown(("combination", "95 % interval contains the truth", "determined by the data"), body), ""]
     if in_physics:
         shares = rows["physics engine"]["coverage"].values()
         lines += [f"In the physics engine {np.mean(list(shares)):.0%} of the intervals hold the truth.", ""]

@@ -1,9 +1,9 @@
-"""A hand's parameters from a sweep of it: bounded robust least squares, with what the data can and cannot tell.
+"""Identification of a hand's parameters from a sweep: bounded robust least squares, with the information in the data.
 
-The points of a sweep are compared with the hand at rest in closed form (`hpac_gym.model.settled`): drive stretch, friction of
-either direction and the servo's zero included. Every digit is fitted on its own, in its `combinations`, about
-a base hand whose parameters are known to some spread; that prior decides where the data says nothing, and the report tells where
-it did. The line that the rest poses give for a joint's drift enters with the uncertainty that those poses leave.
+The points of a sweep are fitted by the static equilibrium in closed form (`hpac_gym.model.settled`), including drive stretch,
+direction-dependent friction and servo zeros. Every digit is fitted separately, in its `combinations`, with a prior around a
+base hand; the prior decides where the data is uninformative, and the report states where. The drift line that the rest poses
+of a joint determine enters with its remaining uncertainty.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from hpac_gym.study.samples import DigitSamples, digit_samples
 SPREAD = 0.15
 """Relative standard deviation of each parameter about the base hand."""
 RADIUS_SPREAD = 1e-3
-"""The same of radius ratios that are known to be the design's: a workshop's tolerance."""
+"""The same for radius ratios that are known to be the design's: a manufacturing tolerance."""
 ORDER_SPREAD = 1.0
-"""Standard deviation of the logarithm of the frictions, of which nobody knows more than the order."""
+"""Standard deviation of the logarithm of the frictions, of which only the order of magnitude is known."""
 DRIVE_SPREAD = 1.0
-"""Standard deviation of the drive's stretch over the design's: the servo gives way too, and nobody prints by how much."""
+"""Standard deviation of the drive stretch relative to the design's: servo compliance is not published."""
 ZERO_SPREAD = np.deg2rad(1.0)
-"""Standard deviation of a servo's zero [rad]: a spline's tooth is some 15°, trimmed away to a degree or so."""
+"""Standard deviation of a servo's zero [rad]: a spline tooth is some 15°, trimmed to about one degree."""
 LEAST_POINTS = 8
-"""Sampling points below which a digit is not fitted."""
+"""Least number of sampling points for a fit of a digit."""
 LEAST_RANGE = 0.3
-"""Share of the servo's range below which a digit is not fitted."""
+"""Least swept share of the servo's range for a fit of a digit."""
 WORST_FIT = np.deg2rad(1.0)
 """A residual of this size [rad] means that the model does not describe the hand."""
 HELD_OUT_EVERY = 4
-"""One sampling point of so many judges the fit and is not part of it."""
+"""One in this many sampling points is held out for evaluation."""
 
-_OUTLIER = 3.0  # standard deviations, from where a point pulls linearly
-_CONTRADICTION = 3.0  # standard deviations of the prior, from where known radii are not believed
+_OUTLIER = 3.0  # standard deviations, beyond which the loss of a point is linear
+_CONTRADICTION = 3.0  # standard deviations of the prior, beyond which known radii are contradicted
 _BOUND = 4.0  # standard deviations of the prior
-_TIED = 0.5  # correlation of two estimates' errors, from where one cannot be told without the other
-_STRAIGHT = np.pi - 0.02  # rad, guides in line
-_NOTHING = 1e-7  # of a combination that the paper's model does not have
+_TIED = 0.5  # correlation of two estimates' errors above which they are confounded
+_STRAIGHT = np.pi - 0.02  # rad, included angle of aligned guides
+_NOTHING = 1e-7  # value of a combination that the paper's model does not have
 
 
 class IdentificationError(HpacError, ValueError):
-    """The record cannot support a fit; the message says what is missing."""
+    """The record does not allow a fit; the message states what is missing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One combination of parameters."""
+    """Estimate of one combination of parameters."""
 
     name: str
     formula: str
@@ -65,39 +65,39 @@ class Estimate:
     """Lower end of the 95 % interval."""
     high: float
     told: float
-    """How much of the prior's uncertainty the data took away, 0…1."""
+    """Share of the prior's uncertainty removed by the data, 0…1."""
 
 
 @dataclass(frozen=True, slots=True)
 class DigitFit:
-    """One digit as a record shows it."""
+    """Result of the fit of one digit."""
 
     swept: SweptDigit
     estimates: tuple[Estimate, ...]
     samples: DigitSamples
     misfit: float
-    """Scatter of the points about the fit, over what the samples' own scatter explains; 1 for a perfect model."""
+    """Scatter of the points about the fit, relative to that expected from the samples; 1 for a perfect model."""
     confounded: tuple[tuple[str, ...], ...]
-    """What the data can hardly tell, each followed by what it cannot be told apart from."""
+    """Poorly identified combinations, each followed by those with which it is confounded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identification:
-    """A hand as a record shows it."""
+    """Result of the identification of a hand."""
 
     hand: Hand
-    """With its `calibration`, and with a workspace that ends where stops were found."""
+    """The identified hand, with its `calibration` and a workspace that ends at the detected stops."""
     fits: dict[str, DigitFit]
-    """By digit name."""
+    """Fits by digit name."""
     kept: dict[str, str]
-    """Digits, and the CMC, that stay the base hand's, and why."""
+    """Digits (or the CMC) that keep the base hand's parameters, with the reason."""
     cmc: tuple[Estimate, Estimate] | None
     """g_CMC and the zero of servo 6."""
     cmc_samples: DigitSamples | None
 
     @property
     def samples(self) -> dict[int, DigitSamples]:
-        """Points of every servo whose sweep was fitted, by the servo's index."""
+        """Sampling points of every fitted servo, by the servo's index."""
         fitted = {column: self.fits[name].samples for column, name in enumerate(self.hand.digits) if name in self.fits}
         return fitted | ({len(SERVOS) - 1: self.cmc_samples} if self.cmc_samples else {})
 
@@ -112,21 +112,21 @@ def identify(
     papers_model: bool = False,
     shown: bool = False,
 ) -> Identification:
-    """The hand that a record shows.
+    """Identify the hand of a record.
 
     Args:
-        record: unfiltered, as the camera gave it; NaN where a joint was not measured.
-        base: the design; where the data says nothing its numbers stay.
+        record: unfiltered camera samples; NaN where a joint was not measured.
+        base: the design, whose parameters remain where the data is uninformative.
         spread: relative standard deviation of each parameter about the design.
-        radii_known: the ratios of joint radii are the design's, to `RADIUS_SPREAD`; without that a free-space sweep
-            cannot tell them from the elasticity.
-        hold_out: leave every fourth point out of the fit, for `held_out_rows` to judge it with.
-        least_points: sampling points that a digit needs.
-        papers_model: fit Eqs. (5), (7), (12), (13) alone: a rigid drive, no friction, no zero.
+        radii_known: the ratios of joint radii are the design's, to `RADIUS_SPREAD`; otherwise a free-space sweep
+            cannot distinguish them from the elasticity.
+        hold_out: leave every fourth point (`held_out_rows`) out of the fit, for evaluation.
+        least_points: least number of sampling points of a digit.
+        papers_model: fit only Eqs. (5), (7), (12), (13): a rigid drive, no friction, no zero.
         shown: draw a progress bar.
 
     Raises:
-        IdentificationError: No digit can be fitted, or `spread` is not positive; the message says why.
+        IdentificationError: No digit can be fitted, or `spread` is out of bounds; the message states the reason.
     """
     if not 0 < spread < 1:
         raise IdentificationError(f"spread = {spread} must lie between 0 and 1")
@@ -153,7 +153,7 @@ def identify(
 
 
 def held_out_rows(samples: DigitSamples) -> np.ndarray:
-    """Mask of the points that judge the fit, shape (k,): every fourth sampling point, neither the first nor the last."""
+    """Mask of the held-out points, shape (k,): every fourth sampling point, excluding the first and the last."""
     return samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
 
 
@@ -180,7 +180,7 @@ def _identified_hand(base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate,
         fit = fits[name]
         digits[name], friction[column], zero[column] = fit.swept.digit, fit.swept.friction, fit.swept.servo_zero
         bounds = dict(fit.samples.stops)
-        if bounds:  # the driven joint ends where any joint of its digit does
+        if bounds:  # the driven joint's range ends when any joint of its digit meets a stop
             reached = float(np.nanmax(fit.samples.joint_pos[:, 0])) if fit.samples.joint_pos.size else np.inf
             bounds[digits[name].joints[0]] = min(bounds.get(digits[name].joints[0], np.inf), reached)
         for joint, angle in bounds.items():
@@ -198,7 +198,7 @@ def _identified_hand(base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate,
             calibration=Calibration(tuple(zero), tuple(friction)),
         )
     except ParameterError as error:
-        raise IdentificationError(f"what the record shows is no hand: {error}") from None
+        raise IdentificationError(f"the identified parameters are invalid: {error}") from None
 
 
 # Least squares ---------------------------------------------------------------------------
@@ -206,7 +206,7 @@ def _identified_hand(base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate,
 
 @dataclass(frozen=True, slots=True)
 class _Prior:
-    """Knowledge of the combinations before the sweep: normal, in the logarithm of each or in the number itself."""
+    """Prior of the combinations: normal, in the logarithm of each or in the number itself."""
 
     known: tuple[Combination, ...]
     linear: np.ndarray
@@ -230,12 +230,12 @@ class _Prior:
             design[left_out], sigma[left_out] = _NOTHING, 0.1 * _NOTHING
         centre = np.where(linear, design, np.log(np.where(linear, 1.0, design)))
         lower, upper = centre - _BOUND * sigma, centre + _BOUND * sigma
-        lower[drive] = max(lower[drive], 0.1 * _NOTHING)  # a tendon that is as good as rigid
+        lower[drive] = max(lower[drive], 0.1 * _NOTHING)  # a practically rigid tendon
         upper[alpha], upper[tendon] = min(upper[alpha], np.log(_STRAIGHT)), min(upper[tendon], np.log(0.5))
         return cls(known, linear, centre, sigma, lower, upper)
 
     def values(self, unknowns: Array) -> Array:
-        """The combinations' own values."""
+        """Values of the combinations for given unknowns."""
         return np.where(self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns)))
 
 
@@ -252,14 +252,14 @@ class _Problem:
         return ~np.isnan(self.samples.joint_pos)
 
     def misfit(self, unknowns: Array) -> Array:
-        """Points less the prediction, what was not measured left out [rad]."""
+        """Measured minus predicted angles of the measured points [rad]."""
         count = len(self.prior.centre)
         swept = digit_with(self.base, self.prior.values(unknowns[:count]))
         drift = self.samples.line @ unknowns[count:].reshape(2, -1)
         return (self.samples.joint_pos - predicted(self.samples, swept) - drift)[self.seen]
 
     def rows(self, unknowns: Array, scale: float) -> Array:
-        """Misfit and prior, each over its standard deviation."""
+        """Misfit and prior, each divided by its standard deviation."""
         count = len(self.prior.centre)
         prior = (unknowns[:count] - self.prior.centre) / self.prior.sigma
         drift = unknowns[count:].reshape(2, -1) / np.nanmax(self.samples.noise)
@@ -282,7 +282,7 @@ class _Problem:
 
 
 def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:
-    """Angles at which a digit rests at the points of a sweep, each reached in its direction, shape (k, joints) [rad]."""
+    """Predicted angles of a digit at the points of a sweep, reached in their directions, shape (k, joints) [rad]."""
     angles = np.empty_like(samples.joint_pos)
     for direction in (FLEXION, EXTENSION):
         rows = samples.direction == direction
@@ -292,7 +292,7 @@ def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:
 
 
 def soft_beyond_outliers(squares: Array, data: int) -> Array:
-    """SciPy's loss: points beyond `_OUTLIER` deviations pull linearly, the prior, after the first `data`, quadratically."""
+    """Loss for SciPy: linear for points beyond `_OUTLIER` deviations, quadratic for the prior, after the first `data` rows."""
     rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
     root = np.sqrt(1 + squares[:data] / _OUTLIER**2)
     rho[0, :data] = 2 * _OUTLIER**2 * (root - 1)
@@ -321,7 +321,7 @@ def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool
 
 
 def _check_radii(fit: DigitFit, prior: _Prior) -> None:
-    """Refuse known radii that would make the tendon's strain one that the design cannot have."""
+    """Reject known radii that would imply implausible strains or ratios."""
     for item, centre, sigma in zip(fit.estimates, prior.centre, prior.sigma, strict=True):
         if item.name.endswith(("_strain", "_ratio")) and abs(np.log(item.value) - centre) > _CONTRADICTION * sigma:
             factor = item.value / np.exp(centre)
@@ -341,7 +341,7 @@ def _estimates(prior: _Prior, solution: Array, covariance: Array) -> tuple[Estim
 
 
 def _confounded(prior: _Prior, covariance: Array) -> tuple[tuple[str, ...], ...]:
-    """Each combination that keeps over half of its prior's uncertainty, and those whose errors go with its own."""
+    """Combinations that keep over half of their prior uncertainty, each with those of correlated error."""
     names = [item.name for item in prior.known]
     deviation = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(deviation, deviation))
@@ -353,7 +353,7 @@ def _confounded(prior: _Prior, covariance: Array) -> tuple[tuple[str, ...], ...]
 
 
 def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estimate, Estimate]:
-    """Gain and zero of the directly driven joint."""
+    """Fit gain and zero of the directly driven joint."""
     rows = ~np.isnan(samples.joint_pos[:, 0])
     if hold_out:
         rows &= ~held_out_rows(samples)

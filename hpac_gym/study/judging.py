@@ -1,4 +1,4 @@
-"""Checks whether a record can be of this hand at all, which `hpac sweep` and `hpac calibrate` make before anything else."""
+"""Plausibility checks of a record, which `hpac sweep` and `hpac calibrate` make first."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_dri
 from hpac_gym.study.record import FLEXING, REST, RecordError, Sweep, joints_of_servo
 
 LEAST_REST = 5
-"""Samples at rest, before or after the motion, that a segment needs."""
+"""Least number of samples at rest in a segment."""
 LEAST_SHARE, MOST_SHARE = 0.5, 2.0
-"""How far a swept joint turns, over how far the design's does."""
+"""Bounds of a swept joint's travel relative to the design's."""
 RATIO_TOLERANCE = 0.15
-"""Relative deviation of a joint's angle over its root joint's from the design's: two radii off by 5 % give 0.11."""
+"""Tolerance of the ratio of a joint's angle to its root joint's, relative to the design: 5 % errors in two radii give 0.11."""
 MOST_GARBAGE = 0.1
-"""Share of a joint's samples that may lie far from the others of their sampling point."""
+"""Largest share of outliers among a joint's samples."""
 MOST_NOISE = np.deg2rad(1.0)
-"""Largest noise of a sample about the others of its sampling point [rad]."""
+"""Largest standard deviation of samples within a sampling point [rad]."""
 SHOWN = 3
-"""Faults that the message spells out."""
+"""Number of faults that the message lists."""
 _HINT = "are labels exchanged?"
 
 
 def judged(sweep: Sweep, base: Hand) -> list[str]:
-    """Refuse a record that cannot be of a hand of this design; returns remarks on what it cannot tell.
+    """Reject a record that cannot belong to a hand of this design; returns remarks on ambiguities.
 
     Args:
-        sweep: unfiltered.
+        sweep: the unfiltered record.
         base: the hand's design.
 
     Raises:
-        RecordError: A segment has no rest, sweeps another servo than it says, or has a joint that rests, moves with another
-            servo, turns in another ratio, or is measured too badly. The message gives the first faults.
+        RecordError: A segment has no rest or is labelled with another servo, or one of its joints rests, moves with another
+            servo, has another ratio, or is measured too inaccurately. The message lists the first faults.
     """
     corrected = without_drift(sweep)
     faults, remarks = [], []
@@ -65,7 +65,7 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
 
 
 def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
-    """Medians of the joints at each sampling point, and how far each sample is off them.
+    """Medians of the joints at each sampling point, and the deviation of each sample from them.
 
     Args:
         sweep: the record.
@@ -84,13 +84,13 @@ def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
 
 
 def noise_of(deviations: Array) -> float:
-    """Robust standard deviation of samples about their point's median, NaN left out [rad]."""
+    """Robust standard deviation of samples about their point's median, ignoring NaN [rad]."""
     seen = deviations[~np.isnan(deviations)]
     return max(1.4826 * float(np.median(np.abs(seen))), LEAST_NOISE) if seen.size else LEAST_NOISE
 
 
 def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tuple[list[str], list[str]]:
-    """Faults and remarks of the joints that a servo moves, from the sampling points of its flexion."""
+    """Faults and remarks on the joints that a servo moves, from the sampling points of its flexion."""
     servo, medians, deviations = point_medians(sweep, rows)
     design = elastic_joints_from_servo(np.clip(servo, base.servo_min, base.servo_max), base)
     travel, wanted = _travel(medians), _travel(np.where(np.isnan(medians), np.nan, design))
@@ -113,7 +113,7 @@ def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tu
         elif not LEAST_SHARE <= share <= MOST_SHARE:
             others = f", while {movers} move" if movers else ""
             faults.append(
-                f"{where}: {JOINTS[joint]} turns {share:.2f} of what the design's does{others}; does it rest, or {_HINT}"
+                f"{where}: {JOINTS[joint]} turns {share:.2f} of the design's travel{others}; does it rest, or {_HINT}"
             )
     if faults:
         return faults, remarks
@@ -138,6 +138,6 @@ def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tu
 
 
 def _travel(medians: Array) -> Array:
-    """Range over which each joint turns, its extreme points left out, shape (joints,) [rad]; NaN for fewer than three points."""
+    """Travel of each joint without its extreme points, shape (joints,) [rad]; NaN for fewer than three points."""
     seen = [column[~np.isnan(column)] for column in medians.T]
     return np.array([np.ptp(np.quantile(values, (0.05, 0.95))) if values.size >= 3 else np.nan for values in seen])

@@ -1,6 +1,6 @@
-"""Populations of hands as a workshop makes them, and what each cause adds to the error of Eqs. (12), (13).
+"""Populations of hands with manufacturing tolerances, and the contribution of each cause to the error of Eqs. (12), (13).
 
-The hands are metal (`quasistatic`); the model that is judged is the nominal one, to which nothing of them is fitted. No camera.
+The hands are simulated by `quasistatic`; the evaluated model is the nominal one, without any fit. There is no camera.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hpac_gym.study.quasistatic import Built, Metal, hand_course
 from hpac_gym.study.results import Column, Part, log_ticks, range_of, rows_of, table
 
 POINTS = 41
-"""Servo angles at which a hand is judged, over the servos' range."""
+"""Number of servo angles at which a hand is evaluated, over the servos' range."""
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, POINTS)
 NINE = [JOINTS.index(name) for name in EVALUATED]
 _DRIVEN = [JOINTS.index(name) for name in JOINTS if name.endswith(("_mp", "_mcp"))]
@@ -31,33 +31,33 @@ _DIP, _PIP = EVALUATED.index("index_dip"), EVALUATED.index("index_pip")
 
 
 PLAIN = Metal()
-"""What the model knows and nothing else."""
+"""A digit without any deviation from the model."""
 
 
 @dataclass(frozen=True, slots=True)
 class Workshop:
-    """Deviations of a workshop's hands from the drawing. All of it is chosen."""
+    """Deviations of manufactured hands from the drawing. All values are chosen."""
 
     tolerance: Mapping[str, float] = field(default_factory=dict)
-    """Relative standard deviation by field name of `Digit`, each digit and joint on its own."""
+    """Relative standard deviation by field name of `Digit`, independent for each digit and joint."""
     servo_zero: float = 0.0
-    """Standard deviation [rad]."""
+    """Standard deviation of the servo zeros [rad]."""
     metal: Metal = PLAIN
-    """The middle of what the model leaves out."""
+    """Median of the effects that the model omits."""
 
 
 SPREAD = 0.3
 """Standard deviation of the logarithm of servo stiffness and frictions."""
 SERVO_STIFFNESS = 20.0
-"""Chosen: what the larger servo 6 has in `hpac.toml` [N·m/rad]."""
+"""Chosen: the stiffness of the larger servo 6 in `hpac.toml` [N·m/rad]."""
 ZERO = np.deg2rad(0.5)
 FRICTION = Metal(joint_friction=1e-3, tendon_friction=0.03)
 FIT_LAWS = replace(FRICTION, servo_stiffness=SERVO_STIFFNESS)
-"""What the model leaves out and calibration fits."""
+"""Effects that the model omits and the calibration fits."""
 OTHER_LAWS = Metal(
     first_segment=1.0, servo_stiffness=20.0, joint_friction=1e-3, cable_friction=0.05, guide_radius=0.5e-3, dead_band=1e-3
 )
-"""Physics that is not the fit's: EA/L in both segments, servos that give way and stop short, a return cable that loses tension
+"""Physics other than the fit's: EA/L in both segments, compliant servos with a dead band, a return cable that loses tension
 at every joint, guide pins of 1 mm."""
 STIFFNESS = {"path_length": 0.02, "spring_stiffness": 0.1, "tendon_stiffness": 0.2, "drive_stiffness": 0.2}
 
@@ -82,25 +82,25 @@ WORKSHOPS: dict[str, Workshop] = {
 
 
 def varied_digit(digit: Digit, reach: Mapping[str, float], draw: Callable[[tuple[int, ...]], Array]) -> Digit:
-    """A digit whose numbers are 1 + reach · draw times as large; `reach` is by field name, `draw` gives a shape of numbers."""
+    """A digit with parameters multiplied by 1 + reach · draw; `reach` is by field name, `draw` returns numbers of a shape."""
     return scaled_digit(digit, {name: 1 + size * draw(np.shape(getattr(digit, name))) for name, size in reach.items()})
 
 
 def varied_hand(hand: Hand, tolerance: Mapping[str, float], rng: np.random.Generator) -> Hand:
-    """A hand whose digits' numbers have relative standard deviations, by field name of `Digit`, about those of another."""
+    """A random hand whose digits deviate from another's by relative standard deviations, by field name of `Digit`."""
     digits = {name: varied_digit(digit, tolerance, rng.standard_normal) for name, digit in hand.digits.items()}
     return replace(hand, digits=digits)
 
 
 def varied_metal(middle: Metal, zero: float, factors: Array) -> Metal:
-    """Metal with another servo zero [rad], and with so many times the servo stiffness and frictions."""
+    """Metal with a shifted servo zero [rad], and with servo stiffness and frictions multiplied by factors."""
     names = ("servo_stiffness", "joint_friction", "tendon_friction", "cable_friction")
     scaled = {name: getattr(middle, name) * factor for name, factor in zip(names, factors, strict=False)}
     return replace(middle, servo_zero=middle.servo_zero + zero, **scaled)
 
 
 def build(workshop: Workshop, count: int, seed: int) -> list[Built]:
-    """`count` hands of a workshop; hand i of a seed is the same for any count."""
+    """`count` hands with given tolerances; hand i of a seed is the same for any count."""
     built = []
     for number in range(count):
         rng = np.random.default_rng([seed, number])
@@ -121,11 +121,11 @@ class PopulationErrors:
     """Mean absolute error of every hand [°]."""
 
     uncompensated: Array
-    """Against Eq. (9), of the nine joints in the order of `EVALUATED`, shape (hands, 9)."""
+    """Error of Eq. (9) for the nine joints in the order of `EVALUATED`, shape (hands, 9)."""
     compensated: Array
-    """Against Eqs. (12), (13), shape (hands, 9)."""
+    """Error of Eqs. (12), (13), shape (hands, 9)."""
     driven: Array
-    """The same of MP and the four MCP, which the paper takes as undeformed, shape (hands, 5)."""
+    """The same for MP and the four MCP, which the paper takes as undeformed, shape (hands, 5)."""
 
 
 def errors_of(built: list[Built]) -> PopulationErrors:
@@ -149,7 +149,7 @@ COLUMNS = (
 
 
 def populations(count: int, seed: int) -> Part:
-    """Errors of nominal compensation on hands as a workshop makes them."""
+    """Errors of nominal compensation on hands with manufacturing tolerances."""
     errors = {name: errors_of(build(shop, count, seed)) for name, shop in progress(WORKSHOPS.items(), "populations")}
     rows = rows_of(COLUMNS, errors)
     text = f"## Populations: {count} hands each, seed {seed}; median and the middle 95 %\n\n{table('hands', COLUMNS, rows)}\n"
@@ -158,7 +158,7 @@ def populations(count: int, seed: int) -> Part:
 
 
 def population_figure(found: Mapping[str, PopulationErrors]) -> Figure:
-    """Share of hands whose worst of nine joints is below an error, by workshop."""
+    """Share of hands whose worst of nine joints is below an error, by manufacturing tolerance."""
     figure = Figure(figsize=(9, 5), layout="constrained")
     axis = figure.subplots()
     for name, errors in found.items():
@@ -171,11 +171,11 @@ def population_figure(found: Mapping[str, PopulationErrors]) -> Figure:
     return figure
 
 
-# What each cause adds ----------------------------------------------------------------
+# Contribution of each cause ----------------------------------------------------------
 
 
 def hands_of_causes() -> dict[str, Built]:
-    """Hands that differ from the assumptions of Eqs. (12), (13) in one thing each, all with the nominal numbers."""
+    """Hands that each violate one assumption of Eqs. (12), (13), all with the nominal parameters."""
     ideal = scaled_hand(HPAC, {"drive_stiffness": 1e4})
 
     def alone(hand: Hand = ideal, **metal: float) -> Built:

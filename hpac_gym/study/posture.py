@@ -1,4 +1,4 @@
-"""``hpac posture``: show the paper's gestures and grasp shapes, draw them all, send one to a hand."""
+"""``hpac posture``: show or draw the paper's gestures and grasp shapes, or send one to a hand."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Send = Callable[[str, ServoCommand, Hand], None]
 
 
 def add_arguments(parser: argparse.ArgumentParser, send: Send | None = None) -> None:
-    """The command's options; without a `send` there is no ``--port``."""
+    """Add the command's options; ``--port`` only if `send` is given."""
     parser.add_argument("name", metavar="NAME|list|all", help="a posture, the list of them, or all on a contact sheet")
     parser.add_argument("--hand", type=Path, metavar="TOML", help="hand parameters (default: the nominal hand)")
     parser.add_argument("--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)")
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser, send: Send | None = None) -> 
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """List, show, draw or send."""
+    """Run the command: list, show, draw or send postures."""
     hand = load_hand(arguments.hand) if arguments.hand else HPAC
     everything = arguments.name in ("list", "all")
     shown = list(POSTURES.values()) if everything else [posture(arguments.name)]
@@ -69,13 +69,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def command_to(item: Posture, hand: Hand = HPAC) -> ServoCommand:
-    """The command that takes an open hand into a posture at the rate limit."""
+    """Command that moves an open hand to a posture at the rate limit."""
     servo = reach(item.target_joint_pos, hand).servo
     return ServoCommand(servo, max(move_duration(hand.servo_min, servo, hand), 0.1))
 
 
 def description(item: Posture, hand: Hand = HPAC) -> dict[str, object]:
-    """Everything about a posture, by joint and servo name [rad]."""
+    """Description of a posture as data, by joint and servo name [rad]."""
     taken = reach(item.target_joint_pos, hand)
     return {
         "panel": item.panel,
@@ -90,13 +90,13 @@ def description(item: Posture, hand: Hand = HPAC) -> dict[str, object]:
 
 
 def summary(item: Posture, hand: Hand = HPAC) -> str:
-    """A posture in one line."""
+    """Description of a posture in one line."""
     names, distance = "/".join((item.name, *item.aliases)), reach(item.target_joint_pos, hand).distance
     return f"{item.panel:>2}  {names:<20} {item.kind:<10} {distance:5.3f} rad off  {item.about}"
 
 
 def table(item: Posture, hand: Hand = HPAC) -> str:
-    """A posture in full."""
+    """Table of a posture's joint and servo angles."""
     taken = reach(item.target_joint_pos, hand)
     lines = [f"{item.name}: {item.about} (panel {item.panel})", f"{'joint':<12} target [rad]  reachable [rad]"]
     for name, target, joint in zip(JOINTS, item.target_joint_pos, taken.joint_pos.round(9) + 0.0, strict=True):
@@ -108,7 +108,7 @@ def table(item: Posture, hand: Hand = HPAC) -> str:
 
 
 def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
-    """A contact sheet of postures that the simulated hand took from open, by its servos."""
+    """Draw a contact sheet of postures, each reached by the simulated hand from open."""
     columns = min(SHEET_COLUMNS, len(items))
     rows = -(-len(items) // columns)
     figure = Figure(figsize=(2.2 * columns, 2.4 * rows), layout="constrained")
@@ -130,7 +130,7 @@ def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
 
 
 def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand:
-    """A simulated hand that its servos took from open into a posture; close it when done."""
+    """Simulate a hand that moves from open to a posture; the caller closes it."""
     sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals)
     sim.reset(np.zeros(len(SERVOS)))
     command = command_to(item, hand)

@@ -1,6 +1,6 @@
 """The paper's processing of a record: radians, zero-phase Butterworth, unwrapping, drift correction; then points.
 
-Unwrapping stands before the filter here: a low-pass smears a jump of 2π over its neighbours, and on a record without such a
+Here unwrapping precedes the filter: a low-pass would smear a jump of 2π over neighbouring samples. On a record without such a
 jump the order makes no difference.
 """
 
@@ -16,20 +16,20 @@ from hpac_gym.model.checks import Array
 from hpac_gym.study.record import REST, RecordError, Sweep, joints_of_servo
 
 CUTOFF_HZ = 3.0
-"""Cut-off of the low-pass. A point is held for half a second: much lower, and the steps beside it would smear into it."""
+"""Cut-off of the low-pass [Hz]. A point is held for half a second; a much lower cut-off would mix in the adjacent steps."""
 MOST_MISSING = 0.2
-"""Share of a joint's samples in a segment that may be missing."""
+"""Largest share of missing samples of a joint in a segment."""
 LONGEST_GAP = 6
-"""Sampling periods from one sample to the next, at most."""
+"""Longest gap between samples, in sampling periods."""
 FAR = 6.0
-"""Robust standard deviations from which a sample of something that stands still is not one of it."""
+"""Robust standard deviations beyond which a sample of a stationary joint is an outlier."""
 LEAST_NOISE = np.deg2rad(0.02)
-"""A camera is not taken to be better than this [rad]."""
+"""Lower bound of the assumed camera noise [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """The sampling points of a sweep: the mean of what was measured while the servos held still."""
+    """The sampling points of a sweep: means over the samples with stationary servos."""
 
     trial: np.ndarray
     """Shape (k,)."""
@@ -38,19 +38,19 @@ class Points:
     phase: np.ndarray
     """Index in `PHASES`, shape (k,)."""
     servo: Array
-    """u, shape (k, 6) [rad]."""
+    """Servo angles u, shape (k, 6) [rad]."""
     joint_pos: Array
-    """q_meas, shape (k, 15) [rad]; NaN where no sample of a point was measured."""
+    """Joint angles q_meas, shape (k, 15) [rad]; NaN for points without a measurement."""
 
 
 def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
     """The record after the paper's processing, segment by segment.
 
-    A frame that was dropped and a joint that a frame lacks are bridged by a straight line for the filter, and are missing again
-    after it: they cost those samples only.
+    Dropped frames and missing measurements are interpolated linearly for the filter and removed again after it, so that only
+    these samples are lost.
 
     Raises:
-        RecordError: A segment is not sampled evenly, lacks too many samples, or is too short to filter.
+        RecordError: A segment is not sampled evenly, has too many missing samples, or is too short to filter.
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
     """
     joint_pos = sweep.joint_pos.copy()
@@ -74,10 +74,10 @@ def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
 
 
 def sampling_rate(time: Array) -> float:
-    """Rate of even samples [Hz], of which some may be missing.
+    """Rate of evenly spaced samples [Hz], some of which may be missing.
 
     Raises:
-        RecordError: A gap is off a multiple of the median one by more than 5 % of it, or longer than `LONGEST_GAP` of them.
+        RecordError: A gap deviates from a multiple of the median gap by more than 5 % of it, or exceeds `LONGEST_GAP` of them.
     """
     gaps = np.diff(time)
     period = float(np.median(gaps)) if gaps.size else 0.0
@@ -91,7 +91,7 @@ def sampling_rate(time: Array) -> float:
 
 
 def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
-    """Second-order Butterworth low-pass, run forwards and backwards so that it has no phase.
+    """Zero-phase second-order Butterworth low-pass, run forwards and backwards.
 
     Args:
         values: shape (n, ...).
@@ -102,7 +102,7 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
         RecordError: Fewer samples than the filter needs at its ends.
     """
-    from scipy import signal  # takes a second to load, and most commands filter nothing
+    from scipy import signal  # takes a second to load, and most commands do not filter
 
     if not 0 < cutoff_hz < rate_hz / 2:
         raise WorkspaceError(f"cut-off = {cutoff_hz} Hz must lie between 0 and {rate_hz / 2:g} Hz")
@@ -114,10 +114,10 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
 
 
 def without_drift(sweep: Sweep) -> Sweep:
-    """The record less the camera's drift: the straight line in time through what the swept joints read at rest.
+    """Subtract the camera's drift: a straight line in time through the readings of the swept joints at rest.
 
-    Uses the rest poses of a segment alone, where the swept joints are at zero; samples far from the others of a rest are left
-    out. A segment that rests only at one end gets a constant, one that never rests is left alone.
+    Uses only the rest poses of a segment, where the swept joints are at zero, without outliers. If a segment rests at one end
+    only, the drift is a constant; a segment without rest is left unchanged.
     """
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
@@ -151,7 +151,7 @@ def points(sweep: Sweep) -> Points:
     """One entry for every sampling point of every segment and direction.
 
     Raises:
-        RecordError: No sample stands at a sampling point.
+        RecordError: No sample belongs to a sampling point.
     """
     held = (sweep.point >= 0) & (sweep.phase != REST)
     if not held.any():
@@ -164,14 +164,14 @@ def points(sweep: Sweep) -> Points:
 
 
 def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:
-    """Means of the rows of every group, and how many values went into each, NaN left out.
+    """Means over the rows of every group, and the number of values in each, ignoring NaN.
 
     Args:
         values: shape (n, m).
         group: number of each row's group, shape (n,).
 
     Returns:
-        Means and counts, shape (groups, m); NaN is the mean of nothing.
+        Means and counts, shape (groups, m); a mean without values is NaN.
     """
     seen = ~np.isnan(values)
     total, count = np.zeros((2, group.max() + 1, values.shape[1]))

@@ -1,10 +1,10 @@
-"""Hands in metal, at rest at every servo angle: a second physics, which shares no code with the model and its fit.
+"""Hands in metal: a quasi-static simulation of built hands, which shares no code with the model and its fit.
 
-Each joint is in balance or held by friction, and remembers where it was: the friction of a slow motion is followed step by step
-along the servo's path, not assumed to be fully against it. A hand in metal also has what the model leaves out: servos that give
-way, guides with a radius, a return cable that loses tension at every joint, stops. It has no dynamics and no camera.
+Each joint is in equilibrium or held by friction, depending on its history: friction is followed step by step along the servo's
+path, instead of being assumed to oppose the motion fully. A hand in metal also has effects that the model omits: compliant
+servos, guides with a radius, a return cable that loses tension at every joint, stops. It has no dynamics and no camera.
 
-`hpac_gym.model.settled` solves the same balance in closed form for the parts that the model knows;
+`hpac_gym.model.settled` solves the same equilibrium in closed form for the effects that the model contains;
 `tests/study/test_quasistatic.py` compares the two.
 """
 
@@ -16,43 +16,43 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpac_gym.errors import HpacError
-from hpac_gym.model import JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
 
 _ROUNDS = 3000
-"""Most rounds over the joints for one servo angle: a digit falls back into a slack tendon in up to 800, all others need 80."""
+"""Maximal number of rounds per servo angle: a digit that falls back into a slack tendon needs up to 800, others 80."""
 _STILL = 2e-7
-"""A round that moves no joint further than this is the last [rad]: some 1e-6 rad from the balance, 1e-4°."""
+"""Convergence threshold of the joints' motion in a round [rad]: about 1e-6 rad from equilibrium, 1e-4°."""
 _STEPS = 3
-"""Newton's steps of the root joint in each round."""
+"""Newton steps of the root joint in each round."""
 
 
 class SettleError(HpacError, RuntimeError):
-    """A digit in metal does not come to rest: the message gives what its joints still move in the last round."""
+    """The equilibrium of a digit does not converge; the message gives the motion in the last round."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metal:
-    """Build of one digit, beyond the numbers of the model."""
+    """Properties of one built digit beyond the model's parameters."""
 
     first_segment: float = 2.0
-    """Stiffness of a finger's first coupling segment over EA/L: 2 is this project's reading of Eq. (12), 1 the plain one."""
+    """Stiffness of a finger's first coupling segment relative to EA/L: 2 as this project assumes for Eq. (12), or 1."""
     servo_stiffness: float = np.inf
     """Stiffness of the servo at its horn [N·m/rad]."""
     servo_zero: float = 0.0
-    """Where the horn stands when the servo is commanded to 0 [rad]."""
+    """Angle of the horn at the command 0 [rad]."""
     dead_band: float = 0.0
-    """Error that the servo leaves alone [rad]."""
+    """Dead band of the servo, in which it does not correct errors [rad]."""
     joint_friction: float = 0.0
     """Friction torque of every joint's bearing [N·m]."""
     tendon_friction: float = 0.0
-    """Share of the tendons' load that each joint's guides hold back."""
+    """Friction at each joint's guides as a share of the tendons' load."""
     cable_friction: float = 0.0
-    """Coefficient μ with which the return cable slides round the joints: its tension changes by e^(μ Σq) up to a joint."""
+    """Friction coefficient μ of the return cable round the joints: its tension changes by e^(μ Σq) up to a joint."""
     guide_radius: float = 0.0
     """Radius of the two pins over which the driving tendon runs [m]."""
     stop: tuple[float, ...] = ()
-    """Angles at which the joints meet their stops, root first [rad]; none if empty."""
+    """Stop angles of the joints, root first [rad]; no stops if empty."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Built:
 
 
 class _Digits:
-    """Numbers of many digits with the same number of joints, each of shape (n,) or (n, joints)."""
+    """Parameters of many digits with the same number of joints, each of shape (n,) or (n, joints)."""
 
     def __init__(self, digits: Sequence[Digit], metal: Sequence[Metal]) -> None:
         def column(items: Sequence[Digit | Metal], name: str) -> Array:
@@ -87,10 +87,10 @@ class _Digits:
         self.rest_path = np.sqrt(self.guide_sum - self.guide_product * np.cos(self.alpha))
 
     def driven(self, root: Array, horn: Array) -> tuple[Array, Array, Array]:
-        """Stretch [m], moment arm [m] and tension [N] of the driving tendons, (n,), for angles of roots and horns, (n,) [rad].
+        """Stretch [m], moment arm [m] and tension [N] of the driving tendons for root and horn angles [rad], all of shape (n,).
 
-        The tendon runs on the joint's side of both pins. It wraps round them by as much as the joint turns, and its line lies
-        closer to the joint's axis by the pins' radius.
+        The tendon passes both pins on the side of the joint. Its wrap angle is the joint angle, and its line is closer to the
+        joint's axis by the pins' radius.
         """
         included = self.alpha - root
         chord = np.sqrt(self.guide_sum - self.guide_product * np.cos(included))
@@ -100,14 +100,16 @@ class _Digits:
         return stretch, np.maximum(arm - self.guide_radius, 1e-6), tension
 
 
-def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array) -> Array:
-    """Joint angles of many digits along a slow path of their servos, which starts with every digit straight.
+def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array, groups: int = 1) -> Array:
+    """Joint angles of many digits along a slow path of their servos that starts with straight digits.
 
     Args:
-        digits: all with the same number of joints.
-        metal: one for each digit.
-        servo: commanded angles, one path for each digit, shape (steps, n) [rad]; a step should move the digit by no more than
-            some degrees, so that friction acts along the way.
+        digits: digits with the same number of joints.
+        metal: properties of each digit.
+        servo: commanded angles, one path per digit, shape (steps, n) [rad]; a step should move the digit by a few degrees at
+            most, so that friction acts along the path.
+        groups: number of equally sized groups of digits; each iterates until it converges, so its result is bit-identical to a
+            separate call.
 
     Returns:
         Shape (steps, n, joints), root first [rad].
@@ -121,26 +123,29 @@ def follow(digits: Sequence[Digit], metal: Sequence[Metal], servo: Array) -> Arr
     course = np.empty((len(servo), *joint_pos.shape))
     for step, commanded in enumerate(servo):
         horn = np.clip(horn, commanded - dead_band, commanded + dead_band)
-        joint_pos = _rest(joint_pos, numbers, horn + zero)
+        joint_pos = _rest(joint_pos, numbers, horn + zero, groups)
         course[step] = joint_pos
     return course
 
 
-def _rest(before: Array, numbers: _Digits, horn: Array) -> Array:
-    """Angles at which digits come to rest from angles `before`, shape (n, joints): joint by joint until none moves any more."""
+def _rest(before: Array, numbers: _Digits, horn: Array, groups: int) -> Array:
+    """Equilibrium angles reached from angles `before`, shape (n, joints), iterating over the joints until all groups converge."""
     joint_pos = before.copy()
+    rests = np.zeros(groups, dtype=bool)
     for _ in range(_ROUNDS):
         last = joint_pos.copy()
         for joint in range(joint_pos.shape[1]):
             friction = _friction(joint, joint_pos, numbers, horn)
             flexed, extended = _balance(joint, joint_pos, numbers, horn, np.stack([friction, -friction]))
-            # held by friction between the two; it leaves its place only if that lies outside of them
+            # friction holds the joint between the two angles; it moves only if it is outside
             held = np.minimum(np.maximum(before[:, joint], flexed), extended)
             joint_pos[:, joint] = np.minimum(np.maximum(held, 0.0), numbers.stop[:, joint])
-        moved = np.abs(joint_pos - last).max()
-        if moved < _STILL:
+        joint_pos.reshape(groups, -1)[rests] = last.reshape(groups, -1)[rests]
+        moved = np.abs(joint_pos - last).reshape(groups, -1).max(axis=1)
+        rests |= moved < _STILL
+        if rests.all():
             return joint_pos
-    raise SettleError(f"joints still move by {moved:.1e} rad in round {_ROUNDS}, the last; at rest is below {_STILL} rad")
+    raise SettleError(f"joints still move by {moved.max():.1e} rad in round {_ROUNDS}, the last; at rest is below {_STILL} rad")
 
 
 def _friction(joint: int, joint_pos: Array, numbers: _Digits, horn: Array) -> Array:
@@ -157,7 +162,7 @@ def _friction(joint: int, joint_pos: Array, numbers: _Digits, horn: Array) -> Ar
 
 
 def _balance(joint: int, joint_pos: Array, numbers: _Digits, horn: Array, against: Array) -> Array:
-    """Angle of one joint, the others held, at which the torque in flexion equals `against`, both of shape (..., n) [rad, N·m]."""
+    """Angle of one joint, with the others fixed, at which the flexion torque equals `against`, shape (..., n) [rad, N·m]."""
     radius = numbers.radius
     own = radius[:, joint]
     stiffness, pull = numbers.spring.copy(), numbers.spring * ((radius * joint_pos).sum(axis=1) - own * joint_pos[:, joint])
@@ -175,7 +180,7 @@ def _balance(joint: int, joint_pos: Array, numbers: _Digits, horn: Array, agains
         stretch, arm, tension = numbers.driven(angle, horn)
         torque = arm * tension + own * (pull - stiffness * own * angle) - against
         step = torque / (np.where(stretch > 0, numbers.drive * arm**2, 0.0) + stiffness * own**2)
-        # a slack digit falls no further than into its tendon, and a servo at its limit yields until it holds
+        # limit the step to where a slack tendon gets taut, or a servo at its torque limit holds again
         slack, spare = stretch / arm - 1e-7, (stretch - numbers.limit / numbers.drive) / arm
         step = np.maximum(step, np.where(stretch > 0, np.where((spare > 0) & (torque > 0), spare, -np.inf), slack))
         angle = np.minimum(angle + step, numbers.alpha - 1e-3)
@@ -187,26 +192,29 @@ def hand_course(built: Sequence[Built], servo: Array, steps: int = 1, servos: Se
 
     Args:
         built: the hands.
-        servo: commanded angles, shape (k, 6), or (hands, k, 6) where every hand has a path of its own [rad].
-        steps: from one row of `servo` to the next.
-        servos: indices of those that move; the joints of the others are left at 0.
+        servo: commanded angles, shape (k, 6), or (hands, k, 6) for one path per hand [rad].
+        steps: quasi-static steps per row of `servo`.
+        servos: indices of the moving servos; the joints of the others stay at 0.
 
     Returns:
-        Shape (hands, k, 15) [rad].
+        Joint angles, shape (hands, k, 15) [rad].
 
     Raises:
-        SettleError: A digit does not come to rest.
+        SettleError: The equilibrium of a digit does not converge.
     """
     servo = np.broadcast_to(servo, (len(built), *servo.shape[-2:]))
     rows = np.arange(servo.shape[1])
     fine = np.arange(0, rows[-1] + 0.5 / steps, 1 / steps)
     course = np.zeros((*servo.shape[:2], len(JOINTS)))
-    for column, name in enumerate(built[0].hand.digits):
-        if column in servos:
-            digits = [item.hand.digits[name] for item in built]
-            path = np.stack([np.interp(fine, rows, angles) for angles in servo[:, :, column]], axis=1)
-            found = follow(digits, [item.metal[column] for item in built], path)[::steps]
-            course[:, :, [JOINT_INDEX[joint] for joint in digits[0].joints]] = found.transpose(1, 0, 2)
+    moving = [(column, name) for column, name in enumerate(built[0].hand.digits) if column in servos]
+    for joints in {len(HPAC.digits[name].joints) for _, name in moving}:
+        alike = [(column, name) for column, name in moving if len(HPAC.digits[name].joints) == joints]
+        digits = [item.hand.digits[name] for _, name in alike for item in built]
+        metal = [item.metal[column] for column, _ in alike for item in built]
+        path = np.stack([np.interp(fine, rows, angles) for column, _ in alike for angles in servo[:, :, column]], axis=1)
+        found = follow(digits, metal, path, len(alike))[::steps]
+        for (_, name), course_of in zip(alike, np.split(found, len(alike), axis=1), strict=True):
+            course[:, :, [JOINT_INDEX[joint] for joint in HPAC.digits[name].joints]] = course_of.transpose(1, 0, 2)
     if len(SERVOS) - 1 in servos:
         course[:, :, JOINT_INDEX["thumb_cmc"]] = np.array([[item.hand.cmc_gain] for item in built]) * servo[:, :, -1]
     return course

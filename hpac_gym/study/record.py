@@ -24,18 +24,18 @@ JOINT_COLUMNS = tuple(f"joint_{name}_rad" for name in JOINTS)
 COLUMNS = (*LABELS, "time_s", *SERVO_COLUMNS, *JOINT_COLUMNS)
 
 ANGLE_LIMIT = np.pi
-"""No servo or joint of the hand turns further [rad]: a larger number is in degrees."""
+"""No servo or joint of the hand turns further [rad]; a larger number is in degrees."""
 
 
 class RecordError(HpacError, ValueError):
-    """A sweep record lacks a column, or holds a value that cannot be what it says; the message names column and row."""
+    """A sweep record lacks a column or contains an invalid value; the message names column and row."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """A record, one entry a camera sample.
+    """A record with one entry per camera sample.
 
-    A *segment* is what belongs together in time: one trial of one swept servo, rest, flexion, and maybe extension.
+    A *segment* is contiguous in time: one trial of one swept servo, with rest, flexion, and possibly extension.
     """
 
     trial: np.ndarray
@@ -45,9 +45,9 @@ class Sweep:
     phase: np.ndarray
     """Index in `PHASES`, shape (n,)."""
     point: np.ndarray
-    """Number of the sampling point while the servos hold still there, −1 in motion, shape (n,)."""
+    """Number of the sampling point while the servos are stationary there, −1 in motion, shape (n,)."""
     time: Array
-    """Shape (n,) [s]."""
+    """Time of the sample, shape (n,) [s]."""
     servo: Array
     """Commanded servo angles u, shape (n, 6) [rad]."""
     joint_pos: Array
@@ -76,7 +76,7 @@ def concatenate(parts: list[Sweep]) -> Sweep:
 
 
 def joints_of_servo(servo: int) -> list[int]:
-    """Indices in `JOINTS` of what a servo moves."""
+    """Indices in `JOINTS` of the joints that a servo moves."""
     return np.flatnonzero(HPAC.servo_of_joint == servo).tolist()
 
 
@@ -84,7 +84,7 @@ def joints_of_servo(servo: int) -> list[int]:
 
 
 def write_sweep(path: str | os.PathLike[str], sweep: Sweep) -> None:
-    """Write `sweep.csv`, whole or not at all; angles to 1e-7 rad.
+    """Write `sweep.csv` atomically; angles to 1e-7 rad.
 
     Raises:
         OutputError: The file cannot be written.
@@ -104,15 +104,15 @@ def write_sweep(path: str | os.PathLike[str], sweep: Sweep) -> None:
 
 
 def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Sweep:
-    """The record in a `sweep.csv`.
+    """Read the record in a `sweep.csv`.
 
     Args:
         path: the file.
-        allow_missing: take a joint column that is absent for "not measured". An empty cell in a joint column always is.
+        allow_missing: treat an absent joint column as "not measured", as an empty cell in a joint column always is.
 
     Raises:
         RecordError: The file cannot be read, lacks a column, or has a cell that is NaN, not a number, in degrees or
-            unknown; or time does not rise within a segment.
+            unknown; or time does not increase within a segment.
     """
     path = Path(path)
     try:
@@ -159,7 +159,7 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
 
 
 def _column(name: str, cells: list[tuple[int, str]]) -> np.ndarray:
-    """The values of a column, from its cells and their rows in the file."""
+    """Parse the cells of a column, given with their rows in the file."""
     values = []
     for row, cell in cells:
         try:
@@ -170,11 +170,11 @@ def _column(name: str, cells: list[tuple[int, str]]) -> np.ndarray:
 
 
 def _value(name: str, cell: str) -> float | int:
-    """A cell's value; the ValueError says what is wrong with it."""
+    """Parse a cell; the ValueError states what is wrong."""
     words = {"swept": SERVOS, "phase": PHASES}.get(name)
     if words:
         if cell not in words:
-            raise ValueError(f"{cell!r} is none of {', '.join(words)}")
+            raise ValueError(f"{cell!r} is not one of {', '.join(words)}")
         return words.index(cell)
     if not cell and name in JOINT_COLUMNS:
         return np.nan

@@ -34,16 +34,16 @@ class TrialSettings:
     """Differences between two trials of one hand."""
 
     tendon_friction: float
-    """Share of the tendons' load that every joint's guides hold back."""
+    """Friction at every joint's guides as a share of the tendons' load."""
     friction_spread: float
     """Relative standard deviation of the frictions."""
     seat: float
-    """Standard deviation of where a driving tendon seats on its hub, loose or tight [m]."""
+    """Standard deviation of the driving tendon's seat on its hub, loose or tight [m]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """A rig whose hand differs from the nominal one, and how its record is filtered."""
+    """A rig whose hand deviates from the nominal one, with the filter of its record."""
 
     rig: Rig
     cutoff_hz: float
@@ -54,10 +54,10 @@ class Reference:
 
 
 def load_reference(path: str | os.PathLike[str] = REFERENCE_FILE, seed: int | None = None) -> Reference:
-    """The reference hand that a TOML file describes, about the nominal one; `seed` draws another one than the file's.
+    """Load the reference hand described by a TOML file as deviations from the nominal hand; `seed` replaces the file's seed.
 
     Raises:
-        ParameterError: The file cannot be read, is not TOML, or lacks a number, or has one that is unknown or negative.
+        ParameterError: The file cannot be read or is not TOML, or a number is missing, unknown or negative.
     """
     try:
         table = tomllib.loads(Path(path).read_text(encoding="utf-8"))

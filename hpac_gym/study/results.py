@@ -1,4 +1,4 @@
-"""Results of the experiments: means and ranges, tables for people, the same numbers for programs, and figures."""
+"""Results of the experiments: means and ranges, Markdown tables, JSON data, and figures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RED, GREEN, BLUE, GREY = "#c0392b", "#1e8449", "#2471a3", "#7f8c8d"
 
 @dataclass(frozen=True, slots=True)
 class Mean:
-    """A mean over trials or seeds, and the 95 % interval of Student's t; NaN bounds for a single one."""
+    """A mean over trials or seeds with its 95 % Student's t interval; the bounds of a single value are NaN."""
 
     mean: float
     low: float
@@ -58,75 +58,75 @@ class Range:
 
 
 def range_of(values: ArrayLike) -> Range:
-    """The range of a population, shape (n,)."""
+    """Median and middle 95 % of a population, shape (n,)."""
     return Range(*np.quantile(values, (0.5, 0.025, 0.975)).tolist())
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One part's result."""
+    """Result of one part."""
 
     text: str
-    """Markdown."""
+    """Report in Markdown."""
     data: object
-    """For the JSON file: of numbers, texts, lists, mappings and dataclasses."""
+    """Contents of the JSON file: numbers, strings, lists, mappings and dataclasses."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
-    """By file name without its ending."""
+    """Figures by file name without extension."""
     caption: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One number of every row of a table."""
+    """One column of a table."""
 
     key: str
-    """Its name in the JSON file."""
+    """Name in the JSON file."""
     heading: str
-    """Its name on the page."""
+    """Heading in the Markdown table."""
     value: Callable[[Any], object]
-    """Takes it from what was found for the row."""
+    """Function of a row's result that returns the value."""
     form: str = "{}"
-    """How the page writes it."""
+    """Format in the Markdown table."""
 
 
 def rows_of(columns: Sequence[Column], found: Mapping[str, Any]) -> dict[str, dict[str, object]]:
-    """The numbers of a table's rows by key, from what was found for each row."""
+    """Values of a table's rows by key, computed from the result of each row."""
     return {name: {column.key: column.value(item) for column in columns} for name, item in found.items()}
 
 
 def table(first: str, columns: Sequence[Column], rows: Mapping[str, Mapping[str, object]]) -> str:
-    """The rows as a Markdown table; `first` is the heading of their names."""
+    """The rows as a Markdown table; `first` is the heading of the first column."""
     body = [(name, *(column.form.format(row[column.key]) for column in columns)) for name, row in rows.items()]
     return markdown((first, *(column.heading for column in columns)), body)
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table, its first column to the left and the others to the right."""
+    """A Markdown table with the first column left-aligned and the others right-aligned."""
     lines = [f"| {' | '.join(head)} |", "|---|" + "--:|" * (len(head) - 1)]
     return "\n".join([*lines, *(f"| {' | '.join(map(str, row))} |" for row in rows)])
 
 
 def label(joint: str) -> str:
-    """A joint's name for people: ``index_dip`` → ``Index DIP``."""
+    """Display name of a joint: ``index_dip`` → ``Index DIP``."""
     digit, _, part = joint.partition("_")
     return f"{digit.capitalize()} {part.upper()}"
 
 
 def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
-    """Make one of a plot's axes logarithmic, with these ticks alone."""
+    """Make one axis of a plot logarithmic, with only the given ticks."""
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})
     axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
     axis.set_minor_locator(NullLocator())
 
 
 def save(figure: Figure, path: str | os.PathLike[str], caption: str = "", picture: bool = False) -> None:
-    """Write a figure, whole or not at all, as PNG and beside it as SVG.
+    """Write a figure atomically as PNG and, with the same name, as SVG.
 
     Args:
-        figure: without a title of its own where there is a caption.
-        path: of the PNG.
-        caption: which hand, seed and record the figure shows.
-        picture: made of pixels, so that an SVG would only be larger.
+        figure: the figure, without a title if there is a caption.
+        path: path of the PNG.
+        caption: hand, seed and record of the figure.
+        picture: the figure consists of pixels, so no SVG is written.
 
     Raises:
         OutputError: A file cannot be written.

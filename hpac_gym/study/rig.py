@@ -1,6 +1,6 @@
 """The test rig: a simulated hand in a stand, a camera that measures its joints, and the servo sweep.
 
-The stand turns the hand so that the swept digit bends in a horizontal plane: its weight loads the hinges, not the tendons.
+The stand orients the hand so that the swept digit flexes in a horizontal plane: its weight loads the hinges, not the tendons.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from hpac_gym.study.bench import CAMERA, PROTOCOL, JointCamera, Protocol, rest_p
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate
 
 WORLD = WorldSettings(physics_hz=640, error_reduction=0.2)
-"""Finer steps than in the environments, so that a hand with twice the tendon stiffness is integrated as well."""
+"""Smaller time steps than in the environments, so that the integration is stable at twice the tendon stiffness."""
 
 HAND = HandSettings(armature=(1e-3, 3e-4, 3e-4), damping=Damping(0.4, overrun=0.0))
-"""The simulated hand of the rig: at this rate the integration needs less armature than in the environments."""
+"""The simulated hand of the rig, with smaller armatures than in the environments, as this rate permits."""
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-"""Orientation of a hand whose fingers point upwards, quaternion xyzw."""
+"""Orientation of a hand with fingers upwards, quaternion xyzw."""
 
 
 def settings_of(joint_friction: float, dead_band: float, tendon_friction: float = 0.0) -> HandSettings:
@@ -36,25 +36,25 @@ def settings_of(joint_friction: float, dead_band: float, tendon_friction: float 
 
 
 def upright(joint: str) -> Array:
-    """The stand's orientation that puts a driven joint's axis upright, quaternion xyzw, shape (4,)."""
+    """Orientation of the stand that makes a driven joint's axis vertical, quaternion xyzw, shape (4,)."""
     digit = load_geometry().digit(joint.split("_")[0])
     names = [phalanx.joint for phalanx in digit.phalanges]
     root = rest_pose(joint)[SERVO_INDEX["thumb_cmc"]]
     _, rotation = link_poses(digit, np.array([root, 0.0, 0.0]))[names.index(joint)]
     x, y, z = rotation @ digit.phalanges[names.index(joint)].axis
-    quaternion = np.array([y, -x, 0.0, 1.0 + z])  # the shortest turn onto +z
+    quaternion = np.array([y, -x, 0.0, 1.0 + z])  # the shortest rotation onto +z
     return quaternion / np.linalg.norm(quaternion)
 
 
 class HandOnStand:
-    """One simulated hand, held at its palm, that takes commands and lets its joints be measured.
+    """A simulated hand, fixed at its palm, with commanded servos and measurable joints.
 
     Args:
         hand: the model's parameters.
-        settings: what the simulation adds.
-        world: how it is integrated.
-        orientation: of the hand's frame in the world, quaternion xyzw.
-        visuals: whether pictures will be taken.
+        settings: settings of the simulated hand.
+        world: settings of the integration.
+        orientation: orientation of the hand frame in the world, quaternion xyzw.
+        visuals: whether pictures will be rendered.
     """
 
     def __init__(
@@ -63,19 +63,19 @@ class HandOnStand:
         self._setup = SceneSetup(None, hand=hand, hand_settings=settings, hand_quaternion=orientation)
         self.simulation = Simulation(make_engine(default_engine(), 1, world, visuals))
         self.close = self.simulation.engine.close
-        self.step = self.simulation.rest  # let a time pass [s], in whole physics steps
+        self.step = self.simulation.rest  # advances by a time [s], in whole physics steps
 
     def reset(self, synergy: Array) -> None:
         """Put the hand at rest at a synergy, shape (6,) [rad]."""
         self.simulation.reset([0], [replace(self._setup, synergy=synergy)])
 
     def command(self, servo: Array, seconds: float) -> None:
-        """Start a move to servo angles, shape (6,) [rad], that takes a time."""
+        """Start a move to servo angles, shape (6,) [rad], of the given duration [s]."""
         self.simulation.command(servo[None], seconds)
 
     @property
     def commanded(self) -> Array:
-        """Commanded servo angles now, on their way to the target, shape (6,) [rad]."""
+        """Present commanded servo angles on the way to the target, shape (6,) [rad]."""
         return self.simulation.servos.commanded[0]
 
     @property
@@ -86,7 +86,7 @@ class HandOnStand:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A hand and what measures it."""
+    """A simulated hand with its camera and sweep protocol."""
 
     hand: Hand = HPAC
     settings: HandSettings = HAND
@@ -94,16 +94,16 @@ class Rig:
     protocol: Protocol = PROTOCOL
     world: WorldSettings = WORLD
     servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
-    """Where each servo's horn stands when it is commanded to 0 [rad]; at rest the tendons are slack all the same."""
+    """Angle of each servo's horn at the command 0 [rad]; at rest the tendons are slack nevertheless."""
 
     def sweep(self, rng: np.random.Generator, trial: int = 0, servos: tuple[str, ...] = SERVOS, label: str = "") -> Sweep:
         """Sweep one servo after the other over the nominal hand's range, the others at rest, and record every frame.
 
         Args:
-            rng: the camera's noise.
-            trial: the number that the rows carry.
-            servos: which ones.
-            label: shown beside the progress bar, none if empty.
+            rng: generator of the camera's noise.
+            trial: trial number of the rows.
+            servos: servos to sweep.
+            label: label of the progress bar; no bar if empty.
         """
         parts = []
         for name in progress(servos, label, bool(label)):
@@ -117,7 +117,7 @@ class Rig:
         labels, commanded, measured = [], [], []
 
         def rest() -> None:
-            sim.reset(rest_pose(SERVOS[swept]))  # laid against its stops: friction alone would hold it off them
+            sim.reset(rest_pose(SERVOS[swept]))  # reset against its stops, which friction would prevent it from reaching
             record(self.protocol.rest, REST)
 
         def record(seconds: float, phase: int, point: int = -1) -> None:
@@ -134,7 +134,7 @@ class Rig:
             sim.command(target + zero, moving)
             record(moving, phase)
             record(self.protocol.hold, phase, point)
-            labels[-1] = (phase, -1)  # so that the point's samples lie evenly about the middle of the hold
+            labels[-1] = (phase, -1)  # so that the point's samples are symmetric about the middle of the hold
 
         angles = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], self.protocol.points)
         rest()
@@ -144,7 +144,7 @@ class Rig:
             for point, angle in reversed(list(enumerate(angles))):
                 go_to(angle, EXTENDING, point)
         else:
-            record(self.protocol.hold, EXTENDING)  # the way back starts well after the last point
+            record(self.protocol.hold, EXTENDING)  # the extension starts well after the last point
             go_to(angles[0], EXTENDING, -1)
         rest()
 

@@ -1,7 +1,7 @@
-"""Rival calibrations: what each makes of a few points of a sweep, judged on where the joints really are.
+"""Comparison of calibration methods, fitted to a few points of a sweep and evaluated against the true joint angles.
 
-Every rival maps one servo's angle to the angles of the joints that it moves, fitted to N sampling points. The honest race is on
-hands whose physics is in none of the models (`OTHER_METAL`); the race at home is on hands that obey the laws of the fit.
+Every method maps one servo's angle to the angles of the joints that it moves, fitted to N sampling points. The main comparison
+is on hands whose physics none of the models contains (`OTHER_METAL`); the other one is on hands that obey the laws of the fit.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from hpac_gym.study.results import Mean, Part, log_ticks, markdown, mean_of
 from hpac_gym.study.samples import digit_samples
 
 SAMPLES = (3, 4, 6, 8, 16, 31)
-"""Training points of each servo."""
+"""Numbers of training points per servo."""
 DEGREE = 4
 UNITS = 6
 
 OTHER_METAL = Workshop({**STIFFNESS, **geometry(0.005)}, ZERO, OTHER_LAWS)
-"""Hands whose physics is not the model's. All of it is chosen."""
+"""Hands whose physics is not the model's. All values are chosen."""
 HOME_METAL = replace(OTHER_METAL, metal=FIT_LAWS)
 """Hands of the same tolerances that obey the laws of the fit."""
 RACES = {"rivals": ("physics that is not the model's", OTHER_METAL), "rivals-at-home": ("physics of the fit", HOME_METAL)}
-"""Title and hands of every race, by the name of the part."""
+"""Title and hands of every comparison, by the name of the part."""
 COMMON_ERRORS = JointCamera(common_scale=0.002, common_wander=np.deg2rad(0.05), outliers=0.005)
-"""A camera with errors that all joints share: 0.2 % of scale, 0.05° that wander within seconds; and 0.5 % mistaken markers."""
+"""A camera with errors common to all joints, 0.2 % of scale and a drift of 0.05° within seconds, and 0.5 % outliers."""
 Predictor = Callable[[Array], Array]
-"""Servo angles (k,) to joint angles (k, joints)."""
+"""Function from servo angles (k,) to joint angles (k, joints)."""
 
 
 def linear_scaling(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
-    """One factor a joint through the rest pose: q = a u."""
+    """One factor per joint, through the rest pose: q = a u."""
     factor = servo @ joint_pos / (servo @ servo)
     return lambda angle: angle[:, None] * factor
 
 
 def polynomial(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
-    """A polynomial a joint, of degree 4 or as far as the points reach."""
+    """One polynomial per joint, of degree 4 or less for fewer than five points."""
     degree = min(DEGREE, len(servo) - 1)
     factors = np.polynomial.polynomial.polyfit(servo, joint_pos, degree)
     return lambda angle: np.polynomial.polynomial.polyval(angle, factors).T
 
 
 def gaussian_process(servo: Array, joint_pos: Array, base: Predictor) -> Predictor:
-    """A Gaussian process on top of a first guess: squared exponential and white noise, by marginal likelihood."""
+    """Gaussian process with squared-exponential kernel and white noise on top of a base model, by marginal likelihood."""
     rest = joint_pos - base(servo)
     scale = max(float(rest.std()), 1e-6)
     gaps = (servo[:, None] - servo) ** 2
@@ -82,7 +82,7 @@ def gaussian_process(servo: Array, joint_pos: Array, base: Predictor) -> Predict
 
 
 def network(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
-    """A network of one hidden layer of six tanh units on top of linear scaling, least squares with weight decay."""
+    """A network with one hidden layer of six tanh units on top of linear scaling, by least squares with weight decay."""
     base = linear_scaling(servo, joint_pos, rng, model)
     rest, span = joint_pos - base(servo), servo.max()
     scale = max(float(np.abs(rest).max()), 1e-6)
@@ -113,17 +113,17 @@ RIVALS = {
 }
 UNTRAINED = {"rigid model, Eq. (9)": rigid_joints_from_servo, "paper's model, Eqs. (5), (12)": elastic_joints_from_servo}
 IDENTIFIED = {"paper's model, its numbers fitted": True, "`hpac calibrate`": False}
-"""Fits of the physics, and whether they are the paper's equations alone."""
+"""Fitted physical models, and whether they are restricted to the paper's equations."""
 
 
 @dataclass(frozen=True, slots=True)
 class Race:
-    """Mean absolute error of the nine joints against the truth [°], by method and number of training points."""
+    """Mean absolute error of the nine joints [°], by method and number of training points."""
 
     trained: dict[str, dict[int, Mean]]
     untrained: dict[str, Mean]
     camera: Mean
-    """What the camera's scale alone leaves, to whoever believes it."""
+    """Error caused by the camera's scale error alone."""
     hands: int
 
     def winners(self) -> dict[int, str]:
@@ -135,12 +135,12 @@ class Race:
 
 
 def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Race:
-    """Fit every method to random points of one sweep of each hand, and judge it on where that hand's joints are.
+    """Fit every method to random points of one sweep of each hand, and evaluate it against the true joint angles.
 
     Args:
-        workshop: how the hands are built.
-        hands: how many; each has another choice of the training points.
-        seed: of hands, camera, choices and the network's first weights.
+        workshop: tolerances of the hands.
+        hands: number of hands; each has its own choice of training points.
+        seed: seed of hands, camera, choices and the network's initial weights.
         samples: numbers of training points of each servo.
     """
     built = build(workshop, hands, seed)
@@ -158,7 +158,7 @@ def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...]
 
 
 def _errors_of_hand(record: Sweep, truth: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
-    """Every method's error for one hand. All get the same points: means of the samples without those far from the others."""
+    """Errors of all methods for one hand. All get the same points: means of the samples without outliers."""
     few = record.phase == REST
     predicted = {name: np.zeros_like(truth) for name in RIVALS}
     for swept, digit in enumerate(HPAC.digits.values()):
@@ -176,7 +176,7 @@ def _errors_of_hand(record: Sweep, truth: Array, number: int, rng: np.random.Gen
 
 
 def _model_of(swept: int, joints: list[int]) -> Predictor:
-    """The nominal paper's model of what one servo moves."""
+    """The paper's nominal model of the joints that one servo moves."""
     return lambda angle: elastic_joints_from_servo(angle[:, None] * np.eye(len(SERVOS))[swept])[:, joints]
 
 
@@ -192,7 +192,7 @@ def _error(predicted: Array, truth: Array) -> float:
 
 
 def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
-    """The race on one of the `RACES`, with its figure."""
+    """Run one of the `RACES`, with its figure."""
     title, workshop = RACES[stem]
     found = run_race(workshop, count, seed, samples)
     lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
@@ -201,7 +201,7 @@ def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES)
     body += [(f"{name}, untrained", value, *[""] * (len(samples) - 1)) for name, value in found.untrained.items()]
     body.append(("best", *found.winners().values()))
     lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
-    lines += [f"The camera's scale alone, which no method can see, leaves {found.camera}°.", ""]
+    lines += [f"The camera's scale error alone, which no method can observe, leaves {found.camera}°.", ""]
     caption = f"{count} hands in metal, {title}, camera with common errors, seed {seed}"
     return Part("\n".join(lines), found, {stem: race_figure(found)}, caption)
 

@@ -1,4 +1,4 @@
-"""The points of one digit in a record: means of the samples that belong together, stops found, drift left open."""
+"""The sampling points of one digit in a record: sample means, detected stops, and the uncertainty of the drift."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_dri
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep
 
 STOP_SLOPE = 0.3
-"""A joint that turns by less than this share of its usual rate, to the end of the sweep, rests at a stop."""
+"""A joint that turns by less than this share of its usual rate until the end of the sweep rests at a stop."""
 BEFORE_STOP = 0.7
-"""The same for the last step before that, in which it met the stop."""
+"""The same share for the preceding step, in which it met the stop."""
 TURNED = 0.1
-"""Share of the servo's range after a turn in which friction has not yet turned round everywhere."""
+"""Share of the servo's range after a reversal within which friction has not reversed everywhere."""
 
 
 @dataclass(frozen=True, slots=True)
 class DigitSamples:
-    """Points of one servo's sweeps, each the mean of its samples."""
+    """Sampling points of one servo's sweeps, each the mean of its samples."""
 
     joints: tuple[str, ...]
-    """What the servo moves, root first."""
+    """Joints that the servo moves, root first."""
     servo: Array
     """Commanded angle, shape (k,) [rad]."""
     direction: Array
@@ -34,25 +34,25 @@ class DigitSamples:
     point: np.ndarray
     """Number of the sampling point, shape (k,)."""
     joint_pos: Array
-    """Mean of the samples without those that lie far from the others, drift taken out, shape (k, joints) [rad]; NaN: none."""
+    """Mean of the samples without outliers, corrected for drift, shape (k, joints) [rad]; NaN without samples."""
     deviation: Array
-    """Standard deviation of that mean as the samples' own scatter tells it, shape (k, joints) [rad]."""
+    """Standard deviation of that mean from the scatter of the samples, shape (k, joints) [rad]."""
     line: Array
-    """Uncertainty of the drift, for unit noise of a sample: of its offset and its slope, shape (k, 2)."""
+    """Uncertainty of the drift's offset and slope for unit noise of a sample, shape (k, 2)."""
     noise: Array
-    """Standard deviation of one sample, by joint [rad]."""
+    """Standard deviation of one sample, shape (joints,) [rad]."""
     samples: int
     outliers: int
-    """Samples that lie far from the others of their point."""
+    """Number of samples far from the others of their point."""
     missing: tuple[str, ...]
     """Joints without a measurement."""
     stops: dict[str, float]
-    """Where joints were found to rest at a stop [rad]; the points from there on are left out."""
+    """Angles at which joints were found to rest at a stop [rad]; the points from there on are left out."""
     at_stops: int
-    """Points that are left out for it."""
+    """Number of points left out because of stops."""
 
     def only(self, rows: np.ndarray) -> DigitSamples:
-        """The same with some of the points."""
+        """The samples restricted to some points."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _OF_POINTS})
 
 
@@ -60,7 +60,7 @@ _OF_POINTS = ("servo", "direction", "point", "joint_pos", "deviation", "line")
 
 
 def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand = HPAC) -> DigitSamples | None:
-    """The points of a servo's sweeps without those at stops and near the turn; None if none of the joints is measured."""
+    """Sampling points of a servo's sweeps without those at stops or near the reversal; None if no joint was measured."""
     corrected = without_drift(record)
     parts = []
     for rows in record.segments():
@@ -109,7 +109,7 @@ def _phase_points(
 
 
 def _open_line(sweep: Sweep, segment: np.ndarray, time: Array) -> Array:
-    """Uncertainty that the rest poses leave in a segment's drift line, shape (k, 2): offset and slope, decorrelated."""
+    """Remaining uncertainty of a segment's drift line after the rest poses, shape (k, 2): offset and slope, decorrelated."""
     line = np.zeros((len(time), 2))
     rest = segment[sweep.phase[segment] == REST]
     if rest.size < 2:
@@ -122,7 +122,7 @@ def _open_line(sweep: Sweep, segment: np.ndarray, time: Array) -> Array:
 
 
 def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSamples:
-    """Leave out the points at which a joint of the digit rests at a stop: beyond them the digit is another mechanism."""
+    """Leave out the points at which a joint of the digit rests at a stop, where the model does not apply."""
     rows = np.flatnonzero(samples.direction == FLEXION)
     rows = rows[np.argsort(samples.servo[rows], kind="stable")]
     angles, first = np.unique(np.round(samples.servo[rows], 6), return_index=True)
@@ -143,9 +143,9 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
         if start < len(rate):
             found[name], starts[name] = float(np.nanmean(course[start:])), start
         if start > 0 and rate[start - 1] < BEFORE_STOP * usual:
-            start -= 1  # the step in which it met the stop, or might have
+            start -= 1  # the step in which it may have met the stop
         if start < len(rate):
             limit = min(limit, angles[start])
     kept = samples.servo <= limit + 1e-6
-    stops = {name: found[name] for name, start in starts.items() if start == min(starts.values())}  # the others are held by it
+    stops = {name: found[name] for name, start in starts.items() if start == min(starts.values())}  # this one holds the others
     return replace(samples.only(np.flatnonzero(kept)), stops=stops, at_stops=int((~kept).sum()))

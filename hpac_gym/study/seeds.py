@@ -1,4 +1,4 @@
-"""The share of reference sweeps that show the paper's printed figures, over other draws of the tolerances and other speeds."""
+"""Share of reference sweeps that reproduce the paper's printed figures, for other tolerance draws and speeds."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from hpac_gym.study.reference import load_reference
 from hpac_gym.study.results import Column, Part, range_of, rows_of, table
 
 SPEEDS = {0.75: 1.0, 1.5: 1.0, 3.0: 0.5, 6.0: 0.2}
-"""Seconds per point, and what share of the seeds is swept so: a slow sweep takes long. The reference file's is 1.5 s."""
+"""Seconds per point, and the share of the seeds swept at that speed: fewer for slow sweeps. The reference file has 1.5 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeedRun:
-    """One simulated sweep: the seed draws the hand's tolerances and the camera's noise."""
+    """Result of one simulated sweep; the seed determines the hand's tolerances and the camera's noise."""
 
     seed: int
     seconds_per_point: float
     index_dip: tuple[float, float]
     """Mean absolute error without and with compensation [°]."""
     worst_joint: float
-    """Compensated, of the nine [°]."""
+    """Largest compensated error of the nine joints [°]."""
     met: dict[str, bool]
-    """By `PRINTED` figure."""
+    """Whether each of the `PRINTED` figures is reproduced."""
 
 
 def run_seed(reference_file: str | os.PathLike[str], seed: int, seconds_per_point: float) -> SeedRun:
@@ -61,11 +61,11 @@ COLUMNS = (
 
 
 def seeds(reference_file: str | os.PathLike[str], count: int, speeds: Mapping[float, float]) -> Part:
-    """Seeds 0 … count − 1 at every speed, of a slow one the first of them.
+    """Sweep seeds 0 … count − 1 at every speed, or the first of them at slow speeds.
 
     Args:
-        reference_file: the tolerances and the camera.
-        count: seeds.
+        reference_file: file of the tolerances and the camera.
+        count: number of seeds.
         speeds: share of the seeds by seconds per point.
     """
     jobs = [(seed, seconds) for seconds, share in speeds.items() for seed in range(max(round(share * count), 1))]

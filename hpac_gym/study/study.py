@@ -1,4 +1,4 @@
-"""``hpac study``: what the compensation is worth on other hands than its own, and what the paper leaves to future work."""
+"""``hpac study``: accuracy of the compensation on hands with tolerances, and the paper's future work."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ from hpac_gym.study.reference import REFERENCE_FILE, load_reference
 from hpac_gym.study.results import Part, save
 
 TRIAL_PROTOCOL = {"points": 15, "seconds_per_point": 3.0}
-"""Slow: a finger that stops from a faster move overshoots into the band where friction holds it, and the hysteresis is gone."""
+"""Slow, because a finger that stops from a faster move overshoots within its friction band, which hides the hysteresis."""
 QUICK_PROTOCOL = {"points": 9, "seconds_per_point": 1.0}
 COMMANDED = "all of these, geometry 1 %"
-"""The workshop whose hands are calibrated and commanded."""
+"""Tolerances of the hands that are calibrated and commanded."""
 
 
 class StudyError(HpacError, ValueError):
-    """The command line names a part that is not there."""
+    """The command line names an unknown part."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"which of {', '.join(PARTS)} (default: all)")
-    parser.add_argument("--hands", type=whole_number(2), metavar="N", help="hands of each population (400; costly parts: fewer)")
-    parser.add_argument("--seeds", type=whole_number(2), default=20, metavar="N", help="of the reference sweep (%(default)s)")
-    parser.add_argument("--trials", type=whole_number(3), default=5, metavar="N", help="trials, tracking runs (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of all of them (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="few and coarse: a test of the command, not a result")
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"parts to run: {', '.join(PARTS)} (default: all)")
+    parser.add_argument("--hands", type=whole_number(2), metavar="N", help="hands per population (400; costly parts: fewer)")
+    parser.add_argument("--seeds", type=whole_number(2), default=20, metavar="N", help="reference seeds (%(default)s)")
+    parser.add_argument("--trials", type=whole_number(3), default=5, metavar="N", help="trials and tracking runs (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all parts (%(default)s)")
+    parser.add_argument("--quick", action="store_true", help="few and coarse runs, to test the command")
     parser.add_argument("--reference", type=Path, default=REFERENCE_FILE, metavar="TOML", help="the simulated hand and camera")
-    parser.add_argument("--out", type=Path, default=Path("runs/study"), metavar="DIR", help="where results go (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("runs/study"), metavar="DIR", help="folder of the results (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the parts one after the other; each writes its table, its figures and its numbers when it is done."""
+    """Run the parts in sequence; each writes its table, figures and numbers when it is complete."""
     unknown = [name for name in arguments.parts if name not in PARTS]
     if unknown:
         raise StudyError(f"{', '.join(unknown)}: hpac study knows the parts {', '.join(PARTS)}")
@@ -65,7 +65,7 @@ def _hands(arguments: argparse.Namespace, usual: int) -> int:
     return arguments.hands or (4 if arguments.quick else usual)
 
 
-# The parts: what the options mean for each ------------------------------------------------
+# The parts: interpretation of the options -------------------------------------------------
 
 
 def _rivals(stem: str, options: argparse.Namespace) -> Part:
@@ -101,4 +101,4 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
         load_reference(options.reference), options.trials, options.seed, (0.5,) if options.quick else tracking.RATES_HZ
     ),
 }
-"""Parts by the name that the command line takes."""
+"""Parts by their names on the command line."""

@@ -19,22 +19,22 @@ from hpac_gym.study.reference import REFERENCE_FILE, Reference, load_reference
 from hpac_gym.study.results import label, markdown, save
 
 WORKSPACE_STREAM, EVALUATION_STREAM = 0, 1
-"""Streams of the camera's noise: two separate sweeps."""
+"""Random streams of the camera's noise in the two sweeps."""
 WORKSPACE_POINTS = 21
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("--record", type=Path, metavar="CSV", help="evaluate this record, sweep nothing")
+    parser.add_argument("--record", type=Path, metavar="CSV", help="evaluate this record instead of simulating a sweep")
     parser.add_argument("--hand", type=Path, metavar="TOML", help="the model under test (default: the nominal hand)")
     parser.add_argument("--reference", type=Path, default=REFERENCE_FILE, metavar="TOML", help="the simulated hand and camera")
-    parser.add_argument("--out", type=Path, default=Path("runs/sweep"), metavar="DIR", help="where results go (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("runs/sweep"), metavar="DIR", help="folder of the results (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Sweep or read, evaluate, write figures and tables."""
+    """Simulate or read a sweep, evaluate it, write figures and tables."""
     hand = load_hand(arguments.hand) if arguments.hand else HPAC
     out = arguments.out
     result: dict[str, object] = {"hand": hand.name}
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def simulate(reference: Reference, stream: int, label: str = "", **protocol: object) -> Sweep:
-    """One sweep of the reference hand, with its own stream of camera noise."""
+    """Simulate one sweep of the reference hand, with its own stream of camera noise."""
     return reference.rig.with_protocol(**protocol).sweep(np.random.default_rng([reference.seed, stream]), label=label)
 
 
@@ -78,7 +78,7 @@ def accuracy_table(errors: Accuracy) -> str:
 
 
 def workspace_table(table: dict[str, tuple[float, float]], hand: Hand) -> str:
-    """Measured workspace in the form of Table I, beside the paper's, with what the rigid map makes of Table I's driven joint."""
+    """Measured workspace in the form of Table I, compared with the paper's and with the rigid map of its driven joints."""
     head = ("finger joint", "label", "measured [q_min, q_max] (rad)", "Table I (rad)", "short of Table I [°]", "rigid map (rad)")
     rigid = hand.synergy_max.take(hand.servo_of_joint) * hand.rigid_ratio
     rows = []

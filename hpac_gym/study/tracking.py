@@ -1,7 +1,7 @@
 """Dynamic tracking: sine and minimum-jerk commands at several rates, open loop and with the camera in the loop.
 
-The camera's loop is slow and late, so it does not chase the joints: it learns what the command lacks, a lag and an offset for
-either direction, and shifts the command by it.
+The camera is too slow and delayed for direct feedback of the joint angles: instead the loop estimates a lag and an offset for
+each direction, and shifts the command by them.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from hpac_gym.study.rig import UPRIGHT, HandOnStand
 CONTROL_HZ = 20.0
 RATES_HZ = (0.25, 0.5, 1.0)
 MIDDLE, AMPLITUDE = 0.5, 0.3
-"""Shares of the driven joints' range."""
+"""Mean and amplitude of the profile as shares of the driven joints' range."""
 WARM_UP = 3.0
-"""Periods before the error counts, in which the camera's loop learns."""
+"""Periods before the error counts, during which the camera's loop learns."""
 PERIODS = 3.0
-LONGEST_LAG = 0.3  # s, that is looked for
-SAMPLES = 4  # of the camera, a control period
+LONGEST_LAG = 0.3  # s, upper bound of the estimate
+SAMPLES = 4  # camera samples per control period
 
 Profile = Callable[[Array], Array]
 
 
 def sine(phase: Array) -> Array:
-    """−1…1 over one period of `phase`, shape kept."""
+    """Sine of range −1…1 with period 1 in `phase`, of the same shape."""
     return np.sin(2 * np.pi * phase)
 
 
 def back_and_forth(phase: Array) -> Array:
-    """Course from −1 to 1 and back in one period, each half a minimum-jerk move."""
+    """Motion from −1 to 1 and back in one period, each half a minimum-jerk move."""
     phase = np.asarray(phase) % 1.0
     return 2 * minimum_jerk(np.where(phase < 0.5, 2 * phase, 2 - 2 * phase)) - 1
 
@@ -52,7 +52,7 @@ PROFILES: dict[str, Profile] = {"sine": sine, "minimum_jerk": back_and_forth}
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One run: where the joints should be and where the camera saw them."""
+    """Desired and measured joint angles of one run."""
 
     time: Array
     """Shape (n,) [s]."""
@@ -63,7 +63,7 @@ class Track:
 
 
 def synergy_of(profile: Profile, rate_hz: float, time: Array | float) -> Array:
-    """The commanded synergies: fingers and thumb about half of their range, CMC at rest where the thumb is clear."""
+    """The commanded synergies: fingers and thumb around half of their range, the CMC constant where the thumb is clear."""
     span = HPAC.synergy_max - HPAC.synergy_min
     synergy = HPAC.synergy_min + (MIDDLE + AMPLITUDE * profile(rate_hz * np.asarray(time)))[..., None] * span
     synergy[..., SERVO_INDEX["thumb_cmc"]] = THUMB_CLEAR
@@ -72,26 +72,26 @@ def synergy_of(profile: Profile, rate_hz: float, time: Array | float) -> Array:
 
 @dataclass(slots=True)
 class Observer:
-    """Correction of the command, learned from the camera: a lag, and for either direction an offset of every digit.
+    """Correction of the command, learned from the camera: a lag, and an offset of every digit for each direction.
 
-    A digit's error is that of its joints in units of its root joint, averaged. It is explained as offset − lag · rate by
-    normalised least mean squares; the lag is what all digits share.
+    A digit's error is the average over its joints in units of its root joint. It is modelled as offset − lag · rate and fitted by
+    normalised least mean squares; the lag is common to all digits.
     """
 
     lag: float = 0.0
-    """[s]"""
+    """Estimated lag of the hand [s]."""
     offset: Array = field(default_factory=lambda: np.zeros((2, 5)))
     """Offset of each digit in flexion and in extension, shape (2, 5) [rad]."""
     lag_gain: float = 0.05
     offset_gain: float = 0.1
-    """Share of an error that one frame corrects."""
+    """Share of an error that is corrected per frame."""
 
     def update(self, error: Array, rate: Array) -> None:
         """Learn from one frame.
 
         Args:
-            error: of every digit, where it was seen less where it should have been, shape (5,) [rad].
-            rate: of the wanted course at that time, shape (5,) [rad/s].
+            error: measured minus desired angle of every digit, shape (5,) [rad].
+            rate: rate of the desired motion at that time, shape (5,) [rad/s].
         """
         flexing = (rate < 0).astype(int)
         power = float((rate**2).mean())
@@ -100,30 +100,30 @@ class Observer:
         self.offset[flexing, np.arange(len(error))] += self.offset_gain * error
 
     def correction(self, rate: Array) -> Array:
-        """Offsets to take off the command for a course of given rates, shape (5,) [rad]."""
+        """Offsets to subtract from the command at the given rates, shape (5,) [rad]."""
         return self.offset[(rate < 0).astype(int), np.arange(len(rate))]
 
 
 def root_error(seen: Array, wanted: Array) -> Array:
-    """Error of every digit in units of its root joint, averaged over its joints, shapes (15,) to (5,) [rad]."""
+    """Error of every digit in units of its root joint, averaged over its joints, from shape (15,) to (5,) [rad]."""
     error = (seen - wanted) / HPAC.elastic_ratio
     return np.array([error[[JOINT_INDEX[name] for name in digit.joints]].mean() for digit in HPAC.digits.values()])
 
 
 def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random.Generator, closed: bool = False) -> Track:
-    """Stream a profile to the reference hand at the control rate and watch it, four samples a control period.
+    """Stream a profile to the reference hand at the control rate and measure it, four samples per control period.
 
     Args:
         reference: the hand, with its tendon friction and servo lag.
-        profile: over one period.
-        rate_hz: periods a second.
-        rng: the camera's noise.
-        closed: the camera's frame of the period before corrects the command.
+        profile: motion over one period.
+        rate_hz: periods per second.
+        rng: generator of the camera's noise.
+        closed: whether the camera's frame of the previous period corrects the command.
     """
     rig, observer = reference.rig, Observer()
     servo_settings = replace(rig.settings.servo, lag=reference.servo_lag)
     settings = replace(rig.settings, tendon_friction=reference.trials.tendon_friction, servo=servo_settings)
-    world = replace(rig.world, collisions=False)  # all five digits move at once, and thumb and index would meet
+    world = replace(rig.world, collisions=False)  # all five digits move at once; thumb and index would collide
     period, steps = 1 / CONTROL_HZ, int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
     noise = rng.normal(0.0, rig.camera.noise, (steps * SAMPLES, len(JOINTS)))
 
@@ -137,7 +137,7 @@ def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random
     servo, seen = servo_from_synergy(synergy(0.0)), []
     for step in range(steps):
         now, then = (step - 1) * period, (step + 1) * period
-        if closed and step > 1:  # the frame at the end of the period before the last
+        if closed and step > 1:  # the frame is one control period old
             observer.update(root_error(seen[-1 - SAMPLES], joints_from_synergy(synergy(now))), rate(now))
         wanted = synergy(then + observer.lag)
         wanted[:-1] -= observer.correction(rate(then + observer.lag))
@@ -154,7 +154,7 @@ def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random
 
 
 def lag(time: Array, wanted: Array, measured: Array) -> float:
-    """The delay that makes a wanted course fit a measured one best in least squares, offset aside [s]."""
+    """Least-squares delay of a measured motion relative to the desired one, ignoring an offset [s]."""
     delays = np.arange(0.0, LONGEST_LAG, 2e-3)
     inside = time > time[0] + LONGEST_LAG
     errors = [np.var(measured[inside] - np.interp(time[inside] - delay, time, wanted)) for delay in delays]
@@ -174,13 +174,13 @@ class Tracked:
     closed: bool
     """Whether the camera was in the loop."""
     lag_s: dict[str, Mean]
-    """By joint, and `mean` over the joints."""
+    """Lag by joint, and `mean` over the joints [s]."""
     rms_deg: dict[str, Mean]
-    """By joint, and `mean` over the joints."""
+    """RMS error by joint, and `mean` over the joints [°]."""
 
 
 def run_tracking(reference: Reference, name: str, rate_hz: float, closed: bool, count: int, seed: int) -> Tracked:
-    """Several runs of one of the `PROFILES`, in which friction and the camera's noise differ."""
+    """Several runs of one of the `PROFILES` with different friction and camera noise."""
     lags, errors = {joint: [] for joint in EVALUATED}, {joint: [] for joint in EVALUATED}
     for run in range(count):
         rng = np.random.default_rng([seed, run])
@@ -213,7 +213,7 @@ def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[flo
 
 
 def tracking_figure(found: list[Tracked]) -> Figure:
-    """RMS error of the nine joints over the rate of the command, open loop and closed."""
+    """Figure of the RMS error of the nine joints over the rate of the command, in open and closed loop."""
     figure = Figure(figsize=(10, 4.5), layout="constrained")
     axes = figure.subplots(1, len(PROFILES), sharey=True)
     for axis, profile in zip(axes, PROFILES, strict=True):

@@ -16,15 +16,15 @@ from hpac_gym.study.reference import Reference
 from hpac_gym.study.results import BLUE, GREY, Column, Mean, Part, label, mean_of, rows_of, table
 
 DRIVEN = (0.1, 0.9)
-"""The part of the servo's range over which a hysteresis is averaged: neither end, where the direction turns."""
+"""Part of the servo's range over which a hysteresis is averaged, excluding the ends, where the direction reverses."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointTrials:
-    """One joint in all trials."""
+    """Measured angles of one joint in all trials."""
 
     servo: Array
-    """Shape (k,) [rad]."""
+    """Servo angles, shape (k,) [rad]."""
     flexion: Array
     """Shape (trials, k) [rad]."""
     extension: Array
@@ -32,13 +32,13 @@ class JointTrials:
 
 
 def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, ...] = SERVOS) -> Sweep:
-    """Sweeps in both directions; friction and the tendons' seats differ from trial to trial.
+    """Simulate sweeps in both directions; friction and the tendons' seats vary from trial to trial.
 
     Args:
-        reference: the hand; its own tendon friction comes from its `trials`.
-        count: trials.
-        seed: of the differences and of the camera.
-        servos: which are swept.
+        reference: the hand, whose tendon friction is given by its `trials`.
+        count: number of trials.
+        seed: seed of the variations and of the camera.
+        servos: servos to sweep.
     """
     parts = []
     for trial in progress(range(count), "trials"):
@@ -56,7 +56,7 @@ def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, .
 
 
 def by_joint(found: Points) -> dict[str, JointTrials]:
-    """The trials of every joint that was swept, one row a trial, in the order of the points."""
+    """The trials of every swept joint, one row per trial, in the order of the points."""
     return {
         JOINTS[joint]: JointTrials(
             _table(found, int(servo), found.servo[:, servo], FLEXING)[0],
@@ -74,7 +74,7 @@ def _table(found: Points, servo: int, values: Array, phase: int) -> Array:
 
 
 def hysteresis_width(joint: JointTrials) -> Array:
-    """Extension less flexion at equal servo angles, averaged over `DRIVEN`, of every trial, shape (trials,) [rad]."""
+    """Extension minus flexion at equal servo angles, averaged over `DRIVEN`, for every trial, shape (trials,) [rad]."""
     share = (joint.servo - joint.servo[0]) / (joint.servo[-1] - joint.servo[0])
     inside = (share >= DRIVEN[0]) & (share <= DRIVEN[1])
     return (joint.extension - joint.flexion)[:, inside].mean(axis=1)
@@ -110,7 +110,7 @@ def trials(reference: Reference, count: int, seed: int) -> Part:
 
 
 def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:
-    """Extension less flexion over the servo's angle, every trial a line."""
+    """Figure of extension minus flexion over the servo's angle, one line per trial."""
     figure = Figure(figsize=(13, 8), layout="constrained")
     for axis, (name, joint) in zip(figure.subplots(3, 5, sharey=True).flat, joints.items(), strict=False):
         width = np.degrees(joint.extension - joint.flexion)

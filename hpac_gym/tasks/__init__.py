@@ -1,1 +1,1 @@
-"""The tasks: what is drawn, judged, observed and rewarded, as functions of the `SceneState` of n worlds. No engine."""
+"""The tasks: sampling, judging, observations and rewards, as functions of the `SceneState` of n worlds."""

@@ -1,4 +1,4 @@
-"""What a camera measures, with noise of its own random stream for every world."""
+"""Simulated cameras, with a separate random stream of noise for every world."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from hpac_gym.physics.engine import SceneSetup, SceneState
 
 @dataclass(frozen=True, slots=True)
 class CameraNoise:
-    """Standard deviations of what the camera sees; all normally distributed.
+    """Standard deviations of the camera's Gaussian measurement noise.
 
     Raises:
         ParameterError: One is negative or not finite.
     """
 
     position: float = 0.0015
-    """Of each coordinate, every step [m]."""
+    """Noise of each coordinate, drawn every step [m]."""
     angle: float = 0.02
-    """Of the rotation about each axis, every step [rad]."""
+    """Noise of the rotation about each axis, drawn every step [rad]."""
     size: float = 0.03
-    """Of each half extent, once an episode, relative."""
+    """Relative noise of each half-extent, drawn once per episode."""
 
     def __post_init__(self) -> None:
         if not all(0 <= deviation < inf for deviation in astuple(self)):
@@ -35,22 +35,22 @@ class CameraNoise:
 
 
 class ObjectCamera:
-    """Sees the object of each of n worlds.
+    """Camera that measures the pose and size of the object in each of n worlds.
 
     Args:
         num_worlds: n.
-        noise: of the measurement.
+        noise: measurement noise.
     """
 
     def __init__(self, num_worlds: int, noise: CameraNoise) -> None:
         self._noise = noise
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
         self._position, self._angle = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 1))
-        self._shown = np.zeros((2, num_worlds, 1))  # whether the object has an axis to be seen, and a side
+        self._shown = np.zeros((2, num_worlds, 1))  # whether the object has a visible axis, and a visible side
         self._half_extents, self._draw = np.zeros((num_worlds, 3)), np.zeros((num_worlds, 6))
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
-        """Begin an episode: of a setup, with `factor` times the noise, from a generator of its own."""
+        """Begin an episode of a setup, with `factor` times the noise, drawn from `rng`."""
         noise, shape = self._noise, setup.object.shape
         self._rng[world] = rng
         self._position[world], self._angle[world] = noise.position * factor, noise.angle * factor
@@ -58,14 +58,14 @@ class ObjectCamera:
         self._shown[:, world, 0] = shape != "sphere", shape == "box"
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
-        """A new look at some worlds, and the last one at the others.
+        """Measure some worlds anew; the others keep their last noise.
 
         Returns:
-            The object's seen `position` (n, 3) [m], its axes `up` and `side` (n, 3), and its `half_extents` (n, 3) [m].
+            Measured `position` (n, 3) [m], axes `up` and `side` (n, 3), and `half_extents` (n, 3) [m] of the objects.
         """
         for world in worlds:
             self._draw[world] = self._rng[world].standard_normal(6)
-        # Both axes in one go: at n = 1 a call costs more than its numbers.
+        # Both axes in one call: at n = 1 the call overhead dominates.
         axes, tilt = state.object_rotation[:, :, [2, 0]].transpose(2, 0, 1), self._angle * self._draw[:, 3:]
         up, side = _tilted(axes, tilt, self._shown)
         return {
@@ -77,7 +77,7 @@ class ObjectCamera:
 
 
 class MarkerCamera:
-    """Measures the joint angles of the hand of each of n worlds by its markers, as in the paper's experiment.
+    """Camera that measures the joint angles of n hands by their markers, as in the paper's experiment.
 
     Args:
         num_worlds: n.
@@ -90,22 +90,22 @@ class MarkerCamera:
         self._deviation, self._draw = np.zeros((num_worlds, 1)), np.zeros((num_worlds, len(JOINTS)))
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
-        """Begin an episode, with `factor` times the noise, from a generator of its own."""
+        """Begin an episode, with `factor` times the noise, drawn from `rng`."""
         self._rng[world], self._deviation[world] = rng, self._noise * factor
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
-        """A new look at some worlds, and the last one at the others: the measured `joint_pos`, shape (n, 15) [rad]."""
+        """Measure `joint_pos`, shape (n, 15) [rad]; worlds that are not given keep their last noise."""
         for world in worlds:
             self._draw[world] = self._rng[world].standard_normal(len(JOINTS))
         return {"joint_pos": state.joint_pos + self._deviation * self._draw}
 
 
 def _tilted(axis: Array, tilt: Array, length: Array) -> Array:
-    """Axes, shape (m, n, 3), turned by small rotations, shape (n, 3) [rad], and made as long as asked, shape (m, n, 1)."""
+    """Axes, shape (m, n, 3), rotated by small angles, shape (n, 3) [rad], and scaled to given lengths, shape (m, n, 1)."""
     seen = axis + np.einsum("ijk,nj,mnk->mni", _CROSS, tilt, axis)
     return length / np.maximum(np.sqrt(np.einsum("mni,mni->mn", seen, seen))[..., None], 1e-12) * seen
 
 
 _CROSS = np.zeros((3, 3, 3))
-"""The cross product as a tensor; at so few numbers `np.cross` takes ten times as long."""
+"""The cross product as a tensor; for arrays this small `np.cross` takes ten times as long."""
 _CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0, -1.0

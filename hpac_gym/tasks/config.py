@@ -1,4 +1,4 @@
-"""Frozen settings: their bounds, checked where they are made, and settings read from what JSON can hold."""
+"""Frozen settings: checks of their bounds on construction, and settings from JSON-compatible mappings."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def _are_numbers(given: object, count: int) -> bool:
 
 
 def check_bounds(settings: Any, name: str) -> None:
-    """Refuse a number or a range that leaves the `bounds` of its field, and make a tuple of a range.
+    """Refuse numbers and ranges that leave the `bounds` of their field, and convert ranges to tuples.
 
     Args:
         settings: a frozen dataclass whose fields are made by `hpac_gym.tasks.task.setting`.
-        name: what messages call it.
+        name: name of the settings in error messages.
 
     Raises:
-        ParameterError: A field is no number or no ordered pair of numbers, or leaves its bounds; None is let through where it
+        ParameterError: A field is not a number or an ordered pair of numbers, or leaves its bounds; None is accepted where it
             is the default.
     """
     for quantity in fields(settings):
@@ -43,15 +43,15 @@ def check_bounds(settings: Any, name: str) -> None:
 
 
 def settings_from(default: Settings, given: Any, name: str) -> Settings:
-    """Settings from themselves, or from a mapping of some of their fields, as JSON has them; the others keep their defaults.
+    """Settings from an instance, or from a mapping of some of their fields; the other fields keep their defaults.
 
     Args:
-        default: the settings that None stands for, a frozen dataclass.
+        default: default settings, a frozen dataclass; the result for None.
         given: settings of the same class; a mapping, nested where fields are settings themselves; or None.
-        name: what messages call it.
+        name: name of the settings in error messages.
 
     Raises:
-        ParameterError: Something else, a field that there is not, or a value that is refused; the message names the field.
+        ParameterError: Wrong type, unknown field or refused value; the message names the field.
     """
     kind = type(default)
     if given is None or isinstance(given, kind):
@@ -63,7 +63,7 @@ def settings_from(default: Settings, given: Any, name: str) -> Settings:
     for field, value in given.items():
         if field not in known:
             raise ParameterError(f"{name} has no field {field!r}; it has {', '.join(known)}")
-        if "bounds" not in known[field].metadata:  # which the settings check themselves
+        if "bounds" not in known[field].metadata:  # fields with bounds are checked by the settings themselves
             values[field] = _value(getattr(default, field), value, f"{name} {field}")
     try:
         return replace(default, **values)
@@ -74,7 +74,7 @@ def settings_from(default: Settings, given: Any, name: str) -> Settings:
 
 
 def _value(default: Any, given: Any, name: str) -> Any:
-    """A value of the default's kind: settings, a number, or as many numbers."""
+    """Convert a value to the type of its default: settings, a number, or a tuple of as many numbers."""
     if is_dataclass(default):
         return settings_from(default, given, name)
     if isinstance(default, float):

@@ -31,7 +31,7 @@ OBJECT_RANGES = ("radius", "sphere_radius", "half_height", "mass", "friction")
 
 @dataclass(frozen=True, slots=True)
 class GraspWeights:
-    """What the terms of the dense reward weigh."""
+    """Weights of the dense reward terms."""
 
     thumb: float = 0.1
     finger: float = 0.05
@@ -45,7 +45,7 @@ class GraspWeights:
 
 @dataclass(frozen=True, slots=True)
 class GraspConfig:
-    """The ranges that an episode is drawn from, uniformly, what counts as dropped, and what the reward weighs.
+    """Uniform sampling ranges of an episode, drop criterion, and reward weights.
 
     Raises:
         ParameterError: A number or a range leaves its bounds.
@@ -53,24 +53,24 @@ class GraspConfig:
 
     radius: tuple[float, float] = setting((0.010, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06))
     sphere_radius: tuple[float, float] = setting(
-        (0.020, 0.033), "of a sphere: a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
+        (0.020, 0.033), "radius of a sphere, a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
         bounds=(0.002, 0.06),
     )
-    half_height: tuple[float, float] = setting((0.030, 0.060), "of a box or cylinder [m]", bounds=(0.005, 0.15))
+    half_height: tuple[float, float] = setting((0.030, 0.060), "half-height of a box or cylinder [m]", bounds=(0.005, 0.15))
     mass: tuple[float, float] = setting((0.05, 0.25), "mass of the object [kg]", bounds=(1e-3, 2.0))
     friction: tuple[float, float] = setting(
-        (0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
+        (0.6, 1.0), "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
     )
-    gap: tuple[float, float] = setting((0.003, 0.030), "from the palm to the object [m]", bounds=(0.0, 0.1))
+    gap: tuple[float, float] = setting((0.003, 0.030), "distance from the palm to the object [m]", bounds=(0.0, 0.1))
     towards_thumb: tuple[float, float] = setting(
         (-0.030, 0.035), "place of the object's centre along y of the hand frame [m]", bounds=(-0.1, 0.1)
     )
     beyond_wrist: tuple[float, float] = setting(
         (0.095, 0.140), "place of the object's centre along z of the hand frame [m]", bounds=(0.02, 0.25)
     )
-    box_yaw: tuple[float, float] = setting((-0.8, 0.8), "turn of a box about the vertical [rad]", bounds=(-np.pi, np.pi))
-    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]", bounds=(0.0, 1.57))
-    drop_distance: float = setting(0.06, "an object that moved farther than this in the hand is dropped [m]", bounds=(5e-3, 1.0))
+    box_yaw: tuple[float, float] = setting((-0.8, 0.8), "yaw of a box about the vertical [rad]", bounds=(-np.pi, np.pi))
+    thumb_preshape: float = setting(1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57))
+    drop_distance: float = setting(0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0))
     timetable: Timetable = field(default_factory=Timetable)
     weights: GraspWeights = field(default_factory=GraspWeights)
 
@@ -82,7 +82,7 @@ class Grasp(Task):
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
 
     Args:
-        config: the ranges, and what is paid.
+        config: sampling ranges, drop criterion, timetable and reward weights.
         object: the object of every episode; None draws a primitive.
     """
 
@@ -109,7 +109,7 @@ class Grasp(Task):
         )  # fmt: skip
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        """Get ready for n worlds; returns their camera."""
+        """Allocate the state of n worlds; returns their camera."""
         self.grip = Grip(num_worlds)
         self._place, self._moved = np.zeros((num_worlds, 3)), np.zeros(num_worlds)
         self._lifted = np.zeros(num_worlds, dtype=bool)
@@ -154,9 +154,9 @@ class Grasp(Task):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance the hold timers by one control step and judge the episodes.
 
-        One fails as soon as the object is knocked away, or once it is lifted and the hand does not hold it (`Grip`). It
-        succeeds at the end of the timetable: lifted, held through the shake in six directions, and not dropped on the way
-        down.
+        An episode fails as soon as the object is knocked away, or after the lift once the hand does not hold it (`Grip`). It
+        succeeds at the end of the timetable if the object was held through the shake in six directions and not dropped on the
+        way down.
         """
         self.grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
         lifted = state.time > self.timetable.ends[1] - dt / 2
@@ -183,9 +183,9 @@ class GraspByName(Grasp):
     """Draws episodes of one named grasp; judges and rewards them as `Grasp` does.
 
     Args:
-        name: of the grasp.
-        variant: of its object; "nominal", or a held-out one.
-        config: what counts as dropped, and the timetable; its ranges are not used.
+        name: name of the grasp.
+        variant: variant of its object; "nominal", or a held-out one.
+        config: drop criterion, timetable and reward weights; its ranges are not used.
 
     Raises:
         GraspError: No grasp or variant has that name.
@@ -197,14 +197,14 @@ class GraspByName(Grasp):
         self.variant = self.grasp.variant(variant)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: where in the hand the object stands, and its turn about the vertical."""
+        """Draw one episode: the object's position in the hand frame, and its rotation about the vertical."""
         return setup_of_grasp(self.grasp, self.variant, rng, hand)
 
 
 def setup_of_grasp(
     grasp: NamedGrasp, variant: Variant, rng: np.random.Generator, hand: Hand = HPAC, spread: float = 1.0
 ) -> SceneSetup:
-    """Draw one episode of a named grasp, with `spread` times the noise of its place and turn."""
+    """Draw one episode of a named grasp, with `spread` times its position and yaw noise."""
     model = variant.object or grasp.object
     spec = ObjectSpec(
         model.shape,
@@ -234,6 +234,6 @@ def quaternion_from_rpy(rpy: tuple[float, float, float]) -> tuple[float, float, 
 
 
 def _scaled(support: Support, scale: float) -> Support:
-    """Walls as far apart as the object is larger."""
+    """The support with the distance between its walls scaled like the object."""
     gap: Array | None = None if support.gap is None else np.array(support.gap) * scale
     return replace(support, gap=None if gap is None else tuple(gap.tolist()))

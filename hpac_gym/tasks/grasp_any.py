@@ -1,4 +1,4 @@
-"""HPAC-GraspAny-v0: any object in any of its stable poses. What is not seen makes feedback worth having."""
+"""HPAC-GraspAny-v0: any object in any of its stable poses. Unobserved properties make feedback useful."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ WRISTS = ("script", "free")
 HANDS = ("nominal", "train", "test")
 WRIST_ACTIONS = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
 WRIST_REACH = np.array([0.03, 0.03, 0.03, 0.5])
-"""Of a wrist action of 1: along the world's axes [m], and about the vertical [rad]."""
+"""Wrist motion for an action of 1: along the world's axes [m], and about the vertical [rad]."""
 SIDE_DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
-"""Where gravity seems to point, one after the other, in the world."""
+"""Successive directions of apparent gravity in the world, shape (6, 3)."""
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
 class GraspAnyWeights:
-    """What the terms of the dense reward weigh."""
+    """Weights of the dense reward terms."""
 
     thumb: float = 0.5
     finger: float = 0.25
@@ -67,33 +67,33 @@ class GraspAnyWeights:
 
 @dataclass(frozen=True, slots=True)
 class GraspAnyConfig:
-    """The ranges that an episode is drawn from, uniformly, how it is judged, and what the reward weighs."""
+    """Uniform sampling ranges of an episode, success criteria, and reward weights."""
 
     width: tuple[float, float] = setting(
-        (0.005, 0.080), "smaller horizontal side of an object in a pose that the hand is asked to grip [m]",
+        (0.005, 0.080), "smaller horizontal side of an object in a pose that the task includes [m]",
         bounds=(0.0, 1.0),
     )
     flattest: float = setting(0.018, "least height of an object in such a pose [m]", bounds=(0.0, 1.0))
     gap: tuple[float, float] = setting(
-        (0.003, 0.012), "from the palm to an object beside it; a hand above one is a quarter of it higher than it might be [m]",
+        (0.003, 0.012), "distance from the palm to an object beside it; a hand above an object is a quarter of it higher [m]",
         bounds=(0.0, 0.1),
     )  # fmt: skip
     place_error: tuple[float, float] = setting(
-        (-0.012, 0.012), "of the wrist, along both horizontal axes, and of a hand beside an object upwards [m]",
+        (-0.012, 0.012), "position error of the wrist along both horizontal axes, and upwards for a hand beside an object [m]",
         bounds=(-0.1, 0.1),
     )  # fmt: skip
-    yaw_error: tuple[float, float] = setting((-0.2, 0.2), "of the wrist about the vertical [rad]", bounds=(-np.pi, np.pi))
+    yaw_error: tuple[float, float] = setting((-0.2, 0.2), "yaw error of the wrist [rad]", bounds=(-np.pi, np.pi))
     mass: tuple[float, float] = setting((0.7, 1.3), "factor of the object's mass", bounds=(0.1, 10.0))
     friction: tuple[float, float] = setting((0.8, 1.2), "factor of the friction of the object's surface", bounds=(0.1, 5.0))
-    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]", bounds=(0.0, 1.57))
+    thumb_preshape: float = setting(1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57))
     reach: float = setting(
         0.15, "an object whose centre is farther than this from `GRASP_CENTRE` is out of reach [m]", bounds=(0.01, 1.0)
     )
-    side_time: float = setting(0.2, "how long gravity seems to come from each side [s]", bounds=(0.05, 10.0))
-    ramp_time: float = setting(1.5, "how long the force grows [s]", bounds=(0.05, 10.0))
-    ramp_force: float = setting(40.0, "that it reaches in the end [N]", bounds=(0.0, 1e3))
+    side_time: float = setting(0.2, "duration of apparent gravity towards each side [s]", bounds=(0.05, 10.0))
+    ramp_time: float = setting(1.5, "duration of the force ramp [s]", bounds=(0.05, 10.0))
+    ramp_force: float = setting(40.0, "final force of the ramp [N]", bounds=(0.0, 1e3))
     timetable: Timetable = field(default_factory=lambda: Timetable(close_time=3.0, clearance=Timetable().lift_height))
-    """Of closing, lift and shake; the hand stays up afterwards."""
+    """Timetable of closing, lift and shake; the hand stays up afterwards."""
     weights: GraspAnyWeights = field(default_factory=GraspAnyWeights)
 
     def __post_init__(self) -> None:
@@ -101,7 +101,7 @@ class GraspAnyConfig:
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """When each of `PHASES` ends [s]."""
+        """End time of each of `PHASES` [s]."""
         sides = self.timetable.ends[SHAKE] + len(SIDE_DIRECTIONS) * self.side_time
         return (*self.timetable.ends[:SIDES], sides, sides + self.ramp_time)
 
@@ -110,13 +110,13 @@ class GraspAny(Task):
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
 
     Args:
-        objects: the split that objects are drawn from.
+        objects: split from which objects are drawn.
         wrist: "script" keeps the wrist where the sampler puts it; "free" lets an episode's first action move it.
-        hands: "nominal" is the hand that an episode is drawn for; otherwise one of that set of hands, which nobody is told.
-        config: the ranges, and what is paid.
+        hands: "nominal" keeps the given hand; "train" and "test" draw one from that set of hands, without telling the policy.
+        config: sampling ranges, success criteria and reward weights.
 
     Raises:
-        ParameterError: There is no such split, wrist or set of hands.
+        ParameterError: Unknown split, wrist or set of hands.
     """
 
     phases = PHASES
@@ -140,14 +140,14 @@ class GraspAny(Task):
         self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
         self.duration = config.ends[-1]
         seen = Term("object_seen", ("seen",), "0/1", 0.0, 1.0, "whether the camera sees the object now; if not, the fields above "
-                    "are what it saw last", lambda now: column(now.seen["visible"]))  # fmt: skip
+                    "hold its last measurement", lambda now: column(now.seen["visible"]))  # fmt: skip
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, seen, *progress_terms(PHASES, self.duration))
         self.privileged_terms = (*PRIVILEGED_TERMS, *self._hidden_terms())
         self.sensed_terms = {"load": LOAD_TERMS, "points": ()}
         self.reward_terms = self._rewards()
 
     def _asked(self, pose: RestingPose) -> bool:
-        """Whether the hand is asked to grip an object in a pose."""
+        """True if the task includes objects in this pose."""
         narrowest, widest = self.config.width
         return narrowest <= pose.width <= widest and pose.size[2] >= self.config.flattest
 
@@ -159,7 +159,7 @@ class GraspAny(Task):
         return (
             Term("centre_of_mass", AXES, "0.05 m", -4.0, 4.0, "of the object, from its centre along its own axes", centre_of_mass,
                  fixed=True),
-            Term("pull", AXES, "1", -1.0, 1.0, "direction in the world of the force that grows in the end",
+            Term("pull", AXES, "1", -1.0, 1.0, "world direction of the final force ramp",
                  lambda setup: DOWN if setup.pull is None else setup.pull, fixed=True),
         )  # fmt: skip
 
@@ -168,13 +168,13 @@ class GraspAny(Task):
         return (
             RewardTerm(
                 "contact",
-                f"while closing, what the touch of the object gained in this step: it is worth {weights.thumb:g} for the thumb, "
+                f"while closing, change of the contact score in this step: {weights.thumb:g} for the thumb, "
                 f"{weights.finger:g} for each finger, {weights.opposed:g} when they oppose each other",
                 lambda now: np.where(now.phase == CLOSE, self._gained, 0.0),
             ),
             RewardTerm(
                 "push",
-                f"while closing: {weights.push:g} · growth of the object's distance from where it stood, as a share of `reach`",
+                f"while closing: {weights.push:g} · growth of the object's displacement as a fraction of `reach`",
                 lambda now: np.where(now.phase == CLOSE, weights.push * self._pushed, 0.0),
             ),
             RewardTerm(
@@ -184,7 +184,7 @@ class GraspAny(Task):
             ),
             RewardTerm(
                 "force",
-                f"{weights.force:g} · holding force / {config.ramp_force:g} N, once, at the end of an episode that is won",
+                f"{weights.force:g} · holding force / {config.ramp_force:g} N, once, at the end of a successful episode",
                 self._paid_force,
             ),
             effort_term(weights),
@@ -198,7 +198,7 @@ class GraspAny(Task):
     # Episodes ------------------------------------------------------------------------------------------------------
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> Senses:
-        """Get ready for n worlds; returns what they sense."""
+        """Allocate the state of n worlds; returns their senses."""
         self.grip = Grip(num_worlds)
         self._mass, self._pull = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 3))
         self._place, self._pushed, self._distance = np.zeros((num_worlds, 3)), np.zeros(num_worlds), np.zeros(num_worlds)
@@ -211,7 +211,7 @@ class GraspAny(Task):
         return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: the object and its pose, its mass and friction, the wrist with its errors, and the pull."""
+        """Draw one episode: object, pose, mass, friction, wrist pose with errors, and direction of the pull."""
         config = self.config
         entry = self.objects[rng.integers(len(self.objects))]
         pose, model = entry.poses[rng.integers(len(entry.poses))], entry.model
@@ -234,7 +234,7 @@ class GraspAny(Task):
         return replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=variant.over(setup.hand_settings))
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
-        """The setup with the wrist where the last four numbers of an episode's first action put it."""
+        """The setup with the wrist moved by the last four numbers of an episode's first action."""
         way = WRIST_REACH * action[-len(WRIST_REACH) :]
         return placing.moved(setup, way[:3], float(way[3])) if way.any() else setup
 
@@ -259,7 +259,7 @@ class GraspAny(Task):
         return phase_at(time, self.config.ends)
 
     def push(self, times: Array) -> Array | None:
-        """Force on the object at times of each world, shape (n, k) [s]: shape (n, k, 3) [N]; None while there is none."""
+        """Force on the objects, shape (n, k, 3) [N], at times of each world, shape (n, k) [s]; None for no force."""
         begin, middle = self.config.ends[SHAKE], self.config.ends[SIDES]
         if times.max() <= begin:
             return None
@@ -269,20 +269,20 @@ class GraspAny(Task):
         return np.where(times[:, :, None] > middle, pull, np.where(times[:, :, None] > begin, weight, 0.0))
 
     def _ramp(self, time: Array) -> Array:
-        """The force that grows in the end, at times [s] [N]."""
+        """Magnitude of the final force ramp [N] at times [s]."""
         share = (time - self.config.ends[SIDES]) / self.config.ramp_time
         return self.config.ramp_force * np.minimum(np.maximum(share, 0.0), 1.0)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        One fails as soon as the object is out of reach while the hand closes, or once it is lifted and, until the end of the
-        shake, the hand does not hold it (`Grip`). One that holds it through the shake succeeds, and ends when the object slips or
-        when the force has grown to its end. Knocking an object over is no failure.
+        An episode fails as soon as the object is out of reach while the hand closes, or the hand does not hold it (`Grip`)
+        between the end of the lift and the end of the shake. An episode in which the object is held through the shake succeeds,
+        and ends when the object slips or the force ramp ends. Knocking an object over is no failure.
         """
         config, grip, ran = self.config, self.grip, self._phase
         grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
-        self._phase = phase_at(state.time + dt / 2, (*config.ends[:-1], np.inf))  # of the step that comes
+        self._phase = phase_at(state.time + dt / 2, (*config.ends[:-1], np.inf))  # phase of the next step
         begins = self._phase != ran
         grip.settle(begins & (self._phase == SHAKE))
         held = grip.holds
@@ -301,17 +301,17 @@ class GraspAny(Task):
         return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
 
     def _watch_closing(self, state: SceneState) -> None:
-        """What the last step gained in touch, and how much farther the object is from where it stood, as a share of `reach`."""
+        """Record the last step's gain in touch, and growth of the object's displacement as a fraction of `reach`."""
         weights, thumb, fingers = self.config.weights, state.touching[:, _THUMB], state.touching[:, _FINGERS].sum(axis=1)
         touch = weights.thumb * thumb + weights.finger * fingers + weights.opposed * (thumb & (fingers > 0))
         self._gained, self._touch = touch - self._touch, touch
         distance = np.minimum(np.linalg.norm(state.object_pos - self._place, axis=1) / self.config.reach, 1.0)
         self._pushed, self._distance = distance - self._distance, distance
 
-    # What is told --------------------------------------------------------------------------------------------------
+    # Outputs -------------------------------------------------------------------------------------------------------
 
     def report(self, now: Moment) -> dict[str, Any]:
-        """What `info` says of a step."""
+        """Entries of `info` for a step."""
         return scene_report(self, now) | {
             "holding_force": np.where(now.outcome == FAILURE, 0.0, self.holding_force),
             "sides": self.sides.copy(),
@@ -321,6 +321,6 @@ class GraspAny(Task):
 
 
 CAMERA_TARGET = np.array([0.03, 0.0, 0.10])
-"""What the camera looks at, in the hand frame [m]."""
+"""Point in the hand frame at which the camera looks [m]."""
 _THUMB = PARTS.index("thumb")
 _FINGERS = [PARTS.index(name) for name in PARTS[2:]]

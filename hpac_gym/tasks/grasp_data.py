@@ -39,7 +39,7 @@ class Variant:
     mass: float = 1.0
     friction: float = 1.0
     object: ObjectModel | None = None
-    """What takes the place of the grasp's own object, in its pose and on its support."""
+    """Object that replaces the grasp's own, in its pose and on its support; None keeps the own one."""
 
     def __post_init__(self) -> None:
         factors = (self.scale, self.mass, self.friction)
@@ -49,7 +49,7 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class NamedGrasp:
-    """One grasp: all that an episode of it is drawn from, and the closure that a person would program for it."""
+    """One named grasp: the data from which its episodes are drawn, and its scripted closure."""
 
     name: str
     family: str
@@ -58,28 +58,28 @@ class NamedGrasp:
     friction: float
     """Coulomb coefficient of the object's surface."""
     hand_rpy: Vector
-    """Of the hand's frame in the world: fixed-axis roll, pitch, yaw [rad]."""
+    """Orientation of the hand's frame in the world: fixed-axis roll, pitch, yaw [rad]."""
     object_rpy: Vector
-    """Of the object's frame in the world [rad]."""
+    """Orientation of the object's frame in the world: fixed-axis roll, pitch, yaw [rad]."""
     position: Vector
     """Centre of the object in the hand frame [m]."""
     preshape: Array
-    """Synergy at the start, shape (6,) [rad]."""
+    """Initial synergy, shape (6,) [rad]."""
     closed: Array
-    """Synergy that the scripted closure ends in, shape (6,) [rad]."""
+    """Final synergy of the scripted closure, shape (6,) [rad]."""
     support: Support
     position_noise: Vector
-    """Half ranges along the axes of the hand frame [m]."""
+    """Half-ranges of the position noise along the axes of the hand frame [m]."""
     yaw_noise: float
-    """Half range of the turn about the vertical [rad]."""
+    """Half-range of the yaw noise about the vertical [rad]."""
     held_out: Mapping[str, Variant]
-    """Variants that no default episode has, by name."""
+    """Held-out variants by name, which no default episode uses."""
 
     def variant(self, name: str) -> Variant:
         """The variant of that name; "nominal" is the object itself.
 
         Raises:
-            GraspError: There is none.
+            GraspError: Unknown variant.
         """
         if name == NOMINAL:
             return Variant()
@@ -92,7 +92,7 @@ def named_grasp(name: str) -> NamedGrasp:
     """The grasp of that name.
 
     Raises:
-        GraspError: There is none; the message names the nearest ones.
+        GraspError: Unknown grasp; the message suggests similar names.
     """
     if isinstance(name, str) and name in GRASPS:
         return GRASPS[name]
@@ -103,7 +103,7 @@ def named_grasp(name: str) -> NamedGrasp:
 def grasps_from_toml(
     text: str | dict[str, Any], models: Mapping[str, ObjectModel], closed: Mapping[str, Array] = MappingProxyType({})
 ) -> dict[str, NamedGrasp]:
-    """The grasps that a TOML text, or what was read from one, describes.
+    """Grasps described by a TOML text or its parsed tables.
 
     Args:
         text: the text, or its tables.
@@ -133,7 +133,7 @@ def grasps_from_toml(
 def _grasp(name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], common: dict[str, Variant]) -> NamedGrasp:
     model, family = _model(entry.pop("object"), models), entry.pop("family")
     if family not in FAMILIES:
-        raise ParameterError(f"family {family!r} is none of {', '.join(FAMILIES)}")
+        raise ParameterError(f"family {family!r} is not one of {', '.join(FAMILIES)}")
     held_out = common | _variants(entry.pop("held_out", {}), models)
     grasp = NamedGrasp(
         name=name,
@@ -166,7 +166,7 @@ def _variants(table: Mapping[str, dict[str, Any]], models: Mapping[str, ObjectMo
 
 def _model(name: str, models: Mapping[str, ObjectModel]) -> ObjectModel:
     if name not in models:
-        raise ParameterError(f"object {name!r} is none of {', '.join(models)}")
+        raise ParameterError(f"object {name!r} is not one of {', '.join(models)}")
     return models[name]
 
 
@@ -187,4 +187,4 @@ def _synergy(entry: dict[str, Any], key: str) -> Array:
 GRASPS: Mapping[str, NamedGrasp] = MappingProxyType(
     grasps_from_toml((files("hpac_gym.tasks") / "data" / "grasps.toml").read_text(encoding="utf-8"), load_object_models())
 )
-"""All sixteen by name, in the order of the paper's panels."""
+"""All sixteen grasps by name, in the order of the paper's panels."""

@@ -1,7 +1,7 @@
-"""What makes a grasp the one that it is called: which parts of the hand touch the object, where, and how hard.
+"""Rules that define the grasp types: which parts of the hand touch the object, where, and with what force.
 
-A `Rule` is judged on a `Hold`, the contacts at some moments while the object is held. ``data/grasp_types.toml`` has the rule of
-every type.
+A `Rule` is evaluated on a `Hold`, the contacts at some moments while the object is held. ``data/grasp_types.toml`` has the rule
+of every type.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneState
 
 TOUCHES = 0.5
-"""A part touches the object if it does in at least this share of the hold."""
+"""A part counts as touching the object if it does so in at least this fraction of the hold."""
 SPARES = 0.1
-"""A part does not touch the object if it does in no more than this share of the hold, or of the force."""
+"""Largest fraction of the hold, or of the force, at which a part counts as not touching the object."""
 ASKED = (
     "fingers", "digits", "tips", "force", "press", "along_x", "along_y", "along_z", "side", "through", "turn", "tilt",
 )  # fmt: skip
@@ -35,17 +35,17 @@ _BEYOND_ROOT = tuple(phalanx.link for digit in _GEOMETRY.digits for phalanx in d
 
 @dataclass(frozen=True, slots=True)
 class Hole:
-    """An opening of an object that a digit can be put through."""
+    """An opening of an object through which a digit can pass."""
 
     centre: tuple[float, float, float]
-    """In the object's frame [m]."""
+    """Centre of the opening in the object's frame [m]."""
     axis: str
-    """Of the object's frame, normal to the opening."""
+    """Axis of the object's frame that is normal to the opening."""
     half: tuple[float, float]
-    """Half axes of the opening's ellipse, along the two other axes in their order [m]."""
+    """Semi-axes of the elliptic opening along the two other axes, in their order [m]."""
 
     def outside(self, start: Array, end: Array) -> float:
-        """How far a segment in the object's frame misses the opening: 0 if it goes through, infinity beside its plane [m]."""
+        """Distance by which a segment in the object's frame misses the opening: 0 on a hit, infinite beside its plane [m]."""
         normal = _AXES.index(self.axis)
         across = [index for index in range(3) if index != normal]
         before, after = start[normal] - self.centre[normal], end[normal] - self.centre[normal]
@@ -59,45 +59,45 @@ class Hole:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What makes a grasp the one that it is called. Parts are `hpac_gym.physics.engine.PARTS`."""
+    """Conditions that define a grasp type. Parts are `hpac_gym.physics.engine.PARTS`."""
 
     touch: tuple[str, ...] = ()
-    """Parts that all touch the object."""
+    """Parts that must all touch the object."""
     fingers: int = 0
-    """Number of fingers, without the thumb, that touch it."""
+    """Least number of fingers, without the thumb, that touch the object."""
     digits: int = 0
-    """Number of digits, with the thumb, that touch it."""
+    """Least number of digits, with the thumb, that touch the object."""
     never: tuple[str, ...] = ()
-    """Parts that do not touch it."""
+    """Parts that must not touch the object."""
     tips: bool = False
-    """Whether only the last links of digits touch it."""
+    """True if only the digits' distal links may touch the object."""
     force: float = 0.0
-    """Least sum of all contact forces, mean of the hold [N]."""
+    """Least total contact force, averaged over the hold [N]."""
     turn_deg: float = 20.0
-    """The object turns in the hand by no more than this while it is held [deg]."""
+    """Largest rotation of the object in the hand while it is held [deg]."""
     tilt_deg: float = 180.0
-    """The object's z axis is no farther than this from where it was in the hand when the hand began to close [deg]."""
+    """Largest tilt of the object's z axis in the hand since the hand began to close [deg]."""
     axis: str = "z"
-    """Axis of the object for the two shares of force."""
+    """Axis of the object for `along` and `across`."""
     along: float = 0.0
-    """Least share of the contact force along that axis."""
+    """Least fraction of the contact force along that axis."""
     across: float = 0.0
-    """Least share of the contact force across that axis."""
+    """Least fraction of the contact force across that axis."""
     side: str = ""
-    """A finger that is touched on its side, not on its pad."""
+    """Finger whose contact must be on its side, not on its pad; empty for none."""
     button: float = np.inf
-    """Height in the object's frame above which its button is [m]."""
+    """Height in the object's frame above which the button lies [m]."""
     press: float = 0.0
     """Least force that presses the button down along −z [N]."""
     holes: tuple[Hole, ...] = ()
-    """Its openings."""
+    """Openings of the object."""
     through: tuple[str, ...] = ()
-    """Digits that each go through an opening and touch the object."""
+    """Digits that must each pass through an opening and touch the object."""
 
     def __post_init__(self) -> None:
         for name, allowed in (("touch", PARTS), ("never", PARTS), ("through", DIGITS)):
             if unknown := set(getattr(self, name)) - set(allowed):
-                raise ParameterError(f"{name} has {', '.join(sorted(unknown))}, which is none of {', '.join(allowed)}")
+                raise ParameterError(f"{name} has {', '.join(sorted(unknown))}, which is not one of {', '.join(allowed)}")
         if self.axis not in _AXES or self.side not in ("", *FINGERS):
             raise ParameterError(f"axis {self.axis!r} must be x, y or z, and side {self.side!r} a finger")
         if not (0 <= self.fingers <= len(FINGERS) and 0 <= self.digits <= len(DIGITS)):
@@ -110,7 +110,7 @@ class Rule:
             raise ParameterError(f"force {self.force} and press {self.press} N must be at least 0, {angles}")
 
     def scaled(self, scale: float) -> Rule:
-        """The rule for an object of another size, its own being 1."""
+        """The rule for an object scaled by a factor."""
         holes = tuple(
             Hole(tuple(scale * np.array(hole.centre)), hole.axis, tuple(scale * np.array(hole.half))) for hole in self.holes
         )
@@ -118,19 +118,19 @@ class Rule:
 
     @property
     def asked_parts(self) -> list[float]:
-        """For each of `PARTS` 1 if it shall touch, −1 if it must not, 0 if it may."""
+        """For each of `PARTS`: 1 if it must touch, −1 if it must not, 0 if it may."""
         touch = {*self.touch, *self.through}
         return [float(part in touch) - float(part in self.never) for part in PARTS]
 
     @property
     def asked(self) -> list[float]:
-        """What else the rule asks, as numbers: `ASKED`. Counts are counts, forces in 10 N, angles in rad."""
+        """The other conditions as numbers, in the order of `ASKED`: counts, forces in 10 N, angles in rad."""
         along = [(self.along - self.across) * (axis == self.axis) for axis in _AXES]
         flags, angles = map(float, (bool(self.side), bool(self.through))), np.deg2rad([self.turn_deg, self.tilt_deg]).tolist()
         return [self.fingers, self.digits, float(self.tips), self.force / 10, self.press / 10, *along, *flags, *angles]
 
     def terms(self) -> list[tuple[str, Callable[[Hold], float]]]:
-        """The rule's clauses in words, each with how far a hold keeps to it: 1 or more keeps it, less is a share of the way."""
+        """The rule's clauses in words, each with its score of a hold: 1 or more satisfies it, less does so in part."""
         found: list[tuple[str, Callable[[Hold], float]]] = []
         for part in self.touch:
             found.append((f"{part} touches", lambda hold, part=part: hold.touched[part] / TOUCHES))
@@ -160,11 +160,11 @@ class Rule:
         return found
 
     def clauses(self, hold: Hold) -> dict[str, float]:
-        """How far a hold keeps to each clause of the rule: 1 keeps it, less is a share of the way there."""
+        """Score of a hold for each clause of the rule: 1 satisfies it, less does so in part."""
         return {name: min(value(hold), 1.0) for name, value in self.terms()}
 
     def kept(self, hold: Hold) -> bool:
-        """Whether a hold keeps to all clauses."""
+        """True if a hold satisfies all clauses."""
         return all(value >= 1.0 for value in self.clauses(hold).values())
 
 
@@ -174,16 +174,16 @@ def _at_most(value: float, limit: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """What was seen of contacts while an object was held."""
+    """Contacts observed while an object was held."""
 
     moments: tuple[Moment, ...]
-    """At least one."""
+    """Observed moments, at least one."""
     start: Array = field(default_factory=lambda: np.eye(3))
     """Rotation of the object in the hand when the hand began to close, shape (3, 3)."""
 
     @property
     def touched(self) -> dict[str, float]:
-        """Share of the moments in which each part touches."""
+        """Fraction of the moments in which each part touches."""
         return {part: float(np.mean([any(_part(link) == part for link in now.links) for now in self.moments])) for part in PARTS}
 
     @property
@@ -197,31 +197,31 @@ class Hold:
 
     @property
     def force(self) -> float:
-        """Mean sum of all contact forces [N]."""
+        """Mean total contact force [N]."""
         return float(np.mean([now.force.sum() for now in self.moments]))
 
     @property
     def off_tips(self) -> float:
-        """Share of the force that is not on last links."""
+        """Fraction of the contact force that is not on distal links."""
         return self._share(lambda now: np.array([link not in _TIPS for link in now.links], dtype=float))
 
     @property
     def turn_deg(self) -> float:
-        """Largest turn of the object in the hand since the first moment [deg]."""
+        """Largest rotation of the object in the hand since the first moment [deg]."""
         first = self.moments[0].rotation
         return max(_angle_deg((np.trace(first.T @ now.rotation) - 1) / 2) for now in self.moments)
 
     @property
     def tilt_deg(self) -> float:
-        """Largest angle of the object's z axis from where it was in the hand at the start [deg]."""
+        """Largest tilt of the object's z axis in the hand relative to `start` [deg]."""
         return max(_angle_deg(self.start[:, 2] @ now.rotation[:, 2]) for now in self.moments)
 
     def along(self, axis: str) -> float:
-        """Share of the contact force along an axis of the object, by the normals' squared component."""
+        """Fraction of the contact force along an axis of the object, weighted by the normals' squared component."""
         return self._share(lambda now: now.normal[:, _AXES.index(axis)] ** 2)
 
     def on_side(self, finger: str) -> float:
-        """Share of a finger's contact force that is on its side: normals nearer to its hinge's axis than 45°."""
+        """Fraction of a finger's contact force on its side, where the normal is within 45° of the hinge axis."""
         force = side = 0.0
         for now in self.moments:
             frames = dict(now.frames(finger))
@@ -232,7 +232,7 @@ class Hold:
         return side / force if force > 0 else 0.0
 
     def pressed(self, button: float) -> float:
-        """Mean force of last and middle links along −z on what is higher than `button` [N]."""
+        """Mean force of middle and distal links along −z on points above `button` [N]."""
         found = []
         for now in self.moments:
             down = now.force * np.maximum(-now.normal[:, 2], 0.0)
@@ -240,13 +240,13 @@ class Hold:
         return float(np.mean(found))
 
     def through(self, holes: Sequence[Hole], digit: str) -> float:
-        """Share of the moments in which a digit goes through an opening and touches; below `TOUCHES` near misses count a bit."""
+        """Fraction of the moments with a digit through an opening and touching; below `TOUCHES`, near misses count in part."""
         seen = np.array([max(now.through(hole, digit) for hole in holes) for now in self.moments])
         share = float(np.mean(seen == 1.0))
         return share if share >= TOUCHES else min(float(np.mean(seen)), 0.99 * TOUCHES)
 
     def most(self, parts: Sequence[str], count: int) -> float:
-        """How far so many of some parts touch, 0 to 1."""
+        """Score, 0 to 1, for at least `count` of some parts touching."""
         touched = self.touched
         best = sorted((min(touched[part] / TOUCHES, 1.0) for part in parts), reverse=True)
         return sum(best[:count]) / count
@@ -258,22 +258,22 @@ class Hold:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """The contacts between hand and object at one moment, and where the digits are."""
+    """Contacts between hand and object at one moment, with the pose of the object and the joint angles."""
 
     links: tuple[str, ...]
-    """Of the hand, one for each contact."""
+    """Link of the hand in each contact."""
     force: Array
-    """Along the normals, shape (m,) [N]."""
+    """Normal forces, shape (m,) [N]."""
     point: Array
-    """In the object's frame, shape (m, 3) [m]."""
+    """Contact points in the object's frame, shape (m, 3) [m]."""
     normal: Array
-    """Unit vectors into the object, in its frame, shape (m, 3)."""
+    """Contact normals, unit vectors into the object, in its frame, shape (m, 3)."""
     rotation: Array
-    """Of the object in the hand, shape (3, 3)."""
+    """Rotation of the object in the hand, shape (3, 3)."""
     centre: Array
-    """Of the object in the hand, shape (3,) [m]."""
+    """Centre of the object in the hand, shape (3,) [m]."""
     joint_pos: Array
-    """Shape (15,) [rad]."""
+    """Joint angles, shape (15,) [rad]."""
 
     def poses(self, digit: str) -> list[tuple[Array, Array]]:
         """Position and rotation of a digit's links in the hand frame."""
@@ -286,7 +286,7 @@ class Moment:
         return [(link, turn) for link, (_, turn) in zip(links, self.poses(digit), strict=True)]
 
     def through(self, hole: Hole, digit: str) -> float:
-        """1 if the digit's last two links go through the opening and it touches the object; a near miss is less than a third."""
+        """1 if one of the last two links is in the opening and the digit touches, 0.4 without touch, up to 0.3 for a miss."""
         poses = self.poses(digit)
         tip = poses[-1][0] + poses[-1][1] @ (0.0, 0.0, _GEOMETRY.digit(digit).phalanges[-1].length)
         places = (np.array([place for place, _ in poses] + [tip]) - self.centre) @ self.rotation
@@ -298,7 +298,7 @@ class Moment:
 
 
 def moment_of(contacts: Contacts, state: SceneState, world: int, hand_rotation: Array) -> Moment:
-    """The moment of one world's state, whose hand has a rotation in the world, shape (3, 3)."""
+    """The `Moment` of one world's state, given the rotation of its hand in the world, shape (3, 3)."""
     rotation = state.object_rotation[world].copy()
     to_object = (hand_rotation @ rotation).T
     return Moment(

@@ -1,8 +1,8 @@
-"""HPAC-GraspType-v0: the sixteen grasps as the paper runs them, one policy for all, judged by what each is called.
+"""HPAC-GraspType-v0: the paper's sixteen grasps with one policy for all, each judged by the rule of its type.
 
 A grasp type has no hand shape of its own: its hand closes to the posture of the same name in `hpac_gym.model.POSTURES` by
-Eqs. (14) and (15), without retuning, and the object stands where that posture wants it. ``data/grasp_types.toml`` says where,
-and by which rule the grasp is judged (`hpac_gym.tasks.grasp_rules`).
+Eqs. (14) and (15), without retuning, and the object is placed to fit that posture. ``data/grasp_types.toml`` has the placement
+and the rule by which the grasp is judged (`hpac_gym.tasks.grasp_rules`).
 """
 
 from __future__ import annotations
@@ -45,22 +45,22 @@ from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term, sce
 from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, Moment, RewardTerm, Term, progress_terms
 
 HELD_OUT_TYPES = ("large_sphere", "three_finger_pinch", "screwdriver", "tape_roll")
-"""Types that no training may see. Chosen: each has a relative among the others."""
+"""Held-out types, never used in training. Chosen: each is similar to one of the others."""
 OBJECTS = ("train", "test")
 WRISTS = ("free", "script")
 WRIST_ACTIONS = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
 START = np.array([0.20, 0.0, 0.11])
 """Centre of the object in the hand frame when an episode with a free wrist begins: out of reach [m]."""
 WRIST_CENTRE, WRIST_REACH = np.array([0.06, 0.0, 0.11]), 0.065
-"""Where in the hand an action of 0 puts the object's centre, and how far from there one of 1 does, along the hand's axes [m]."""
+"""Object centre in the hand frame for a wrist action of 0, and its displacement along the hand's axes for one of 1 [m]."""
 WRIST_TURN = 2.0
-"""Of an action of 1: component of the rotation vector from `HAND_QUATERNION`, along the hand's axes [rad]."""
+"""Component of the rotation vector from `HAND_QUATERNION`, along the hand's axes, for an action of 1 [rad]."""
 SETTLES = 0.002
-"""An object that moved farther than this in the first step was pushed by the arriving hand: on its own it falls by 1 mm [m]."""
+"""Displacement in the first step beyond which the arriving hand has pushed the object; settling alone takes 1 mm [m]."""
 LOOK_EVERY = 4
-"""Control steps between two looks at the contacts of a hold, since a look takes about as long as a step."""
+"""Control steps between two evaluations of the contacts of a hold, since one takes about as long as a step."""
 NOTHING = "nothing touches"
-"""What a hold misses before it is looked at."""
+"""Missed clause of a hold that has not been evaluated."""
 _FINGERS = [PARTS.index(name) for name in FINGERS]
 _THUMB = PARTS.index("thumb")
 _SKELETON = Skeleton(1)
@@ -68,15 +68,15 @@ _SKELETON = Skeleton(1)
 
 @dataclass(frozen=True, slots=True)
 class GraspType:
-    """One of the sixteen: where its object stands for the posture, and the rule that makes it what it is called."""
+    """One of the sixteen types: the placement of its object for the posture, and the rule that defines it."""
 
     start: NamedGrasp
-    """Object, wrist and support; `closed` is what the posture of the same name asks of six servos."""
+    """Object, wrist and support; `closed` is the synergy of the posture of the same name."""
     rule: Rule
 
 
 def synergy_of_posture(name: str, hand: Hand = HPAC) -> Array:
-    """The synergy that the hand makes of a posture's q_d by Eqs. (14) and (15), shape (6,) [rad], read-only."""
+    """Synergy that reaches a posture's q_d by Eqs. (14) and (15), shape (6,) [rad], read-only."""
     target = clip_to_workspace(POSTURES[name].target_joint_pos, hand)
     synergy = clip_synergy(synergy_from_joints(target, hand), hand)
     synergy.setflags(write=False)
@@ -84,10 +84,10 @@ def synergy_of_posture(name: str, hand: Hand = HPAC) -> Array:
 
 
 def grasp_types_from_toml(text: str) -> dict[str, GraspType]:
-    """The types that a TOML text describes: a grasp as in ``grasps.toml`` without `closed`, and its `rule`.
+    """Types described by a TOML text: each is a grasp as in ``grasps.toml`` without `closed`, and its `rule`.
 
     Raises:
-        ParameterError: Not TOML, a name that is no posture, or a field that is missing, unknown or out of bounds.
+        ParameterError: Not TOML, a name without a posture, or a field that is missing, unknown or out of bounds.
     """
     try:
         table = tomllib.loads(text)
@@ -117,12 +117,12 @@ def _rule(entry: dict[str, Any]) -> Rule:
 
 
 def data_text() -> str:
-    """The text of the file of grasp types."""
+    """Text of ``data/grasp_types.toml``."""
     return (files("hpac_gym.tasks") / "data" / "grasp_types.toml").read_text(encoding="utf-8")
 
 
 GRASP_TYPES: Mapping[str, GraspType] = MappingProxyType(grasp_types_from_toml(data_text()))
-"""All by name, in the order of the paper's panels."""
+"""All grasp types by name, in the order of the paper's panels."""
 TYPE_SPLITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "all": tuple(GRASP_TYPES),
@@ -131,21 +131,21 @@ TYPE_SPLITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 TYPE_TERMS = (
-    Term("type", tuple(GRASP_TYPES), "0/1", 0.0, 1.0, "which grasp is asked for",
+    Term("type", tuple(GRASP_TYPES), "0/1", 0.0, 1.0, "requested grasp type, one-hot",
          lambda setup: [float(setup.grasp == name) for name in GRASP_TYPES], fixed=True),
-    Term("asked_parts", PARTS, "1", -1.0, 1.0, "1 for a part that shall touch the object, −1 for one that must not",
+    Term("asked_parts", PARTS, "1", -1.0, 1.0, "1 for a part that must touch the object, −1 for one that must not",
          lambda setup: GRASP_TYPES[setup.grasp].rule.asked_parts, fixed=True),
-    Term("asked", ASKED, "1, 10 N, rad", -1.0, 4.0, "what else the rule asks: numbers of fingers and digits that touch, only "
+    Term("asked", ASKED, "1, 10 N, rad", -1.0, 4.0, "other conditions: least numbers of fingers and digits that touch, only "
          "last links, least force, least force on the button, shares of the force along the object's axes (negative: across), "
          "side of the index, thumb through an opening, largest turn in the hand and of the object's axis",
          lambda setup: GRASP_TYPES[setup.grasp].rule.asked, fixed=True),
 )  # fmt: skip
-"""How a policy is told the type: by name, and by what its rule asks, which types that it has not seen have too."""
+"""Encoding of the type for a policy: its name, and the conditions of its rule, which also describe unseen types."""
 
 
 @dataclass(frozen=True, slots=True)
 class GraspTypeWeights:
-    """What the terms of the dense reward weigh."""
+    """Weights of the dense reward terms."""
 
     touch: float = 0.4
     avoid: float = -0.1
@@ -158,14 +158,14 @@ class GraspTypeWeights:
 
 @dataclass(frozen=True, slots=True)
 class GraspTypeConfig:
-    """How far an episode strays from its type's data, what counts as dropped, and what the reward weighs.
+    """Spread of episodes about their type's data, drop criterion, and reward weights.
 
     Raises:
         ParameterError: A number leaves its bounds.
     """
 
-    spread: float = setting(1.0, "factor of the noise of a type's place and turn", bounds=(0.0, 5.0))
-    drop_distance: float = setting(0.06, "an object that moved farther than this in the hand is dropped [m]", bounds=(5e-3, 1.0))
+    spread: float = setting(1.0, "factor of a type's position and yaw noise", bounds=(0.0, 5.0))
+    drop_distance: float = setting(0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0))
     timetable: Timetable = field(default_factory=Timetable)
     weights: GraspTypeWeights = field(default_factory=GraspTypeWeights)
 
@@ -174,18 +174,18 @@ class GraspTypeConfig:
 
 
 class GraspByType(Grasp):
-    """Draws episodes of grasp types; judges whether the object is held as `Grasp` does, and as the type's `Rule` asks.
+    """Draws episodes of grasp types; success requires that the object is held, as in `Grasp`, according to the type's `Rule`.
 
     Args:
         types: a split of `TYPE_SPLITS`, the name of a type, or several names.
         objects: "train" has the types' own objects, "test" draws from their held-out variants.
-        wrist: "free" begins with the open hand out of reach, and an episode's first action says where the wrist goes and in
-            which shape the hand arrives; "script" begins where the type's data put the wrist.
-        config: the noise, what counts as dropped, the timetable, and what is paid.
+        wrist: "free" begins with the open hand out of reach, and an episode's first action sets the wrist pose and the hand's
+            preshape; "script" begins at the wrist pose of the type's data.
+        config: spread, drop criterion, timetable and reward weights.
 
     Raises:
-        GraspError: No type has that name.
-        ParameterError: There are no such objects, or no such wrist.
+        GraspError: Unknown type.
+        ParameterError: `objects` is not one of `OBJECTS`, or `wrist` not one of `WRISTS`.
     """
 
     def __init__(
@@ -205,15 +205,15 @@ class GraspByType(Grasp):
         return (
             RewardTerm(
                 "contact",
-                f"while closing: {weights.touch:g} · share of the parts that shall touch the object and do, {weights.avoid:g} "
-                "for each part that touches it and must not",
+                f"while closing: {weights.touch:g} · fraction of the required parts that touch the object, {weights.avoid:g} "
+                "for each forbidden part that touches it",
                 lambda now: np.where(now.phase == CLOSE, self._paid_touch(now.state), 0.0),
             ),
             self._push_term(),
             RewardTerm(
                 "carry",
                 f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support, "
-                "times how far the hold keeps to the type's rule: the mean of its clauses at the last look",
+                "times the score of the type's rule: the mean over its clauses at the last evaluation",
                 lambda now: np.where(now.phase == CLOSE, 0.0, weights.carry * self.grip.firmness * self.kept),
             ),
             effort_term(weights),
@@ -225,7 +225,7 @@ class GraspByType(Grasp):
         return weights.touch * self._touched_share(state.touching) + weights.avoid * (state.touching & self._never).sum(axis=1)
 
     def _touched_share(self, touching: NDArray[np.bool_]) -> Array:
-        """Share of the parts that shall touch and do, shape (n,)."""
+        """Fraction of the required parts that touch, shape (n,)."""
         fingers = touching[:, _FINGERS].sum(axis=1)
         counts = np.stack([fingers, fingers + touching[:, _THUMB]], axis=1)
         found = (touching & self._touch).sum(axis=1) + np.minimum(counts, self._counts).sum(axis=1)
@@ -234,7 +234,7 @@ class GraspByType(Grasp):
     # Episodes ------------------------------------------------------------------------------------------------------
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        """Get ready for n worlds; returns their camera."""
+        """Allocate the state of n worlds; returns their camera."""
         self._touch, self._never = np.zeros((2, num_worlds, len(PARTS)), dtype=bool)
         self._counts = np.zeros((num_worlds, 2), dtype=int)
         self._rotation, self._hand = np.zeros((2, num_worlds, 3, 3))
@@ -243,11 +243,11 @@ class GraspByType(Grasp):
         return super().prepare(num_worlds, noise)
 
     def draw(self, rng: np.random.Generator) -> GraspType:
-        """The type of an episode."""
+        """Draw the type of an episode."""
         return self.kinds[rng.integers(len(self.kinds))]
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: its type, its object, and how far from the type's data the object stands."""
+        """Draw one episode: its type, its object, and the object's offset from the type's data."""
         start = self.draw(rng).start
         variants = list(start.held_out) if self.objects == "test" else [NOMINAL]
         variant = start.variant(variants[rng.integers(len(variants))])
@@ -257,9 +257,9 @@ class GraspByType(Grasp):
         return _elsewhere(setup, np.zeros(len(SERVOS)), START + setup.position - start.position, HAND_QUATERNION)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
-        """The setup as an episode's first action asks for it, shape (12,): the hand's shape, the wrist's place and turn.
+        """The setup requested by an episode's first action, shape (12,): hand synergy, wrist position and rotation.
 
-        The object's noise in the hand stays: the arm does not know it.
+        The object's position noise is kept, since the arm does not know it.
         """
         place, turn = np.split(action[len(SERVOS) :], 2)
         rotation = Rotation.from_quat(HAND_QUATERNION) * Rotation.from_rotvec(WRIST_TURN * turn)
@@ -270,7 +270,7 @@ class GraspByType(Grasp):
         """Begin to judge episodes in some worlds.
 
         Raises:
-            ParameterError: A setup that was given names no type.
+            ParameterError: A given setup names no grasp type.
         """
         super().start(worlds, setups)
         for world, setup in zip(worlds, setups, strict=True):
@@ -286,7 +286,7 @@ class GraspByType(Grasp):
             self.free[world] = not _SKELETON.thumb_in_finger(joints_from_synergy(setup.synergy, setup.hand), 0)
 
     def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
-        """Look at the contacts of what is held, some times from the end of the lift to the end."""
+        """Evaluate the contacts of held objects every `LOOK_EVERY` steps from the end of the lift, and in the last step."""
         since = np.round((state.time - self.timetable.ends[1]) / dt)
         over = state.time >= self.duration - dt / 2
         looks = (since >= 0) & ((since % LOOK_EVERY == 0) | over) & (state.touching.any(axis=1) | self.grip.carrying)
@@ -297,21 +297,21 @@ class GraspByType(Grasp):
             self.look(world, state, contacts(world))
 
     def look(self, world: int, state: SceneState, contacts: Contacts) -> None:
-        """Add the contacts of a world now to what was seen of its hold, and judge that."""
+        """Add the current contacts of a world to its hold, and evaluate its rule."""
         self._seen[world] += (moment_of(contacts, state, world, self._hand[world]),)
         clauses = self._rules[world].clauses(self.hold(world))
         self.kept[world] = np.mean(list(clauses.values()))
         self._missed[world] = "; ".join(name for name, value in clauses.items() if value < 1)
 
     def hold(self, world: int) -> Hold:
-        """What was seen of the hold of a world."""
+        """The hold of a world as observed so far."""
         return Hold(self._seen[world], self._rotation[world].copy())
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        One fails where `Grasp` fails, where the hand arrives with its thumb inside of a finger or touches or pushes the object
-        when it arrives, and at the end if the object was held but not as the type's rule asks.
+        An episode fails where `Grasp` fails; if the hand arrives with its thumb inside a finger, or touches or pushes the
+        object on arrival; and at the end if the object was held but not according to the type's rule.
         """
         outcome = super().judge(state, dt)
         arrived = state.time < 1.5 * dt
@@ -320,7 +320,7 @@ class GraspByType(Grasp):
         return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)
 
     def report(self, now: Moment) -> dict[str, Any]:
-        """What `info` says of a step."""
+        """Entries of `info` for a step."""
         return scene_report(self, now) | {
             "type": self._types.copy(),
             "held": self.held.copy(),
@@ -340,9 +340,9 @@ def _names(types: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def _elsewhere(setup: SceneSetup, synergy: Array, position: Array, quaternion: Sequence[float]) -> SceneSetup:
-    """The setup with another shape of the hand, with the object elsewhere in it, and the hand turned.
+    """The setup with another synergy, another object position in the hand frame, and another hand orientation.
 
-    Engines keep the wrist where it is, so that the object, its support and the table go up or down instead.
+    Engines keep the wrist in place, so the object, its support and the table move up or down instead.
     """
     rises = (matrix_from_quaternion(quaternion) @ position - setup.hand_rotation @ setup.position)[2]
     support = setup.support or POST
@@ -353,6 +353,6 @@ def _elsewhere(setup: SceneSetup, synergy: Array, position: Array, quaternion: S
 
 
 def wrist_choice(start: NamedGrasp) -> Array:
-    """The last six numbers of the first action that put the wrist where a type's data have it, shape (6,), −1…1."""
+    """Last six numbers of the first action that moves the wrist to the pose of a type's data, shape (6,), −1…1."""
     turn = Rotation.from_quat(HAND_QUATERNION).inv() * Rotation.from_quat(quaternion_from_rpy(start.hand_rpy))
     return np.concatenate([(np.array(start.position) - WRIST_CENTRE) / WRIST_REACH, turn.as_rotvec() / WRIST_TURN])

@@ -1,4 +1,4 @@
-"""Whether the hand holds the object: one definition for every task, and what `info` calls hold time and slip."""
+"""Grip detection, shared by all tasks: whether the hand holds the object, the hold time, and the slip."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 from hpac_gym.model.checks import Array
 
 MAX_SLIP = 0.02
-"""An object whose centre moves farther than this in the hand while it is carried has slipped out of its grasp [m]."""
+"""Displacement of a carried object in the hand beyond which it counts as slipped out of the grasp [m]."""
 _MISSED_STEPS = 1
-"""Control steps without a contact that are no loss: an object that a shake lifts off one finger comes down on another."""
+"""Control steps without contact that do not end a grip: an object shaken off one finger lands on another."""
 
 
 class Grip:
-    """Follows the episodes of n worlds.
+    """Tracks the grip in n worlds.
 
-    The hand carries the object while it touches it and no support does. It holds the object while it carries it without a
-    break and the object has slipped no farther than `MAX_SLIP` since the carrying began, or since the grasp has settled.
+    The hand carries the object while it touches it and no support does. It holds the object while it carries it without
+    interruption and the slip since carrying began, or since `settle`, is at most `MAX_SLIP`.
 
     Attributes:
-        carrying: whether the hand carries the object, shape (n,).
-        time: for how long it has carried it without a break, shape (n,) [s].
-        slip: how far the object's centre has moved in the hand since then, or since `settle`, shape (n,) [m].
+        carrying: True where the hand carries the object, shape (n,).
+        time: duration of carrying without interruption, shape (n,) [s].
+        slip: displacement of the object's centre in the hand since then, or since `settle`, shape (n,) [m].
     """
 
     def __init__(self, num_worlds: int) -> None:
@@ -47,8 +47,8 @@ class Grip:
 
         Args:
             object_pos: true centre of the object in the hand frame, shape (n, 3) [m].
-            touched: by the hand, shape (n,).
-            supported: by anything else, shape (n,).
+            touched: True where the hand touches the object, shape (n,).
+            supported: True where anything else supports the object, shape (n,).
             dt: control period [s].
         """
         self._now = object_pos
@@ -62,17 +62,17 @@ class Grip:
         self.slip = np.where(carries, np.linalg.norm(object_pos - self._origin, axis=1), 0.0)
 
     def settle(self, where: NDArray[np.bool_]) -> None:
-        """Count the slip from here on where it is carried: what the object moved while the hand took hold is no slip."""
+        """Set the slip of carried objects to zero: motion while the grasp forms is not slip."""
         where = where & self.carrying
         self._origin[where] = self._now[where]
         self.slip[where] = 0.0
 
     @property
     def firmness(self) -> Array:
-        """1 for an object that is carried and has not slipped, 0 for one that is lost or has slipped by `MAX_SLIP`."""
+        """1 − slip / `MAX_SLIP` for a carried object, but at least 0; 0 for one that is not carried, shape (n,)."""
         return np.where(self.carrying, np.maximum(1.0 - self.slip / MAX_SLIP, 0.0), 0.0)
 
     @property
     def holds(self) -> NDArray[np.bool_]:
-        """Whether the hand holds the object now."""
+        """True where the hand holds the object, shape (n,)."""
         return self.carrying & (self.slip <= MAX_SLIP)

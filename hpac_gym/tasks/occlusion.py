@@ -1,4 +1,4 @@
-"""What a camera sees of an object: points of its surface, unless they face away or the hand covers them."""
+"""Visibility of an object's surface points to a camera: points that face it and are not occluded by the hand."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from hpac_gym.model import JOINTS
 from hpac_gym.model.checks import Array
 
 SKIN = 0.9
-"""Share of a capsule's radius that covers: a point under a touching finger's edge is still seen."""
+"""Fraction of a capsule's radius that occludes: a point under the edge of a touching finger stays visible."""
 
 
 class Skeleton:
-    """The capsules that each of n hands consists of: three links for each digit, then those of the palm.
+    """Capsule models of n hands: three links per digit, then the palm.
 
     Args:
-        num_worlds: n. All hands are nominal ones at first.
+        num_worlds: n. All hands are nominal at first.
 
     Attributes:
-        radius: of the capsules, shape (n, m) [m].
+        radius: radii of the capsules, shape (n, m) [m].
     """
 
     def __init__(self, num_worlds: int) -> None:
@@ -45,7 +45,7 @@ class Skeleton:
             self.fit(world, HPAC_GEOMETRY)
 
     def fit(self, world: int, geometry: Geometry) -> None:
-        """Give one hand the links of a body, whose palm and joints are the nominal ones."""
+        """Set the links of one hand to those of a geometry with the nominal palm and joints."""
         links = [phalanx for digit in geometry.digits for phalanx in digit.phalanges]
         self._length[world].flat = [link.length for link in links]
         self._end[world].flat = [link.capsule.end[2] for link in links]
@@ -56,7 +56,7 @@ class Skeleton:
 
         Args:
             joint_pos: shape (k, 15) [rad].
-            worlds: which hands, shape (k,).
+            worlds: indices of the hands, shape (k,).
 
         Returns:
             Shapes (k, m, 3) [m].
@@ -76,7 +76,7 @@ class Skeleton:
         return first, second
 
     def thumb_in_finger(self, joint_pos: Array, world: int) -> bool:
-        """Whether the thumb of one hand with these joint angles, shape (15,) [rad], is inside of a finger."""
+        """True if the thumb of one hand penetrates a finger at these joint angles, shape (15,) [rad]."""
         first, second = self.segments(joint_pos[None], np.array([world]))
         radius, fingers = self.radius[[world]], slice(3, 3 * len(self._base))
         first_of, second_of, wide = first[:, fingers], second[:, fingers], radius[:, fingers]
@@ -86,7 +86,7 @@ class Skeleton:
 
 
 def _capsules(solid: Box | Capsule) -> list[Capsule]:
-    """A capsule as it is, and a flat box as a row of capsules along its z axis."""
+    """Capsules of a solid: the capsule itself, or a flat box approximated by a row of capsules along z."""
     if isinstance(solid, Capsule):
         return [solid]
     (x, y, z), (thick, wide, tall), radius = solid.center, solid.size, solid.size[0] / 2
@@ -96,17 +96,17 @@ def _capsules(solid: Box | Capsule) -> list[Capsule]:
 
 
 def covered(eye: Array, points: Array, first: Array, second: Array, radius: Array) -> NDArray[np.bool_]:
-    """Whether a capsule stands between an eye and points.
+    """True where a capsule occludes a point from the eye.
 
-    The nearest distance of two segments, from the eye to a point and along a capsule, as in Ericson's Real-Time Collision
-    Detection (2005), section 5.1.9.
+    Based on the shortest distance between two segments, the line of sight and the capsule's axis: Ericson, Real-Time
+    Collision Detection (2005), section 5.1.9.
 
     Args:
-        eye: of each world, shape (n, 3) [m].
+        eye: position of the eye in each world, shape (n, 3) [m].
         points: shape (n, p, 3) [m].
         first: ends of the capsules' axes, shape (n, m, 3) [m].
         second: the other ends, shape (n, m, 3) [m].
-        radius: of the capsules, shape (n, m) [m].
+        radius: radii of the capsules, shape (n, m) [m].
 
     Returns:
         shape (n, p).
@@ -129,13 +129,13 @@ def _share(value: Array) -> Array:
 
 
 def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Array]:
-    """Points of an object's surface, spread evenly at random, and their outward normals, shapes (count, 3) [m].
+    """Uniformly random points of an object's surface [m], and their outward normals, shapes (count, 3).
 
-    The name seeds the draw, so that an object always has the same points. Those inside another solid are left out.
+    The name is the seed, so that an object always has the same points. Points inside another solid are left out.
 
     Args:
-        name: of the object.
-        solids: that it is made of.
+        name: name of the object.
+        solids: solids of the object.
         count: number of points.
     """
     rng = np.random.default_rng(crc32(name.encode()))
@@ -158,7 +158,7 @@ def _area(solid: Solid) -> float:
         return float(_triangles(solid)[2].sum())
     if solid.kind == "cylinder":
         return np.pi * x * (z + x / 2)
-    return np.pi * x * z  # of a sphere too, whose length is its width; a capsule's round ends make one
+    return np.pi * x * z  # also for a sphere, whose length is its width; a capsule's ends form one
 
 
 def _triangles(solid: Solid) -> tuple[Array, Array, Array]:
@@ -170,7 +170,7 @@ def _triangles(solid: Solid) -> tuple[Array, Array, Array]:
 
 
 def _on_surface(solid: Solid, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A point of a solid's surface and its normal, in the object's axes."""
+    """Random point of a solid's surface and its normal, in the object's axes."""
     half = np.array(solid.size) / 2
     if solid.kind == "box":
         faces = np.array([half[1] * half[2], half[0] * half[2], half[0] * half[1]])
@@ -202,7 +202,7 @@ def _on_surface(solid: Solid, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _inside(solid: Solid, points: Array) -> NDArray[np.bool_]:
-    """Whether points of the object, shape (p, 3), are inside a solid."""
+    """True where points in the object's frame, shape (p, 3) [m], are inside a solid."""
     own, half = (points - solid.center) @ solid.rotation, np.array(solid.size) / 2
     if solid.kind == "box":
         return (np.abs(own) < half).all(axis=1)

@@ -19,7 +19,7 @@ PHASES = ("close", "lift", "shake", "place")
 
 @dataclass(frozen=True, slots=True)
 class Timetable:
-    """How long each phase takes, and how far the wrist goes.
+    """Durations of the phases [s], and distances of the wrist's motion [m].
 
     Raises:
         ValueError: A duration that is not positive, or a negative distance.
@@ -30,10 +30,10 @@ class Timetable:
     lift_height: float = 0.12
     shake_time: float = 0.9
     shake_distance: float = 0.02
-    """How far the shake goes to either side, along x, then y, then z, so in six directions [m]."""
+    """Amplitude of the shake along x, then y, then z, so in six directions [m]."""
     place_time: float = 0.5
     clearance: float = MAX_SLIP
-    """How far above where it stood the object is at the end, so that one that is still held does not touch its support [m]."""
+    """Final height of the wrist above its start, so that a held object does not touch its support at the end [m]."""
 
     def __post_init__(self) -> None:
         if not min(self.close_time, self.lift_time, self.shake_time, self.place_time) > 0:
@@ -43,13 +43,13 @@ class Timetable:
 
     @property
     def ends(self) -> tuple[float, float, float, float]:
-        """When each phase ends [s]."""
+        """End time of each phase [s]."""
         lift = self.close_time + self.lift_time
         shake = lift + self.shake_time
         return self.close_time, lift, shake, shake + self.place_time
 
     def wrist_offset(self, time: float) -> tuple[float, float, float]:
-        """Offset of the wrist in the world [m]: at rest, up, to and fro along each axis, down. Its velocity never jumps."""
+        """Offset of the wrist in the world [m]: at rest, up, to and fro along each axis, down; with continuous velocity."""
         close, lift, shake, _ = self.ends
         offset = [0.0, 0.0, 0.0]
         offset[2] = self.lift_height * moved((time - close) / self.lift_time)
@@ -67,19 +67,19 @@ def wrist_table(timetable: Timetable, times: tuple[float, ...]) -> Array:
 
 
 def phase_at(time: Array, ends: Sequence[float]) -> NDArray[np.int_]:
-    """Index of the phase that runs, or begins, at times [s], given when each one ends [s]; the last one stays."""
+    """Index of the phase that is running or begins at times [s], given the phases' end times [s]; the last phase stays."""
     return np.minimum((time[:, None] > np.array(ends) - 1e-9).sum(axis=1), len(ends) - 1)
 
 
 def moved(share: float) -> float:
-    """Share of a minimum-jerk move that is done after a share of its time; before and after that it stands still."""
+    """Fraction of a minimum-jerk move that is complete after a fraction of its duration; 0 before and 1 after the move."""
     return minimum_jerk(min(max(share, 0.0), 1.0))
 
 
 def _swing(share: float) -> float:
-    """To 1, to −1 and back over a share of the time: a sine in a window, so that it begins and ends at rest."""
+    """Windowed sine at a fraction of its duration: to 1, to −1 and back to 0, starting and ending at rest."""
     return sin(2 * pi * share) * sin(pi * share) ** 2 / _SWING_PEAK
 
 
 _SWING_PEAK = 3**1.5 / 8
-"""Of sin 2πs · sin² πs, at s = 1/3."""
+"""Maximum of sin 2πs · sin² πs, at s = 1/3."""

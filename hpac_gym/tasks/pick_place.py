@@ -1,4 +1,4 @@
-"""HPAC-PickPlace-v0: the paper's four phases. The wrist is scripted; when and how to close and to open is the policy's."""
+"""HPAC-PickPlace-v0: the paper's four phases. The wrist is scripted; the policy decides when and how to close and open."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ REACH, CLOSE, LIFT, PLACE = range(4)
 
 @dataclass(frozen=True, slots=True)
 class PickPlaceTimetable:
-    """How long each part takes, and the way of the wrist: sideways to the object, up, across, down, and back.
+    """Durations of the moves [s], and path of the wrist: sideways to the object, up, across, down, and back.
 
     Raises:
         ValueError: A duration that is not positive.
     """
 
     carry: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """From the object's first place to the target, in the world [m]."""
+    """Displacement from the object's initial position to the target, in the world [m]."""
     reach_time: float = 0.6
     close_time: float = 1.2
     lift_time: float = 0.6
@@ -56,11 +56,11 @@ class PickPlaceTimetable:
     retreat_time: float = 0.6
     rest_time: float = 0.4
     reach: tuple[float, float, float] = (0.04, 0.12, 0.0)
-    """The way to the object, and back in the end, in the world [m]."""
+    """Displacement to the object, and reversed at the end, in the world [m]."""
     lift_height: float = 0.10
-    """[m]"""
+    """Height of the lift [m]."""
     clearance: float = 0.003
-    """How far above its target the object is let go [m]."""
+    """Height above the target at which the object is released [m]."""
 
     def __post_init__(self) -> None:
         if not min(self.durations) > 0:
@@ -68,7 +68,7 @@ class PickPlaceTimetable:
 
     @property
     def durations(self) -> tuple[float, ...]:
-        """Of reach, close, lift, carry, lower, release, retreat and rest [s]."""
+        """Durations of reach, close, lift, carry, lower, release, retreat and rest [s]."""
         return (
             self.reach_time, self.close_time, self.lift_time, self.carry_time,
             self.lower_time, self.release_time, self.retreat_time, self.rest_time,
@@ -76,18 +76,18 @@ class PickPlaceTimetable:
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """When each of `durations` is over [s]."""
+        """End times of `durations` [s]."""
         return tuple(np.cumsum(self.durations).tolist())
 
     def wrist_path(self, times: tuple[float, ...]) -> Array:
-        """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one minimum jerk a move."""
+        """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one minimum-jerk profile per move."""
         offset = np.zeros((len(times), 3))
         for begin, duration, way in self._moves():
             offset += _shares(begin, duration, times)[:, None] * way
         return offset
 
     def _moves(self) -> list[tuple[float, float, Array]]:
-        """When each move begins [s], how long it takes [s], and its way, shape (3,) [m]."""
+        """Start time [s], duration [s] and displacement, shape (3,) [m], of each move."""
         ends = self.ends
         reach, up = np.array(self.reach), np.array([0.0, 0.0, self.lift_height])
         return [
@@ -101,7 +101,7 @@ class PickPlaceTimetable:
 
 @dataclass(frozen=True, slots=True)
 class PickPlaceWeights(GraspWeights):
-    """What the terms of the dense reward weigh."""
+    """Weights of the dense reward terms."""
 
     success: float = 20.0
     place: float = 0.5
@@ -110,22 +110,22 @@ class PickPlaceWeights(GraspWeights):
 
 @dataclass(frozen=True, slots=True)
 class PickPlaceConfig:
-    """The ranges that an episode is drawn from, uniformly, what counts as placed, and what the reward weighs.
+    """Uniform sampling ranges of an episode, success criteria, and reward weights.
 
     Raises:
         ParameterError: A number or a range leaves its bounds.
     """
 
-    radius: tuple[float, float] = setting((0.020, 0.028), "of the cylinder, or half width of the box [m]", bounds=(0.002, 0.06))
+    radius: tuple[float, float] = setting((0.020, 0.028), "radius of a cylinder, half-width of a box [m]", bounds=(0.002, 0.06))
     half_height: tuple[float, float] = setting(
-        (0.068, 0.080), "tall enough for the hand to stay clear of what the object stands on [m]", bounds=(0.005, 0.15)
+        (0.068, 0.080), "half-height, tall enough for the hand to clear the object's support [m]", bounds=(0.005, 0.15)
     )
     mass: tuple[float, float] = setting((0.05, 0.20), "mass of the object [kg]", bounds=(1e-3, 2.0))
     friction: tuple[float, float] = setting(
-        (0.6, 1.0), "of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
+        (0.6, 1.0), "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
     )
     gap: tuple[float, float] = setting(
-        (0.006, 0.015), "from the palm to the object, once the wrist has reached it [m]", bounds=(0.0, 0.1)
+        (0.006, 0.015), "distance from the palm to the object, once the wrist has reached it [m]", bounds=(0.0, 0.1)
     )
     towards_thumb: tuple[float, float] = setting(
         (-0.005, 0.010), "place of the object's centre along y of the hand frame [m]", bounds=(-0.1, 0.1)
@@ -134,13 +134,13 @@ class PickPlaceConfig:
         (0.105, 0.125), "place of the object's centre along z of the hand frame, once the wrist has reached it [m]",
         bounds=(0.02, 0.25),
     )
-    carry_forward: tuple[float, float] = setting((-0.04, 0.08), "way to the target along the fingers [m]", bounds=(-0.3, 0.3))
-    carry_aside: tuple[float, float] = setting((0.16, 0.24), "way to the target along the palm's normal [m]", bounds=(0.07, 0.4))
-    thumb_preshape: float = setting(1.2, "CMC at the start: the thumb stands opposite to the fingers [rad]", bounds=(0.0, 1.57))
+    carry_forward: tuple[float, float] = setting((-0.04, 0.08), "target offset along the fingers [m]", bounds=(-0.3, 0.3))
+    carry_aside: tuple[float, float] = setting((0.16, 0.24), "target offset along the palm's normal [m]", bounds=(0.07, 0.4))
+    thumb_preshape: float = setting(1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57))
     drop_distance: float = setting(
-        0.06, "an object that moved farther than this from where it belongs is dropped [m]", bounds=(5e-3, 1.0)
+        0.06, "displacement from its intended place beyond which an object is dropped [m]", bounds=(5e-3, 1.0)
     )
-    tolerance: float = setting(0.03, "from the target, across it [m]", bounds=(1e-3, 0.2))
+    tolerance: float = setting(0.03, "largest horizontal distance from the target [m]", bounds=(1e-3, 0.2))
     upright: float = setting(0.05, "largest tilt of an object that stands [rad]", bounds=(1e-3, 1.57))
     timetable: PickPlaceTimetable = field(default_factory=PickPlaceTimetable)
     weights: PickPlaceWeights = field(default_factory=PickPlaceWeights)
@@ -160,7 +160,7 @@ class PickPlace(Task):
     def __init__(self, config: PickPlaceConfig = PickPlaceConfig()) -> None:
         self.config, self.timetable = config, config.timetable
         self.duration = self.timetable.ends[-1]
-        meaning = "where the object shall stand, as `object_pos`"
+        meaning = "target position of the object, as `object_pos`"
         target = Term("target_pos", AXES, "0.05 m", -10.0, 10.0, meaning, self._seen_target)
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration), target)
         weights = config.weights
@@ -171,13 +171,13 @@ class PickPlace(Task):
             RewardTerm("carry", f"from the lift until the hand is lowered: {weights.carry:g} for carrying the object free of its "
                        "support. Paid any longer, never releasing would be the best policy", self._carry),
             RewardTerm("place", f"while placing: {weights.place:g} for an object that stands at its target, {weights.release:g} "
-                       "more when the hand has let it go", self._set_down),
+                       "more when the hand has released it", self._set_down),
             effort_term(weights),
             outcome_term(weights),
         )  # fmt: skip
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        """Get ready for n worlds; returns their camera."""
+        """Allocate the state of n worlds; returns their camera."""
         self.grip = Grip(num_worlds)
         self._place, self._target, self._grasped_at = (np.zeros((num_worlds, 3)) for _ in range(3))
         self._rotation = np.zeros((num_worlds, 3, 3))
@@ -185,7 +185,7 @@ class PickPlace(Task):
         return ObjectCamera(num_worlds, noise)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: the object, its place ahead of the hand, its target, and the open hand."""
+        """Draw one episode: the object, its position in front of the hand, its target, and the open hand."""
         config = self.config
         shape = ("cylinder", "box")[rng.integers(2)]
         width, height = rng.uniform(*config.radius), rng.uniform(*config.half_height)
@@ -219,17 +219,17 @@ class PickPlace(Task):
         self.grip.start(index)
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
-        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]: by way of the target."""
+        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m], via the setup's target."""
         aside, up, forward = setup.target - setup.position
         return replace(self.timetable, carry=(float(forward), float(aside), float(up))).wrist_path(times)
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `PHASES` of the phase that runs, or begins, at times [s], shape (n,); what follows the lift is the place."""
+        """Index into `PHASES` of the phase that is running or begins at times [s], shape (n,); all after the lift is "place"."""
         ends = self.timetable.ends
         return phase_at(time, (*ends[: LIFT + 1], ends[-1]))
 
     def _offset(self, state: SceneState) -> Array:
-        """How far the wrist is from its start, along the axes of the hand frame, shape (n, 3) [m]."""
+        """Displacement of the wrist from its start, along the axes of the hand frame, shape (n, 3) [m]."""
         return np.einsum("nji,nj->ni", self._rotation, state.palm_offset)
 
     def _seen_target(self, now: Moment) -> Array:
@@ -238,12 +238,12 @@ class PickPlace(Task):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        One fails as soon as the object is knocked over on the way to it, or is lost between lift and release. It succeeds
-        at the end of the timetable, when the object stands at its target and the hand does not touch it.
+        An episode fails as soon as the object is knocked away before the lift, or lost between lift and release. It succeeds
+        at the end of the timetable if the object stands at its target and the hand does not touch it.
         """
         config, touched = self.config, state.touching.any(axis=1)
         self.grip.follow(state.object_pos, touched, state.supported, dt)
-        away = state.object_pos + self._offset(state)  # along the axes of the hand, from where the hand was at first
+        away = state.object_pos + self._offset(state)  # along the hand's axes, from the hand's initial position
         close, lowered = self.timetable.ends[1], self.timetable.ends[4]
         closing = state.time < close - dt / 2
         self._lowered = state.time > lowered - dt / 2
@@ -274,5 +274,5 @@ class PickPlace(Task):
 
 @lru_cache(maxsize=64)
 def _shares(begin: float, duration: float, times: tuple[float, ...]) -> Array:
-    """Share of a move that begins at a time [s] and lasts a duration [s], at times [s]."""
+    """Completed fractions, at times [s], of a move with a start time [s] and a duration [s]."""
     return np.array([moved((time - begin) / duration) for time in times])

@@ -23,21 +23,21 @@ TOLERANCE = 0.05
 CAMERA_NOISE = np.deg2rad(0.1)
 """Standard deviation of a joint angle that a camera measures from markers, as in the paper's experiment [rad]."""
 FREE_THUMB_FINGERS = 0.35
-"""Where the thumb may be anywhere, the fingers stay this far open, out of its way [rad]."""
+"""Upper limit of the fingers' MCP in goals that move the thumb freely, which keeps the fingers out of its way [rad]."""
 FREE_FINGERS_THUMB = (0.5, 0.3)
-"""Where the fingers may be anywhere, the thumb's MP and CMC stay below these, out of their way [rad]."""
+"""Upper limits of the thumb's MP and CMC in goals that move the fingers freely, which keep it out of their way [rad]."""
 
 
 BLOCKED_MP, BLOCKED_CMC = 0.75, (0.05, 1.0)
-"""Beside such fingers, a thumb with more MP, and with its CMC in this range, meets the index finger on its way [rad]."""
+"""In goals that move the thumb freely, the index finger blocks a thumb with more MP than this and CMC in this range [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class PostureConfig:
-    """What the episodes are like."""
+    """Duration of an episode, and tolerance of its goal."""
 
-    duration: float = setting(2.0, "length of an episode, which the time limit cuts [s]", bounds=(0.05, 1e3))
-    tolerance: float = setting(TOLERANCE, "a posture is reached when no joint is farther from it [rad]", bounds=(1e-3, 1.0))
+    duration: float = setting(2.0, "length of an episode, set by the time limit [s]", bounds=(0.05, 1e3))
+    tolerance: float = setting(TOLERANCE, "largest joint error of a reached posture [rad]", bounds=(1e-3, 1.0))
 
     def __post_init__(self) -> None:
         check_bounds(self, "config")
@@ -51,11 +51,11 @@ def goal_error(achieved: Array, desired: Array) -> Array:
 class Posture(Task):
     """Draws goals and measures how far the joints are from them: a `hpac_gym.tasks.task.Task`.
 
-    The hand alone, palm to the side; no object, no wrist. An episode has no end but the time limit.
+    The hand is alone, palm to the side, without object and wrist motion. Only the time limit ends an episode.
 
     Args:
-        config: what counts as reached.
-        reachable: leave out the goals in which another digit stands in the thumb's way.
+        config: duration and tolerance.
+        reachable: leave out goals in which another digit blocks the thumb.
     """
 
     phases = ("move",)
@@ -75,10 +75,10 @@ class Posture(Task):
         )
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> MarkerCamera:
-        """Get ready for n worlds; returns their camera.
+        """Allocate the state of n worlds; returns their camera.
 
         Raises:
-            ParameterError: Noise of a camera that sees objects is given: there is none here.
+            ParameterError: Noise of an object camera is given, but the task has no object.
         """
         if noise != CameraNoise():
             raise ParameterError(f"noise {noise}: a posture has no object; its camera has a noise of {CAMERA_NOISE:.3g} rad")
@@ -89,8 +89,8 @@ class Posture(Task):
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the open hand, and a goal.
 
-        Half of the goals move the thumb freely and half the fingers, since one can stand in the other's way. With `reachable`
-        a goal that the index finger blocks is drawn anew.
+        Half of the goals move the thumb freely and half the fingers, since they can block each other. With `reachable`, goals
+        in which the index finger blocks the thumb are redrawn.
         """
         highest = hand.synergy_max.copy()
         mp, cmc = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
@@ -108,19 +108,19 @@ class Posture(Task):
         self.goal[np.asarray(worlds)] = [setup.goal for setup in setups]
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
-        """The wrist stays where it is: zeros, shape (len(times), 3) [m]."""
+        """Zero offsets of the wrist, shape (len(times), 3) [m]."""
         return np.zeros((len(times), 3))
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        """There is only one."""
+        """Index of the only phase, shape (n,)."""
         return np.zeros(len(time), dtype=int)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
-        """No posture ends an episode: one that is reached is to be kept."""
+        """`RUNNING` for all episodes, shape (n,): a posture that is reached has to be held."""
         return np.full(len(state.time), RUNNING)
 
     def measure(self, achieved: Array, desired: Array) -> None:
-        """Take in what the camera measures and the goal as observed, shapes (n, 15) [rad]."""
+        """Record the error of the measured joint angles from the observed goal, shapes (n, 15) [rad]."""
         self._error = goal_error(achieved, desired)
 
     def sparse_reward(self, now: Moment) -> Array:
@@ -133,6 +133,6 @@ class Posture(Task):
         return -error.mean(axis=-1) if dense else -(error.max(axis=-1) > self.config.tolerance).astype(float)
 
     def report(self, now: Moment) -> dict[str, Any]:
-        """What `info` says of a step."""
+        """Entries of `info` for a step."""
         largest = self._error.max(axis=1)
         return {"is_success": largest <= self.config.tolerance, "largest_error": largest}

@@ -1,4 +1,4 @@
-"""How well a grasp resists: the epsilon figure of Ferrari and Canny (1992).
+"""Grasp quality: the epsilon metric of Ferrari and Canny (1992).
 
 A contact can push along any direction of its friction cone. The force together with its torque about the object's centre is a
 wrench; epsilon is the radius of the largest ball about the origin inside the convex hull of all contacts' wrenches: the
@@ -15,7 +15,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Contacts
 
 CONE_EDGES = 6
-"""Edges of the pyramid that stands for a friction cone."""
+"""Number of edges of the pyramid that approximates a friction cone."""
 
 
 def grasp_quality(touching: Contacts, spec: ObjectSpec) -> float:
@@ -30,11 +30,11 @@ def contact_wrenches(point: Array, normal: Array, friction: float, centre: Array
     """The primitive wrenches: every edge of every contact's friction cone, with a normal force of 1 N.
 
     Args:
-        point: of each contact, shape (n, 3) [m].
-        normal: into the object, unit vectors, shape (n, 3).
+        point: contact points, shape (n, 3) [m].
+        normal: contact normals, unit vectors into the object, shape (n, 3).
         friction: Coulomb coefficient.
-        centre: about which torques are taken, shape (3,) [m].
-        length: what torques are divided by, so that they compare with forces [m].
+        centre: reference point of the torques, shape (3,) [m].
+        length: characteristic length by which torques are divided, to compare with forces [m].
 
     Returns:
         shape (n · CONE_EDGES, 6) [N].
@@ -53,6 +53,6 @@ def largest_ball(points: Array) -> float:
     """Radius of the largest ball about the origin inside the convex hull of points, shape (n, d); 0 if there is none."""
     try:
         hull = ConvexHull(points)
-    except (QhullError, ValueError):  # too few points, or flat ones
+    except (QhullError, ValueError):  # too few points, or coplanar ones
         return 0.0
     return max(0.0, float(-hull.equations[:, -1].max()))

@@ -1,4 +1,4 @@
-"""Scripted closure: what a person would program first, and what a learned policy has to beat."""
+"""Scripted policies: simple baselines that a learned policy has to beat."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import LENGTH_UNIT, Layout
 
 CLOSE_TIME = 0.8
-"""From open to closed [s]."""
+"""Duration from open to closed [s]."""
 THUMB_CLOSED = 0.8
-"""MP of the closed thumb [rad]; farther in it pushes small objects out."""
+"""MP of the closed thumb [rad]; with more it pushes small objects out."""
 PLACE_TIME, PLACE_CLOSED, PLACE_THUMB, PLACE_OPPOSED = 0.9, 0.56, 0.9, 1.04
-"""When something is to be set down: from open to closed [s], share of the fingers' full closure, MP of the thumb [rad] and CMC,
-all the time [rad]; what is wound up less is let go sooner."""
+"""Closure for pick and place: duration from open to closed [s], fraction of the fingers' full closure, MP of the closed thumb
+[rad] and constant CMC [rad]; a hand that closes less releases sooner."""
 THUMB_OPPOSED = 1.2
-"""CMC, all the time [rad]."""
+"""Constant CMC [rad]."""
 WINDUP = 0.3
-"""An integral controller leaves larger errors to the motion that is under way [rad]."""
+"""Largest error that the integral controller integrates; larger ones are left to the motion in progress [rad]."""
 _DRIVEN = [JOINT_INDEX[name] for name in SERVOS]
 THUMB_TIME, OPPOSED_TIME = 0.7, 0.3
-"""How long the thumb's MP and its CMC take where the closure depends on the object [s]."""
+"""Closing times of the thumb's MP and CMC in `ScriptedGraspAny` [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class AnyClosure:
-    """How to close on an object of one kind."""
+    """Closure for one kind of object."""
 
     opposed: float
     """CMC [rad]."""
@@ -45,13 +45,13 @@ class AnyClosure:
     fingers: float
     """MCP of the closed fingers [rad]."""
     thumb_later: float
-    """When the thumb begins after the fingers; negative for before them [s]."""
+    """Delay of the thumb after the fingers; negative if it begins before them [s]."""
     time: float
-    """How long the fingers take [s]."""
+    """Closing time of the fingers [s]."""
 
 
 ANY_WIDTHS = (0.030, 0.050)
-"""Between the kinds: width of the object along the fingers [m]."""
+"""Boundaries between the kinds: width of the object along the fingers [m]."""
 ANY_CLOSURES = {
     (True, 0): AnyClosure(0.99, 0.57, 1.09, -0.02, 1.03),
     (True, 1): AnyClosure(0.99, 0.57, 1.09, -0.02, 1.03),
@@ -60,15 +60,15 @@ ANY_CLOSURES = {
     (False, 1): AnyClosure(0.97, 0.56, 1.07, 0.08, 1.01),
     (False, 2): AnyClosure(1.02, 0.45, 1.07, 0.05, 0.97),
 }
-"""By whether the hand is beside the object, and its width. Means of those random closures that kept training objects through
-the shake; too few did with narrow objects beside the hand, which have the next kind's."""
+"""Closures by (hand beside the object, index of its width). Means of those random closures that held training objects through
+the shake; narrow objects beside the hand, for which too few did, have the next kind's."""
 
 
 class ScriptedClosure:
-    """All digits closed at one speed, then held: it never looks at the object.
+    """Closes all digits at constant speed, then holds, regardless of the observation.
 
     Args:
-        grasp: closes from its first shape to its last one; None closes the whole hand, the thumb opposite to the fingers.
+        grasp: grasp from whose preshape to whose closed synergy it moves; None closes the whole hand with opposed thumb.
     """
 
     def __init__(self, grasp: NamedGrasp | None = None) -> None:
@@ -114,10 +114,10 @@ class ScriptedPickPlace:
 
 
 class ScriptedPosture:
-    """Asks for the synergy of the goal, and corrects it by what the camera measures: an integral controller for `Posture`.
+    """Integral controller for `Posture`: commands the goal's synergy, corrected by the camera's measurements.
 
     Args:
-        gain: share of the driven joints' errors that each step adds to the command; 0 is one constant action.
+        gain: fraction of the driven joints' errors that each step adds to the command; 0 is a constant action.
     """
 
     def __init__(self, gain: float = 0.1) -> None:
@@ -137,11 +137,11 @@ class ScriptedPosture:
 
 
 class ScriptedGraspAny:
-    """One closure, chosen by the size and the pose of the object when the episode begins, then held.
+    """One closure, chosen by the size and pose of the object at the start of the episode, then held.
 
     Args:
-        task: whose observations it gets, alone or in a dictionary.
-        closures: how to close on each kind of object.
+        task: task whose observations it receives, as a vector or in a dictionary.
+        closures: closure for each kind of object.
     """
 
     def __init__(self, task: GraspAny, closures: Mapping[tuple[bool, int], AnyClosure] = ANY_CLOSURES) -> None:
@@ -153,7 +153,7 @@ class ScriptedGraspAny:
         self._time, self._closure = 0.0, None
 
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
-        """The next action; only the first observation of an episode is looked at, and a free wrist is left where it is."""
+        """The next action; it uses only the first observation of an episode, and does not move a free wrist."""
         if self._closure is None:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._closure = self._closures[self.kind(vector)]
@@ -168,7 +168,7 @@ class ScriptedGraspAny:
         return np.append(action_from_synergy(synergy), self._wrist).astype(np.float32)
 
     def kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:
-        """Whether the hand is beside the object, and how wide that is along the fingers: one of `ANY_WIDTHS`."""
+        """Whether the hand is beside the object, and the index of its width along the fingers in `ANY_WIDTHS`."""
         up, side, half, down = (vector[self._slices[name]] for name in ("object_up", "object_side", "object_size", "down"))
         beside = abs(down[0]) < 0.5
         along = np.array([0.0, 0.0, 1.0]) - down[2] * down  # the fingers' direction, horizontally
@@ -184,11 +184,11 @@ class ScriptedGraspAny:
 
 
 class ScriptedGraspType:
-    """Each type's own closure: the wrist where the type's data put it, then straight from the first shape to the posture.
+    """Closure of each type: the wrist at the pose of the type's data, then linearly from the preshape to the posture.
 
     Args:
-        task: whose observations it gets, alone or in a dictionary.
-        closure: name of the type whose closure all types get, each with its own wrist; None is each type's own.
+        task: task whose observations it receives, as a vector or in a dictionary.
+        closure: name of a type whose closure all types use, with their own wrist poses; None is each type's own.
     """
 
     def __init__(self, task: GraspByType, closure: str | None = None) -> None:
@@ -200,7 +200,7 @@ class ScriptedGraspType:
         self._time, self._start = 0.0, None
 
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
-        """The next action; of the first observation of an episode only the type is looked at."""
+        """The next action; it uses only the type in the first observation of an episode."""
         if self._start is None:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._start = list(GRASP_TYPES.values())[int(vector[self._told].argmax())].start
@@ -215,7 +215,7 @@ Script = ScriptedClosure | ScriptedPickPlace | ScriptedPosture | ScriptedGraspAn
 
 
 def scripted_closure(task: object) -> Script:
-    """The script for a task: of any object, of the type it is told, of placing, of a posture, or that of its named grasp."""
+    """Scripted policy for a task."""
     if isinstance(task, GraspByType):
         return ScriptedGraspType(task)
     if isinstance(task, GraspAny):

@@ -1,4 +1,4 @@
-"""What a hand with a camera and cheap servos can tell: an object that its digits cover is lost, and servos feel their load."""
+"""Sensing with a camera and low-cost servos: the camera loses an occluded object, and servos report their load."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from hpac_gym.tasks.occlusion import Skeleton, covered, surface
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Term
 
 POINTS = 64
-"""Of an object's surface that an observation of points has room for."""
+"""Largest number of surface points in an observation."""
 _SPREAD = 160
-"""Points all around an object; less than half of them face the camera."""
+"""Number of points sampled on an object's surface; less than half of them face the camera."""
 _PROBED = 48
-"""Of these, how many tell whether the object is seen at all."""
+"""Number of those points that decide whether the object is seen."""
 SEEN_SHARE = 0.7
-"""The object is seen while the camera sees this share of the points that face it; chosen: a tracker needs most of the outline."""
+"""Least visible fraction of the camera-facing points of a seen object; chosen: a tracker needs most of the outline."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServoSenses:
-    """What a cheap servo tells of itself.
+    """Feedback of a low-cost servo.
 
     The nearest servo to this hand's with a published data sheet is the DYNAMIXEL XL-320 (see `physics.settings.BODIES`). Its
-    manual gives the stall torque, a position of 10 bits over 300° and a present load; it says nothing of the load's noise.
+    manual gives the stall torque, a position of 10 bits over 300° and a present load; it does not specify the load's noise.
     """
 
     stall_torque: float = 0.39
-    """XL-320's manual: at 7.4 V [N·m]."""
+    """Stall torque at 7.4 V; XL-320's manual [N·m]."""
     horn_step: float = np.deg2rad(300.0) / 1023
     """Resolution of the horn's angle; XL-320's manual: 1023 steps over 300° [rad]."""
     load_step: float = 1 / 128
-    """Resolution of a load, as a share of the stall torque; chosen: 8 bits with a sign, as of a shunt on a small converter."""
+    """Resolution of the load as a fraction of the stall torque; chosen: 8 bits with sign, as from a shunt and a small ADC."""
     load_noise: float = 0.02
-    """Standard deviation of a load, every reading, as a share of the stall torque; chosen."""
+    """Standard deviation of the load in every reading, as a fraction of the stall torque; chosen."""
     load_bias: float = 0.03
-    """Standard deviation of a servo's error, once an episode, as a share of the stall torque; chosen: friction of its gears."""
+    """Standard deviation of a servo's load bias per episode, as a fraction of the stall torque; chosen: friction of its gears."""
     period: int = 2
-    """Control steps from one reading to the next; chosen: six servos are asked in turn on one wire, 10 readings a second."""
+    """Control steps between readings; chosen: six servos are polled in turn on one bus, 10 readings per second."""
 
 
 LOAD_TERMS = (
@@ -55,18 +55,18 @@ LOAD_TERMS = (
     Term("horn_lag", SERVOS, "0.1 rad", -5.0, 5.0, "commanded servo angle less the horn's as the servo tells it",
          lambda now: (now.servo - now.seen["horn"]) / 0.1),
 )  # fmt: skip
-"""What `obs="load"` adds. The servo of the CMC, which pulls no tendon, has no load in the simulation."""
+"""Terms that `obs="load"` adds. The servo of the CMC, which pulls no tendon, has no load in the simulation."""
 
 
 class Senses:
-    """The object as `ObjectCamera` sees it, while the digits do not cover it; and the servos' load, for n worlds.
+    """`ObjectCamera` with occlusion by the hand, and the servos' feedback, for n worlds.
 
     Args:
         num_worlds: n.
-        noise: of the camera.
-        view: where the camera is; it follows the wrist.
-        centre: what it looks at, in the hand frame, shape (3,) [m].
-        servos: what the servos tell.
+        noise: noise of the camera.
+        view: viewpoint of the camera; it follows the wrist.
+        centre: point at which it looks, in the hand frame, shape (3,) [m].
+        servos: feedback of the servos.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Senses:
         self._seen = {name: np.zeros((num_worlds, size)) for name, size in sizes.items()} | {"visible": np.zeros(num_worlds)}
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
-        """Begin an episode: of a setup, with `factor` times the noise, from a generator of its own."""
+        """Begin an episode of a setup, with `factor` times the noise, drawn from `rng`."""
         camera_rng, self._rng[world] = rng.spawn(2)
         self._camera.start(world, setup, factor, camera_rng)
         self._skeleton.fit(world, setup.geometry)
@@ -106,17 +106,17 @@ class Senses:
         return spec.scale * points, normals
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
-        """A new look at some worlds, and the last one at the others.
+        """Measure some worlds anew; the others keep their last measurement.
 
         Returns:
-            What `ObjectCamera.look` gives, at the last time that the object was seen; `visible` (n,), 1 where that is now; the
-            servos' `load` (n, 5), as a share of the stall torque, and their `horn` angles (n, 6) [rad], at the last reading.
+            Output of `ObjectCamera.look` when the object was last seen; `visible` (n,), 1 where it is seen now; the servos'
+            `load` (n, 5), as a fraction of the stall torque, and `horn` angles (n, 6) [rad], at the last reading.
         """
         rows = np.fromiter(worlds, int)
         seen = self._camera.look(state, rows)
         first, visible = self._count[rows] == 0, self._share(state, rows) >= SEEN_SHARE
         self._seen["visible"][rows] = visible
-        taken = rows[visible | first]  # at first the hand is not there yet
+        taken = rows[visible | first]  # in the first look the hand is not there yet
         for name in ("position", "up", "side", "half_extents"):
             self._seen[name][taken] = seen[name][taken]
         self._read_servos(state, rows[self._count[rows] % self._servos.period == 0])
@@ -131,12 +131,12 @@ class Senses:
         self._seen["horn"][rows] = np.round(state.horn[rows] / servos.horn_step) * servos.horn_step
 
     def _share(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
-        """Share of the points that face the camera which it sees, shape (len(rows),)."""
+        """Visible fraction of the points that face the camera, shape (len(rows),)."""
         facing, clear, _ = self._sight(state, rows, _PROBED)
         return (facing & clear).sum(axis=1) / np.maximum(facing.sum(axis=1), 1)
 
     def _sight(self, state: SceneState, rows: NDArray, count: int) -> tuple[NDArray, NDArray, Array]:
-        """Which points face the camera, which are not covered, and where they are in the hand frame."""
+        """Masks of the points that face the camera and of those that are not occluded, and all points in the hand frame [m]."""
         rotation = state.object_rotation[rows].swapaxes(1, 2)
         points = self._points[rows, :count] @ rotation + state.object_pos[rows, None]
         normals, eye = self._normals[rows, :count] @ rotation, self._eye[rows]
@@ -145,9 +145,9 @@ class Senses:
         return facing, ~covered(eye, points, *bones, self._skeleton.radius[rows]), points
 
     def points(self, state: SceneState) -> NDArray[np.float32]:
-        """The points that the camera sees, as `POINTS_MEANING` says, shape (n, POINTS, 4)."""
+        """Visible points, shape (n, POINTS, 4): x, y, z from `GRASP_CENTRE` in `LENGTH_UNIT`, and 1; unused rows are zero."""
         facing, clear, points = self._sight(state, np.arange(len(self._eye)), _SPREAD)
-        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][:, None]  # the camera's error is one for all
+        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][:, None]  # one error for all points
         seen, found = facing & clear, np.zeros((len(points), POINTS, 4), np.float32)
         order = np.argsort(~seen, axis=1, kind="stable")[:, :POINTS]
         mask = np.take_along_axis(seen, order, axis=1)
@@ -157,10 +157,10 @@ class Senses:
 
 
 POINTS_BOUND = 10.0
-"""Of a point's coordinates, in multiples of `LENGTH_UNIT`."""
+"""Bound of a point's coordinates, in multiples of `LENGTH_UNIT`."""
 
 
 def eye_offset(view: Viewpoint) -> Array:
-    """From what a viewpoint looks at to the camera, along the world's axes, shape (3,) [m]."""
+    """Vector from the target of a viewpoint to the camera, along the world's axes, shape (3,) [m]."""
     yaw, pitch = np.deg2rad(view.yaw_deg), np.deg2rad(view.pitch_deg)
     return view.distance * np.array([np.sin(yaw) * np.cos(pitch), -np.cos(yaw) * np.cos(pitch), -np.sin(pitch)])

@@ -1,7 +1,7 @@
-"""What an environment needs from a task: to draw episodes, to judge them, to shape the reward, and the tables of its terms.
+"""Interface between environments and tasks: sampling and judging of episodes, reward, and the tables of terms.
 
-A task is a plain object. It holds the state of n episodes as arrays between `start` and their outcomes, and knows no action and
-no engine: only the `SceneState` that it is shown.
+A task is a plain object. It holds the state of n episodes as arrays between `start` and their outcomes. It depends on no engine,
+only on the `SceneState` that it receives.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
 CONTROL_HZ = 20
-"""Commands a second."""
+"""Commands per second [Hz]."""
 OUTCOMES = ("running", "success", "failure")
 RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))
 _OUTCOMES = np.array(OUTCOMES, dtype=object)
 
 
 class Task(Protocol):
-    """One task of the environments. What has a value here a task may leave out."""
+    """One task of the environments. Attributes and methods with a default here are optional."""
 
     phases: tuple[str, ...]
     """Names of an episode's phases, in order."""
@@ -38,22 +38,22 @@ class Task(Protocol):
     terms: tuple[Term, ...]
     """The deployed observation."""
     privileged_terms: tuple[Term, ...]
-    """What only a critic may see."""
+    """Additional terms that only a critic may observe."""
     goal_terms: tuple[Term, ...]
-    """Of an achieved and of a desired goal; empty for a task without goals."""
+    """Terms of achieved and desired goals; empty for a task without goals."""
     reward_terms: tuple[RewardTerm, ...]
-    """The dense reward is their sum."""
+    """Terms whose sum is the dense reward."""
     viewpoint: Viewpoint
-    """Where pictures are taken from; they follow the wrist."""
+    """Viewpoint of images; it follows the wrist."""
     grip: Grip | None
-    """How the hands hold their objects."""
+    """Grip of the hands on their objects; None for a task without objects."""
     sensed_terms: Mapping[str, tuple[Term, ...]] = MappingProxyType({})
-    """Kinds of `obs` that this task has beside those of all tasks, and what each adds to the deployed observation."""
+    """Kinds of `obs` that only this task has, and the terms that each adds to the deployed observation."""
     wrist_actions: tuple[str, ...] = ()
-    """Numbers of an action beyond the six of the servos; an episode's first action moves the wrist by them."""
+    """Entries of an action beyond the six for the servos; in an episode's first action they move the wrist."""
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera | MarkerCamera:
-        """Get ready for n worlds; returns their camera."""
+        """Allocate the state of n worlds; returns their camera."""
         ...
 
     def setup(self, rng: np.random.Generator, hand: Hand) -> SceneSetup:
@@ -69,40 +69,40 @@ class Task(Protocol):
         ...
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `phases` of the one that runs, or begins, at times [s], shape (n,); the last one stays."""
+        """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the last phase stays."""
         ...
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
-        """The setup of an episode whose first action is this one, shape (6 + len(wrist_actions),), −1…1."""
+        """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),), −1…1."""
         return setup
 
     def push(self, times: Array) -> Array | None:
-        """Force on the objects at times of each world, shape (n, k) [s]: shape (n, k, 3) [N], along the world's axes; or None."""
+        """Force on the objects, shape (n, k, 3) [N], along the world's axes, at times, shape (n, k) [s]; None for no force."""
         return None
 
     def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
-        """See a state before it is judged, for a task that asks for the contacts of some worlds; each takes milliseconds."""
+        """Inspect a state before it is judged, for tasks that need contacts; `contacts` takes milliseconds per world."""
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step of `dt` [s] and judge the episodes: indices into `OUTCOMES`, shape (n,)."""
         ...
 
     def sparse_reward(self, now: Moment) -> Array:
-        """The reward that only tells whether the aim is reached, shape (n,): 1 on success, 0 otherwise."""
+        """Sparse reward, shape (n,): 1 on success, 0 otherwise."""
         return (now.outcome == SUCCESS).astype(float)
 
     def report(self, now: Moment) -> Mapping[str, Any]:
-        """What `info` says of a step: arrays of shape (n,), by name."""
+        """Entries of `info` for a step: arrays of shape (n,), by name."""
         return scene_report(self, now)
 
 
 def setting(default: Any, meaning: str, **more: Any) -> Any:
-    """A field of a config, with its meaning for the documentation and what else shall be known of it."""
+    """A field of a config, with its meaning for the documentation and other metadata."""
     return field(default=default, metadata={"meaning": meaning, **more})
 
 
 class Weights(Protocol):
-    """What the reward terms weigh that tasks with an object share."""
+    """Weights of the reward terms that tasks with an object share."""
 
     thumb: float
     finger: float
@@ -149,7 +149,7 @@ def outcome_term(weights: Weights) -> RewardTerm:
 
 
 def scene_report(task: Task, now: Moment) -> dict[str, Any]:
-    """The `info` of a task with an object; `docs/environments/README.md` says what its entries mean."""
+    """The `info` of a task with an object; its entries are described in `docs/environments/README.md`."""
     return {
         "is_success": now.outcome == SUCCESS,
         "outcome": _OUTCOMES[now.outcome],

@@ -1,4 +1,4 @@
-"""The tables that observations and rewards are made of. A row binds name, unit, bounds and meaning to its function.
+"""Tables that define observations and rewards. A row binds name, unit, bounds and meaning to its function.
 
 A deployed observation contains only what a sensorless hand plus one external camera can provide: its own commands, what the
 model predicts from them, and what the camera sees. Nothing in it reads the simulated joints.
@@ -23,9 +23,9 @@ from hpac_gym.tasks.grip import Grip
 LENGTH_UNIT = 0.05
 """Lengths in the observation are multiples of this [m], so that every entry is of the order of one."""
 FORCE_UNIT = 10.0
-"""[N]"""
+"""Unit of forces in the observation [N]."""
 SPEED_UNIT = 10.0
-"""Of joints and of the object's spin [rad/s]."""
+"""Unit of joint speeds and of the object's spin in the observation [rad/s]."""
 GRASP_CENTRE = np.array([0.045, 0.005, 0.1125])
 """Origin of `object_pos` in the hand frame [m]: in front of the knuckles."""
 AXES = ("x", "y", "z")
@@ -33,7 +33,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(slots=True)
 class Moment:
-    """What terms are computed from: n worlds after a control step. Arrays with a leading axis n."""
+    """Input of the terms: n worlds after a control step, as arrays with a leading axis n."""
 
     state: SceneState
     servo: Array
@@ -45,20 +45,20 @@ class Moment:
     phase: NDArray[np.int_]
     """Index of the task's phase, shape (n,)."""
     last_action: Array
-    """Shape (n, 6)."""
+    """Last action on the servos, shape (n, 6)."""
     action_change: Array
-    """The last action less the one before it, shape (n, 6)."""
+    """Difference between the last action and the one before it, shape (n, 6)."""
     seen: dict[str, Array] = field(default_factory=dict)
-    """What the task's camera sees, by name."""
+    """Measurements of the task's camera, by name."""
     grip: Grip | None = None
-    """How the hand holds the object; None for a task without one."""
+    """Grip of the hand on the object; None for a task without an object."""
     outcome: NDArray[np.int_] | None = None
-    """How each episode stands, an index into `OUTCOMES`, shape (n,)."""
+    """Status of each episode, an index into `OUTCOMES`, shape (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A run of entries in the observation vector."""
+    """A block of entries in the observation vector."""
 
     name: str
     labels: tuple[str, ...]
@@ -67,9 +67,9 @@ class Term:
     high: float
     meaning: str
     value: Callable[[Any], Any]
-    """From a `Moment` to shape (n, len(labels)); with `fixed`, from a `SceneSetup` to shape (len(labels),)."""
+    """Function of a `Moment`, shape (n, len(labels)); with `fixed`, of a `SceneSetup`, shape (len(labels),)."""
     fixed: bool = False
-    """Whether the entries are those of the episode's setup, the same in all of its steps."""
+    """True if the entries depend only on the episode's setup and are the same in all of its steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +79,11 @@ class RewardTerm:
     name: str
     meaning: str
     value: Callable[[Moment], Array]
-    """From a `Moment` to shape (n,)."""
+    """Function of a `Moment`, shape (n,)."""
 
 
 def column(values: Any) -> Array:
-    """One value a world as a column, shape (n, 1)."""
+    """One value per world as a column, shape (n, 1)."""
     return np.asarray(values, dtype=float)[:, None]
 
 
@@ -92,7 +92,7 @@ COMMAND_TERMS = (
     Term("joint_pos", JOINTS, "rad", 0.0, 2.0, "joint angle that the model predicts for the command, Eqs. (12), (13)",
          lambda now: now.predicted),
 )  # fmt: skip
-"""What every environment tells of its own commands."""
+"""Terms of the hand's own commands, which every environment observes."""
 
 OBJECT_TERMS = (
     Term("object_pos", AXES, "0.05 m", -4.0, 4.0, "seen centre of the object in the hand frame, from `GRASP_CENTRE`",
@@ -103,18 +103,18 @@ OBJECT_TERMS = (
          lambda now: now.seen["side"]),
     Term("object_size", AXES, "0.05 m", 0.0, 2.0, "seen half extents of the object along its own axes",
          lambda now: now.seen["half_extents"] / LENGTH_UNIT),
-    Term("object_shape", SHAPES, "0/1", 0.0, 1.0, "which shape it is",
+    Term("object_shape", SHAPES, "0/1", 0.0, 1.0, "shape of the object, one-hot",
          lambda setup: [float(setup.object.shape == shape) for shape in SHAPES], fixed=True),
     Term("down", AXES, "1", -1.0, 1.0, "direction of gravity in the hand frame, which the arm knows", lambda now: now.down),
 )  # fmt: skip
-"""What the camera sees of the object, and what the arm knows."""
+"""Terms that the camera measures, and the direction of gravity, which the arm knows."""
 
 
 def progress_terms(phases: tuple[str, ...], duration: float) -> tuple[Term, ...]:
-    """Where an episode of these phases and this duration [s] stands."""
+    """Terms of the progress of an episode with these phases and this duration [s]."""
     rows = np.eye(len(phases))
     return (
-        Term("phase", phases, "0/1", 0.0, 1.0, "what the wrist is doing", lambda now: rows[now.phase]),
+        Term("phase", phases, "0/1", 0.0, 1.0, "phase of the wrist motion, one-hot", lambda now: rows[now.phase]),
         Term("progress", ("time",), "1", 0.0, 1.0, "share of the episode that has passed",
              lambda now: column(now.state.time) / duration),
     )  # fmt: skip
@@ -123,13 +123,13 @@ def progress_terms(phases: tuple[str, ...], duration: float) -> tuple[Term, ...]
 HAND_TERMS = (
     Term("true_joint_pos", JOINTS, "rad", -0.5, 2.0, "true joint angle", lambda now: now.state.joint_pos),
     Term("true_joint_vel", JOINTS, "10 rad/s", -5.0, 5.0, "true joint speed", lambda now: now.state.joint_vel / SPEED_UNIT),
-    Term("horn", SERVOS, "rad", 0.0, 2.0, "where the servo's horn is", lambda now: now.state.horn),
+    Term("horn", SERVOS, "rad", 0.0, 2.0, "angle of the servo's horn", lambda now: now.state.horn),
     Term("tension", SERVOS[:-1], "10 N", 0.0, 10.0, "tension of the driving tendon", lambda now: now.state.tension / FORCE_UNIT),
 )
-"""The hand's true state, which only a critic may see."""
+"""True state of the hand, which only a critic may observe."""
 
 PRIVILEGED_TERMS = (
-    Term("last_action", SERVOS, "1", -1.0, 1.0, "the last action; before the first one, where the hand stands",
+    Term("last_action", SERVOS, "1", -1.0, 1.0, "last action; before the first one, that of the initial posture",
          lambda now: now.last_action),
     Term("contact_force", PARTS, "10 N", 0.0, 10.0, "normal force between the object and a part of the hand",
          lambda now: now.state.contact_force / FORCE_UNIT),
@@ -140,17 +140,17 @@ PRIVILEGED_TERMS = (
          lambda now: now.state.object_rotation[:, :, 2]),
     Term("true_object_side", AXES, "1", -1.0, 1.0, "true x axis of the object in the hand frame",
          lambda now: now.state.object_rotation[:, :, 0]),
-    Term("object_vel", AXES, "m/s", -5.0, 5.0, "velocity of the object against the world, along the axes of the hand frame",
+    Term("object_vel", AXES, "m/s", -5.0, 5.0, "velocity of the object relative to the world, along the axes of the hand frame",
          lambda now: now.state.object_vel),
     Term("object_spin", AXES, "10 rad/s", -5.0, 5.0, "angular velocity of the object, along the axes of the hand frame",
          lambda now: now.state.object_spin / SPEED_UNIT),
-    Term("supported", ("touches",), "0/1", 0.0, 1.0, "whether the object touches what it stands on, or the table",
+    Term("supported", ("touches",), "0/1", 0.0, 1.0, "whether the object touches its support or the table",
          lambda now: column(now.state.supported)),
-    Term("hold_time", ("time",), "s", 0.0, 10.0, "for how long the hand has carried the object without a break",
+    Term("hold_time", ("time",), "s", 0.0, 10.0, "duration of carrying the object without interruption",
          lambda now: column(now.grip.time)),
-    Term("slip", ("distance",), "0.05 m", 0.0, 4.0, "how far the object's centre has moved in the hand since then",
+    Term("slip", ("distance",), "0.05 m", 0.0, 4.0, "displacement of the object's centre in the hand since then",
          lambda now: column(now.grip.slip / LENGTH_UNIT)),
-    Term("object_start", AXES, "0.05 m", -10.0, 10.0, "as `true_object_pos`, when the episode began",
+    Term("object_start", AXES, "0.05 m", -10.0, 10.0, "`true_object_pos` at the start of the episode",
          lambda setup: (setup.position - GRASP_CENTRE) / LENGTH_UNIT, fixed=True),
     Term("true_object_size", AXES, "0.05 m", 0.0, 4.0, "true half extents of the object along its own axes",
          lambda setup: np.array(setup.object.half_extents) / LENGTH_UNIT, fixed=True),
@@ -161,18 +161,18 @@ PRIVILEGED_TERMS = (
          lambda setup: [setup.hand_settings.joint_friction / 0.01], fixed=True),
     Term("tendon_stiffness", DIGITS, "1000 N", 0.0, 10.0, "EA of a digit's tendon",
          lambda setup: [digit.tendon_stiffness / 1e3 for digit in setup.hand.digits.values()], fixed=True),
-    Term("slack", DIGITS, "mm", 0.0, 3.0, "what a driving tendon has to wind up before it pulls",
+    Term("slack", DIGITS, "mm", 0.0, 3.0, "slack that a driving tendon winds up before it pulls",
          lambda setup: [1e3 * slack for slack in setup.hand_settings.slack], fixed=True),
-    Term("servo_lag", ("lag",), "0.1 s", 0.0, 2.0, "from a command to the servos' answer",
+    Term("servo_lag", ("lag",), "0.1 s", 0.0, 2.0, "delay from a command to the servos' response",
          lambda setup: [setup.hand_settings.servo.lag / 0.1], fixed=True),
-    Term("dead_band", ("error",), "0.01 rad", 0.0, 10.0, "error that a servo leaves alone",
+    Term("dead_band", ("error",), "0.01 rad", 0.0, 10.0, "largest error that causes no servo motion",
          lambda setup: [setup.hand_settings.servo.dead_band / 0.01], fixed=True),
 )  # fmt: skip
-"""What only a simulation knows: for a critic, whose actor sees the deployed part alone."""
+"""Terms that are known only in simulation: for a critic, whose actor observes only the deployed part."""
 
 
 class Layout:
-    """An observation vector of n worlds, as a table describes it.
+    """Observation vectors of n worlds, defined by a table of terms.
 
     Args:
         terms: the table.
@@ -180,7 +180,7 @@ class Layout:
 
     Attributes:
         space: bounds of one world's vector.
-        slices: where each term's entries are, by its name.
+        slices: slice of each term's entries, by the term's name.
     """
 
     def __init__(self, terms: Sequence[Term], num_worlds: int) -> None:
@@ -200,7 +200,7 @@ class Layout:
                 self._values[world, where] = value(setup)
 
     def see(self, now: Moment) -> NDArray[np.float32]:
-        """The vectors, shape (n, size); what leaves the bounds (an object out of view) stays at them."""
+        """Observation vectors, shape (n, size), clipped to the bounds (an object out of view)."""
         for value, where in self._changing:
             self._values[:, where] = value(now)
         return np.minimum(np.maximum(self._values, self.space.low), self.space.high, dtype=np.float32)

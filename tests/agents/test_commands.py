@@ -15,7 +15,7 @@ GRASP = "grasp --out {folder}/run"
 
 MISTAKES = [
     ("train", "grasp", "--out"),
-    ("train", "--out {folder}/run", "which recipe? It is one of grasp"),
+    ("train", "--out {folder}/run", "no recipe given: it must be one of grasp"),
     ("train", "grasp-ppo --out {folder}/run", "unknown recipe 'grasp-ppo'"),
     ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…inf"),
     ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
@@ -27,8 +27,8 @@ MISTAKES = [
     ("train", GRASP + " --begin 3,9 --release 9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
     ("train", "grasp --out /proc/run", "cannot write to folder '/proc/run'"),
     ("train", "grasp --out {folder}/taken", "already holds a run"),
-    ("train", "--out {folder}/run --resume", "no run to go on with"),
-    ("train", "--out {folder}/taken --resume", "cannot go on with"),
+    ("train", "--out {folder}/run --resume", "no run to resume"),
+    ("train", "--out {folder}/taken --resume", "cannot resume"),
     ("train", "--out {folder}/taken --resume --dropout 0.2", "only --episodes can change"),
     ("evaluate", "", "--policy"),
     ("evaluate", "--policy {folder}/none.zip", "no policy file"),
@@ -39,7 +39,7 @@ MISTAKES = [
     ("evaluate", "--policy random --workers none", "'none' is not a whole number of at least 1"),
     ("evaluate", f"--policy random --env {TINY} --episodes 1 --out /proc/no/results.json", "cannot write to folder"),
     ("curves", "{folder}", "nothing to show"),
-    ("curves", "{folder}/bent", "is no learning curve"),
+    ("curves", "{folder}/bent", "is not a learning curve"),
     ("demo", "--minutes 0", "'0' is not a positive number of minutes"),
 ]
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from agents import reproduce
+from agents.errors import TaskError
 from agents.evaluate import evaluate, main, run_batch, run_episode, table
 from agents.tasks import make_task
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -29,14 +30,15 @@ def test_episodes_do_not_depend_on_the_number_of_workers():
     assert [episode.seed for episode in alone.episodes["random"]] == list(range(HELD_OUT_SEED, HELD_OUT_SEED + 12))
 
 
-def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has():
-    env = make_task("HPAC-Grasp-v0", engine="mujoco")
+@pytest.mark.parametrize("name", ["HPAC-Grasp-v0", "HPAC-Posture-v1"])
+def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has(name):
+    env = make_task(name, engine="mujoco")
     policies = [load_policy("scripted", env) for _ in range(3)]
-    envs = gymnasium.make_vec("HPAC-Grasp-v0", 3, engine="mujoco", autoreset_mode="Disabled")
+    envs = gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="Disabled")
     seeds = [HELD_OUT_SEED + place for place in (0, 7, 1, 2)]
     together = run_batch(envs, policies, seeds)
     assert together == [run_episode(env, policies[0], seed) for seed in seeds]
-    assert len({(episode.success, episode.steps) for episode in together}) > 1
+    assert len({episode.total_reward for episode in together}) == len(seeds)
     env.close()
     envs.close()
 
@@ -75,6 +77,11 @@ def test_json_is_one_object_on_standard_output(capsys, tmp_path):
     assert (printed["env_id"], printed["first_seed"]) == (TINY, HELD_OUT_SEED)
 
 
+def test_the_options_of_an_environment_are_passed_on_and_one_that_it_lacks_is_told():
+    with pytest.raises(TaskError, match="with objects, types: Tiny"):
+        main(["--policy", "random", "--env", TINY, "--objects", "real", "--types", "hook"])
+
+
 def test_the_workers_of_a_killed_evaluation_end(tmp_path):
     words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
     command = subprocess.Popen([sys.executable, "-m", "agents.evaluate", *words], cwd=ROOT, stdout=subprocess.DEVNULL)
@@ -99,3 +106,17 @@ def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_
     assert len(cells) == 3 * (1 + len(engines))
     assert all(cell["episodes"] == 2 for cell in cells)
     assert "| scripted | mujoco light |" in lines[-1]
+
+
+def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys):
+    policy = "agents/trained/grasp.zip"
+    assert reproduce.main(["seeds", "--policy", policy, "--policy", policy, "--episodes", "4"]) == 0
+    *_, first, second, _, last = capsys.readouterr().out.splitlines()
+    assert first == second
+    assert first.startswith("| grasp | 0 | 60,0")
+    assert last.startswith("2 runs: median ")
+
+
+def test_several_runs_are_summed_up_by_median_lowest_and_interquartile_mean():
+    cells = [{"success_rate": rate} for rate in (0.5, 0.9, 0.8, 0.7, 0.6)]
+    assert reproduce.over_runs(cells).startswith("5 runs: median 70.0, lowest 50.0, interquartile mean 70.0 [")

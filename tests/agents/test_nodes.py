@@ -1,6 +1,7 @@
 """Collecting on the nodes of a Ray cluster: what a chunk is, that each counts once, and that a run outlives a node."""
 
 import json
+import re
 import sys
 
 import numpy as np
@@ -12,7 +13,7 @@ from agents.errors import RunError
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
 
-SETTINGS = {"num_envs": "2", "hidden": "16", "batch_size": "16", "random_episodes": "4", "checkpoint_every": "4"}
+SETTINGS = {"num_envs": "2", "hidden": "16", "batch_size": "16", "random_episodes": "4", "checkpoint_every": "30"}
 SMALL = [word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)]
 
 
@@ -23,11 +24,10 @@ def test_each_chunk_counts_once():
     ledger.lose(lost)
     ledger.add(first, 4)
     assert ledger.ask() == 3
-    assert (ledger.added, ledger.lost) == ({late: 5, first: 4}, [lost])
-    for number, state in ((first, "added before"), (lost, "given up before"), (9, "never asked for")):
-        with pytest.raises(RunError, match=f"chunk {number} was {state}: its 7 trials are not added"):
+    for number in (first, lost, 9):
+        with pytest.raises(RunError, match=f"chunk {number} was added or given up before, or never asked for: its 7 trials"):
             ledger.add(number, 7)
-    assert sum(ledger.added.values()) == 9
+    assert ledger.added == {late: 5, first: 4}
 
 
 def test_a_collector_decides_with_what_the_learner_knows():
@@ -63,16 +63,20 @@ def test_without_ray_one_line_names_the_extra(monkeypatch):
 
 @pytest.fixture(scope="module")
 def cluster():
-    """Two nodes of one processor each, and a head without any."""
+    """Two nodes of one processor each; the first of them is the head."""
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-        monkeypatch.setenv("RAY_worker_register_timeout_seconds", "600")
+        settings = {"USAGE_STATS_ENABLED": "0", "BACKEND_LOG_LEVEL": "fatal", "worker_register_timeout_seconds": "600",
+                    "worker_niceness": "0"}  # fmt: skip
+        for name, value in settings.items():
+            monkeypatch.setenv(f"RAY_{name}", value)
+        import ray
         from ray.cluster_utils import Cluster
 
-        made = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
+        made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
         monkeypatch.setenv("RAY_ADDRESS", made.address)
-        made.doomed = [made.add_node(num_cpus=1) for _ in range(2)][1]
+        made.doomed = made.add_node(num_cpus=1)
         yield made
+        ray.shutdown()
         made.shutdown()
 
 
@@ -92,17 +96,15 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
     monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
     monkeypatch.setattr(nodes, "Collectors", Watched)
     words = ["--out", f"{tmp_path}", "--nodes", "2"]
-    assert train.main(["grasp", *words, "--episodes", "40", *SMALL]) == 0
+    assert train.main(["grasp", *words, "--episodes", "60", *SMALL]) == 0
     said, ledger = capsys.readouterr().err, watched[0].ledger
-    (number,) = ledger.lost
-    assert f"is lost, and chunk {number} with it" in said
-    assert "collector 2 takes its place where a processor is free" in said
-    assert number not in ledger.added
+    (number,) = re.findall(r"collector [01] is lost, and chunk (\d+) with it .*: collector 2 takes its place", said)
+    assert int(number) not in ledger.added
     rows = (tmp_path / "progress.csv").read_text().splitlines()
-    assert int(rows[-1].split(",")[0]) == sum(ledger.added.values()) >= 40
-    assert_no_trial_twice(tmp_path, 40)
-    assert train.main([*words[:2], "--nodes", "1", "--resume", "--episodes", "50"]) == 0
-    assert_no_trial_twice(tmp_path, 50)
+    assert int(rows[-1].split(",")[0]) == sum(ledger.added.values()) >= 60
+    assert_no_trial_twice(tmp_path, 60)
+    assert train.main([*words[:2], "--nodes", "1", "--resume", "--episodes", "70"]) == 0
+    assert_no_trial_twice(tmp_path, 70)
 
 
 def assert_no_trial_twice(folder, count):
@@ -117,13 +119,12 @@ def test_a_collector_that_cannot_start_ends_the_run_in_one_line(cluster, tmp_pat
     monkeypatch.setattr(nodes, "versions", lambda: train.versions() | {"python": "2.7"})
     with pytest.raises(RunError, match=r"collector 0 failed: .*has python \S+, not 2.7 as the learner has"):
         train.main(["grasp", "--out", f"{tmp_path}", "--nodes", "1", *SMALL])
-    nodes.connected().shutdown()
 
 
 @pytest.mark.slow
 def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
-    assert nodes.main(["grasp", "--seeds", "4,5", "--out", f"{tmp_path}", "--episodes", "6", *SMALL]) == 0
-    trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (4, 5)]
-    assert trained == [4, 5]
-    assert nodes.main(["grasp", "--seeds", "4", "--out", f"{tmp_path}", "--episodes", "0", *SMALL]) == 1
-    assert "seed-4 failed: agents.errors.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err
+    assert nodes.main(["grasp", "--seeds", "2", "--out", f"{tmp_path}", "--episodes", "6", *SMALL]) == 0
+    trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (0, 1)]
+    assert trained == [0, 1]
+    assert nodes.main(["grasp", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "0", *SMALL]) == 1
+    assert "seed-0 failed: agents.errors.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err

@@ -29,7 +29,7 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("learning_rate", "nan", "learning_rate is nan"),
         ("episodes", "-1", "episodes is -1: it must lie in 1…inf"),
         ("episodes", "1.5", "episodes is '1.5': it must be a whole number"),
-        ("hidden", "64,x", "whole numbers with commas between"),
+        ("hidden", "64,x", "comma-separated whole numbers"),
         ("hidden", "0", "hidden is 0: it must lie in 1…4096"),
         ("hidden", "", "hidden and body need at least one entry"),
         ("num_envs", "0", "num_envs is 0"),

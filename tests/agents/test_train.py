@@ -69,17 +69,20 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
     command = [sys.executable, "-m", "agents.train", "grasp", "--out", tmp_path, "--episodes", "100000", *SMALL]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
-        wait_for(lambda: checkpoints.latest_checkpoint(tmp_path) or process.poll() is not None)
+        wait_for(lambda: checkpoints.latest_checkpoint(tmp_path) or process.poll() is not None, 600)
     finally:
         process.kill()
         process.wait()
     killed, kept = state_of(tmp_path), checkpoints.latest_checkpoint(tmp_path)
     handlers = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
-    interrupt = threading.Thread(target=interrupt_after, args=[lambda: checkpoints.latest_checkpoint(tmp_path) != kept])
+    over = threading.Event()
+    interrupt = threading.Thread(target=interrupt_after, args=[lambda: checkpoints.latest_checkpoint(tmp_path) != kept, over])
     interrupt.start()
     try:
         assert train.main(["--out", str(tmp_path), "--resume"]) == 130
     finally:
+        over.set()
+        interrupt.join()
         for number, handler in handlers:
             signal.signal(number, handler)
     assert capsys.readouterr().err.splitlines()[-1].startswith("interrupted after")
@@ -97,12 +100,13 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
     assert steps == sorted(set(steps)), "the rows after the checkpoint were taken back"
 
 
-def interrupt_after(condition) -> None:
-    """Interrupt this process once something holds, or does not come."""
+def interrupt_after(condition, over: threading.Event) -> None:
+    """Interrupt the training of this process once something holds, or does not come; nothing if the training is over."""
     try:
-        wait_for(condition)
+        wait_for(lambda: condition() or over.is_set(), 600)
     finally:
-        os.kill(os.getpid(), signal.SIGINT)
+        if not over.is_set():
+            os.kill(os.getpid(), signal.SIGINT)
 
 
 def state_of(folder: Path) -> dict:

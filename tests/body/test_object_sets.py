@@ -27,7 +27,7 @@ def test_there_are_200_to_train_on_50_held_out_and_52_real_ones():
 
 @pytest.mark.parametrize("split", ["tests", "", None, 3])
 def test_an_unknown_split_names_the_splits(split):
-    with pytest.raises(ParameterError, match="is none of train, test, real"):
+    with pytest.raises(ParameterError, match="is not one of train, test, real"):
         object_set(split)
 
 

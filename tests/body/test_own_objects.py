@@ -132,7 +132,7 @@ BAD_FILES = {
         "</joint></robot>",
         "joint 'j' of '.*hinge.urdf' is revolute: all joints must be fixed",
     ),
-    "another kind": ("thing.step", "", "'.*thing.step' is none of .stl, .obj, .ply, .off, .urdf"),
+    "another kind": ("thing.step", "", "'.*thing.step' is not one of .stl, .obj, .ply, .off, .urdf"),
 }
 
 
@@ -155,7 +155,7 @@ def test_a_bad_file_is_one_clear_line(name, text, message, tmp_path):
         ({"mass": float("nan")}, r"mass nan kg"),
         ({"mass": None}, r"'.*ell.stl' says no mass: give one in kg"),
         ({"friction": -1.0}, r"friction -1 of '.*ell.stl' must be greater than 0 and at most 2"),
-        ({"up": "w"}, r"up 'w' is none of z, y"),
+        ({"up": "w"}, r"up 'w' is not one of z, y"),
     ],
 )
 def test_a_bad_argument_is_one_clear_line(ell, change, message):
@@ -280,7 +280,7 @@ def test_a_bad_object_of_an_environment_is_one_clear_line(options, error, messag
 
 
 def test_an_unknown_name_and_a_scale_of_an_own_object_are_refused(ell, decomposed):
-    with pytest.raises(ValueError, match=r"model 'mug' is none of beverage_can, tennis_ball"):
+    with pytest.raises(ValueError, match=r"model 'mug' is not one of beverage_can, tennis_ball"):
         ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8, "mug")
     spec = own_object(ell, mass=0.08, scale=0.001, folder=decomposed)
     with pytest.raises(ValueError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"):

@@ -113,7 +113,7 @@ def held_by(env, seed: int) -> tuple[set[str], float]:
 
 
 @pytest.mark.pybullet  # the closures were found in PyBullet
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES[::2], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1::2])])
 def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
     """In most of three episodes each of `HOLDING` touches it, and the forces add up to less than 80 N."""
     with gymnasium.make(ID, grasp=name) as env:

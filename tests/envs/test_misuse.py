@@ -154,10 +154,10 @@ def test_an_object_is_of_finite_size_mass_and_friction(value):
 @pytest.mark.parametrize(
     ("name", "wrong", "named"),
     [
-        ("randomize", 0, "randomize 0 is none of nominal"),
-        ("randomize", False, "randomize False is none of nominal"),
-        ("randomize", "", "randomize '' is none of nominal"),
-        ("randomize", ["full"], r"randomize \['full'\] is none of nominal"),
+        ("randomize", 0, r"randomize must be a preset \(nominal, .*; got 0"),
+        ("randomize", False, r"randomize must be a preset \(nominal, .*; got False"),
+        ("randomize", "", r"randomize must be a preset \(nominal, .*; got ''"),
+        ("randomize", ["full"], r"randomize must be a preset \(nominal, .*; got \['full'\]"),
         ("randomize", {"servo_lga": (0.0, 0.1)}, "servo_lga.*servo_lag"),
         ("randomize", {"servo_lag": 0.1}, r"servo_lag = 0.1 must be a range .* \[0, 0.15\]"),
         ("grasp", ["rod"], r"no grasp \['rod'\]"),

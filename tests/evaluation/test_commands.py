@@ -68,7 +68,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("--policy best", "no policy file 'best', and it is none of the baselines random, scripted"),
+        ("--policy best", "no policy file 'best', and not one of the baselines random, scripted"),
         ("--policy {folder}/file", "is damaged"),
         ("--policy {folder}/cut.zip", "is damaged"),
         ("--policy {folder}", "cannot read policy file"),

@@ -60,7 +60,7 @@ def test_a_recording_that_fails_or_is_interrupted_leaves_nothing_half(tmp_path, 
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--out", "."], "'.' is there already"),
+        (["--out", "."], "'.' exists already"),
         (["--out", "x", "--policy", "none.zip"], "no policy file 'none.zip'"),
         (["--out", "x", "--episodes", "0"], "'0' is not a whole number of at least 1"),
         (["--out", "/proc/x/y"], "cannot write to folder '/proc/x'"),
@@ -93,5 +93,5 @@ def test_nothing_is_cloned_from_failures_or_from_no_dataset(tmp_path):
     record("random", "HPAC-Grasp-v0", 1, tmp_path / "random", seed_start=3, options={"engine": "mujoco"})
     with pytest.raises(RunError, match="no successful episode among its 1"):
         clone.main([str(tmp_path / "random"), "--out", str(tmp_path / "policy")])
-    with pytest.raises(DatasetError, match="holds no dataset"):
+    with pytest.raises(DatasetError, match="is not a dataset"):
         clone.main([str(tmp_path), "--out", str(tmp_path / "policy")])

@@ -122,7 +122,7 @@ def test_a_parameter_error_is_a_value_error():
 def test_a_hand_needs_exactly_its_digits_and_joints():
     with pytest.raises(ParameterError, match="thumb"):
         replace(HPAC, digits={name: digit for name, digit in HPAC.digits.items() if name != "thumb"})
-    with pytest.raises(ParameterError, match="none of thumb, index"):
+    with pytest.raises(ParameterError, match="not one of thumb, index"):
         replace(HPAC.digits["index"], name="sixth")
 
 

@@ -18,7 +18,7 @@ from hpac_gym.tasks.pick_place import PickPlace
 from hpac_gym.tasks.posture import Posture
 
 CLOSED = np.array([0.7, *HPAC.synergy_max[1:5], 1.2])
-NAMES = (None, "hook", "rod", "tweezers", "press")
+NAMES = (None, "hook", "tweezers")
 """In which fingers and thumb touch each other, and several things touch at once; None is a primitive."""
 STEPS = 6
 """Physics steps of a control step."""

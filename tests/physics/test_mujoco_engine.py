@@ -108,19 +108,6 @@ def test_a_reset_forgets_what_was_before():
         assert bits([first, *close(engine)], 0) == alone(setup)
 
 
-def test_a_reset_of_some_worlds_leaves_the_others():
-    setups = varied()[:3]
-    engine = MuJoCoEngine(3)
-    engine.reset(range(3), setups)
-    first = engine.state()
-    states = [first, *close(engine, 10)]
-    engine.reset([1], [named("scissors")])
-    np.testing.assert_array_equal(engine.state().time == 0.0, [False, True, False])
-    states += close(engine, 14, start=10)
-    assert bits(states, 0) == alone(setups[0])
-    assert bits(states, 2) == alone(setups[2])
-
-
 def test_another_process_gives_the_same_bits():
     code = (
         "import sys; sys.path.insert(0, 'tests/physics'); import hashlib, test_mujoco_engine as t;"
@@ -140,15 +127,6 @@ def test_a_snapshot_goes_on_to_the_bit(index):
     engine.restore(1, snapshot)
     assert bits([engine.state()], 1) == seen
     assert bits(close(engine, 6, start=12), 1) == wanted
-
-
-def test_a_snapshot_of_another_episode_is_refused():
-    engine = MuJoCoEngine(1)
-    engine.reset([0], [primitive()])
-    snapshot = engine.save(0)
-    engine.reset([0], [primitive()])
-    with pytest.raises(PhysicsError, match="world 0"):
-        engine.restore(0, snapshot)
 
 
 # Scenes as they are asked for -------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ import numpy as np
 import pybullet
 import pytest
 
-from hpac_gym.body.assets import asset_path
 from hpac_gym.body.object_models import ObjectModel, load_object_models, object_models_from_toml
+from hpac_gym.body.object_urdf import asset_path
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs.randomization import PRESETS, changed_setup
 from hpac_gym.errors import ParameterError

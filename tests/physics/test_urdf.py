@@ -7,8 +7,8 @@ import numpy as np
 import pybullet
 import pytest
 
-from hpac_gym.body.assets import AssetError, asset_path
 from hpac_gym.body.geometry import Capsule, link_poses, load_geometry
+from hpac_gym.body.object_urdf import AssetError, asset_path
 from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, solid_inertia
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, JOINTS, joints_from_synergy
 

@@ -78,7 +78,7 @@ def test_a_policy_of_closures_decides_once_an_episode():
     [
         ({"goal": [1.0, -1.0]}, r"closure range goal = \(1.0, -1.0\) must be two ordered numbers"),
         ({"goal": [0.0]}, "goal"),
-        ({"goal": ["low", "high"]}, "ranges are none"),
+        ({"goal": ["low", "high"]}, "invalid closure ranges"),
         ({"duration": [1.0, float("nan")]}, "duration"),
         ({"speed": [0.0, 1.0]}, "a closure has no speed"),
         ({"begin": [0.0, 1.0]}, "both begin"),

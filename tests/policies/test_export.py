@@ -93,6 +93,6 @@ def test_it_is_refused_where_layout_or_hand_differ(folder, env):
 def test_a_damaged_export_ends_in_one_line(folder, env, name):
     data = (folder / name).read_bytes()
     (folder / name).write_bytes(data[: len(data) // 2])
-    with pytest.raises(PolicyError, match="is no exported policy") as caught:
+    with pytest.raises(PolicyError, match="is not an exported policy") as caught:
         read_onnx(folder, env)
     assert "\n" not in str(caught.value)

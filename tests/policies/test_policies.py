@@ -40,7 +40,7 @@ def test_a_baseline_acts_the_same_for_the_same_seed(name):
 
 
 def test_a_name_that_is_no_policy_is_told_with_those_that_are():
-    with pytest.raises(PolicyError, match="no policy file 'best', and it is none of the baselines random, scripted"):
+    with pytest.raises(PolicyError, match="no policy file 'best', and not one of the baselines random, scripted"):
         load_policy("best", gymnasium.make(TINY))
 
 

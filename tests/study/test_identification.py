@@ -233,7 +233,7 @@ def test_the_command_writes_a_hand_that_drops_in_and_reports_that_files_error(hi
     report = tmp_path / "hand-report"
     figures = {f"{stem}.{kind}" for stem in ("fit", "estimates") for kind in ("png", "svg")}
     assert {path.name for path in report.iterdir()} == {"report.md", "report.json", *figures}
-    assert "cannot be told apart from" in (report / "report.md").read_text()
+    assert "is confounded with" in (report / "report.md").read_text()
 
 
 def test_the_reported_error_is_the_files_and_not_the_fits(record):

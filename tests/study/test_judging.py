@@ -61,9 +61,9 @@ def blurred(record: Sweep) -> Sweep:
 REFUSED = [
     (lambda record: exchanged(record, "index_pip", "index_dip"), r"index_dip turns 1\.\d+ rad for each rad of index_mcp"),
     (lambda record: exchanged(record, "index_pip", "index_mcp"), "are labels exchanged, or is this another hand"),
-    (fingers_exchanged, r"index_dip turns 0\.0\d of what the design's does, while ring_dip, ring_pip, ring_mcp move"),
+    (fingers_exchanged, r"index_dip turns 0\.0\d of the design's travel, while ring_dip, ring_pip, ring_mcp move"),
     (swept_exchanged, r"sweep of middle_mcp: servo index_mcp moves 1\.\d+ rad, middle_mcp 0\.00 rad; are labels exchanged\?"),
-    (resting, r"ring_dip turns 0\.00 of what the design's does; does it rest, or are labels exchanged\?"),
+    (resting, r"ring_dip turns 0\.00 of the design's travel; does it rest, or are labels exchanged\?"),
     (lambda record: garbage(record, 0.3), r"\d\d% of the samples of thumb_ip lie more than .*° from the others"),
     (unrested, "0 samples are marked 'rest', at least 5 are needed"),
     (other_radii, r"middle_dip turns 1\.\d+ rad for each rad of middle_mcp"),

@@ -105,6 +105,8 @@ def test_every_digit_is_its_own_whatever_stands_beside_it():
     both = hand_course(built, SERVO, servos=SWEPT)
     assert both[1] == pytest.approx(hand_course(built[1:], SERVO, servos=SWEPT)[0], abs=CLOSE)
     assert np.abs(both[1] - both[0]).max() > 0.01
+    index, fingers = (swept(hand_course(built, SERVO[:6], servos=servos))[..., 2:] for servos in ((1,), (1, 2, 4)))
+    np.testing.assert_array_equal(fingers, index, "fingers that are computed together are to the bit as alone")
 
 
 def test_a_digit_that_does_not_come_to_rest_is_an_error_with_what_it_still_moves(monkeypatch):

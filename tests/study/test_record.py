@@ -79,8 +79,8 @@ CELL_FAULTS = [
     ("servo_thumb_mp_rad", 3, "half", r"column servo_thumb_mp_rad, row 3: 'half' is not a number"),
     ("joint_ring_pip_rad", 20, "57.3", r"column joint_ring_pip_rad, row 20: 57\.3 rad is beyond 3\.142 rad; is it in degrees\?"),
     ("servo_index_mcp_rad", 31, "79.4", r"column servo_index_mcp_rad, row 31: 79\.4 rad is beyond .* degrees"),
-    ("swept", 9, "index", r"column swept, row 9: 'index' is none of thumb_mp, index_mcp"),
-    ("phase", 9, "closing", r"column phase, row 9: 'closing' is none of rest, flexion, extension"),
+    ("swept", 9, "index", r"column swept, row 9: 'index' is not one of thumb_mp, index_mcp"),
+    ("phase", 9, "closing", r"column phase, row 9: 'closing' is not one of rest, flexion, extension"),
     ("point", 9, "1.5", r"column point, row 9: 1\.5 is not a whole number"),
     ("time_s", 9, "0.1", r"column time_s, row 9: 0\.1 s does not follow 0\.3 s"),
 ]

@@ -115,7 +115,7 @@ def test_a_grasp_file_reads_back():
         ("[rod]", "[rod", "grasps: "),
         ("scale = 1.1", "size = 1.1", "size"),
         ("scale = 1.1", "scale = -1.1", "scale, mass and friction of a variant are"),
-        ("scale = 1.1", 'object = "club"', "object 'club' is none of"),
+        ("scale = 1.1", 'object = "club"', "object 'club' is not one of"),
         ('"conduit"', '"club"', "rod: object 'club'"),
         ('"power"', '"magic"', "rod: family 'magic'"),
         ('about = "a rod"\n', "", "rod: about is missing"),

@@ -127,7 +127,7 @@ def test_a_digit_goes_through_a_ring_that_is_put_over_it_and_not_through_one_bes
 
 def test_rules_that_tell_nothing_or_contradict_the_hand_are_refused():
     for changed, message in (
-        ({"touch": ("toe",)}, "touch has toe, which is none of palm, thumb"),
+        ({"touch": ("toe",)}, "touch has toe, which is not one of palm, thumb"),
         ({"through": ("palm",)}, "through has palm"),
         ({"fingers": 5}, "fingers 5 and digits 0 must be 0 to 4"),
         ({"across": 1.5}, "across 1.5 must be 0 to 1"),
@@ -146,7 +146,7 @@ def test_rules_that_tell_nothing_or_contradict_the_hand_are_refused():
         ("[rod]\n", "[rod]\nclosed = [0, 0, 0, 0, 0, 0]\n", "grasp type rod: unknown fields closed; the posture rod says"),
         ("[rod.rule]\n", "[rod.rule]\ntoes = 3\n", "grasp type rod: .*toes"),
         ("[rod.rule]\n", '[rod.rule]\nnever = ["toe"]\n', "grasp type rod: never has toe"),
-        ('object = "conduit"', 'object = "club"', "grasp rod: object 'club' is none of"),
+        ('object = "conduit"', 'object = "club"', "grasp rod: object 'club' is not one of"),
     ],
 )
 def test_a_bad_file_of_types_is_refused_by_name(old: str, new: str, message: str):

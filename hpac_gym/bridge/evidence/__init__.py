@@ -1,1 +1,1 @@
-"""Evidence for the wire: what a hand and its host promise, tried and judged. Nothing here is needed to drive a hand."""
+"""Evidence: tests of the guarantees of hand and host. Nothing here is needed to drive a hand."""

@@ -1,7 +1,7 @@
-"""docs/wire.md as a suite: does a device do what the document says? Moves a hand by at most 0.3 rad per servo.
+"""A conformance suite of docs/wire.md for any device. It moves a hand by at most 0.3 rad per servo.
 
-It talks with the oracle's codec and knows the device by its answers alone, so that it runs against anything that claims to
-speak the wire: a board, the host board, a virtual hand, a firmware of the user's own.
+It uses the oracle's codec and observes only the device's answers, so that it runs against any device that claims to
+implement the protocol: a board, the host board, a virtual hand, a user's own firmware.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ from hpac_gym.model import HPAC, SERVOS, Hand
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One rule of the document, and how the device did."""
+    """Result of the device for one rule of the document."""
 
     rule: str
     tried: int
-    """How often the device could have broken it, up to the first time that it did."""
+    """Number of checks of the rule, up to the first failure."""
     failure: str
-    """What it did instead; empty if it keeps the rule."""
+    """Description of the failure; empty if the rule holds."""
 
     @property
     def holds(self) -> bool:
-        """True if the rule was tried and kept."""
+        """Whether the rule was checked and held."""
         return self.tried > 0 and not self.failure
 
 
@@ -412,17 +412,17 @@ def _counters(d: Device) -> None:
 
 RULES: dict[str, Callable[[Device], None]] = {
     "HELLO is answered with session and the limits' hash": _hello,
-    "HELLO 0 looks and changes nothing": _hello_looks,
+    "HELLO 0 is answered and changes nothing": _hello_looks,
     "HELLO of another controller disarms and takes over": _hello_takes_over,
-    "another version: HELLO told who is there, all else refused": _other_version,
+    "another version: HELLO is answered, all else but ESTOP refused": _other_version,
     "a damaged frame is counted and not answered": _damage,
-    "junk costs no frame after it": _junk,
+    "junk does not affect later frames": _junk,
     "a lost byte costs at most one frame": _lost_byte,
     "length and type are checked": _lengths,
     "messages of the hand's own types are ignored": _device_types,
     "flags are checked": _flags,
     "ARM, MOVE, HEARTBEAT and CLEAR belong to the session": _sessions,
-    "which error wins": _priorities,
+    "order of the checks of a frame": _priorities,
     "ARM checks hash, action and watchdog": _arm_bounds,
     "servos start one after the other; MOVE waits for them": _starting,
     "MOVE arrives; minimum jerk": _moves,
@@ -433,8 +433,8 @@ RULES: dict[str, Callable[[Device], None]] = {
     "silence: detach": _watchdog_detach,
     "silence: relax": _watchdog_relax,
     "silence: hold, then relax": _watchdog_hold,
-    "what feeds the watchdog, and what does not": _watchdog_food,
-    "ESTOP from anybody, with anything": _estop,
+    "messages that feed the watchdog, and others": _watchdog_food,
+    "ESTOP is accepted from any sender, with any contents": _estop,
     "a fault is latched until CLEAR": _latched,
     "CLEAR stops motion and pulses": _clear,
     "periodic STATUS": _periodic,
@@ -443,11 +443,11 @@ RULES: dict[str, Callable[[Device], None]] = {
 
 
 def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3) -> Iterator[Row]:
-    """Try every rule on the device behind a transport, one after the other. The transport is closed at the end.
+    """Check every rule on the device behind a transport, one after the other. The transport is closed at the end.
 
     Args:
-        hand: whose limits the device should have.
-        patience: with one answer [s].
+        hand: the hand whose limits the device should have.
+        patience: time-out of one answer [s].
     """
     device = Device(transport, hand, patience)
     try:

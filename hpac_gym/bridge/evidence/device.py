@@ -1,4 +1,4 @@
-"""A device under test: questions asked with the oracle's codec, and what must be true of the answers."""
+"""A device under test: requests sent with the oracle's codec, and checks of the answers."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from hpac_gym.model import Hand
 _NAMES = {HELLO: "HELLO", ARM: "ARM", MOVE: "MOVE", HEARTBEAT: "HEARTBEAT", ESTOP: "ESTOP", CLEAR: "CLEAR", STATUS: "STATUS"}
 _ANSWERS = {HELLO: DEVICE_HELLO, STATUS: DEVICE_STATUS}
 SLACK = 0.15
-"""A device's and its line's own time, on top of what the document says [s]."""
+"""Tolerance for the delays of device and line [s]."""
 SESSION = 0x48504143
 OURS = struct.pack("<I", SESSION)
 """The payload of HEARTBEAT and CLEAR in this suite's session."""
 
 
 class BrokenRule(Exception):
-    """The device broke a rule; the message says what it did and what it must do."""
+    """The device violated a rule; the message states the actual and the required behaviour."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Status:
 
 
 class Device:
-    """The other end: questions, answers, and what must be true of them."""
+    """The device under test: requests, answers and checks."""
 
     def __init__(self, transport: Transport, hand: Hand, patience: float) -> None:
         self._transport = transport
@@ -83,23 +83,23 @@ class Device:
         self.unasked: list[Message] = []
 
     def expect(self, kept: bool, what: str) -> None:
-        """Count one more try of the present rule.
+        """Check the current rule and count the check.
 
         Raises:
-            BrokenRule: It is not kept.
+            BrokenRule: The rule is violated.
         """
         self.tried += 1
         if not kept:
             raise BrokenRule(what)
 
     def listen(self, seconds: float) -> None:
-        """Let time pass; what the device says goes to `unasked`."""
+        """Receive messages for `seconds` and append them to `unasked`."""
         until = self._transport.now() + seconds
         while (left := until - self._transport.now()) > 0:
             self.unasked += self._reader.push(self._transport.read(left))
 
     def live(self, seconds: float) -> None:
-        """Let time pass as a controller that is alive."""
+        """Wait as an active controller, sending heartbeats."""
         until = self._transport.now() + seconds
         while (left := until - self._transport.now()) > 0:
             self.send(HEARTBEAT, OURS, NO_ACK)
@@ -113,13 +113,13 @@ class Device:
         return seq
 
     def raw(self, data: bytes) -> None:
-        """Send bytes."""
+        """Send raw bytes."""
         self._transport.write(data)
 
     def ask(
         self, kind: int, payload: bytes = b"", flags: int = 0, version: int = VERSION, seq: int | None = None
     ) -> Message | None:
-        """Send a frame; the first answer that carries its sequence number, or None."""
+        """Send a frame and return the first answer with its sequence number, or None."""
         seq = self.send(kind, payload, flags, version, seq)
         until = self._transport.now() + self._patience
         while (left := until - self._transport.now()) > 0:
@@ -132,20 +132,20 @@ class Device:
         return None
 
     def refusal(self, kind: int, payload: bytes = b"", **how: int) -> tuple[int, int] | None:
-        """Reason and servo of the ACK that answers; None without one."""
+        """Send a frame and return reason and servo of the answering ACK; None without one."""
         answer = self.ask(kind, payload, **how)
         if answer is None or answer.kind != ACK or len(answer.payload) != 4:
             return None
         return answer.payload[1], answer.payload[2]
 
     def must(self, reason: Reason, kind: int, payload: bytes = b"", text: str = "", **how: int) -> None:
-        """The device must answer this message with an ACK of this reason."""
+        """Require that the device answers this message with an ACK of this reason."""
         got = self.refusal(kind, payload, **how)
         told = "no ACK" if got is None else name_of(Reason, got[0])
         self.expect(got is not None and got[0] == reason, f"{_NAMES.get(kind, kind)} {text}: {told}, must be {reason.name}")
 
     def hello(self, nonce: int) -> Hello:
-        """Greet."""
+        """Send HELLO and return the answer."""
         answer = self.ask(HELLO, struct.pack("<I", nonce))
         self.expect(answer is not None, "HELLO got no answer")
         self.expect(answer.kind == DEVICE_HELLO and len(answer.payload) == 30, f"HELLO answered by {_told(answer)}")
@@ -154,7 +154,7 @@ class Device:
         return Hello(session, limits, tuple(trims), reversed_mask, watchdog_ms, state)
 
     def status(self, period_ms: int = 0) -> Status:
-        """Ask how it stands."""
+        """Request STATUS and return the answer."""
         answer = self.ask(STATUS, struct.pack("<H", period_ms))
         self.expect(answer is not None, "STATUS got no answer")
         self.expect(answer.kind == DEVICE_STATUS and len(answer.payload) == 50, f"STATUS answered by {_told(answer)}")
@@ -173,20 +173,20 @@ class Device:
         return struct.pack("<IH6h", session, duration_ms, *steps)
 
     def idle(self) -> None:
-        """Begin a rule with a fresh session, in IDLE."""
+        """Start a rule with a new session, in IDLE."""
         self.hello(SESSION)
         self.must(Reason.ok, CLEAR, OURS, "to begin with")
         status = self.status()
         self.expect(status.state == State.idle and not status.attached, f"after CLEAR {stands(status)}")
 
     def armed(self, action: int = Action.relax, watchdog_ms: int = 250) -> None:
-        """Begin a rule armed, all servos with pulses and at rest."""
+        """Start a rule armed, with pulses on all servos, at rest."""
         self.idle()
         self.must(Reason.ok, ARM, self.arm(action, watchdog_ms))
         self.started()
 
     def started(self) -> None:
-        """After ARM: all servos get pulses, and stand at rest."""
+        """Wait after ARM until all servos have pulses and are at rest."""
         until = self._transport.now() + CONSTANTS["start_max_ms"] * 1e-3 + SLACK
         while (status := self.status()).attached != 0x3F or status.moving:
             self.expect(status.state == State.armed, f"while servos start: {stands(status)}, must be armed")
@@ -195,7 +195,7 @@ class Device:
             self.live(0.03)
 
     def moved(self, target: int = 2000) -> None:
-        """Go `target` [1e-4 rad] from rest, and stand there."""
+        """Move all servos to `target` [1e-4 rad] from rest and check the pose."""
         self.must(Reason.ok, MOVE, self.move(target))
         self.live(0.4 + SLACK)
         status = self.status()

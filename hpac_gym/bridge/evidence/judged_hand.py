@@ -1,4 +1,4 @@
-"""Virtual hands that an oracle watches, and hands that break one promise each: the negative controls of the evidence."""
+"""Virtual hands that an oracle checks, and hands with one fault each: the negative controls of the evidence."""
 
 from __future__ import annotations
 
@@ -14,19 +14,16 @@ from hpac_gym.bridge.virtual_hand import VirtualHand
 
 
 class JudgedHand(VirtualHand):
-    """A virtual hand that an oracle watches; its three hooks are where a control breaks it.
+    """A virtual hand that an oracle checks; negative controls override its hooks `heard`, `shown` and `tick`.
 
     Args:
-        period_us: how often the board ticks the core [µs].
-        start_us: where the clock starts [µs].
+        period_us: period of the board's ticks [µs].
+        start_us: initial value of the clock [µs].
     """
 
     def __init__(self, period_us: int = 1000, start_us: int = 0) -> None:
         self.oracle = Oracle(period_us=period_us)
-        super().__init__(period_us, on_pulses=self._judge, start_us=start_us)
-
-    def _judge(self, now_us: int, widths: np.ndarray) -> None:
-        self.oracle.pulses(now_us, widths)
+        super().__init__(period_us, on_pulses=self.oracle.pulses, start_us=start_us)
 
     def restart(self, reset: Reset = Reset.power_on, boot_count: int = 1) -> None:
         self.oracle.power_on()
@@ -42,20 +39,20 @@ class JudgedHand(VirtualHand):
         return said
 
     def pulses(self) -> np.ndarray:
-        """The widths as shown."""
+        """The pulse widths, modified by `shown`."""
         return np.array(self.shown(self.now_us, super().pulses().tolist()), dtype=np.int64)
 
     def heard(self, data: bytes) -> bytes:
-        """The bytes that the core receives of those that arrive."""
+        """Hook: the bytes that the core receives when ``data`` arrives."""
         return data
 
     def shown(self, now_us: int, widths: list[int]) -> list[int]:
-        """The pulse widths at the servos for those that the core puts out [ns]."""
+        """Hook: the pulse widths at the servos when the core outputs ``widths`` [ns]."""
         return widths
 
 
 def _rewritten(data: bytes, change: Callable[[bytearray], bytes | None], mend: bool = False) -> bytes:
-    """Every intact frame changed and sealed again, or left out; damaged ones as they are, or mended as well."""
+    """Change and re-encode every intact frame, or drop it; damaged frames pass unchanged unless ``mend`` is set."""
     out = b""
     for piece in filter(None, data.split(b"\0")):
         opened = wire.unseal(piece)
@@ -67,34 +64,24 @@ def _rewritten(data: bytes, change: Callable[[bytearray], bytes | None], mend: b
 
 
 class DeafToEstop(JudgedHand):
-    """A hand that does not hear ESTOP."""
+    """A hand that ignores ESTOP."""
 
     def heard(self, data: bytes) -> bytes:
         return _rewritten(data, lambda body: None if body[1] == wire.ESTOP else body)
 
 
 class NoWatchdog(JudgedHand):
-    """A hand whose watchdog is fed by itself."""
-
-    session = b""
-
-    def heard(self, data: bytes) -> bytes:
-        _rewritten(data, self._note_session)
-        return data
-
-    def _note_session(self, body: bytearray) -> None:
-        if body[1] == wire.HELLO:
-            self.session = bytes(body[5:9])
+    """A hand that feeds its own watchdog."""
 
     def tick(self) -> None:
-        if self.session:
-            feed = wire.wire(wire.HEARTBEAT, 0xFFFF, self.session, wire.NO_ACK)
+        if self.oracle.session:
+            feed = wire.wire(wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.session), wire.NO_ACK)
             self._library.hpac_hand_receive(self._hand, self._config, self.now_us, feed, len(feed))
         super().tick()
 
 
 class MovesOn(JudgedHand):
-    """A hand that goes on moving in its fault: the servo pulses drift by 0.05 rad/s."""
+    """A hand that continues to move in a fault: the servo pulses drift by 0.05 rad/s."""
 
     def shown(self, now_us: int, widths: list[int]) -> list[int]:
         silent_us = max(now_us - getattr(self, "heard_us", now_us) - 600_000, 0)
@@ -134,23 +121,19 @@ class AlwaysOn(JudgedHand):
 
 
 class Forgiving(JudgedHand):
-    """A hand that takes what it should refuse: mends damage and sessions, renumbers old moves, clears its faults itself."""
-
-    session = bytes(4)
+    """A hand that accepts frames that it should refuse: it repairs damaged frames and wrong sessions."""
 
     def heard(self, data: bytes) -> bytes:
         return _rewritten(data, self._mend, mend=True)
 
     def _mend(self, body: bytearray) -> bytes:
-        if body[1] == wire.HELLO and len(body) == 9:
-            self.session = bytes(body[5:9])
-        elif body[1] in (wire.ARM, wire.MOVE, wire.HEARTBEAT, wire.CLEAR):
-            body[5:9] = self.session
+        if body[1] in (wire.ARM, wire.MOVE, wire.HEARTBEAT, wire.CLEAR):
+            body[5:9] = struct.pack("<I", self.oracle.session)
         return bytes(body)
 
 
 class Renumbering(JudgedHand):
-    """A hand that takes every MOVE for a new one."""
+    """A hand that treats every MOVE as a new one."""
 
     seq = 0
 

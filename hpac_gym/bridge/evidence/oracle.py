@@ -1,7 +1,7 @@
-"""A judge of hands: what docs/wire.md promises about pulses, held against the bytes that went in and the pulses that came out.
+"""An oracle for hands: checks pulses against docs/wire.md, given the bytes that the hand received and sent.
 
 Written from the document alone. It has its own codec, its own servo table from the hand's parameters, and its own clock; it
-imports nothing of the link, of the Python codec or of the firmware core.
+imports nothing from the link, the Python codec or the firmware core.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ VERSION = 2
 HELLO, ARM, MOVE, HEARTBEAT, ESTOP, CLEAR, STATUS = range(1, 8)
 DEVICE_HELLO, ACK, DEVICE_STATUS, FAULT = range(0x81, 0x85)
 LENGTHS = {HELLO: 4, ARM: 11, MOVE: 18, HEARTBEAT: 4, ESTOP: 0, CLEAR: 4, STATUS: 2}
-"""Payload of each message of the host [bytes]."""
+"""Payload length of each host message [bytes]."""
 MINIMUM_JERK, NO_ACK = 1, 2
 HOLD, RELAX, DETACH = range(3)
 FAULT_ESTOP, FAULT_WATCHDOG, FAULT_OVERLOAD = 1, 2, 3
@@ -33,16 +33,16 @@ RATE_EXCESS = 1.01
 NS_PER_RAD = 636_620.0
 CENTRE_NS = 1_500_000.0
 ROUNDING = 3e-6
-"""Pulses are whole nanoseconds, angles whole microradians [rad]."""
+"""Tolerance for rounding of pulses to nanoseconds and angles to microradians [rad]."""
 CREDIT_TIME = 1e-3
 CREDIT_ANGLE = 1e-4
-"""What a servo may be ahead of its rate limit: 1 ms of it, and 1e-4 rad."""
+"""Permitted lead of a servo over its rate limit: 1 ms at the limit, plus 1e-4 rad."""
 
 RULES = ("range", "rate", "start", "unarmed", "estop", "silence", "accept")
 
 
 def wire(kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: int = VERSION) -> bytes:
-    """A frame on the wire."""
+    """Encode a frame for the wire."""
     return seal(struct.pack("<BBHB", version, kind, seq, flags) + payload)
 
 
@@ -60,7 +60,7 @@ def seal(body: bytes) -> bytes:
 
 
 def unseal(piece: bytes) -> tuple[bytes, bool] | None:
-    """Header and payload of what stood between two zeros, and whether the CRC fits; None if it is no COBS or too short."""
+    """Header and payload of a piece between two zeros, and whether its CRC is right; None if it is not COBS or too short."""
     data, at = bytearray(), 0
     while at < len(piece):
         step = piece[at]
@@ -87,13 +87,13 @@ class Message:
 
 
 class Reader:
-    """Cuts a stream at its zeros into intact frames."""
+    """Splits a byte stream into intact frames."""
 
     def __init__(self) -> None:
         self._rest = b""
 
     def push(self, data: bytes) -> list[Message]:
-        """Take in bytes; the intact frames that they end."""
+        """Process bytes and return the intact frames that they complete."""
         *pieces, self._rest = (self._rest + data).split(b"\0")
         self._rest = self._rest[-300:]
         opened = [unseal(piece) for piece in pieces if piece]
@@ -102,7 +102,7 @@ class Reader:
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """A promise that was broken."""
+    """A violated rule."""
 
     rule: str
     now_us: int
@@ -110,16 +110,17 @@ class Complaint:
 
 
 class Oracle:
-    """Follows one hand from its power-on and complains of every promise that its pulses break.
+    """Follows one hand from power-on and records every violation of the rules by its pulses.
 
     Args:
-        hand: whose limits the hand should have.
-        period_us: how often the board looks at the clock [µs]: how late anything may be.
+        hand: parameters of the hand.
+        period_us: period of the board's ticks, which is also the tolerance in time [µs].
 
     Attributes:
-        complaints: the first hundred broken promises, in order.
-        broken: how many there were, by rule.
-        tried: how often each of `RULES` was looked at where it could have been broken.
+        complaints: the first hundred violations, in order.
+        broken: number of violations, by rule.
+        tried: number of checks of each of `RULES`.
+        session: nonce of the last HELLO that opens a session; 0 before the first.
     """
 
     def __init__(self, hand: Hand = HPAC, period_us: int = 1000) -> None:
@@ -138,11 +139,11 @@ class Oracle:
         self.power_on()
 
     def power_on(self) -> None:
-        """The chip has restarted: no session, no pulses."""
-        self._session = 0
+        """Note a restart of the chip: no session, no pulses."""
+        self.session = 0
         self._waiting: dict[tuple[int, int], tuple[int, Message]] = {}
         self._armed = False
-        self._ending = -1  # the action that a fault has begun
+        self._ending = -1  # the action started by a fault
         self._ending_us, self._ending_rule = 0, ""
         self._fed_us = self._watchdog_us = self._action = 0
         self._last_move: tuple[int, bytes] | None = None
@@ -158,18 +159,18 @@ class Oracle:
         if len(self.complaints) < 100:
             self.complaints.append(Complaint(rule, now_us, text))
 
-    # --- what the host sent, and what the hand said to it ----------------------------------------------------------
+    # --- messages of the host and answers of the hand --------------------------------------------------------------
 
     def host(self, now_us: int, data: bytes) -> None:
-        """Bytes that reached the hand."""
+        """Record bytes that reached the hand."""
         for message in self._from_host.push(data):
-            if message.kind == ESTOP:  # from anybody, with anything
+            if message.kind == ESTOP:  # from any sender, with any contents
                 self.tried["estop"] += 1
                 self._end(DETACH, now_us, "estop")
             elif message.version == VERSION:
                 self._waiting[message.kind, message.seq] = (now_us, message)
                 if message.kind == HELLO and message.payload != bytes(4) and len(message.payload) == 4 and not message.flags:
-                    self._session = struct.unpack("<I", message.payload)[0]
+                    self.session = struct.unpack("<I", message.payload)[0]
                     self._armed, self._last_move = False, None
 
     def _end(self, action: int, now_us: int, rule: str) -> None:
@@ -177,7 +178,7 @@ class Oracle:
         self._ending, self._ending_us, self._ending_rule = action, now_us, rule
 
     def device(self, now_us: int, data: bytes) -> None:
-        """Bytes that the hand sent: which messages it carried out, and which faults it found by itself."""
+        """Record bytes that the hand sent: executed messages, and faults that it detected."""
         for message in self._from_hand.push(data):
             if message.kind == ACK and len(message.payload) == 4 and message.payload[1] == 0:
                 sent_us, question = self._waiting.pop((message.payload[0], message.seq), (now_us, None))
@@ -204,7 +205,7 @@ class Oracle:
             self._last_move, self._repeatable = (message.seq, message.payload), True
 
     def _must_refuse(self, message: Message) -> str | None:
-        """Why this message may not be carried out, as far as an onlooker knows."""
+        """Reason for which the hand must refuse this message, as far as an observer can know; None without one."""
         if len(message.payload) != LENGTHS.get(message.kind, -1):
             return f"payload of {len(message.payload)} bytes"
         if message.flags & ~(3 if message.kind == MOVE else NO_ACK if message.kind == HEARTBEAT else 0):
@@ -212,8 +213,8 @@ class Oracle:
         if message.kind == STATUS:
             return None
         session = struct.unpack_from("<I", message.payload)[0] if message.payload else 0
-        if not self._session or session != self._session:
-            return f"session {session:08x} instead of {self._session:08x}"
+        if not self.session or session != self.session:
+            return f"session {session:08x} instead of {self.session:08x}"
         if message.kind == ARM:
             _, _, watchdog_ms, action = struct.unpack("<IIHB", message.payload)
             if action > DETACH or not WATCHDOG_US[0] <= watchdog_ms * 1000 <= WATCHDOG_US[1]:
@@ -237,10 +238,10 @@ class Oracle:
                 return f"older than {self._last_move[0]}"
         return None
 
-    # --- what the pulses did ---------------------------------------------------------------------------------------
+    # --- pulses ----------------------------------------------------------------------------------------------------
 
     def pulses(self, now_us: int, widths: list[int] | np.ndarray) -> None:
-        """The six widths [ns] after the board has looked at the clock; 0 is no pulse."""
+        """Check the six pulse widths [ns] after a tick; 0 means no pulses."""
         if self._armed and now_us - self._fed_us >= self._watchdog_us + self._period_us:
             self._end(self._action, self._fed_us + self._watchdog_us, "silence")
         before_us = self._now_us if self._now_us is not None else now_us
@@ -278,7 +279,7 @@ class Oracle:
         if len(new) > 1 or now_us - self._started_us < START_GAP_US - self._period_us:
             self._complain("start", now_us, f"servos {new} start {(now_us - self._started_us) / 1e3:.0f} ms after the one before")
         for i in new:
-            # Pulses stop at the tick that finds the relaxing servo at rest: the last output is a tick older.
+            # Pulses stop at the tick at which the relaxing servo is at rest, so the last output is one tick older.
             if abs(angles[i] - self._pose[i]) > RELAX_SHARE * self._rate[i] * 2e-6 * self._period_us + ROUNDING:
                 self._complain("start", now_us, f"{SERVOS[i]} starts at {angles[i]:.4f} rad, was last at {self._pose[i]:.4f} rad")
         self._started_us = now_us

@@ -1,8 +1,8 @@
-"""The safety case: claims about hand and host, each measured now, each beside a negative control that must fail.
+"""The safety case: claims about hand and host, each measured together with a negative control that must fail.
 
-Firmware time is the core's own clock in the virtual hand, exact to a tick; there an `Oracle` judges, which knows the document
-and nothing of the core. Wall-clock figures come from the host board on this machine: a process under a scheduler, so they
-tell of this machine too. A control breaks the hand on its way between core and judge, or leaves out what the claim is about:
+Firmware time is the core's own clock in the virtual hand, exact to a tick; there an `Oracle` checks the hand, knowing only the
+document and not the core. Wall-clock figures come from the host board, a process under this machine's scheduler, and thus also
+depend on the machine. A control breaks the hand between core and oracle, or omits the protection that the claim is about:
 a claim holds only if something was tried, the figure is within its limit, and the control's is not.
 """
 
@@ -39,7 +39,7 @@ from hpac_gym.bridge.virtual_hand import VirtualHand, VirtualTransport
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
 
 BOARD_TICK_US = 20_000
-"""A board that ticks only once a servo period: the slowest that is allowed [µs]."""
+"""Tick period of the slowest permitted board, one tick per servo period [µs]."""
 
 _PATIENCE = 1.0
 _HALF = HPAC.servo_max / 2
@@ -56,24 +56,24 @@ class Claim:
     limit: float
     unit: str
     tried: int
-    """How often the claim could have been broken."""
+    """Number of opportunities to break the claim."""
     control: float
-    """The figure with the protection broken; NaN if there is none."""
+    """Figure of the negative control; NaN without one."""
 
     @property
     def holds(self) -> bool:
-        """True if it was tried, the figure is within its limit, and the control's is not."""
+        """Whether it was tried, the figure is within its limit, and the control's is not."""
         return self.tried > 0 and self.figure <= self.limit and self.control > self.limit
 
 
-# --- what is played: each returns the figure, and how often the claim could have been broken --------------------------
+# --- scenarios: each returns the figure and the number of opportunities to break the claim ----------------------------
 
 Played = tuple[float, int]
 Hands = type[JudgedHand]
 
 
 def _linked(hand: JudgedHand, action: Action = Action.relax, watchdog: float = 0.25) -> HandLink:
-    """A link that arms the hand and has moved it; on a broken hand perhaps not quite."""
+    """A link that has armed the hand and started a move."""
     link = HandLink(hand.connect)
     link.connect()
     link.arm(action, watchdog)
@@ -82,7 +82,7 @@ def _linked(hand: JudgedHand, action: Action = Action.relax, watchdog: float = 0
 
 
 def _silence(kind: Hands, action: Action) -> Played:
-    """The host falls silent in the middle of a move: the figure counts broken promises about what follows."""
+    """The host falls silent during a move: number of violations afterwards."""
     broken = tried = 0
     longest = 4.0 + (CONSTANTS["hold_max_ms"] * 1e-3 if action == Action.hold else 0.0)
     for number, watchdog in enumerate((0.1, 0.25, 2.0)):
@@ -96,14 +96,14 @@ def _silence(kind: Hands, action: Action) -> Played:
 
 
 def _pass(hand: VirtualHand, seconds: float) -> None:
-    """Let time pass, whatever the hand has to say."""
+    """Advance the virtual clock, ignoring the hand's messages."""
     until_us = hand.now_us + seconds * 1e6
     while hand.now_us < until_us:
         hand.run((until_us - hand.now_us) * 1e-6)
 
 
 def _silence_time(kind: Hands) -> Played:
-    """Time from the last frame to the last pulse with the action `detach`, beyond the watchdog [ms]."""
+    """Worst time from the end of the watchdog period to the last pulse with the action `detach` [ms]."""
     worst, tried = 0.0, 0
     for watchdog in (0.1, 0.25, 0.5, 2.0):
         for offset_us in range(0, BOARD_TICK_US, 3_700):
@@ -120,7 +120,7 @@ def _ms_until_silent(hand: VirtualHand, patience: float) -> float:
 
 
 def _fed_by_strangers(kind: Hands) -> Played:
-    """The controller is silent while others ask for STATUS and send HEARTBEAT, MOVE and CLEAR of other sessions."""
+    """The controller is silent while others request STATUS and send HEARTBEAT, MOVE and CLEAR of other sessions."""
     hand = kind()
     link = _linked(hand, Action.detach)
     session = struct.pack("<I", link.info.session ^ 1)
@@ -134,7 +134,7 @@ def _fed_by_strangers(kind: Hands) -> Played:
 
 
 def _random_moves(kind: Hands, rule: str) -> Played:
-    """Moves of every kind at every time, good and bad, and boards that stall for up to 0.4 s."""
+    """Valid and invalid moves of every kind at random times, on boards that stall for up to 0.4 s."""
     hand = kind()
     rng = np.random.default_rng(4)
     link = _linked(hand, Action.hold, 2.0)
@@ -153,7 +153,7 @@ def _random_moves(kind: Hands, rule: str) -> Played:
 
 
 def _starts(kind: Hands) -> Played:
-    """Arming at rest, and again wherever CLEAR has left the hand."""
+    """Arming at rest, and again at the pose in which CLEAR has left the hand."""
     hand = kind()
     link = _linked(hand)
     for _ in range(5):
@@ -183,7 +183,7 @@ def _unarmed(kind: Hands) -> Played:
 
 
 def _estops(kind: Hands) -> Played:
-    """ESTOP with any flags, payload, version and sequence number, into any moment; from the last byte to the last pulse [ms]."""
+    """ESTOP at any time with any flags, payload, version and sequence number: worst time to the last pulse [ms]."""
     rng = np.random.default_rng(3)
     worst, tried = 0.0, 0
     for number in range(24):
@@ -199,7 +199,7 @@ def _estops(kind: Hands) -> Played:
 
 
 def _ways_out_of_a_fault(kind: Hands) -> Played:
-    """After an e-stop, every message but the session's CLEAR: how many of them bring pulses back or leave the fault."""
+    """After an e-stop, every message except the session's CLEAR: number of them that restore pulses or leave the fault."""
     hand = kind()
     link = _linked(hand, Action.detach)
     link.estop()
@@ -218,7 +218,7 @@ def _ways_out_of_a_fault(kind: Hands) -> Played:
 
 
 def _old_moves(kind: Hands) -> Played:
-    """The same MOVE, and older ones, again: after later ones, and after CLEAR and ARM."""
+    """Repetition of the same MOVE and of older ones: after later ones, and after CLEAR and ARM."""
     hand = kind()
     link = _linked(hand, Action.hold, 2.0)
     link.wait()
@@ -241,7 +241,7 @@ def _old_moves(kind: Hands) -> Played:
 
 
 def _hostile(kind: Hands, frames: int) -> Played:
-    """Good, absurd, damaged and foreign frames at random times: every promise that the oracle knows."""
+    """Valid, absurd, damaged and foreign frames at random times: violations of any rule of the oracle."""
     rng = np.random.default_rng(6)
     hand = kind()
     link = HandLink(hand.connect)
@@ -251,7 +251,7 @@ def _hostile(kind: Hands, frames: int) -> Played:
     for number in range(frames):
         hand.receive(_hostile_frame(rng, session, limits_hash, number))
         hand.transmit()
-        if rng.random() < 0.02:  # a fault would silence all that follows
+        if rng.random() < 0.02:  # otherwise a fault would block all later frames
             hand.receive(wire.wire(wire.CLEAR, number % 0x10000, struct.pack("<I", session)))
             hand.transmit()
         if rng.random() < 0.05:
@@ -279,7 +279,7 @@ def _hostile_frame(rng: np.random.Generator, session: int, limits_hash: int, num
 
 
 def _damaged(kind: Hands, frames: int = 3000) -> Played:
-    """MOVE and ARM frames with one to eight bits turned: how many were carried out."""
+    """MOVE frames with one to eight flipped bits: number of executed ones."""
     rng = np.random.default_rng(8)
     hand = kind()
     link = _linked(hand, Action.hold, 2.0)
@@ -300,7 +300,7 @@ def _damaged(kind: Hands, frames: int = 3000) -> Played:
 
 
 def _overload(kind: Hands) -> Played:
-    """Time that a hand stays fully closed before it opens by itself [s]."""
+    """Time until a fully closed hand opens by itself [s]."""
     hand = kind(BOARD_TICK_US)
     link = _linked(hand, Action.hold)
     link.move(ServoCommand(HPAC.servo_max, _TIME))
@@ -314,7 +314,7 @@ def _overload(kind: Hands) -> Played:
 
 
 class _Restarting(VirtualTransport):
-    """A board that restarts when its port opens, and once more after `restart_at` writes, with boot text each time."""
+    """A board that restarts when its port opens and again after `restart_at` writes, sending boot text each time."""
 
     def __init__(self, hand: VirtualHand, restart_at: int, seen: dict[str, int], endless: bool) -> None:
         super().__init__(hand)
@@ -342,14 +342,14 @@ class _Restarting(VirtualTransport):
 
 
 def _boots(endless: bool) -> Played:
-    """Sessions with boards that restart at opening and in the session: how many are lost or leave pulses."""
+    """Sessions with boards that restart at opening and during the session: number that are lost or leave pulses."""
     lost, seen = 0, {"resets": 0, "bytes": 0}
     for restart_at in range(8, 28):
         hand = VirtualHand()
         link = HandLink(lambda hand=hand, at=restart_at: _Restarting(hand, at, seen, endless), handshake_timeout=1.0)
         try:
             link.connect()
-            with suppress(BridgeError):  # the restart in the session ends it; a silent one would be a fault
+            with suppress(BridgeError):  # the restart must end the session with an error
                 link.arm()
                 link.move(ServoCommand(_HALF, _TIME))
                 link.sleep(2.0)
@@ -363,8 +363,8 @@ def _boots(endless: bool) -> Played:
 
 
 def _sessions(count: int) -> Iterator[Claim]:
-    """Random sessions; those whose link is dead towards the hand at the end are counted apart, since only the firmware can
-    act there. Controls: links without last words, and hands without a watchdog."""
+    """Random sessions; those whose link to the hand has failed are counted separately, since only the firmware can act there.
+    Controls: links that do not release the hand, and hands without a watchdog."""
     seen, mute = run_sessions(count), run_sessions(max(10, count // 50), release=False)
     broken, control = (s.powered + s.untold + s.swallowed for s in (seen, mute))
     text = f"{seen.sessions:,} random sessions over bad links, interrupted anywhere: left powered over a living link, or untold"
@@ -381,12 +381,12 @@ def measure(frames: int = 10_000_000, trials: int = 20, sessions: int = 10_000, 
     """Measure every claim and its control, one after the other.
 
     Args:
-        frames: hostile frames, and as many damaged ones, that the C driver plays.
-        trials: repetitions of what is measured on the wall clock.
-        sessions: random sessions over bad links.
+        frames: number of hostile frames, and of damaged ones, from the C driver.
+        trials: repetitions of wall-clock measurements.
+        sessions: number of random sessions over bad links.
 
     Raises:
-        FirmwareMissing: The host build is not there.
+        FirmwareMissing: The host build is missing.
     """
 
     for claim, limit, unit, control, play, *words in _PLAYED:
@@ -417,15 +417,15 @@ _PLAYED = [
     ("a hostile host: all of the above", 0, "complaints", Shifted, _hostile, 20_000),
     ("a fully closed hand opens by itself (chosen load model)", 300, "s", AlwaysOn, _overload),
 ]
-"""Claim, limit, unit, the broken hand that must fail it, what is played, and with which words."""
+"""Claim, limit, unit, faulty hand of the negative control, scenario and its arguments."""
 
 
 _PREDICTED = ("broken", "outside_limits", "too_fast", "pulses_unarmed", "estop_ignored")
 
 
 def _driver(frames: int, seed: int) -> Iterator[Claim]:
-    """The C driver's figures: more frames than Python could send, judged by a second oracle, which predicts every answer and
-    every pulse. Its controls tamper with what the oracle and the hand are given."""
+    """Figures of the C driver: more frames than Python could send, checked by a second oracle, which predicts every answer
+    and every pulse. Its controls tamper with the input of oracle and hand."""
     good, tampered = _drive(frames, seed), _drive(frames, seed, "tampered")
     text = f"every answer and every pulse as the document says ({good['frames']:,} hostile frames)"
     broken, control = (sum(figures[name] for name in _PREDICTED) for figures in (good, tampered))
@@ -441,7 +441,7 @@ def _driver(frames: int, seed: int) -> Iterator[Claim]:
 def _drive(frames: int, seed: int, *mode: str) -> dict[str, int]:
     command = [firmware_file("hpac_driver"), str(frames), str(seed), *mode]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
-    if answer.returncode not in (0, 1):  # 1: a promise was broken, and the figures say which
+    if answer.returncode not in (0, 1):  # 1: a rule was broken, as the figures show
         raise BridgeError(f"{command[0]} ended with status {answer.returncode}: {answer.stderr.strip() or 'no message'}")
     return {name: int(value) for name, value in (line.split() for line in answer.stdout.splitlines())}
 
@@ -464,7 +464,7 @@ def _wall_clock(trials: int) -> Iterator[Claim]:
         try:
             link.arm(Action.detach)
             link.heartbeat()
-        except FaultError:  # so busy a machine that the watchdog bites while the hand is being armed
+        except FaultError:  # on a busy machine the watchdog may trip during arming
             if tries == 1:
                 raise
             link.clear()

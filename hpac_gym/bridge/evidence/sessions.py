@@ -1,7 +1,7 @@
-"""Random sessions over bad links, interrupted anywhere: does any end with the hand powered?
+"""Random sessions over bad links, interrupted anywhere, to check that none ends with the hand powered.
 
-Everything runs in virtual time against the firmware core. The judge looks at the pulses and at the bytes that reached the
-hand, not at what the link believes.
+Everything runs in virtual time against the firmware core. The check uses the pulses and the bytes that reached the
+hand, not the link's own knowledge.
 """
 
 from __future__ import annotations
@@ -20,26 +20,26 @@ from hpac_gym.model import HPAC, ServoCommand, move_duration
 
 _SLACK = 0.03
 _RELAX_TIME = 1e3 / CONSTANTS["relax_permille"] * move_duration(HPAC.servo_min, HPAC.servo_max)
-"""The longest way to rest at the relax rate [s]."""
+"""Longest motion to rest at the relax rate [s]."""
 
 BOUND = {
     Action.detach: _SLACK,
     Action.relax: _RELAX_TIME + _SLACK,
     Action.hold: CONSTANTS["hold_max_ms"] * 1e-3 + _RELAX_TIME + _SLACK,
 }
-"""For how long after the watchdog a hand whose link is dead may have pulses [s]: then only its firmware can act."""
+"""Longest time with pulses after the watchdog if the link has failed and only the firmware can act [s]."""
 
 
 class Interrupted(KeyboardInterrupt):
-    """The Ctrl-C of a random session."""
+    """Simulated Ctrl-C of a random session."""
 
 
 class BadTransport(VirtualTransport):
-    """A link that loses and damages bytes, dies in one direction or both, and is interrupted at chosen calls and bytes.
+    """A link that loses and damages bytes, fails in one or both directions, and is interrupted at chosen calls and bytes.
 
     Attributes:
-        calls: reads and writes so far.
-        dead_out, dead_in: nothing more arrives in this direction.
+        calls: number of reads and writes so far.
+        dead_out, dead_in: whether this direction has failed.
     """
 
     def __init__(self, hand: VirtualHand, rng: np.random.Generator) -> None:
@@ -72,7 +72,7 @@ class BadTransport(VirtualTransport):
         return self.calls in self.interrupt_at
 
     def write(self, data: bytes) -> None:
-        """An interrupt comes between any two bytes."""
+        """Write bytes; an interrupt may occur between any two of them."""
         interrupt = self._count()
         passed = data[: self._rng.integers(len(data) + 1)] if interrupt else data
         arriving = b"" if self.dead_out else self._spoil(passed, self.loss_out)
@@ -101,21 +101,21 @@ class Sessions:
     interrupted: int = 0
     interrupted_twice: int = 0
     unconfirmed: int = 0
-    """Sessions that ended with the statement that the hand had not confirmed."""
+    """Sessions that ended with an `UnconfirmedWarning` or note."""
     lossy: int = 0
     """Sessions over a link that lost or damaged frames towards the hand."""
     powered: int = 0
-    """Hands powered after the end although the link still led to them. None may be."""
+    """Hands powered after the end although the link to them worked. Must be 0."""
     cut_off: int = 0
-    """Hands powered after the end that nothing could reach any more: only their firmware could act."""
+    """Hands powered after the end whose link had failed: only their firmware could act."""
     cut_off_too_long: int = 0
-    """Those of them that stayed powered for longer than watchdog and safe action allow (`BOUND`). None may be."""
+    """Cut-off hands powered for longer than watchdog and safe action allow (`BOUND`). Must be 0."""
     untold: int = 0
-    """Hands powered at the end without a word to the user. None may be."""
+    """Hands powered at the end without a warning to the user. Must be 0."""
     swallowed: int = 0
-    """Interrupts and exceptions of the program that did not come out. None may be."""
+    """Interrupts and exceptions of the program that were lost. Must be 0."""
     longest_cut_off: float = 0.0
-    """Longest that a cut-off hand had pulses after its watchdog [s]."""
+    """Longest time with pulses of a cut-off hand after its watchdog [s]."""
 
 
 class _UserError(Exception):
@@ -123,7 +123,7 @@ class _UserError(Exception):
 
 
 def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float) -> None:
-    """A random program of a user, which ends in any way."""
+    """A random user program, which returns or raises."""
     link.arm(action, watchdog)
     for _ in range(int(rng.integers(0, 12))):
         target = HPAC.servo_max * rng.random(6)
@@ -152,18 +152,18 @@ def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action
 
 @dataclass(slots=True)
 class _Ending:
-    """How one session ended."""
+    """Result of one session."""
 
     raised: BaseException | None = None
-    """The error, interrupt or exit that came out of it."""
+    """The error, interrupt or exit that it raised."""
     said: str = ""
-    """The statement that the hand had not confirmed; empty without one."""
+    """Text of the warning or note that the hand had not confirmed; empty without one."""
     powered_before: bool = False
-    """True if the hand had pulses when the program ended and the link began to release it."""
+    """Whether the hand had pulses when the link began to release it."""
 
 
 def _play(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float, release: bool) -> _Ending:
-    """Run a random program over a link, which closes at its end."""
+    """Run a random program over a link and close the link."""
     ending = _Ending()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -183,7 +183,7 @@ def _play(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: A
 
 
 def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: type[VirtualHand]) -> None:
-    """Play one session and count what came of it."""
+    """Run one session and count its result."""
     hand = kind()
     transports: list[BadTransport] = []
 
@@ -214,7 +214,7 @@ def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: type[Vi
 
 
 def seconds_with_pulses(hand: VirtualHand, patience: float, step: float = 0.01) -> float:
-    """Time until a hand has no pulses, at most about `patience`; looks every `step` [s]."""
+    """Time until a hand has no pulses, at most about `patience` [s], sampled every `step` [s]."""
     start_us = hand.now_us
     while hand.pulses().any() and hand.now_us - start_us < patience * 1e6:
         hand.run(step)
@@ -222,11 +222,11 @@ def seconds_with_pulses(hand: VirtualHand, patience: float, step: float = 0.01) 
 
 
 def run_sessions(count: int, seed: int = 1, release: bool = True, kind: type[VirtualHand] = VirtualHand) -> Sessions:
-    """Play random sessions and judge how each one leaves the hand.
+    """Run random sessions and check how each one leaves the hand.
 
     Args:
-        release: False is a negative control: the links end without their last words.
-        kind: of the hands; one without a watchdog is another control.
+        release: False is a negative control: the links end without releasing the hand.
+        kind: class of the hands; a hand without a watchdog is another control.
     """
     total = Sessions()
     for number in range(count):

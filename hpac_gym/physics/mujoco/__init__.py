@@ -1,4 +1,4 @@
-"""The MuJoCo engine. Nothing outside of this folder names MuJoCo."""
+"""The MuJoCo engine. In this package, only this folder imports MuJoCo."""
 
 import mujoco
 

@@ -1,4 +1,4 @@
-"""Pictures without a display: OpenGL through EGL on Linux, where a software driver will do."""
+"""Offscreen rendering: OpenGL through EGL on Linux, where a software driver suffices."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PhysicsError, Viewpoint
 
 MAX_SHAPES = 500
-"""In one picture; the hand with the most solids and walls has a third of them."""
+"""Capacity of one rendered scene; the scene with the most solids and walls uses a third of it."""
 
 
 class Camera:
-    """One OpenGL context, for all pictures of an engine.
+    """One OpenGL context for all images of an engine.
 
     Args:
         model: any model of the engine; they share their textures.
 
     Raises:
-        PhysicsError: There is no OpenGL to draw with.
+        PhysicsError: OpenGL is not available.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -31,7 +31,7 @@ class Camera:
             self._context = _gl_context()(640, 480)
             self._context.make_current()
             self._renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        except Exception as error:  # PyOpenGL and the drivers below it raise anything
+        except Exception as error:  # PyOpenGL and its drivers may raise anything
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise PhysicsError(
                 f"no OpenGL for pictures ({reason}): install mujoco-core[rendering] and, on Debian, libegl1 and libgl1-mesa-dri"
@@ -40,7 +40,7 @@ class Camera:
         self._size = 640, 480
 
     def picture(self, model: mujoco.MjModel, data: mujoco.MjData, view: Viewpoint, target: Array) -> NDArray[np.uint8]:
-        """RGB of a model whose positions are computed, shape (height, width, 3)."""
+        """RGB image of a model whose kinematics are up to date, shape (height, width, 3)."""
         self._context.make_current()
         if (view.width, view.height) != self._size:
             mujoco.mjr_resizeOffscreen(view.width, view.height, self._renderer)
@@ -53,21 +53,21 @@ class Camera:
         scene = mujoco.MjvScene(model, MAX_SHAPES)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(model, data, option, mujoco.MjvPerturb(), camera, everything, scene)
-        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False  # three quarters of the time without a graphics card
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False  # shadows take three quarters of the rendering time without a GPU
         pixels, rectangle = np.empty((view.height, view.width, 3), np.uint8), mujoco.MjrRect(0, 0, view.width, view.height)
         mujoco.mjr_render(rectangle, scene, self._renderer)
         mujoco.mjr_readPixels(pixels, None, rectangle, self._renderer)
         return pixels[::-1].copy()
 
     def close(self) -> None:
-        """Free the context."""
+        """Release the context."""
         self._context.make_current()
         self._renderer.free()
         self._context.free()
 
 
 def _gl_context() -> type:
-    """MuJoCo's choice by MUJOCO_GL; without that variable EGL on Linux, since the library would ask for a display."""
+    """Context class that MUJOCO_GL selects; without that variable EGL on Linux, where MuJoCo's default needs a display."""
     if sys.platform == "linux" and not os.environ.get("MUJOCO_GL"):
         from mujoco.egl import GLContext
     else:

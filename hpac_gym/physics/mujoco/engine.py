@@ -1,4 +1,4 @@
-"""Physics of n worlds in MuJoCo: one batch for the worlds of one layout, no Python between two physics steps."""
+"""Physics of n worlds in MuJoCo: one batch per layout, without Python code between physics steps."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 
 class MuJoCoEngine(Engine):
-    """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads share the worlds of a layout, and change no bit.
+    """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads share the worlds of a layout; their number does not affect results.
 
     Args:
         num_worlds: n.
-        settings: of every world.
-        visuals: draw what does not collide; without it a step is a little faster and the physics the same.
-        threads: to step with; None is one for each processor, but no more than worlds.
+        settings: settings of every world.
+        visuals: include visual-only geoms; without them a step is slightly faster and the physics identical.
+        threads: number of threads; None is one per processor, but no more than worlds.
 
     Raises:
         ValueError: Fewer than one world or thread.
@@ -50,7 +50,7 @@ class MuJoCoEngine(Engine):
         self._felt = np.zeros((num_worlds, FELT))
 
     def require(self, settings: HandSettings) -> None:
-        """As `Engine.require`: friction by load is not known."""
+        """As `Engine.require`; load-dependent friction is not supported."""
         friction = settings.tendon_friction
         if friction:
             raise ParameterError(
@@ -123,7 +123,7 @@ class MuJoCoEngine(Engine):
         state.object_pos[rows], state.object_rotation[rows] = _turn(to_hand, place - HAND_POSITION - offset), rotation
         if not group.layout.fixed:
             velocity = qvel[:, at.object_dof : at.object_dof + 6]
-            # MuJoCo gives a free body's spin along the body's own axes.
+            # MuJoCo expresses a free body's angular velocity in the body's own axes.
             state.object_vel[rows], state.object_spin[rows] = _turn(to_hand, velocity[:, :3]), _turn(rotation, velocity[:, 3:])
 
     def contacts(self, world: int) -> Contacts:
@@ -155,7 +155,7 @@ class MuJoCoEngine(Engine):
         )
 
     def single(self, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """One world's model and data, everything computed from its state."""
+        """Model and data of one world, with all derived quantities computed from its state."""
         batch = self._group_of[world].batch
         model, data = batch.get_model(world), batch.get_data(world)
         mujoco.mj_forward(model, data)
@@ -165,7 +165,7 @@ class MuJoCoEngine(Engine):
         """As `Engine.picture`.
 
         Raises:
-            PhysicsError: There is no OpenGL to draw with.
+            PhysicsError: OpenGL is not available.
         """
         model, data = self.single(world)
         if self._camera is None:
@@ -203,7 +203,7 @@ def _processors() -> int:
 
 
 def _turn(rotation: Array, vector: Array) -> Array:
-    """Rotations, shape (n, 3, 3), of vectors, shape (n, 3)."""
+    """Vectors, shape (n, 3), rotated by matrices, shape (n, 3, 3)."""
     return (rotation @ vector[..., None])[..., 0]
 
 

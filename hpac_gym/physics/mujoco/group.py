@@ -1,4 +1,4 @@
-"""Worlds of one layout: a `mujoco.batch.Batch`, and how a setup becomes one world's parameters and state."""
+"""Worlds of one layout: a `mujoco.batch.Batch`, and the conversion of a setup to a world's parameters and state."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ FIELDS = (
     *("tendon_stiffness", "tendon_damping", "tendon_armature", "wrap_prm"),
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
 )
-"""Fields of the model that every world has its own values of."""
+"""Fields of the model with separate values for every world."""
 BODIES_KEPT = 64
-"""Number of hands of which a group keeps the compiled numbers."""
+"""Number of hand geometries whose compiled fields a group caches."""
 FELT_ENDS = (len(DIGITS), len(DIGITS) + len(PARTS), len(DIGITS) + 2 * len(PARTS), len(DIGITS) + 2 * len(PARTS) + 1)
-"""Where the next kind of number begins in a row of `Group.felt`."""
+"""Column boundaries between the quantities in a row of `Group.felt`."""
 FELT = FELT_ENDS[-1] + 1
-"""Numbers that `Group.felt` gives for a world."""
+"""Number of columns of `Group.felt`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,17 +49,17 @@ class Addresses:
     dof: Index
     """Positions of `JOINTS` in qvel."""
     hinge: Index
-    """Numbers of `JOINTS` among the model's joints."""
+    """Indices of `JOINTS` among the model's joints."""
     wrist: Index
     """Positions of the three slides in qpos and qvel; empty for a hand alone."""
     object: int
-    """Position of the object in qpos; −1 without one that can move."""
+    """Position of the object in qpos; −1 without a movable object."""
     object_dof: int
-    """Position of the object in qvel; −1 without one that can move."""
+    """Position of the object in qvel; −1 without a movable object."""
     object_body: int
-    """Number of the object's body; −1 without one."""
+    """Index of the object's body; −1 without an object."""
     palm: int
-    """Number of the palm's body."""
+    """Index of the palm's body."""
     hand_geoms: Index
     object_geoms: Index
     boxes: Index
@@ -72,7 +72,7 @@ class Addresses:
     wraps: Index
     """Positions of the fixed tendons' coefficients in wrap_prm, couplings first."""
     body_fields: dict[str, Index]
-    """Rows of the hand in the fields that its `Geometry` decides."""
+    """Rows of the hand in the fields that its `Geometry` determines."""
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Addresses:
@@ -114,14 +114,14 @@ class Addresses:
 
 
 class Group:
-    """The worlds that share one layout. Row i of its batch belongs to world i, whether or not that world has the layout now.
+    """The worlds that share one layout. Row i of its batch belongs to world i, even while that world has another layout.
 
     Args:
         layout: the parts of the scene.
-        num_worlds: of the engine.
-        settings: of the world.
-        threads: to step with.
-        visuals: draw what does not collide.
+        num_worlds: number of worlds of the engine.
+        settings: settings of every world.
+        threads: number of threads.
+        visuals: include visual-only geoms.
     """
 
     def __init__(self, layout: Layout, num_worlds: int, settings: WorldSettings, threads: int, visuals: bool) -> None:
@@ -161,7 +161,7 @@ class Group:
             self._set_supports(world, setup)
 
     def _set_body(self, world: int, geometry: Geometry) -> None:
-        """Give a world's hand its links: what the compiler makes of them, once for each hand and layout."""
+        """Set the links of a world's hand, compiled once for each geometry and layout."""
         if geometry not in self._bodies:
             if len(self._bodies) == BODIES_KEPT:
                 self._bodies.pop(next(iter(self._bodies)))
@@ -199,7 +199,7 @@ class Group:
         gain[len(DIGITS), 0] = stiffness * share
         bias[len(DIGITS), :3] = 0.0, -stiffness, -damping
         limits[len(DIGITS)] = -limit, limit
-        # A damper works on the rate of the stretch, in which the servo's speed has a part.
+        # Damping acts on the stretch rate, to which the servo's speed contributes.
         self.lead[world, : len(DIGITS)] = numbers.drive_damping / numbers.drive_stiffness
         self.lead[world, len(DIGITS)] = damping / stiffness
         skin = settings.contact_friction
@@ -215,7 +215,7 @@ class Group:
         fields["geom_quat"][world, rows] = geoms.quaternion
         fields["geom_aabb"][world, rows, 3:] = geoms.half
         fields["geom_rbound"][world, rows] = geoms.radius
-        # The hand's skin and the support multiply the object's friction; MuJoCo takes the value of the higher priority.
+        # The hand's skin and the support multiply the object's friction; MuJoCo uses the value of the geom with higher priority.
         rows = at.object_geoms
         fields["geom_friction"][world, rows, 0] = setup.hand_settings.contact_friction * spec.friction
         color = OBJECT_COLORS[spec.shape] if spec.model is None else spec.model.color
@@ -249,7 +249,7 @@ class Group:
     # State ---------------------------------------------------------------------
 
     def start(self, worlds: Index, setups: list[SceneSetup]) -> None:
-        """Put worlds, in ascending order, to the start of their setups."""
+        """Reset worlds, given in ascending order, to the start of their setups."""
         for world, setup in zip(worlds, setups, strict=True):
             self.set(world, setup)
         self.batch.set_const(worlds)
@@ -265,7 +265,7 @@ class Group:
     def advance(
         self, worlds: Index | None, servo: Array, servo_vel: Array, wrist: Array, push: Array | None
     ) -> tuple[int, str] | None:
-        """Step worlds, all of them if None, through tables of their servos, wrists and pushes.
+        """Step some worlds, or all if None, through tables of servo angles and speeds, wrist offsets and pushes.
 
         Returns:
             The first world that failed and the reason, or None.
@@ -283,7 +283,7 @@ class Group:
             forces[:, :, self.at.object_body, :3] = push
             control = np.concatenate([control, forces.reshape(n, steps, -1)], axis=2)
         handler = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(lambda text: None)  # without one MuJoCo writes a log file where the caller happens to be
+        mujoco.set_mju_user_warning(lambda text: None)  # without a handler MuJoCo writes a log file to the working directory
         try:
             self.batch.rollout(steps, control, columns, record=(), ids=worlds)
         except SimulationError as error:
@@ -292,7 +292,7 @@ class Group:
             mujoco.set_mju_user_warning(handler)
             if pushed:
                 self.batch.bind("xfrc_applied")[slice(None) if worlds is None else worlds] = 0.0
-        # A simulation that MuJoCo warns about stops in silence.
+        # MuJoCo silently stops a simulation about which it warns.
         rose = self.warnings != self.warned
         if not rose.any():
             return None
@@ -302,7 +302,7 @@ class Group:
     def felt(self, rows: Index | slice) -> Array:
         """Forces and contacts of worlds in the last physics step, shape (m, FELT).
 
-        In each row: tensions of the drives [N], numbers of contacts of `PARTS`, their normal forces [N], numbers of contacts of
+        Columns: tensions of the drives [N], numbers of contacts of `PARTS`, their normal forces [N], numbers of contacts of
         the object with its support and with the target.
         """
         tension = -self.force[rows, : len(DIGITS)]

@@ -1,7 +1,7 @@
-"""MuJoCo models of a scene: the parts that have to be compiled, and the data from which every world sets its own values.
+"""MuJoCo models of a scene: the parts that must be compiled, and the data from which every world sets its own values.
 
-Worlds whose scenes have the same parts share one compiled model (`Layout`); all that an episode changes (sizes, poses, masses,
-friction, the hand's parameters) are fields that `mujoco.batch.Batch.expand` gives every world a copy of.
+Worlds with the same `Layout` share one compiled model; everything that varies between episodes (sizes, poses, masses, friction,
+the hand's parameters) is a field that `mujoco.batch.Batch.expand` copies for every world.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from hpac_gym.physics.mjcf import hand_mjcf, mass_matrix
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 SLOTS = 8
-"""Number of contacts of one part of the hand whose forces are added up, the strongest first."""
+"""Largest number of contacts per part of the hand whose forces are summed, strongest first."""
 FORCE_SIZE = 4
 """Values of one slot: the number of contacts, and a force along the normal and two tangents."""
 BRAKES = 5
 """Number of driving tendons, each of which has a brake."""
 WRIST_STIFFNESS = 1e7
-"""Stiffness of the servos that carry the palm [N/m]: weight and shake move it by less than 1 µm. Their force has no limit:
-MuJoCo would apply one before a step, when so stiff a servo asks for thousands of newtons that it never exerts in the step."""
+"""Stiffness of the servos that hold the palm [N/m]: weight and shake deflect it by less than 1 µm. Their force is not limited:
+MuJoCo applies limits before a step, when so stiff a servo requests thousands of newtons that it never exerts in the step."""
 KINDS = {
     "sphere": int(mujoco.mjtGeom.mjGEOM_SPHERE),
     "capsule": int(mujoco.mjtGeom.mjGEOM_CAPSULE),
@@ -53,22 +53,22 @@ KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The parts of a scene; worlds with the same ones share a compiled model."""
+    """The parts of a scene; worlds with equal layouts share a compiled model."""
 
     armature: tuple[float, float, float]
     object: ObjectModel | str | None
-    """None for the hand alone, "primitive" for any single solid along the object's axes, "solids" for any number of primitives,
-    an object that has hulls."""
+    """None for the hand alone, "primitive" for a single axis-aligned solid, "solids" for other objects made of primitives, or the
+    model itself if it has hulls."""
     solids: int = 1
     """Number of the object's solids."""
     fixed: bool = False
     boxes: int = 0
-    """Posts and walls of the support."""
+    """Number of posts and walls of the support."""
     target: bool = False
 
     @classmethod
     def of(cls, setup: SceneSetup) -> Layout:
-        """The parts that a setup needs."""
+        """Layout of a setup."""
         armature, spec = setup.hand_settings.armature, setup.object
         if spec is None:
             return cls(armature, None)
@@ -87,7 +87,7 @@ def _number_of_boxes(support: Support) -> int:
 
 @cache
 def is_straight(model: ObjectModel) -> bool:
-    """True if an object is one primitive along the object's axes."""
+    """True if an object is a single primitive aligned with the object's axes."""
     alone = len(model.solids) == 1 and not model.has_hulls
     return alone and np.allclose(model.inertia, np.diag(np.diag(model.inertia)), atol=1e-12)
 
@@ -100,27 +100,27 @@ def inertia_of_hand(geometry: Geometry, armature: tuple[float, float, float]) ->
 
 @dataclass(frozen=True, slots=True)
 class Geoms:
-    """MuJoCo's numbers of those k solids of an object that are primitives; a hull's are compiled."""
+    """MuJoCo geom parameters of the k primitive solids of an object; those of hulls are compiled."""
 
     index: NDArray[np.intp]
-    """Number of each primitive among the object's solids, shape (k,)."""
+    """Index of each primitive among the object's solids, shape (k,)."""
     kind: Array
-    """MuJoCo's number of the shape, shape (k,)."""
+    """MuJoCo geom type, shape (k,)."""
     size: Array
-    """Shape (k, 3) [m]."""
+    """MuJoCo geom size, shape (k, 3) [m]."""
     place: Array
-    """Shape (k, 3) [m]."""
+    """Centre in the object's frame, shape (k, 3) [m]."""
     quaternion: Array
-    """wxyz, shape (k, 4)."""
+    """Orientation wxyz in the object's frame, shape (k, 4)."""
     half: Array
-    """Half extents of the box around each one along its own axes, shape (k, 3) [m]."""
+    """Half-extents of each bounding box along the solid's own axes, shape (k, 3) [m]."""
     radius: Array
-    """Radius of the ball around each one, shape (k,) [m]."""
+    """Radius of each bounding sphere, shape (k,) [m]."""
 
 
 @lru_cache(maxsize=1024)
 def geoms_of(shape: str, half_extents: tuple[float, float, float], model: ObjectModel | None, scale: float) -> Geoms:
-    """The solids of an object, by the fields of its `ObjectSpec`."""
+    """Geom parameters of an object, from the fields of its `ObjectSpec`."""
     if model is None:
         x, y, z = (2 * side for side in half_extents)
         solids: tuple[Solid, ...] = (Solid(shape, 1.0, (x, y, z), np.zeros(3), np.eye(3)),)
@@ -140,13 +140,13 @@ def geoms_of(shape: str, half_extents: tuple[float, float, float], model: Object
 
 
 def _reach(kind: str, x: float, y: float, z: float) -> float:
-    """Radius of the ball around a solid of these half sizes [m]."""
+    """Radius of the bounding sphere of a solid with these half-extents [m]."""
     return {"sphere": x, "capsule": z, "cylinder": math.hypot(x, z), "box": math.hypot(x, y, z)}[kind]
 
 
 @cache
 def _mass_of(model: ObjectModel) -> tuple[Array, Array]:
-    """Centre of mass and inertia about it."""
+    """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²]."""
     return model.center_of_mass, model.inertia
 
 
@@ -181,21 +181,21 @@ def quaternion_from_matrix(rotation: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geometry) -> mujoco.MjModel:
-    """Compile the model of a layout; poses and sizes that worlds set for themselves are placeholders.
+    """Compile the model of a layout, with placeholders for the poses and sizes that worlds set.
 
-    Whoever asks for the same model again gets the same one: worlds change their own copies of its fields, never the model.
+    Models are cached and shared: worlds modify their own copies of the fields, never the model.
 
     Args:
         layout: the parts of the scene.
-        settings: of the world.
-        visuals: draw what does not collide.
-        geometry: of the hand's body, the one part of the model that is no placeholder.
+        settings: settings of the world.
+        visuals: include visual-only geoms.
+        geometry: geometry of the hand, which is not a placeholder.
     """
     hand = replace(HandSettings(), armature=layout.armature)
     root = Xml.fromstring(hand_mjcf(geometry, hand, on_wrist=layout.object is not None))
     option, world, actuators = root.find("option"), root.find("worldbody"), root.find("actuator")
     option.attrib |= {"timestep": repr(settings.dt), "gravity": f"0 0 {-settings.gravity!r}"}
-    # What a drive is told runs ahead of its servo, and so beyond the servo's range (see `Group.lead`).
+    # A drive's control leads its servo, and can therefore exceed the servo's range (see `Group.lead`).
     contact = "enable" if settings.collisions else "disable"
     Xml.SubElement(option, "flag", clampctrl="disable", contact=contact)
     base = next(body for body in world.iter("body") if body.get("name") in ("wrist", "palm"))
@@ -213,7 +213,7 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geom
             _add_supports(world, layout)
         _add_sensors(Xml.SubElement(root, "sensor"), layout)
     model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
-    # These flags say that a frame coincides with its body's; worlds move theirs.
+    # These flags state that a frame coincides with its body's; worlds move theirs.
     model.geom_sameframe[:] = 0
     return model
 
@@ -232,7 +232,7 @@ def _add_object(root: Xml.Element, world: Xml.Element, layout: Layout) -> None:
     if not layout.fixed:
         Xml.SubElement(item, "freejoint", name="object")
     if layout.object != "primitive":
-        item.set("simple", "false")  # worlds give it their own axes of inertia
+        item.set("simple", "false")  # worlds set their own inertia axes
     Xml.SubElement(item, "inertial", pos="0 0 0", mass="0.1", diaginertia="1e-4 1e-4 1e-4")
     solids = layout.object.solids if isinstance(layout.object, ObjectModel) else (None,) * layout.solids
     for index, solid in enumerate(solids):

@@ -1,4 +1,4 @@
-"""The engine on PyBullet: explicit tendon torques at 120 Hz, a direct solver, one client for each world."""
+"""The PyBullet engine: explicit tendon torques at 120 Hz, a direct solver, and one client per world."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _PART = {name: index for index, name in enumerate(PARTS)}
 
 
 class PyBulletEngine(Engine):
-    """`hpac_gym.physics.engine.Engine` on PyBullet. Worlds are stepped one after the other: PyBullet keeps Python's lock.
+    """`hpac_gym.physics.engine.Engine` on PyBullet. Worlds are stepped sequentially: PyBullet holds the GIL.
 
     Args:
         num_worlds: n.
-        settings: of every world.
-        visuals: load what only a camera sees; without it a reset is faster and the physics the same.
+        settings: settings of every world.
+        visuals: load visual shapes; without them a reset is faster and the physics identical.
 
     Attributes:
         scenes: one PyBullet world each, for tests.
@@ -35,10 +35,10 @@ class PyBulletEngine(Engine):
         self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
         self._setups: list[SceneSetup | None] = [None] * num_worlds
         self._time = np.zeros(num_worlds)
-        self._past: list[list[tuple[Array, ...]]] = [[] for _ in range(num_worlds)]  # what each world's episode was told to do
+        self._past: list[list[tuple[Array, ...]]] = [[] for _ in range(num_worlds)]  # tables of each world's episode so far
 
     def require(self, settings: HandSettings) -> None:
-        """As `Engine.require`: inertia at the servos' hubs is not known."""
+        """As `Engine.require`; inertia at the servos' hubs is not supported."""
         if settings.hub_inertia:
             raise ParameterError(
                 f"hub_inertia = {settings.hub_inertia} kg m² must be 0 kg m² in PyBullet, whose explicit torques need inertia on "
@@ -64,7 +64,7 @@ class PyBulletEngine(Engine):
         """As `Engine.state`.
 
         Raises:
-            PhysicsError: A world's joints are not finite any more.
+            PhysicsError: A world's joint angles are not finite.
         """
         found = SceneState.empty(self.num_worlds)
         found.time[:] = self._time
@@ -123,11 +123,11 @@ class PyBulletEngine(Engine):
         return np.reshape(np.asarray(pixels, dtype=np.uint8), (height, width, 4))[:, :, :3]
 
     def save(self, world: int) -> Any:
-        """As `Engine.save`: what the world was told so far. PyBullet's own states do not keep all that a contact hangs on."""
+        """As `Engine.save`: the tables of the episode so far. PyBullet's own snapshots omit part of the contact state."""
         return self._setups[world], self._time[world], list(self._past[world])
 
     def restore(self, world: int, snapshot: Any) -> None:
-        """As `Engine.restore`: the episode once more from its start, about a millisecond for each control step.
+        """As `Engine.restore`: replays the episode from its start, in about a millisecond per control step.
 
         Raises:
             PhysicsError: The world is in another episode than the snapshot.

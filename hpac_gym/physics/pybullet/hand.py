@@ -1,4 +1,4 @@
-"""The hand in PyBullet: six servos, tendons and springs move fifteen joints. No joint has a motor."""
+"""The hand in PyBullet: six servos move fifteen joints through tendons and springs. No joint has a motor."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from hpac_gym.physics.tendons import Tendons
 
 _SLIDES = ("wrist_x", "wrist_y", "wrist_z")
 _OTHER, _FINGER = 1, 64
-"""Collision groups; 1 is Bullet's default, and 64 the first that it has no meaning for."""
+"""Collision groups: 1 is Bullet's default, 64 the first without a predefined meaning."""
 MAX_JOINT_SPEED = 20.0
-"""Joint speed of a digit that snaps free of another one [rad/s]."""
+"""Joint speed limit: that of a digit that snaps free of another one [rad/s]."""
 _urdf = lru_cache(maxsize=64)(hand_urdf)
 _LOAD_FLAGS = (
     pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -37,13 +37,13 @@ class SimHand:
     """One hand in a `World`, at `HAND_POSITION`.
 
     Args:
-        world: the PyBullet world that it is loaded into.
+        world: PyBullet world into which it is loaded.
         hand: the model's parameters.
-        settings: what the simulation adds.
-        geometry: of its body.
-        on_wrist: have the palm hang on three slides.
-        orientation: of the hand's frame in the world, quaternion xyzw, shape (4,).
-        visuals: load what only a camera sees.
+        settings: settings of the simulated hand.
+        geometry: geometry of the hand.
+        on_wrist: mount the palm on three slides.
+        orientation: quaternion xyzw of the hand's frame in the world, shape (4,).
+        visuals: load visual shapes.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class SimHand:
     ) -> None:
         self.world, self._client = world, world.client
         flags = _LOAD_FLAGS if visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
-        with TemporaryDirectory() as folder:  # PyBullet loads no text
+        with TemporaryDirectory() as folder:  # PyBullet loads from files only
             file = Path(folder, "hand.urdf")
             file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
             self.body = pybullet.loadURDF(
@@ -81,7 +81,7 @@ class SimHand:
         self.configure(hand, settings)
 
     def configure(self, hand: Hand, settings: HandSettings) -> None:
-        """Change to another hand. Only the armature stays, which is set when the hand is loaded."""
+        """Switch to another hand. The armature, which is set on loading, stays the same."""
         self.hand, self.settings = hand, settings
         for name, index in self.joint_index.items():
             friction = settings.joint_friction if name in JOINTS else 0.0
@@ -99,7 +99,7 @@ class SimHand:
         self.tension = [0.0] * len(DIGITS)
 
     def collide(self, solid: bool) -> None:
-        """Let the hand touch things, or pass through everything. Fingers never reach each other and are not checked for it."""
+        """Enable or disable collisions of the hand. Fingers cannot reach each other, so pairs of fingers are never checked."""
         solid = solid and self.world.settings.collisions
         for name, index in self.link_index.items():
             group = _FINGER if name.split("_")[0] in FINGERS else _OTHER
@@ -110,14 +110,14 @@ class SimHand:
         """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15, 15) [kg·m²]."""
         posture = np.zeros(len(self.joint_index))
         posture[self._joints] = joints_from_synergy(self.hand.synergy_max / 2, self.hand)
-        with quiet_output():  # it prints that a unit axis is not one, at the last bit
+        with quiet_output():  # it warns about unit axes that are off in the last bit
             matrix = np.array(pybullet.calculateMassMatrix(self.body, posture.tolist(), physicsClientId=self._client))
         return matrix[np.ix_(self._joints, self._joints)]
 
     # State ---------------------------------------------------------------------
 
     def reset(self, synergy: ArrayLike) -> None:
-        """Put the hand on its manifold and at rest, and the wrist at its start.
+        """Reset the hand to rest on its manifold, and the wrist to its start.
 
         Args:
             synergy: shape (6,) [rad].
@@ -147,12 +147,12 @@ class SimHand:
     # Motion --------------------------------------------------------------------
 
     def move_wrist(self, offset: list[float]) -> None:
-        """Set the palm's target for the end of the next step; it gets there unless a force beyond `WRIST_EFFORT` resists.
+        """Set the palm's target for the end of the next step, reached unless a force above `WRIST_EFFORT` resists.
 
         Args:
-            offset: from the start, along the world's axes, 3 values [m].
+            offset: offset from the start, along the world's axes, 3 values [m].
         """
-        if not self._slides or offset == self._wrist:  # the motors keep what they were told
+        if not self._slides or offset == self._wrist:  # the motors keep their last target
             return
         self._wrist = offset
         x, y, z = offset
@@ -169,7 +169,7 @@ class SimHand:
         )
 
     def apply_tendons(self, servo: list[float], servo_vel: list[float]) -> None:
-        """Put the tendons' torques on the joints, for the step to come.
+        """Apply the tendons' torques to the joints for the next step.
 
         Args:
             servo: angles of the horns, 6 values [rad].

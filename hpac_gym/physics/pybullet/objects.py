@@ -14,20 +14,20 @@ from hpac_gym.physics.engine import OBJECT_COLORS
 from hpac_gym.physics.pybullet.world import World
 
 SPIN_DECAY = 6.0
-"""Rate at which a named object loses its spin [1/s]. The direct solver knows no friction against twisting on a fingertip:
-without this, what two fingertips hold would swing for ever."""
+"""Spin damping rate of a named object [1/s]. The direct solver has no torsional friction at a fingertip: without this, an
+object held by two fingertips would swing for ever."""
 
 
 class SimObject:
     """One free body of an `ObjectSpec` in a `World`.
 
     Args:
-        world: where it lives.
-        spec: what it is.
-        position: of its centre, shape (3,) [m].
+        world: PyBullet world.
+        spec: description of the object.
+        position: position of its centre in the world, shape (3,) [m].
         orientation: quaternion xyzw, shape (4,).
-        visuals: load what only a camera sees.
-        fixed: it never moves.
+        visuals: load visual shapes.
+        fixed: make the body static.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class SimObject:
         return pybullet.createMultiBody(spec.mass, solid, visual, position, orientation, physicsClientId=client)
 
     def _model(self, model: ObjectModel, position: list[float], orientation: list[float], visuals: bool) -> int:
-        # Without the second flag a cylinder becomes a hull of flat faces that stands 1 mm off the hand.
+        # Without the second flag a cylinder becomes a faceted hull that keeps 1 mm distance from the hand.
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
         spec = self.spec
         body = pybullet.loadURDF(
@@ -71,12 +71,12 @@ class SimObject:
         pybullet.changeDynamics(
             body, -1, mass=spec.mass, localInertiaDiagonal=[heavier * moment for moment in inertia], physicsClientId=self._client
         )
-        # PyBullet reports the pose of the principal axes of inertia: this leads from there to the object's frame.
+        # PyBullet reports the pose of the principal inertia axes; this transform leads from there to the object's frame.
         self._to_frame = pybullet.invertTransform(middle, turn)
         return body
 
     def lose_spin(self, dt: float) -> None:
-        """Slow a named object's rotation, once every physics step; PyBullet's own damping does not act on its base."""
+        """Damp a named object's spin, once per physics step; PyBullet's own damping does not act on its base."""
         if self.spec.model is not None:
             _, spin = pybullet.getBaseVelocity(self.body, self._client)
             kept = 1.0 - SPIN_DECAY * dt
@@ -85,7 +85,7 @@ class SimObject:
             )
 
     def push(self, force: list[float]) -> None:
-        """Push at the centre of mass during the next physics step, along the world's axes [N]; what is fixed does not feel it."""
+        """Apply a force [N], along the world's axes, at the centre of mass in the next physics step; fixed objects ignore it."""
         if self._fixed:
             return
         centre, _ = pybullet.getBasePositionAndOrientation(self.body, self._client)  # of mass, whatever the object's frame is
@@ -107,7 +107,7 @@ def add_fixed_box(
     friction: float,
     orientation: ArrayLike = (0, 0, 0, 1),
 ) -> int:
-    """A box that never moves, such as a table; without a colour no camera sees it. Returns its body."""
+    """Add a static box, such as a table, and return its body; a box without a colour is invisible."""
     size, visual = list(half_extents), -1
     if color is not None:
         visual = pybullet.createVisualShape(
@@ -126,7 +126,7 @@ def add_fixed_box(
 
 
 def _form(spec: ObjectSpec, height: str) -> tuple[int, dict[str, object]]:
-    """PyBullet's kind of a primitive and its lengths, that of a cylinder under the name that a call has for it."""
+    """PyBullet's type and dimensions of a primitive; `height` is the name of a cylinder's length in the call."""
     radius, _, half_height = spec.half_extents
     return {
         "box": (pybullet.GEOM_BOX, {"halfExtents": spec.half_extents}),

@@ -1,4 +1,4 @@
-"""One PyBullet world of the engine: a hand that stays loaded, and the object, supports and table of the present episode."""
+"""One PyBullet world of the engine: a hand that stays loaded, and the object, supports and table of the current episode."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
 
 _EPISODES = 200
-"""Number of episodes between two loadings of the hand."""
+"""Number of episodes after which the hand is loaded again."""
 LINK, POINT, NORMAL, DISTANCE, FORCE = 3, 6, 7, 8, 9
-"""Entries of a contact of PyBullet: link of the hand, point on the object, normal out of the object, gap, normal force."""
+"""Indices into a PyBullet contact: link of the hand, point on the object, normal out of the object, distance, normal force."""
 
 
 class Scene:
-    """Set anew for every episode.
+    """One world, reset for every episode.
 
-    Loading a hand takes a hundred times as long as restoring a snapshot, so the hand stays and becomes the next one. The
-    snapshot is taken after a physics step, without which PyBullet does not replay to the bit. Every `_EPISODES`, and for
-    another body, armature, orientation or mounting, the hand is loaded all the same: PyBullet keeps some memory of every body and
-    shape that ever was, until the world is cleared.
+    Loading a hand takes a hundred times as long as restoring a snapshot, so the loaded hand is reconfigured. The snapshot is
+    taken after a physics step, without which PyBullet does not replay bit-exactly. The hand is loaded again for another body,
+    armature, orientation or mounting, and every `_EPISODES` episodes, because PyBullet retains memory of every removed body
+    and shape until the world is cleared.
 
     Attributes:
         hand: the simulated hand.
@@ -49,7 +49,7 @@ class Scene:
         self._episodes = 0
 
     def reset(self, setup: SceneSetup) -> None:
-        """Set the scene. The same setup gives the same trajectory, to the bit, whatever was before."""
+        """Set up an episode. The same setup gives the same trajectory, to the bit, regardless of earlier episodes."""
         self._start_hand(setup)
         self.hand.reset(setup.synergy)
         self.object: SimObject | None = None
@@ -66,7 +66,7 @@ class Scene:
         self._added += [self.object.body, *self.supports]
 
     def _start_hand(self, setup: SceneSetup) -> None:
-        """A hand at rest in an otherwise empty world."""
+        """Put a hand at rest into an otherwise empty world."""
         hand, settings = setup.hand, setup.hand_settings
         on_wrist = setup.object is not None
         start = settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
@@ -84,7 +84,7 @@ class Scene:
         for body in reversed(self._added):
             pybullet.removeBody(body, physicsClientId=self.world.client)
         self._added.clear()
-        # Drop the pairs of links that are near each other: the solver takes contacts in the order in which pairs met.
+        # Drop the cached pairs of nearby links: the solver processes contacts in the order in which pairs first met.
         self.hand.collide(False)
         pybullet.performCollisionDetection(self.world.client)
         self.hand.collide(True)
@@ -102,7 +102,7 @@ class Scene:
         return add_fixed_box(self.world, half_extents, position, color if self._visuals else None, SUPPORT_FRICTION, turn)
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None) -> None:
-        """Carry out physics steps, with a row of each table in each step: shapes (k, 6) [rad], (k, 6) [rad/s], (k, 3) [m] and
+        """Carry out k physics steps, one row of each table per step: shapes (k, 6) [rad], (k, 6) [rad/s], (k, 3) [m] and
         (k, 3) [N], or None for no push."""
         dt = self.world.settings.dt
         pushes = [None] * len(servo) if push is None else push.tolist()
@@ -120,7 +120,7 @@ class Scene:
         return bool(pybullet.getContactPoints(self.object.body, body, physicsClientId=self.world.client))
 
     def contacts(self) -> list[tuple]:
-        """PyBullet's contact points between hand and object, without those that are only near."""
+        """PyBullet's contact points between hand and object, without those at a positive distance."""
         if self.object is None:
             return []
         found = pybullet.getContactPoints(self.hand.body, self.object.body, physicsClientId=self.world.client)

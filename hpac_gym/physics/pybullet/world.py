@@ -1,4 +1,4 @@
-"""One PyBullet world: its client, its time step and its solver; and PyBullet's prints kept off the output."""
+"""One PyBullet world: client, time step and solver; and suppression of PyBullet's printed output."""
 
 from __future__ import annotations
 
@@ -13,27 +13,25 @@ from hpac_gym.physics.settings import WorldSettings
 
 @contextmanager
 def quiet_output() -> Iterator[None]:
-    """PyBullet prints from C straight to file descriptors 1 and 2, where a command's own lines go; this keeps it out.
-
-    Send what C code writes to standard output and error nowhere, for as long as the block runs; either may be closed."""
+    """Discard what C code, such as PyBullet's, writes to file descriptors 1 and 2 while the block runs; either may be closed."""
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     while (sink := os.open(os.devnull, os.O_WRONLY)) <= 2:
-        pass  # it was closed; kept open like this, no file takes its number
+        pass  # a closed descriptor stays occupied, so that no other file takes its number
     saved = [(descriptor, os.dup(descriptor)) for descriptor in (1, 2)]
     try:
         for descriptor, _ in saved:
             os.dup2(sink, descriptor)
         yield
     finally:
-        ctypes.CDLL(None).fflush(None)  # into a pipe or file, what C prints waits in its own buffer
+        ctypes.CDLL(None).fflush(None)  # C buffers its output to a pipe or file
         for descriptor, copy in saved:
             os.dup2(copy, descriptor)
             os.close(copy)
         os.close(sink)
 
 
-with quiet_output():  # it greets whoever loads it
+with quiet_output():  # PyBullet prints a greeting on import
     import pybullet
 
 
@@ -46,9 +44,9 @@ class World:
         self.clear()
 
     def clear(self) -> None:
-        """Remove every body. What is loaded next behaves, to the bit, as in a new world.
+        """Remove every body. Bodies loaded afterwards behave, to the bit, as in a new world.
 
-        The simple broadphase keeps no tree whose shape depends on the past, and is the faster one for this few bodies.
+        The simple broadphase keeps no history-dependent tree, and is the faster one for so few bodies.
         """
         iterations = self.settings.solver_iterations
         solver = pybullet.CONSTRAINT_SOLVER_LCP_SI if iterations else pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG
@@ -71,7 +69,7 @@ class World:
         pybullet.stepSimulation(self.client)
 
     def close(self) -> None:
-        """Disconnect. Closing twice is no error."""
+        """Disconnect. Closing twice is allowed."""
         if self.client >= 0:
             pybullet.disconnect(self.client)
             self.client = -1
