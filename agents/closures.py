@@ -97,6 +97,7 @@ class Worlds:
         deployed: size of a *deploy* observation.
         phases: number of phases of the task.
         first_seen: first observations of the running episodes, *privileged*, shape (n, observed).
+        steps: control steps of all its worlds in a call of `step`.
     """
 
     def __init__(self, env_id: str, count: int, closures: Closures, seed: int, **options: Any) -> None:
@@ -110,7 +111,7 @@ class Worlds:
         self._came_to = self.first_seen[:, self.deployed :].copy()
         self._decisions, self._steps = np.zeros((count, len(closures.names))), np.zeros(count, dtype=int)
         self._fresh = np.ones(count, dtype=bool)
-        self._thread = ThreadPoolExecutor(1)
+        self.steps, self._thread = count, ThreadPoolExecutor(1)
 
     @property
     def observed(self) -> int:

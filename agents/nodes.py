@@ -125,16 +125,20 @@ class Collector:
         self._learner.reseed(seed)
         self._least = recipe.num_envs
 
-    def collect(self, number: int, known: dict[str, Any]) -> tuple[int, tuple[np.ndarray, ...], float]:
-        """Collect a chunk; returns its number, its trials as arguments of `Trials.add`, and their processor time [s]."""
+    def collect(self, number: int, known: dict[str, Any]) -> tuple[int, tuple[np.ndarray, ...], int, float]:
+        """Collect a chunk: its number, its trials as arguments of `Trials.add`, its control steps and its processor time [s]."""
         learner, begun = self._learner, time.process_time()
         for network, arrays in ((learner.actor, known["actor"]), (learner.critics, known["critics"])):
             network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
         learner.mean, learner.scale, learner.updates = known["mean"], known["scale"], known["updates"]
         parts: list[tuple[np.ndarray, ...]] = []
+        steps = 0
         while sum(len(part[0]) for part in parts) < self._least:
-            parts += [worlds.step(learner) for worlds in self._all_worlds]
-        return number, tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True)), time.process_time() - begun
+            for worlds in self._all_worlds:
+                parts.append(worlds.step(learner))
+                steps += worlds.steps
+        trials = tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+        return number, trials, steps, time.process_time() - begun
 
 
 class Collectors:
@@ -150,6 +154,7 @@ class Collectors:
 
     Attributes:
         observed, deployed, phases: as in `Worlds`.
+        steps: control steps of the chunk that the last `step` received.
         ledger: record of the chunks.
     """
 
@@ -165,7 +170,7 @@ class Collectors:
         self._idle = [self._start() for _ in range(count)]
         self._running: dict[Any, tuple[int, int, Any]] = {}
         self._heard = self._started = time.monotonic()
-        self._trials, self._seconds = Counter[int](), Counter[int]()
+        self._trials, self._seconds, self.steps = Counter[int](), Counter[int](), 0
         self.ledger = Ledger()
 
     def _start(self) -> tuple[int, Any]:
@@ -195,6 +200,7 @@ class Collectors:
             self._idle.clear()
         if meanwhile:
             meanwhile()
+        self.steps = 0
         ready, _ = self._ray.wait(list(self._running), timeout=WAIT_S)
         if time.monotonic() - self._heard > SILENCE_S:
             self._heard = time.monotonic()
@@ -206,7 +212,7 @@ class Collectors:
         number, place, collector = self._running.pop(reference)
         self._heard = time.monotonic()
         try:
-            number, trials, seconds = self._ray.get(reference)
+            number, trials, self.steps, seconds = self._ray.get(reference)
         except errors.RayError as error:
             if isinstance(error, errors.RayTaskError) or getattr(error, "actor_init_failed", False):
                 raise RunError(f"collector {place} failed: {f'{error}'.strip().splitlines()[-1]}") from error

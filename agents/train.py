@@ -103,7 +103,7 @@ def train(
         for worlds in all_worlds:
             trials = worlds.step(learner, partial(learner.learn, progress.share))
             learner.trials.add(*trials)
-            going = progress.add((trials[2] == worlds.phases).tolist(), len(worlds.first_seen), learner.entropy)
+            going = progress.add((trials[2] == worlds.phases).tolist(), worlds.steps, learner.entropy)
         going = going and progress.env_steps + recipe.num_envs <= recipe.env_steps
         if learner.trials.count >= saved + recipe.checkpoint_every:
             saved = learner.trials.count

@@ -42,10 +42,11 @@ def test_a_collector_decides_with_what_the_learner_knows():
     known = nodes.knowledge(learner)
     assert {type(array) for name in ("actor", "critics") for array in known[name].values()} == {np.ndarray}
     assert not np.array_equal(copy.predicted(seen, np.zeros((30, 8))), learner.predicted(seen, np.zeros((30, 8))))
-    number, trials, seconds = collector.collect(3, known)
+    number, trials, steps, seconds = collector.collect(3, known)
     assert np.array_equal(copy.predicted(seen, np.zeros((30, 8))), learner.predicted(seen, np.zeros((30, 8))))
     assert (number, copy.updates) == (3, learner.updates)
     assert len(trials[0]) >= recipe.num_envs
+    assert steps >= 20 * len(trials[0])
     assert seconds > 0
     learner.trials.add(*trials)
 
@@ -96,15 +97,15 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
     monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
     monkeypatch.setattr(nodes, "Collectors", Watched)
     words = ["--out", f"{tmp_path}", "--nodes", "2"]
-    assert train.main(["grasp", *words, "--episodes", "60", *SMALL]) == 0
+    assert train.main(["grasp", *words, "--episodes", "400", *SMALL]) == 0
     said, ledger = capsys.readouterr().err, watched[0].ledger
     (number,) = re.findall(r"collector [01] is lost, and chunk (\d+) with it .*: collector 2 takes its place", said)
     assert int(number) not in ledger.added
     rows = (tmp_path / "progress.csv").read_text().splitlines()
-    assert int(rows[-1].split(",")[0]) == sum(ledger.added.values()) >= 60
-    assert_no_trial_twice(tmp_path, 60)
-    assert train.main([*words[:2], "--nodes", "1", "--resume", "--episodes", "70"]) == 0
-    assert_no_trial_twice(tmp_path, 70)
+    assert int(rows[-1].split(",")[0]) == sum(ledger.added.values()) >= 400
+    assert_no_trial_twice(tmp_path, 400)
+    assert train.main([*words[:2], "--nodes", "1", "--resume", "--episodes", "410"]) == 0
+    assert_no_trial_twice(tmp_path, 410)
 
 
 def assert_no_trial_twice(folder, count):
