@@ -33,7 +33,7 @@ from hpac_gym.evaluation.statistics import (
     stratified_bootstrap,
     wilson_interval,
 )
-from hpac_gym.output import writable_folder, write_text
+from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
@@ -270,12 +270,10 @@ def _same(one: Any, other: Any) -> bool:
 def table(results: Results) -> str:
     """Results as a table in Markdown: a row for each split."""
     steps = f"{results['budget']:,} steps, {RUNS} runs" if results["budget"] else "not trained"
-    lines = [
-        f"`{results['policy']}` in {results['env_id']}, obs {results['obs']}, {steps}, {results['episodes']:,} episodes a cell",
-        "",
-        "| split | success [%] | runs [%] | failures by phase [%] | holding force [N] |",
-        "| --- " * 5 + "|",
-    ]
+    how = f"obs {results['obs']}, {steps}, {results['episodes']:,} episodes a cell"
+    title = f"`{results['policy']}` in {results['env_id']}, {how}"
+    columns = ("split", "success [%]", "runs [%]", "failures by phase [%]", "holding force [N]")
+    rows = []
     for row in results["summary"]:
         cells = [cell for cell in results["cells"] if cell["split"] == row["split"]]  # empty for the row of all splits
         low, high = cells[0]["interval_95"] if len(cells) == 1 else row["interval_95"]
@@ -285,8 +283,8 @@ def table(results: Results) -> str:
         why = ", ".join(f"{name} {100 * n / results['episodes'] / len(cells):.1f}" for name, n in lost.most_common())
         forces = [cell["holding_force"] for cell in cells if cell["holding_force"] is not None]
         force = f"{np.mean(forces):.1f}" if forces else ""
-        lines.append(f"| {row['split']} | {100 * row['iqm']:.1f}{interval} | {runs} | {why} | {force} |")
-    return "\n".join(lines)
+        rows.append((row["split"], f"{100 * row['iqm']:.1f}{interval}", runs, why, force))
+    return f"{title}\n\n{markdown(columns, rows)}"
 
 
 def comparison(first: Results, second: Results) -> str:

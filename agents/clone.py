@@ -4,7 +4,6 @@ A network imitates the actions of the successful episodes. The folder gets ``pol
 and exported like any other.
 """
 
-import json
 import sys
 from itertools import pairwise
 from pathlib import Path
@@ -13,13 +12,12 @@ import numpy as np
 
 from agents.command import command_parser
 from agents.errors import RunError
-from agents.tasks import make_task
+from agents.tasks import target_of
 from agents.train import POLICY, versions
 from hpac import run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
-from hpac_gym.policies.made_for import made_for
 from hpac_gym.progress import progress
 
 HIDDEN = (256, 256)
@@ -57,7 +55,7 @@ def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int
     network = nn.Sequential(*(part for layer in linear for part in (layer, nn.ReLU())))[:-1]
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
-    for _ in progress(range(epochs), "epochs", sys.stderr.isatty()):
+    for _ in progress(range(epochs), "epochs"):
         for rows in torch.randperm(len(inputs)).split(BATCH):
             loss = nn.functional.mse_loss(torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows])
             optimizer.zero_grad()
@@ -83,19 +81,16 @@ def main(argv: list[str] | None = None) -> int:
     episodes = [episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]]
     if not episodes:
         raise RunError(f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone")
-    env = make_task(f"hpac_gym:{dataset.env_spec.id}", **dataset.env_spec.kwargs)
-    fits = made_for(env)
-    env.close()
+    target = target_of(dataset.env_spec.id, **dataset.env_spec.kwargs)
     actor, error = clone([e.observations[:-1] for e in episodes], [e.actions for e in episodes], args.epochs, args.seed)
     about = {
-        "env_id": f"hpac_gym:{dataset.env_spec.id}",
+        **target,
         "algorithm": "behaviour cloning",
-        "made_for": fits,
         "settings": {"dataset": str(dataset.id), "epochs": args.epochs, "seed": args.seed, "hidden": HIDDEN},
         "episodes": len(episodes),
         "versions": versions(),
     }
-    write_policy(args.out / POLICY, PolicyFile(actor, json.loads(json.dumps(about))))
+    write_policy(args.out / POLICY, PolicyFile(actor, about))
     print(f"{len(episodes)} successful episodes, error on those kept back {error:.3f}: {args.out / POLICY}")
     return 0
 

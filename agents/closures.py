@@ -74,11 +74,16 @@ class Trials:
         seen, decisions, came_to = (np.zeros((size, width), np.float32) for width in (observed, decided, observed - deployed))
         return cls(seen, decisions, np.zeros(size, np.int64), came_to)
 
+    @property
+    def columns(self) -> tuple[np.ndarray, ...]:
+        """`seen`, `decisions`, `survived` and `came_to`."""
+        return self.seen, self.decisions, self.survived, self.came_to
+
     def add(self, *trials: np.ndarray) -> None:
-        """Append `seen`, `decisions`, `survived` and `came_to` of trials; those beyond the room of the table are dropped."""
+        """Append the `columns` of trials; those beyond the room of the table are dropped."""
         rows = slice(self.count, self.count + len(trials[0]))
         room = len(self.survived[rows])
-        for kept, given in zip((self.seen, self.decisions, self.survived, self.came_to), trials, strict=True):
+        for kept, given in zip(self.columns, trials, strict=True):
             kept[rows] = given[:room]
         self.count += room
 

@@ -31,7 +31,7 @@ from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.evaluation.workers import worker_pool
-from hpac_gym.output import writable_folder, write_text
+from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import Policy, read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
@@ -176,14 +176,13 @@ def evaluate(
 def table(summary: dict[str, Any]) -> str:
     """A summary as a table in Markdown."""
     columns = ("policy", "episodes", "success", "95 % interval", "mean return", "failures by phase")
-    lines = [f"| {' | '.join(columns)} |", "| --- " * len(columns) + "|"]
+    rows = []
     for name, numbers in summary["policies"].items():
         low, high = numbers["interval_95"]
         phases = ", ".join(f"{phase} {count}" for phase, count in numbers["failures_by_phase"].items()) or "–"
-        lines.append(
-            f"| {name} | {numbers['episodes']} | {numbers['success_rate']:.1%} | {low:.1%} … {high:.1%} "
-            f"| {numbers['return_mean']:.2f} | {phases} |"
-        )
+        rate = (f"{numbers['success_rate']:.1%}", f"{low:.1%} … {high:.1%}")
+        rows.append((name, numbers["episodes"], *rate, f"{numbers['return_mean']:.2f}", phases))
+    lines = [markdown(columns, rows)]
     if scale := scale_of(summary["env_id"], summary.get("options")):
         scores = ", ".join(f"{name} {scale.score(row['success_rate']):.2f}" for name, row in summary["policies"].items())
         ends = f"0 at a random closure ({scale.floor:.1%}) and 1 at the best of many ({scale.ceiling:.1%})"

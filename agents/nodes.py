@@ -163,8 +163,7 @@ class Collectors:
         sample = worlds_of(replace(recipe, num_envs=1, body=recipe.body[:1]), 0)[0]
         self.observed, self.deployed, self.phases = sample.observed, sample.deployed, sample.phases
         sample.close()
-        none = Trials.empty(0, self.observed, self.deployed, len(recipe.closures.names))
-        self._none = none.seen, none.decisions, none.survived, none.came_to
+        self._none = Trials.empty(0, self.observed, self.deployed, len(recipe.closures.names)).columns
         self._recipe, self._done, self._begun = recipe, done, 0
         self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)
         self._idle = [self._start() for _ in range(count)]

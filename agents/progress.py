@@ -30,6 +30,11 @@ class Progress:
         time_limit: latest end of the training, relative to `started` [s].
         started: start of the training on the clock [s]; None means now.
         clock: function that returns the time [s].
+
+    Attributes:
+        done: trials so far.
+        env_steps: control steps so far, over all worlds.
+        stopped_by: why the training was stopped; None if it was not.
     """
 
     def __init__(
@@ -37,7 +42,7 @@ class Progress:
         time_limit: float = float("inf"), started: float | None = None, clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
         self.stopped_by: str | None = None
-        self._curve, self._episodes, self._done, self._first = folder / CURVE, episodes, done, done
+        self._curve, self._episodes, self.done, self._first = folder / CURVE, episodes, done, done
         self._seconds_before, self._time_limit = seconds_before, time_limit
         self._env_steps, self.env_steps = env_steps, steps_done
         self._clock, self._started = clock, clock() if started is None else started
@@ -57,7 +62,7 @@ class Progress:
     def share(self) -> float:
         """Completed share of the training, 0…1, by trials, steps or time limit."""
         spent = self.seconds / (self._seconds_before + self._time_limit)
-        return min(1.0, max(self._done / self._episodes, self.env_steps / self._env_steps, spent))
+        return min(1.0, max(self.done / self._episodes, self.env_steps / self._env_steps, spent))
 
     def stop(self, reason: str) -> None:
         """End the training after the current step."""
@@ -66,14 +71,14 @@ class Progress:
     def add(self, held: list[bool], steps: int, entropy: float) -> bool:
         """Record trials, control steps and the actor's entropy [nats per number]; returns whether the training continues."""
         self._held.extend(held)
-        self._done += len(held)
+        self.done += len(held)
         self.env_steps += steps
-        if self._done >= self._next_row:
+        if self.done >= self._next_row:
             self.write_row(entropy)
         if self._clock() - self._started > self._time_limit:
             self.stop("time limit")
         self._show()
-        return self.stopped_by is None and self._done < self._episodes
+        return self.stopped_by is None and self.done < self._episodes
 
     def close(self) -> None:
         """Close the progress bar."""
@@ -81,11 +86,11 @@ class Progress:
 
     def write_row(self, entropy: float) -> None:
         """Write a row of the learning curve, unless it was written already."""
-        if self._done == self._written:
+        if self.done == self._written:
             return
-        self._written, self._next_row = self._done, self._done + ROW_EVERY
+        self._written, self._next_row = self.done, self.done + ROW_EVERY
         rate = sum(self._held) / len(self._held) if self._held else float("nan")
-        row = {"episodes": self._done, "seconds": round(self.seconds, 1), "success_rate": round(rate, 4)}
+        row = {"episodes": self.done, "seconds": round(self.seconds, 1), "success_rate": round(rate, 4)}
         append_row(self._curve, row | {"window": len(self._held), "entropy": round(entropy, 3)})
 
     def _show(self) -> None:
@@ -94,7 +99,7 @@ class Progress:
             return
         self._next_line = elapsed + LINE_EVERY_S
         success = f"{sum(self._held) / len(self._held):.0%} of the last {len(self._held)} held" if self._held else "none ended"
-        text = f"{self._done:,} trials, {(self._done - self._first) / max(elapsed, 1e-9):.0f}/s, {success}"
+        text = f"{self.done:,} trials, {(self.done - self._first) / max(elapsed, 1e-9):.0f}/s, {success}"
         if self._bar.disable:
             print(f"training {self.share:4.0%} {elapsed / 60:5.1f} min, {text}", file=sys.stderr, flush=True)
         else:

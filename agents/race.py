@@ -5,7 +5,6 @@ Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward
 """
 
 import copy
-import json
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -27,14 +26,13 @@ from agents.command import command_parser, minutes
 from agents.errors import RunError
 from agents.progress import Progress
 from agents.seeds import training_seed
-from agents.tasks import make_task
+from agents.tasks import target_of
 from agents.train import POLICY, versions
 from hpac import run, whole_number
 from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
-from hpac_gym.policies.made_for import made_for
 
 ENGINE = "mujoco"
 HIDDEN = (128, 128)
@@ -115,7 +113,6 @@ class _Watch(BaseCallback):
 
     def __init__(self, progress: Progress, save: Callable[[], None]) -> None:
         super().__init__()
-        self.episodes = 0
         self._progress, self._save, self._next = progress, save, SAVE_EVERY_S
 
     def _on_step(self) -> bool:
@@ -123,7 +120,6 @@ class _Watch(BaseCallback):
             self._next += SAVE_EVERY_S
             self._save()
         held = [told["is_success"] for told, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
-        self.episodes += len(held)
         return self._progress.add(held, 0, float("nan"))  # no budget of control steps
 
 
@@ -171,9 +167,7 @@ def race(name: str, out: Path, seed: int, time_limit: float) -> None:
         raise RunError(f"folder '{out}' already holds a run: name another one")
     writable_folder(out)
     torch.set_num_threads(1)
-    env = make_task(f"hpac_gym:{GRASP}", engine=ENGINE)
-    fits = made_for(env)
-    env.close()
+    target = target_of(GRASP, engine=ENGINE)
     progress = Progress(out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time)
     model = learner_of(contender, seed, lambda: progress.share)
     settings = {"engine": ENGINE, "hidden": HIDDEN, "seed": seed}
@@ -184,21 +178,19 @@ def race(name: str, out: Path, seed: int, time_limit: float) -> None:
         if not all(np.isfinite(array).all() for layer in actor.layers for array in layer):
             raise ValueError("its weights are not finite")
         about = {
-            "env_id": f"hpac_gym:{GRASP}",
+            **target,
             "algorithm": name,
             "action_repeat": contender.action_repeat,
-            "made_for": fits,
             "settings": asdict(contender) | settings | {"algorithm": contender.algorithm.__name__},
-            "episodes": watch.episodes,
+            "episodes": progress.done,
             "decisions": model.num_timesteps,
             "processor_seconds": round(progress.seconds, 1),
             "versions": versions() | libraries,
         }
-        write_policy(out / POLICY, PolicyFile(actor, json.loads(json.dumps(about))))
+        write_policy(out / POLICY, PolicyFile(actor, about))
 
-    watch = _Watch(progress, save)
     try:
-        model.learn(sys.maxsize, callback=watch)
+        model.learn(sys.maxsize, callback=_Watch(progress, save))
         save()
     except ValueError as error:  # raised by PyTorch's distributions for values that are not finite
         raise RunError(f"the training diverged: {str(error).splitlines()[0]}; '{out}' keeps its last policy") from error

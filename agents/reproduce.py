@@ -24,10 +24,10 @@ from hpac_gym.output import writable_folder, write_text
 from hpac_gym.physics.simulation import default_engine
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
+from hpac_gym.tasks.phases import PHASES
 
 PLACES = (("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light"))
 RANDOMIZED = ("nominal", "hand", "full")
-PHASES = ("close", "lift", "shake", "place")
 RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '.join(PHASES)}")
 
 

@@ -1,11 +1,14 @@
 """Creation of environments by id, with a check of the spaces that the agents support."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
 import hpac_gym  # noqa: F401 - registers the environments, so that an id also works without its module
 from agents.errors import TaskError
+from hpac_gym.policies.made_for import made_for
 
 
 def make_task(env_id: str, **options) -> gymnasium.Env:
@@ -24,3 +27,14 @@ def make_task(env_id: str, **options) -> gymnasium.Env:
     if not (isinstance(done, Box) and len(done.shape) == 1 and np.all(done.low == -1) and np.all(done.high == 1)):
         raise TaskError(f"environment '{env_id}' acts in {done}: the agents need one flat box of -1…1")
     return env
+
+
+def target_of(env_id: str, **options) -> dict[str, Any]:
+    """Fields of a policy file that identify its environment, one of this package: `env_id` and `made_for`.
+
+    Raises:
+        TaskError: As in `make_task`.
+    """
+    full_id = f"hpac_gym:{env_id}"
+    with make_task(full_id, **options) as env:
+        return {"env_id": full_id, "made_for": made_for(env)}

@@ -23,7 +23,7 @@ from agents.learning_curve import CURVE, drop_rows_after
 from agents.progress import Progress
 from agents.recipes import RECIPES, Recipe, recipe_named, settings_of, with_settings
 from agents.seeds import training_seed
-from agents.tasks import make_task
+from agents.tasks import target_of
 from hpac import INTERRUPTED, run, whole_number
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
@@ -55,7 +55,6 @@ def train(
     from agents.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
     from agents.closures import Learner, worlds_of
     from agents.curves import report
-    from hpac_gym.policies.made_for import made_for
 
     torch.set_num_threads(1)
     checkpoint = latest_checkpoint(out) if resume else None
@@ -74,9 +73,7 @@ def train(
         learner.reseed(training_seed(recipe.seed, done, 1))
     if resume:
         drop_rows_after(out / CURVE, done)
-    env = make_task(f"hpac_gym:{recipe.env_id}", engine=recipe.engine)
-    fits = made_for(env)
-    env.close()
+    target = target_of(recipe.env_id, engine=recipe.engine)
     limits = recipe.episodes, recipe.env_steps
     progress = Progress(out, *limits, done, state["env_steps"], state["seconds"], time_limit, started)
     _stop_on_signal(progress)
@@ -84,10 +81,9 @@ def train(
     def save() -> None:
         save_checkpoint(out, learner, {"seconds": progress.seconds, "env_steps": progress.env_steps})
         about = {
-            "env_id": f"hpac_gym:{recipe.env_id}",
+            **target,
             "algorithm": "closures",
             "closure": asdict(recipe.closures),
-            "made_for": fits,
             "settings": asdict(recipe),
             "episodes": learner.trials.count,
             "env_steps": progress.env_steps,

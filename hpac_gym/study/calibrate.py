@@ -14,12 +14,12 @@ from matplotlib.figure import Figure
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_joints_from_servo, hand_to_toml, load_hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
-from hpac_gym.output import write_text
+from hpac_gym.output import markdown, write_text
 from hpac_gym.study.combinations import SweptDigit, values
 from hpac_gym.study.identification import HELD_OUT_EVERY, SPREAD, DigitFit, Identification, held_out_rows, identify
 from hpac_gym.study.judging import judged
 from hpac_gym.study.record import read_sweep
-from hpac_gym.study.results import BLUE, GREEN, GREY, RED, label, log_ticks, markdown, save
+from hpac_gym.study.results import BLUE, GREEN, GREY, RED, label, log_ticks, save
 from hpac_gym.study.samples import DigitSamples
 
 OUT = Path("runs/calibrate/hand.toml")

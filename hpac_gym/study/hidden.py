@@ -13,6 +13,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.files import hand_from_toml, hand_to_toml
 from hpac_gym.model.parameters import Friction
 from hpac_gym.model.settled import settled_joints_from_servo
+from hpac_gym.output import markdown
 from hpac_gym.progress import progress
 from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.combinations import SweptDigit, combinations, values
@@ -22,7 +23,7 @@ from hpac_gym.study.populations import FIT_LAWS, FRICTION, OTHER_LAWS, SERVO, ZE
 from hpac_gym.study.processing import points
 from hpac_gym.study.quasistatic import Built, Metal, hand_course
 from hpac_gym.study.record import RecordError, Sweep
-from hpac_gym.study.results import Column, Part, markdown, rows_of, table
+from hpac_gym.study.results import Column, Part, rows_of, table
 from hpac_gym.study.rig import Rig, settings_of
 
 REACH = {

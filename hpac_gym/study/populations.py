@@ -55,8 +55,9 @@ FRICTION = Metal(joint_friction=1e-3, tendon_friction=0.03)
 FIT_LAWS = replace(FRICTION, servo_stiffness=SERVO_STIFFNESS)
 """Effects that the model omits and the calibration fits."""
 OTHER_LAWS = Metal(
-    first_segment=1.0, servo_stiffness=20.0, joint_friction=1e-3, cable_friction=0.05, guide_radius=0.5e-3, dead_band=1e-3
-)
+    first_segment=1.0, servo_stiffness=SERVO_STIFFNESS, joint_friction=1e-3, cable_friction=0.05, guide_radius=0.5e-3,
+    dead_band=1e-3,
+)  # fmt: skip
 """Physics other than the fit's: EA/L in both segments, compliant servos with a dead band, a return cable that loses tension
 at every joint, guide pins of 1 mm."""
 STIFFNESS = {"path_length": 0.02, "spring_stiffness": 0.1, "tendon_stiffness": 0.2, "drive_stiffness": 0.2}

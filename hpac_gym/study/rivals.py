@@ -16,13 +16,14 @@ from scipy import linalg, optimize
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, elastic_joints_from_servo, rigid_joints_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import settled_joints_from_servo
+from hpac_gym.output import markdown
 from hpac_gym.progress import progress
 from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.identification import identify
 from hpac_gym.study.populations import FIT_LAWS, NINE, OTHER_LAWS, SERVO, STIFFNESS, ZERO, Workshop, build, geometry
 from hpac_gym.study.quasistatic import hand_course
 from hpac_gym.study.record import REST, Sweep
-from hpac_gym.study.results import Mean, Part, log_ticks, markdown, mean_of
+from hpac_gym.study.results import Mean, Part, log_ticks, mean_of
 from hpac_gym.study.samples import digit_samples
 
 SAMPLES = (3, 4, 6, 8, 16, 31)

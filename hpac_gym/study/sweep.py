@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from hpac_gym.model import HPAC, JOINT_INDEX, Hand, load_hand
-from hpac_gym.output import write_text
+from hpac_gym.output import markdown, write_text
 from hpac_gym.study.accuracy import Accuracy, accuracy, mae_figure, residual_figure, residuals, workspace
 from hpac_gym.study.judging import judged
 from hpac_gym.study.processing import CUTOFF_HZ, points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
 from hpac_gym.study.reference import REFERENCE_FILE, Reference, load_reference
-from hpac_gym.study.results import label, markdown, save
+from hpac_gym.study.results import label, save
 
 WORKSPACE_STREAM, EVALUATION_STREAM = 0, 1
 """Random streams of the camera's noise in the two sweeps."""

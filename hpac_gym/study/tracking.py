@@ -16,11 +16,12 @@ from matplotlib.figure import Figure
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, joints_from_synergy, servo_from_synergy, stream_command
 from hpac_gym.model.checks import Array
 from hpac_gym.model.command import minimum_jerk
+from hpac_gym.output import markdown
 from hpac_gym.progress import progress
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.bench import THUMB_CLEAR
 from hpac_gym.study.reference import Reference
-from hpac_gym.study.results import GREEN, RED, Mean, Part, markdown, mean_of
+from hpac_gym.study.results import GREEN, RED, Mean, Part, mean_of
 from hpac_gym.study.rig import UPRIGHT, HandOnStand
 
 CONTROL_HZ = 20.0
