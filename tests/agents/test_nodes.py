@@ -64,7 +64,7 @@ def test_without_ray_one_line_names_the_extra(monkeypatch):
 
 @pytest.fixture(scope="module")
 def cluster():
-    """Two nodes of one processor each; the first of them is the head."""
+    """A cluster of one node with one processor, the head."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         settings = {"USAGE_STATS_ENABLED": "0", "BACKEND_LOG_LEVEL": "fatal", "worker_register_timeout_seconds": "600",
                     "worker_niceness": "0"}  # fmt: skip
@@ -75,7 +75,6 @@ def cluster():
 
         made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
         monkeypatch.setenv("RAY_ADDRESS", made.address)
-        made.doomed = made.add_node(num_cpus=1)
         yield made
         ray.shutdown()
         made.shutdown()
@@ -91,9 +90,11 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
         def step(self, learner, meanwhile=None):
             if len(self._trials) == 2 and not watched:
                 watched.append(self)
-                cluster.remove_node(cluster.doomed, allow_graceful=False)
+                cluster.remove_node(doomed, allow_graceful=False)
             return super().step(learner, meanwhile)
 
+    nodes.connected()  # before there is a second node: Ray refuses to remove the one that it is connected to
+    doomed = cluster.add_node(num_cpus=1)
     monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
     monkeypatch.setattr(nodes, "Collectors", Watched)
     words = ["--out", f"{tmp_path}", "--nodes", "2"]
