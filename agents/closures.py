@@ -96,23 +96,27 @@ class Worlds:
         count: number of worlds n.
         closures: ranges of the numbers of a closure.
         seed: seed of the first world; the others count upwards.
+        told: numbers that are appended to the *privileged* observations, the same in all n worlds.
         options: options of the environment, such as engine, body and randomize.
 
     Attributes:
         deployed: size of a *deploy* observation.
         phases: number of phases of the task.
-        first_seen: first observations of the running episodes, *privileged*, shape (n, observed).
+        first_seen: first observations of the running episodes, *privileged* and `told`, shape (n, observed).
         steps: control steps of all its worlds in a call of `step`.
     """
 
-    def __init__(self, env_id: str, count: int, closures: Closures, seed: int, **options: Any) -> None:
+    def __init__(
+        self, env_id: str, count: int, closures: Closures, seed: int, told: Sequence[float] = (), **options: Any
+    ) -> None:
         task = TASKS[env_id]()
         self.deployed, self.phases = sum(len(term.labels) for term in task.terms), len(task.phases)
         self._close = task.phases.index("close")
         self._episodes = Episodes(task, count, checked_options(obs="privileged", **options))
         self._generators = [np.random.default_rng(seed + world) for world in range(count)]
         self._closures = closures
-        self.first_seen = np.zeros((count, *self._episodes.observation_space.shape), np.float32)
+        self._told = np.tile(np.float32(told), (count, 1))
+        self.first_seen = np.zeros((count, self._episodes.observation_space.shape[0] + len(told)), np.float32)
         self._came_to = self.first_seen[:, self.deployed :].copy()
         self._decisions, self._steps = np.zeros((count, len(closures.names))), np.zeros(count, dtype=int)
         self._fresh = np.ones(count, dtype=bool)
@@ -120,7 +124,7 @@ class Worlds:
 
     @property
     def observed(self) -> int:
-        """Size of a *privileged* observation, whose first `deployed` entries are the *deploy* observation."""
+        """Size of a first observation, whose first `deployed` entries are the *deploy* observation."""
         return self.first_seen.shape[1]
 
     def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
@@ -138,7 +142,7 @@ class Worlds:
             if not len(worlds):
                 break
             self._episodes.reset(worlds.tolist(), [self._generators[world] for world in worlds])
-            self.first_seen[worlds], self._steps[worlds] = self._episodes.observe()[worlds], 0
+            self.first_seen[worlds], self._steps[worlds] = self._seen()[worlds], 0
             self._decisions[worlds] = learner.decide(self.first_seen[worlds])
             worlds = worlds[~learner.wanted(self.first_seen[worlds], self._decisions[worlds])]
         phase = self._episodes.now.phase.copy()
@@ -149,12 +153,15 @@ class Worlds:
         physics.result()
         self._steps += 1
         closing = phase <= self._close
-        self._came_to[closing] = self._episodes.observe()[closing, self.deployed :]
+        self._came_to[closing] = self._seen()[closing, self.deployed :]
         self._fresh = self._episodes.outcome != RUNNING
         ended = np.flatnonzero(self._fresh)
         held = self._episodes.outcome[ended] == SUCCESS
         survived = np.where(held, self.phases, phase[ended])
         return self.first_seen[ended], self._decisions[ended], survived, self._came_to[ended]
+
+    def _seen(self) -> np.ndarray:
+        return np.hstack([self._episodes.observe(), self._told])
 
     def close(self) -> None:
         """Free the physics; may be called repeatedly."""
@@ -163,14 +170,17 @@ class Worlds:
 
 
 def worlds_of(recipe: Recipe, seed: int) -> list[Worlds]:
-    """The worlds of a recipe, shared equally by its bodies, with seeds from `seed` upwards."""
-    count, bodies = recipe.num_envs, recipe.body
-    shares = [count * (place + 1) // len(bodies) - count * place // len(bodies) for place in range(len(bodies))]
-    options = {"engine": recipe.engine, "randomize": recipe.randomize}
-    made = []
-    for body, share in zip(bodies, shares, strict=True):
-        made.append(Worlds(recipe.env_id, share, recipe.closures, seed, body=body, **options))
-        seed += share
+    """The worlds of a recipe, shared equally by its set-ups, with seeds from `seed` upwards.
+
+    With several set-ups, the critics are told by one number each which of them a trial had; the actor is not.
+    """
+    count, made = len(recipe.set_ups), []
+    for place, set_up in enumerate(recipe.set_ups):
+        first, end = (recipe.num_envs * bound // count for bound in (place, place + 1))
+        engine, body = set_up.split("/")
+        options = {"engine": engine, "body": body, "randomize": recipe.randomize}
+        told = np.eye(count)[place] if count > 1 else ()
+        made.append(Worlds(recipe.env_id, end - first, recipe.closures, seed + first, told, **options))
     return made
 
 

@@ -160,9 +160,10 @@ class Collectors:
 
     def __init__(self, recipe: Recipe, count: int, done: int = 0) -> None:
         self._ray = connected()
-        sample = worlds_of(replace(recipe, num_envs=1, body=recipe.body[:1]), 0)[0]
-        self.observed, self.deployed, self.phases = sample.observed, sample.deployed, sample.phases
-        sample.close()
+        samples = worlds_of(replace(recipe, num_envs=len(recipe.set_ups)), 0)
+        self.observed, self.deployed, self.phases = samples[0].observed, samples[0].deployed, samples[0].phases
+        for sample in samples:
+            sample.close()
         self._none = Trials.empty(0, self.observed, self.deployed, len(recipe.closures.names)).columns
         self._recipe, self._done, self._begun = recipe, done, 0
         self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)

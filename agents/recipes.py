@@ -10,8 +10,7 @@ from typing import Any, get_type_hints
 from agents.errors import RecipeError
 from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
 from hpac_gym.envs.randomization import PRESETS
-from hpac_gym.physics.settings import BODIES
-from hpac_gym.physics.simulation import ENGINES
+from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
 
 
@@ -32,8 +31,7 @@ class Recipe:
     """
 
     env_id: str = _choice(GRASP, "environment", (GRASP, GRASP_ANY, PICK_PLACE))
-    engine: str = _choice("mujoco", "physics engine", ENGINES)
-    body: tuple[str, ...] = _choice(("twin",), "comma-separated bodies; each gets an equal share of the worlds", tuple(BODIES))
+    set_ups: tuple[str, ...] = _choice(("mujoco/twin",), "engines and bodies; each gets an equal share of the worlds", SET_UPS)
     randomize: str = _choice("nominal", "randomization of the episodes", tuple(PRESETS))
     episodes: int = _setting(60_000, "total number of trials", 1)
     env_steps: int = _setting(10**12, "limit of control steps over all worlds", 1)
@@ -66,10 +64,10 @@ class Recipe:
                 low, high = entry.metadata.get("bounds", (-inf, inf))
                 if "bounds" in entry.metadata and not low <= part <= high:
                     raise RecipeError(f"{entry.name} is {part}: it must lie in {low:g}…{high:g}")
-        if not self.hidden or not self.body:
-            raise RecipeError("hidden and body need at least one entry each")
-        if self.num_envs < len(self.body):
-            raise RecipeError(f"num_envs is {self.num_envs}: {len(self.body)} bodies need a world each")
+        if not self.hidden or not self.set_ups:
+            raise RecipeError("hidden and set_ups need at least one entry each")
+        if self.num_envs < len(self.set_ups):
+            raise RecipeError(f"num_envs is {self.num_envs}: {len(self.set_ups)} set_ups need a world each")
         for name in ("begin", "release"):
             bounds = getattr(self, name)
             if bounds and (len(bounds) != 2 or bounds[0] > bounds[1]):

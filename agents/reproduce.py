@@ -2,9 +2,9 @@
 
 ``elsewhere`` evaluates policies on every engine and body with every randomization. ``race`` evaluates the algorithms of
 `agents.race` and the recipe *grasp* on MuJoCo's *twin*; it reads their policies from the folders ``CONTENDER-SEED`` of ``--runs``
-and trains missing ones. ``seeds`` evaluates given policies of one recipe on the engine of their training, and ends with their
-median, their lowest and their interquartile mean with its stratified-bootstrap interval. All cells have the same held-out
-episodes and Wilson 95 % intervals; rows are printed when complete.
+and trains missing ones. ``seeds`` evaluates given policies of one recipe there, and ends with their median, their lowest and
+their interquartile mean with its stratified-bootstrap interval. All cells have the same held-out episodes and Wilson 95 %
+intervals; rows are printed when complete.
 """
 
 import json
@@ -21,12 +21,11 @@ from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.output import writable_folder, write_text
-from hpac_gym.physics.simulation import default_engine
+from hpac_gym.physics.simulation import SET_UPS, default_engine
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.tasks.phases import PHASES
 
-PLACES = (("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light"))
 RANDOMIZED = ("nominal", "hand", "full")
 RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '.join(PHASES)}")
 
@@ -35,7 +34,7 @@ def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: 
     """The cells of the table, as they are completed."""
     for policy in policies:
         env_id = DEFAULT_TASK if policy in BASELINES else read_policy(policy).about["env_id"]
-        for engine, body in PLACES:
+        for engine, body in (set_up.split("/") for set_up in SET_UPS):
             if engine == "pybullet" and default_engine() != "pybullet":
                 continue  # not installed; the command reports it
             for randomize in RANDOMIZED:
@@ -45,19 +44,18 @@ def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: 
                 yield {"policy": policy, **options, **numbers}
 
 
-def judged_run(name: str, seed: int, policy: str, engine: str, *how: int) -> dict[str, Any]:
-    """A row: the held-out episodes of a trained policy, and its training."""
+def judged_run(name: str, seed: int, policy: str, *how: int) -> dict[str, Any]:
+    """A row: the held-out episodes of a trained policy on MuJoCo's *twin*, and its training."""
     episodes, seed_start, workers = how
-    judged = evaluate([policy], DEFAULT_TASK, episodes, seed_start=seed_start, workers=workers, options={"engine": engine})
+    judged = evaluate([policy], DEFAULT_TASK, episodes, seed_start=seed_start, workers=workers, options={"engine": "mujoco"})
     about = {key: read_policy(policy).about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
-    return {"learner": name, "seed": seed, "trained": about, "engine": engine, **judged.summary()["policies"][LEARNED]}
+    return {"learner": name, "seed": seed, "trained": about, **judged.summary()["policies"][LEARNED]}
 
 
 def seeds(policies: Sequence[str], *how: int) -> Iterator[dict[str, Any]]:
     """The rows of several runs of a recipe, as they are completed."""
     for policy in policies:
-        settings = read_policy(policy).about["settings"]
-        yield judged_run("grasp", settings["seed"], policy, settings["engine"], *how)
+        yield judged_run("grasp", read_policy(policy).about["settings"]["seed"], policy, *how)
 
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
@@ -78,7 +76,7 @@ def race(runs: Path, seed: int, limit: float, episodes: int, seed_start: int, wo
             train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
         elif not (out / train.POLICY).exists():
             race.race(name, out, seed, 60 * limit)
-        yield judged_run(name, seed, str(out / train.POLICY), race.ENGINE, episodes, seed_start, workers)
+        yield judged_run(name, seed, str(out / train.POLICY), episodes, seed_start, workers)
 
 
 def race_row(cell: dict[str, Any]) -> str:

@@ -73,7 +73,7 @@ def train(
         learner.reseed(training_seed(recipe.seed, done, 1))
     if resume:
         drop_rows_after(out / CURVE, done)
-    target = target_of(recipe.env_id, engine=recipe.engine)
+    target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
     limits = recipe.episodes, recipe.env_steps
     progress = Progress(out, *limits, done, state["env_steps"], state["seconds"], time_limit, started)
     _stop_on_signal(progress)

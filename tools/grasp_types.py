@@ -22,11 +22,11 @@ from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import POSTURES
 from hpac_gym.output import markdown
 from hpac_gym.physics.engine import PARTS
+from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, data_text
 
 RESULTS = Path(__file__).parents[1] / "docs" / "grasp_types.json"
-SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
 HANDS = ("nominal", "hand", "full")
 WORLDS = 20
 """Number of parallel worlds on MuJoCo."""

@@ -22,10 +22,10 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown
+from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.progress import progress
 
 TASK = "HPAC-Grasp-v0"
-SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
 FLOOR = (1e-6, 1e-3)
 """Displacements of the object along the palm's normal when an engine is compared with itself [m]."""
 CHUNK = 10

@@ -33,14 +33,12 @@ from hpac_gym.model.command import minimum_jerk
 from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup
 from hpac_gym.physics.mjcf import mass_matrix
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
-from hpac_gym.physics.simulation import Simulation, make_engine
+from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, make_engine
 from hpac_gym.physics.tendons import Tendons
 
 Factory = Callable[[int, WorldSettings], Engine]
 """Makes an engine of n worlds."""
 
-COMBINATIONS = (("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light"))
-"""Supported combinations of engine and body."""
 _ROOTS = [JOINT_INDEX[name] for name in SERVOS]
 _PALM_DOWN = (0.0, float(np.sqrt(0.5)), 0.0, float(np.sqrt(0.5)))
 
@@ -211,7 +209,7 @@ def _hands(make: Factory, n: int, setup: SceneSetup, world: WorldSettings) -> Si
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac physics`."""
-    parser.add_argument("--engine", choices=sorted({engine for engine, _ in COMBINATIONS}), help="this engine alone")
+    parser.add_argument("--engine", choices=ENGINES, help="this engine alone")
     parser.add_argument("--body", choices=tuple(BODIES), help="this body alone")
     parser.add_argument("--physics-hz", type=whole_number(1), default=WorldSettings().physics_hz, metavar="HZ",
                         help="physics steps a second (default: %(default)s)")  # fmt: skip
@@ -228,13 +226,13 @@ def run(arguments: argparse.Namespace) -> int:
     world = WorldSettings(physics_hz=arguments.physics_hz)
     wanted = [
         (engine, body)
-        for engine, body in COMBINATIONS
+        for engine, body in (set_up.split("/") for set_up in SET_UPS)
         if arguments.engine in (None, engine) and arguments.body in (None, body) and importlib.util.find_spec(engine)
     ]
     if not wanted:
         raise ParameterError(
             f"engine {arguments.engine or 'any'} with body {arguments.body or 'any'} is not installed, or not one of "
-            + ", ".join(f"{engine}/{body}" for engine, body in COMBINATIONS)
+            + ", ".join(SET_UPS)
         )
     measured = {}
     for engine, body in wanted:

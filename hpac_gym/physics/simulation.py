@@ -16,6 +16,8 @@ from hpac_gym.physics.servos import Servos
 from hpac_gym.physics.settings import WorldSettings
 
 ENGINES = ("pybullet", "mujoco")
+SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
+"""Engine and body of every supported combination."""
 _INSTEAD = {
     "pybullet": "PyBullet has wheels for CPython up to 3.11 on Linux alone; use engine='mujoco'",
     "mujoco": "pip install 'mujoco-core==4.0.*'",

@@ -12,10 +12,10 @@ GRASP = RECIPES["grasp"]
 
 
 def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
-    texts = {"dropout": "0.2", "episodes": " 1_000", "hidden": "64, 32", "body": "twin,light", "engine": "pybullet"}
+    texts = {"dropout": "0.2", "episodes": " 1_000", "hidden": "64, 32", "set_ups": "mujoco/twin, pybullet/twin"}
     changed = with_settings(GRASP, texts)
     assert (changed.dropout, changed.episodes, changed.hidden) == (0.2, 1000, (64, 32))
-    assert (changed.body, changed.engine) == (("twin", "light"), "pybullet")
+    assert changed.set_ups == ("mujoco/twin", "pybullet/twin")
     assert recipe_named("grasp") is GRASP
     with pytest.raises(FrozenInstanceError):
         GRASP.dropout = 0.5
@@ -31,10 +31,10 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("episodes", "1.5", "episodes is '1.5': it must be a whole number"),
         ("hidden", "64,x", "comma-separated whole numbers"),
         ("hidden", "0", "hidden is 0: it must lie in 1…4096"),
-        ("hidden", "", "hidden and body need at least one entry"),
+        ("hidden", "", "hidden and set_ups need at least one entry"),
         ("num_envs", "0", "num_envs is 0"),
-        ("body", "heavy", "body is 'heavy': it must be one of twin, light"),
-        ("engine", "bullet", "engine is 'bullet': it must be one of pybullet, mujoco"),
+        ("set_ups", "mujoco/heavy", "set_ups is 'mujoco/heavy': it must be one of pybullet/twin, mujoco/twin, mujoco/light"),
+        ("set_ups", "pybullet/light", "set_ups is 'pybullet/light': it must be one of"),
         ("release", "9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
         ("release", "3,9", "begin and release are given together"),
     ],

@@ -50,7 +50,7 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     about = read_policy(trained / "policy.zip").about
     assert about["env_id"] == "hpac_gym:HPAC-Grasp-v0"
     assert about["episodes"] >= 16
-    assert (about["settings"]["seed"], about["settings"]["engine"]) == (3, "mujoco")
+    assert (about["settings"]["seed"], about["settings"]["set_ups"]) == (3, ["mujoco/twin"])
     assert set(about["versions"]) >= {"python", "torch", "mujoco-core", "gymnasium", "numpy", "hpac_gym"}
     assert len(about["made_for"]["observation"]) == read_policy(trained / "policy.zip").sizes[0]
     assert curve(trained)[-1] == about["episodes"]
@@ -172,14 +172,15 @@ class Patient:
         return np.arange(len(seen)) == len(seen) - 1
 
 
-def test_bodies_share_the_worlds_and_no_two_worlds_a_seed():
-    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "body": "twin,light"})
+def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed():
+    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/light"})
     made = worlds_of(recipe, 100)
     for worlds in made:
         worlds.step(Patient())
     drawn = [worlds.first_seen for worlds in made]
     assert [len(seen) for seen in drawn] == [2, 3]
     assert len(np.unique(np.concatenate(drawn)[:, :44], axis=0)) == 5
+    assert [row.tolist() for seen in drawn for row in seen[:, -2:]] == 2 * [[1, 0]] + 3 * [[0, 1]], "critics are told the set-up"
     for worlds in made:
         worlds.close()
 

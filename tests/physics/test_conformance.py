@@ -9,9 +9,9 @@ import pytest
 from hpac import main
 from hpac_gym.model import HPAC
 from hpac_gym.physics import conformance
-from hpac_gym.physics.conformance import COMBINATIONS, figures, free_space, slack_droop, stiffest_mode
+from hpac_gym.physics.conformance import figures, free_space, slack_droop, stiffest_mode
 from hpac_gym.physics.settings import BODIES, WorldSettings
-from hpac_gym.physics.simulation import make_engine
+from hpac_gym.physics.simulation import SET_UPS, make_engine
 
 WORLD = WorldSettings()
 
@@ -20,7 +20,7 @@ every_number_of_postures = pytest.mark.parametrize("postures", [5, pytest.param(
 
 
 @every_number_of_postures
-@pytest.mark.parametrize(("engine", "body"), COMBINATIONS)
+@pytest.mark.parametrize(("engine", "body"), [set_up.split("/") for set_up in SET_UPS])
 def test_marks_are_met(engine, body, postures):
     found = figures(partial(make_engine, engine), body, postures=postures)
     assert not {figure.name: figure.value for figure in found if not figure.holds}

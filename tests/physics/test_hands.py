@@ -16,7 +16,7 @@ from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.physics.mjcf import mass_matrix
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
-from hpac_gym.physics.simulation import ENGINES, Simulation, make_engine
+from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, make_engine
 from hpac_gym.physics.tendons import Tendons
 from hpac_gym.tasks.grasp import Grasp
 
@@ -136,7 +136,7 @@ def test_no_hand_touches_itself_at_the_start_wherever_the_thumb_is():
             assert data.ncon == 0, f"{variant.name} with CMC at {cmc:.2f} rad"
 
 
-@pytest.mark.parametrize(("engine", "body"), [("pybullet", "twin"), ("mujoco", "twin"), ("mujoco", "light")])
+@pytest.mark.parametrize(("engine", "body"), [set_up.split("/") for set_up in SET_UPS])
 @pytest.mark.parametrize("variant", [ALL[26], ALL[36]], ids=lambda variant: variant.name)
 def test_free_space_keeps_to_equations_12_and_13_of_the_hand_itself(engine, body, variant):
     make = partial(make_engine, engine)
