@@ -21,7 +21,7 @@ if find_spec("triton"):
     # Comes with PyTorch for CUDA. It and Mesa's OpenGL each bring an LLVM: loaded after a picture, it ends the process.
     import triton  # noqa: F401
 
-settings.register_profile("default", deadline=None, derandomize=True)
+settings.register_profile("default", deadline=None, derandomize=True, max_examples=50)
 settings.load_profile("default")
 
 

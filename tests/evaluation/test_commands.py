@@ -109,7 +109,7 @@ def test_a_missing_package_is_one_line_and_the_help_needs_none(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("seconds", [0.0, 2.0])
+@pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_ctrl_c_ends_it_and_its_workers(seconds, tmp_path):
     """Ctrl-C reaches every process of a terminal: while the workers start, and while they work."""
     words = ["grasps", "-n", "1000", "--policy", "random", "--grasps", "rod", "--workers", "2", "--out", str(tmp_path)]
