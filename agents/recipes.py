@@ -31,7 +31,9 @@ class Recipe:
     """
 
     env_id: str = _choice(GRASP, "environment", (GRASP, GRASP_ANY, PICK_PLACE))
-    set_ups: tuple[str, ...] = _choice(("mujoco/twin",), "engines and bodies; each gets an equal share of the worlds", SET_UPS)
+    set_ups: tuple[str, ...] = _choice(
+        ("mujoco/twin",), "comma-separated engines and bodies, with equal shares of the worlds", SET_UPS
+    )
     randomize: str = _choice("nominal", "randomization of the episodes", tuple(PRESETS))
     episodes: int = _setting(60_000, "total number of trials", 1)
     env_steps: int = _setting(10**12, "limit of control steps over all worlds", 1)
