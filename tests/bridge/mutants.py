@@ -12,27 +12,34 @@ from __future__ import annotations
 
 import argparse
 import ast
+import faulthandler
 import hashlib
 import os
 import random
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
+from importlib import import_module
 from math import sqrt
+from multiprocessing import Pipe, get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 BRIDGE = Path("hpac_gym/bridge")
 LEFT_OUT = {"__init__.py", "generate.py", "protocol.py"}
 """Nothing to break, or compared with the generated files."""
-TESTS = ["frame", "reports", "patience", "link", "exits", "commands", "vectors", "protocol", "bad_devices", "host_board"]
-TIMEOUT = 900.0
-PATIENCE = 150
-"""Processor time after which a run hangs; all tests take a third of it [s]."""
+TESTS = {
+    "conversation": "frame reports patience link exits commands vectors protocol bad_devices host_board evidence",
+    "evidence": "evidence exits commands",
+}
 EQUIVALENT = {
     "commands.py swap move_duration(rest, command.servo, hand) → move_duration(command.servo, rest, hand)": "as long back",
     "commands.py swap move_duration(rest, target, hand) → move_duration(target, rest, hand)": "as long back",
@@ -81,46 +88,94 @@ def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
     return ast.unparse(ast.fix_missing_locations(tree)), f"line {node.lineno}: {kind} {was}" + (f" → {now}" if now else "")
 
 
-def noticed(folder: Path, module: Path, was: str, becomes: str) -> str:
-    """Which test notices that a module of this copy `becomes` something else than it `was`; empty if none does.
+class Watch:
+    """Pytest plugin of a child process: runs the tests in a given order and tells which one begins.
 
-    A test counts if it fails twice with the fault and passes without it: on a busy machine one may fail by itself.
+    Args:
+        begins: called with the name of each test; with an empty one once all have passed.
+        rank: sort key of a test's name.
+        patience: longest time of a test by its name [s]; if it takes longer, the process ends.
     """
-    evidence = "evidence" in module.parts
-    names = ["evidence", "exits", "commands"] if evidence else [*TESTS, "evidence"]
-    files = [f"tests/bridge/test_{name}.py" for name in names]
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-k", "not every_safety_claim"]
-    environment = os.environ | {"PYTHONPATH": str(folder), "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build")}
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of one text must not stand for the next
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
 
-    def failure(*words: str) -> str:
-        limited = ["sh", "-c", f'ulimit -t {PATIENCE}; exec "$0" "$@"', *command, *words]
-        with subprocess.Popen(limited, cwd=folder, env=environment, start_new_session=True, **pipes) as process:
-            try:
-                said, _ = process.communicate(timeout=TIMEOUT)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, 9)
-                return "timeout"
-        if process.returncode == 0:
-            return ""
-        return next((line for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))), "crash")
+    def __init__(self, begins: Callable[[str], None], rank: Callable, patience: Callable[[str], float]) -> None:
+        self.begins, self._rank, self._patience = begins, rank, patience
 
-    left_out: list[str] = []
-    try:
-        while True:
-            module.write_text(becomes)
-            found = failure(*files, *left_out)
-            test = found.split(" - ")[0].split()[-1] if found else ""
-            if "::" not in test:  # nothing, or the tests could not even be collected
-                return found[:100]
-            again = failure(test)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items.sort(key=lambda item: self._rank(item.nodeid))
+
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        self.begins(item.nodeid)
+        faulthandler.dump_traceback_later(self._patience(item.nodeid), exit=True)
+
+
+class Judge:
+    """Runs the tests on a copy of the project, each time in a fork of this process, which has imported all but the bridge."""
+
+    def __init__(self, folder: Path, files: list[str]) -> None:
+        self.folder, self._files = folder, files
+        self._seconds: dict[str, float] = {}
+        self._noticed: dict[Path, set[str]] = defaultdict(set)
+        for part in ("hpac_gym", "tests", "docs"):
+            shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images"))
+        (folder / "assets").symlink_to(ROOT / "assets")
+        shutil.copytree(ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build"))
+        shutil.copy(ROOT / "pyproject.toml", folder)
+        os.environ |= {"PYTHONPATH": str(folder), "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build")}
+        os.chdir(folder)
+        sys.path[0] = str(folder)
+        for name in ("hypothesis", "serial", "hpac_gym.model"):
+            import_module(name)
+        if found := self._failure(*files):
+            sys.exit(f"{found} fails without any fault")
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of one text must not stand for the next
+        sys.dont_write_bytecode = True
+
+    def _failure(self, *words: str, first: Collection[str] = ()) -> str:
+        """The test that fails, hangs or crashes; empty if none does. The quicker ones run first, and before them `first`."""
+        ours, theirs = Pipe(duplex=False)
+        begins = time.monotonic()
+        child = get_context("fork").Process(target=self._run, args=(theirs, words, first))
+        child.start()
+        theirs.close()
+        test = "collection"
+        with suppress(EOFError):
+            while after := ours.recv():
+                if test not in self._seconds:
+                    self._seconds[test] = time.monotonic() - begins
+                test, begins = after, time.monotonic()
+            test = ""
+        child.join()
+        return test
+
+    def _run(self, told: Connection, words: tuple[str, ...], first: Collection[str]) -> None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        os.dup2(1, 2)
+        seconds = self._seconds
+        rank, patience = lambda test: (test not in first, seconds.get(test, 0)), lambda test: 60 + 10 * seconds.get(test, 60)
+        options = ["-x", "-k", "not every_safety_claim", *(f"-pno:{name}" for name in ("cacheprovider", "faulthandler", "xdist"))]
+        if pytest.main([*options, *words], plugins=[Watch(told.send, rank, patience)]) == 0:
+            told.send("")
+
+    def notices(self, module: Path, was: str, becomes: str) -> str:
+        """Which test notices that a module `becomes` something else than it `was`; empty if none does.
+
+        A test counts if it fails twice with the fault and passes without it: on a busy machine one may fail by itself.
+        """
+        left_out: list[str] = []
+        try:
+            while True:
+                module.write_text(becomes)
+                test = self._failure(*self._files, *left_out, first=self._noticed[module])
+                if "::" not in test:  # nothing, or the tests could not even be collected
+                    return test
+                again = self._failure(test)
+                module.write_text(was)
+                if again and not self._failure(test):
+                    self._noticed[module].add(test)
+                    return test
+                left_out += ["--deselect", test]
+        finally:
             module.write_text(was)
-            if again and not failure(test):
-                return found[:100]
-            left_out += ["--deselect", test]
-    finally:
-        module.write_text(was)
 
 
 def interval(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
@@ -135,7 +190,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=200, help="mutants (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after so long, with what has been tried until then")
-    parser.add_argument("--part", choices=("conversation", "evidence"), default="conversation", help="which modules")
+    parser.add_argument("--part", choices=TESTS, default="conversation", help="which modules")
     parser.add_argument("--record", type=Path, help="file of what was noticed before; grows")
     options = parser.parse_args()
     before = options.record.read_text().split() if options.record and options.record.exists() else []
@@ -144,14 +199,10 @@ def main() -> int:
     texts = {path: path.read_text() for path in paths}
     everything = [(path, *site) for path, text in texts.items() for site in sites(ast.parse(text))]
     drawn = random.Random(options.seed).sample(everything, min(options.count, len(everything)))
+    files = [f"tests/bridge/test_{name}.py" for name in TESTS[options.part].split()]
     killed, equivalent, survivors, start = 0, 0, [], time.monotonic()
     with tempfile.TemporaryDirectory(prefix="hpac_mutants_") as name:
-        folder = Path(name)
-        for part in ("hpac_gym", "tests", "docs"):
-            shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images"))
-        (folder / "assets").symlink_to(ROOT / "assets")
-        shutil.copytree(ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build"))
-        shutil.copy(ROOT / "pyproject.toml", folder)
+        judge = Judge(Path(name), files)
         for path, kind, number in drawn:
             if time.monotonic() - start > 60 * options.minutes:
                 break
@@ -163,7 +214,7 @@ def main() -> int:
             key = hashlib.sha256((path.name + mutated).encode()).hexdigest()[:20]
             how = "before" if key in before else ""
             if not how:
-                how = noticed(folder, folder / path.relative_to(ROOT), texts[path], mutated)
+                how = judge.notices(judge.folder / path.relative_to(ROOT), texts[path], mutated)
                 print(f"{'killed  ' if how else 'SURVIVED'} {where}  [{how}]", flush=True)
                 if how and options.record:
                     with options.record.open("a") as record:
