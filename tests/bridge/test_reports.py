@@ -115,7 +115,7 @@ def test_a_fault_is_known_until_the_hand_says_otherwise():
 def test_a_refusal_says_what_and_where(frame, words, servo):
     known = KnownState()
     known.take_in(frame, "move")
-    error = known.refusal("move", frame)
+    error = known.refusal("move", {}, frame)
     assert words in str(error)
     assert (error.servo, error.state) == (servo, known.state)
 
@@ -241,7 +241,7 @@ def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
     exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
     for _ in range(300):
         exchange.send("heartbeat", {}, FLAG_NO_ACK)
-    assert list(exchange._unacknowledged) == list(range(45, 301))
+    assert [frame.seq for frame in exchange._unacknowledged] == list(range(45, 301))
 
 
 def test_json_is_indented_and_in_plain_letters(capsys):
