@@ -166,7 +166,7 @@ class Connection:
         heard = self.exchange.splitter
         if heard.other_version is not None:
             return HandshakeError(f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them")
-        what = f"{heard.rejected_bytes} bytes received that are not frames" if heard.rejected_bytes else "silence"
+        what = f"{heard.received_bytes} bytes received that are no answer" if heard.received_bytes else "silence"
         what = "an echo of what is sent" if self.exchange.host_frames else what
         return HandshakeError(f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details")
 
