@@ -21,14 +21,13 @@ import shutil
 import sys
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from importlib import import_module
 from math import sqrt
 from multiprocessing import Pipe, get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
+from types import CodeType
 
 import pytest
 
@@ -40,6 +39,8 @@ TESTS = {
     "conversation": "frame reports patience link exits commands vectors protocol bad_devices host_board evidence",
     "evidence": "evidence exits commands",
 }
+_QUICK = 0.25
+"""No test that waits for real time is quicker than this [s]."""
 EQUIVALENT = {
     "commands.py swap move_duration(rest, command.servo, hand) → move_duration(command.servo, rest, hand)": "as long back",
     "commands.py swap move_duration(rest, target, hand) → move_duration(target, rest, hand)": "as long back",
@@ -64,7 +65,8 @@ def sites(tree: ast.Module) -> Iterator[tuple[str, int]]:
         elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
             yield "shift", number
         elif isinstance(node, ast.Call) and len(node.args) >= 2 and not any(isinstance(a, ast.Starred) for a in node.args[:2]):
-            yield "swap", number
+            if getattr(node.func, "id", "") not in ("min", "max"):
+                yield "swap", number
 
 
 def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
@@ -89,23 +91,38 @@ def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
 
 
 class Watch:
-    """Pytest plugin of a child process: runs the tests in a given order and tells which one begins.
+    """Pytest plugin of a child process: runs the tests in the order of `rank` and tells which one begins.
 
     Args:
-        begins: called with the name of each test; with an empty one once all have passed.
+        tell: called as `tell(test, called)` at the beginning of each test; `called` has the functions of the bridge that
+            have been called since, as (file, first line, last line), if `trace` is set.
         rank: sort key of a test's name.
         patience: longest time of a test by its name [s]; if it takes longer, the process ends.
     """
 
-    def __init__(self, begins: Callable[[str], None], rank: Callable, patience: Callable[[str], float]) -> None:
-        self.begins, self._rank, self._patience = begins, rank, patience
+    def __init__(self, tell: Callable, rank: Callable, patience: Callable[[str], float], trace: bool) -> None:
+        self._tell, self._rank, self._patience, self._trace = tell, rank, patience, trace
+        self._called: set[CodeType] = set()
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         items.sort(key=lambda item: self._rank(item.nodeid))
 
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
-        self.begins(item.nodeid)
+        self.tell(item.nodeid)
         faulthandler.dump_traceback_later(self._patience(item.nodeid), exit=True)
+        if self._trace:
+            sys.setprofile(lambda frame, _event, _argument: self._called.add(frame.f_code))
+
+    def tell(self, test: str) -> None:
+        """Tell that a test begins, or by an empty name that all have passed."""
+        sys.setprofile(None)
+        ours = [code for code in self._called if str(BRIDGE) in code.co_filename]
+        self._tell((test, [(Path(code.co_filename), code.co_firstlineno, max(_lines(code))) for code in ours]))
+        self._called.clear()
+
+
+def _lines(code: CodeType) -> list[int]:
+    return [line for *_, line in code.co_lines() if line]
 
 
 class Judge:
@@ -114,7 +131,7 @@ class Judge:
     def __init__(self, folder: Path, files: list[str]) -> None:
         self.folder, self._files = folder, files
         self._seconds: dict[str, float] = {}
-        self._noticed: dict[Path, set[str]] = defaultdict(set)
+        self._called: dict[str, list[tuple[Path, int, int]]] = {}
         for part in ("hpac_gym", "tests", "docs"):
             shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images"))
         (folder / "assets").symlink_to(ROOT / "assets")
@@ -130,52 +147,58 @@ class Judge:
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of one text must not stand for the next
         sys.dont_write_bytecode = True
 
-    def _failure(self, *words: str, first: Collection[str] = ()) -> str:
-        """The test that fails, hangs or crashes; empty if none does. The quicker ones run first, and before them `first`."""
+    def _failure(self, *words: str, near: Collection[str] = ()) -> str:
+        """The test that fails, hangs or crashes; empty if none does. Those `near` the fault run first, the quicker before."""
+        known = dict(self._seconds)
         ours, theirs = Pipe(duplex=False)
-        begins = time.monotonic()
-        child = get_context("fork").Process(target=self._run, args=(theirs, words, first))
+        rank, patience = lambda test: (test not in near, known.get(test, 0)), lambda test: 60 + 10 * known.get(test, 60)
+        watch = Watch(theirs.send, rank, patience, trace=not known)
+        child = get_context("fork").Process(target=_run_tests, args=(watch, words))
         child.start()
         theirs.close()
-        test = "collection"
+        test, begins = "collection", time.monotonic()
         with suppress(EOFError):
-            while after := ours.recv():
-                if test not in self._seconds:
-                    self._seconds[test] = time.monotonic() - begins
+            while test:
+                after, called = ours.recv()
+                if not known:
+                    self._seconds[test], self._called[test] = time.monotonic() - begins, called
                 test, begins = after, time.monotonic()
-            test = ""
         child.join()
         return test
 
-    def _run(self, told: Connection, words: tuple[str, ...], first: Collection[str]) -> None:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        os.dup2(1, 2)
-        seconds = self._seconds
-        rank, patience = lambda test: (test not in first, seconds.get(test, 0)), lambda test: 60 + 10 * seconds.get(test, 60)
-        options = ["-x", "-k", "not every_safety_claim", *(f"-pno:{name}" for name in ("cacheprovider", "faulthandler", "xdist"))]
-        if pytest.main([*options, *words], plugins=[Watch(told.send, rank, patience)]) == 0:
-            told.send("")
+    def notices(self, module: Path, line: int, was: str, becomes: str) -> str:
+        """Which test notices that a module `becomes` something else than it `was`, at a line; empty if none does.
 
-    def notices(self, module: Path, was: str, becomes: str) -> str:
-        """Which test notices that a module `becomes` something else than it `was`; empty if none does.
-
-        A test counts if it fails twice with the fault and passes without it: on a busy machine one may fail by itself.
+        A test that waits for real time counts if it fails twice with the fault and passes without it: on a busy machine one may
+        fail by itself.
         """
+        near = {
+            test
+            for test, called in self._called.items()
+            if any(path == module and first <= line <= last for path, first, last in called)
+        }
         left_out: list[str] = []
         try:
             while True:
                 module.write_text(becomes)
-                test = self._failure(*self._files, *left_out, first=self._noticed[module])
-                if "::" not in test:  # nothing, or the tests could not even be collected
+                test = self._failure(*self._files, *left_out, near=near)
+                if "::" not in test or self._seconds[test] < _QUICK:  # the first: none, or they could not even be collected
                     return test
                 again = self._failure(test)
                 module.write_text(was)
                 if again and not self._failure(test):
-                    self._noticed[module].add(test)
                     return test
                 left_out += ["--deselect", test]
         finally:
             module.write_text(was)
+
+
+def _run_tests(watch: Watch, words: tuple[str, ...]) -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.dup2(1, 2)
+    options = ["-x", "-k", "not every_safety_claim", *(f"-pno:{name}" for name in ("cacheprovider", "faulthandler", "xdist"))]
+    if pytest.main([*options, *words], plugins=[watch]) == 0:
+        watch.tell("")
 
 
 def interval(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
@@ -214,7 +237,8 @@ def main() -> int:
             key = hashlib.sha256((path.name + mutated).encode()).hexdigest()[:20]
             how = "before" if key in before else ""
             if not how:
-                how = judge.notices(judge.folder / path.relative_to(ROOT), texts[path], mutated)
+                line = int(re.search(r"line (\d+)", what)[1])
+                how = judge.notices(judge.folder / path.relative_to(ROOT), line, texts[path], mutated)
                 print(f"{'killed  ' if how else 'SURVIVED'} {where}  [{how}]", flush=True)
                 if how and options.record:
                     with options.record.open("a") as record:
