@@ -35,6 +35,7 @@ def add_safety(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=whole_number(1), default=10_000_000, help="hostile frames (default: %(default)s)")
     parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions (default: %(default)s)")
     parser.add_argument("--sessions", type=whole_number(1), default=10_000, help="random sessions (default: %(default)s)")
+    parser.add_argument("--seed", type=whole_number(1), default=1, help="of frames and sessions (default: %(default)s)")
     parser.set_defaults(run=_safety)
 
 
@@ -103,7 +104,7 @@ def _print_json(rows: list[object], *names: str) -> None:
 
 def _safety(options: argparse.Namespace) -> int:
     claims = []
-    for claim in safety.measure(options.frames, options.trials, options.sessions):
+    for claim in safety.measure(options.frames, options.trials, options.sessions, options.seed):
         claims.append(claim)
         if not options.json:
             mark = "holds " if claim.holds else "BROKEN" if claim.tried else "NOT TRIED"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from threading import RLock
 from time import monotonic
@@ -166,7 +166,7 @@ class Connection:
         heard = self.exchange.splitter
         if heard.other_version is not None:
             return HandshakeError(f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them")
-        what = f"{heard.rejected_bytes} bytes received that are not frames" if heard.rejected_bytes else "silence"
+        what = f"{heard.received_bytes} bytes received that are no answer" if heard.received_bytes else "silence"
         what = "an echo of what is sent" if self.exchange.host_frames else what
         return HandshakeError(f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details")
 
@@ -178,22 +178,23 @@ class Connection:
         """
         answer = self.exchange.request(name, fields, flags, self._timeout, self._attempts)
         if answer.name == "ack" and answer.fields["reason"] != Reason.ok:
-            raise self._refusal(name, answer)
+            raise self._refusal(name, fields or {}, answer)
         self._statistics.acked += 1
 
     def raise_unasked(self, what: str) -> None:
         """Raise a fault, or the refusal of an unacknowledged message, that the hand has reported in the meantime."""
         refused, self.exchange.refused = self.exchange.refused, None
         if refused is not None:
-            raise self._refusal(what, refused)
+            message, answer = refused
+            raise self._refusal(message.name, message.fields, answer)
         if self.known.in_fault:
             self.learn_fault()
             raise self.known.fault_error(what)
 
-    def _refusal(self, name: str, answer: Frame) -> RejectedError:
+    def _refusal(self, name: str, fields: Mapping, answer: Frame) -> RejectedError:
         self._statistics.rejected += 1
         self.learn_fault()
-        return self.known.refusal(name, answer)
+        return self.known.refusal(name, fields, answer)
 
     def learn_fault(self) -> None:
         """Request the kind of a fault whose FAULT frame was lost."""

@@ -124,7 +124,7 @@ class Exchange:
     Attributes:
         session: nonce of this controller's HELLO, which its other messages carry.
         sent: number of frames written, by message name.
-        refused: the latest refusal of a message that was sent without waiting for an answer, or None.
+        refused: the latest refused message that was sent without waiting for an answer, and its refusal; or None.
         host_frames: number of received frames of host message types, which indicate an echo.
     """
 
@@ -140,7 +140,7 @@ class Exchange:
         self.splitter = FrameSplitter()
         self.session = 1 + secrets.randbelow(0xFFFFFFFF)
         self.sent: dict[str, int] = dict.fromkeys(MESSAGES, 0)
-        self.refused: Frame | None = None
+        self.refused: tuple[Frame, Frame] | None = None
         self.host_frames = 0
         self._statistics = statistics
         self._known = known
@@ -148,7 +148,7 @@ class Exchange:
         self._log = log
         self._seq = 0
         self._open: dict[int, _Open] = {}
-        self._unacknowledged: deque[int] = deque(maxlen=_UNACKNOWLEDGED_KEPT)
+        self._unacknowledged: deque[Frame] = deque(maxlen=_UNACKNOWLEDGED_KEPT)
 
     def request(
         self,
@@ -190,7 +190,7 @@ class Exchange:
             PortError: The port is gone.
         """
         frame = self._frame(name, fields, flags)
-        self._unacknowledged.append(frame.seq)
+        self._unacknowledged.append(frame)
         self._write(frame)
 
     def listen(self, seconds: float) -> None:
@@ -247,8 +247,8 @@ class Exchange:
             round_trip = self.transport.now() - waiting.sent_at
             if not waiting.repeated:
                 self._statistics.round_trips.append(round_trip)
-        elif frame.name == "ack" and frame.fields["reason"] != Reason.ok and frame.seq in self._unacknowledged:
-            self.refused = frame
+        elif frame.name == "ack" and frame.fields["reason"] != Reason.ok:
+            self.refused = next(((sent, frame) for sent in self._unacknowledged if sent.seq == frame.seq), self.refused)
         self._known.take_in(frame, answered)
         self._record("received", encoded, frame, round_trip)
 

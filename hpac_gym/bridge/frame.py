@@ -120,12 +120,14 @@ class FrameSplitter:
     """Splits a byte stream at its zeros; pieces that are not valid frames are counted and dropped.
 
     Attributes:
+        received_bytes: number of bytes received.
         rejected_bytes: number of bytes in invalid pieces, for example boot text.
         rejected_frames: number of invalid pieces.
         other_version: protocol version of the last intact frame of another version, or None.
     """
 
     def __init__(self) -> None:
+        self.received_bytes = 0
         self.rejected_bytes = 0
         self.rejected_frames = 0
         self.other_version: int | None = None
@@ -135,6 +137,7 @@ class FrameSplitter:
     def push(self, data: bytes) -> list[tuple[bytes, Frame]]:
         """Process received bytes; returns each complete frame, preceded by its encoded bytes."""
         frames = []
+        self.received_bytes += len(data)
         *ended, rest = data.split(b"\0")
         for piece in ended:
             self._append(piece)

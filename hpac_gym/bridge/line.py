@@ -10,7 +10,7 @@ from time import monotonic, sleep
 from typing import ParamSpec, Self, TypeVar
 
 from hpac_gym.bridge.connection import Connection, Turns
-from hpac_gym.bridge.errors import BridgeError, HandshakeError, PortError, StoppedError
+from hpac_gym.bridge.errors import BridgeError, FrameError, HandshakeError, PortError, StoppedError
 from hpac_gym.bridge.exchange import LinkStatistics, WireLog
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.protocol import State
@@ -19,6 +19,17 @@ from hpac_gym.bridge.transport import Transport, open_transport
 
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
+
+
+def milliseconds(name: str, seconds: float, rounded: Callable[[float], int] = round) -> int:
+    """A time as a field of 16 bits [ms].
+
+    Raises:
+        FrameError: It does not fit; the message calls it `name`.
+    """
+    if not 0 <= seconds <= 0xFFFF * 1e-3:
+        raise FrameError(f"{name} = {seconds} s, allowed 0 to 65.535 s")
+    return rounded(seconds * 1e3)
 
 
 def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
@@ -171,7 +182,7 @@ class Line:
         Raises:
             RejectedError: The period is below 10 ms.
         """
-        self._connected().request("status", {"period_ms": round(period * 1e3)})
+        self._connected().request("status", {"period_ms": milliseconds("period", period)})
         return self.last_status
 
     def _connected(self) -> Connection:

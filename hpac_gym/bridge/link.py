@@ -7,15 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hpac_gym.bridge.errors import LinkTimeout
+from hpac_gym.bridge.errors import FrameError, LinkTimeout
 from hpac_gym.bridge.exchange import WireLog
-from hpac_gym.bridge.line import Line, turn
+from hpac_gym.bridge.limits import servo_limits
+from hpac_gym.bridge.line import Line, milliseconds, turn
 from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, FLAG_MINIMUM_JERK, FLAG_NO_ACK, Action
 from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand
 
 _ARM_POLL = 0.05
+_STEP_MAX = 0x7FFF
 _HEARTBEATS_PER_WATCHDOG = 4
 
 
@@ -65,11 +67,14 @@ class HandLink(Line):
         Raises:
             HandshakeError: The firmware was built with other limits than those of `hand`.
             RejectedError: Not in IDLE, a servo is too hot, or `watchdog` is out of bounds. FaultError: a fault is latched.
+            ValueError, FrameError: No such action, or a `watchdog` beyond 65.535 s.
             LinkTimeout: No answer, or not all servos got pulses.
         """
         connection = self._connected()
         connection.info.check_limits(self._hand)
-        fields = {"limits_hash": self.info.limits_hash, "watchdog_ms": round(watchdog * 1e3), "action": int(action)}
+        connection.known.limits = servo_limits(self._hand)
+        watchdog_ms = milliseconds("watchdog", watchdog)
+        fields = {"limits_hash": self.info.limits_hash, "watchdog_ms": watchdog_ms, "action": int(Action(action))}
         self._feed("arm", fields)
         connection.watchdog = watchdog
         deadline = self._now() + CONSTANTS["start_max_ms"] * 1e-3
@@ -96,8 +101,11 @@ class HandLink(Line):
             RejectedError: Outside the limits, too fast, or not armed. FaultError: a fault is latched.
             LinkTimeout, PortError: No answer; the port is gone.
         """
-        duration_ms = math.ceil(command.duration * 1e3 - 1e-6)
+        duration_ms = milliseconds("duration", command.duration, lambda ms: math.ceil(ms - 1e-6))
         steps = np.rint(np.asarray(command.servo) / ANGLE_UNIT).astype(int)
+        if np.abs(steps).max() > _STEP_MAX:
+            worst = max(command.servo, key=abs)
+            raise FrameError(f"a servo angle of {worst:g} rad, allowed ±{_STEP_MAX * ANGLE_UNIT:g} rad")
         fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
         flags = FLAG_MINIMUM_JERK if minimum_jerk else 0
         connection = self._connected()

@@ -40,9 +40,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
 
-    def __init__(
-        self, task: Task, render_mode: str | None = None, transmit: Transmit | None = None, **options: Any
-    ) -> None:
+    def __init__(self, task: Task, render_mode: str | None = None, transmit: Transmit | None = None, **options: Any) -> None:
         self.task, self.render_mode, self._transmit = task, render_mode, transmit
         chosen = checked_options(render_mode=render_mode, **options)
         self.hand, self.obs = chosen.hand, chosen.obs

@@ -38,9 +38,7 @@ class Randomization:
     tendon_stiffness: Range = setting(
         _SAME, "factor of EA and of the drive's stiffness, one for each digit", bounds=(0.5, 1.3), draws=len(DIGITS)
     )
-    slack: Range = setting(
-        _NONE, "slack of the driving tendons, one for each digit [m]", bounds=(0.0, 3e-3), draws=len(DIGITS)
-    )
+    slack: Range = setting(_NONE, "slack of the driving tendons, one for each digit [m]", bounds=(0.0, 3e-3), draws=len(DIGITS))
     joint_friction: Range = setting(_NONE, "Coulomb friction of every joint [N·m]", bounds=(0.0, 0.02))
     skin_friction: Range = setting(_SAME, "factor of the friction of the hand's skin", bounds=(0.3, 2.0))
     object_friction: Range = setting(_SAME, "factor of the friction of the object's surface", bounds=(0.3, 2.0))

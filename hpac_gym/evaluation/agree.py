@@ -128,9 +128,7 @@ def agreement(
         if variant is not plain[0]:
             row["over"] = plain[0].name
             row |= compare(reference, trials)
-            row["difference_by_shape"] = {
-                shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes
-            }
+            row["difference_by_shape"] = {shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes}
         row["floor"] = {f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)]) for moved in FLOOR}
         rows.append(row)
     about = {"task": TASK, "policy": policy, "first_seed": seed_start, "episodes": episodes, "randomize": randomize}

@@ -75,7 +75,6 @@ def as_bounded_array(
     if not inside.all():
         *_, column = where = tuple(np.argwhere(~inside)[0])
         raise WorkspaceError(
-            f"{name} {labels[column]} = {array[where]:.6g} {unit} is outside "
-            f"[{lower[column]:.6g}, {upper[column]:.6g}] {unit}"
+            f"{name} {labels[column]} = {array[where]:.6g} {unit} is outside [{lower[column]:.6g}, {upper[column]:.6g}] {unit}"
         )
     return array

@@ -145,8 +145,9 @@ class Friction:
 
     def __post_init__(self) -> None:
         if not (0 <= self.joint < np.inf and 0 <= self.tendon < 1):
-            raise ParameterError(f"friction: joint = {self.joint} N m must be finite and not negative, "
-                                 f"tendon = {self.tendon} a share in [0, 1)")
+            raise ParameterError(
+                f"friction: joint = {self.joint} N m must be finite and not negative, tendon = {self.tendon} a share in [0, 1)"
+            )
 
 
 @dataclass(frozen=True, slots=True)

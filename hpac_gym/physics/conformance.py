@@ -172,9 +172,7 @@ def stiffest_mode(settings: HandSettings, world: WorldSettings) -> float:
     return float(np.sqrt(max(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max() for matrix in stiffness)) * world.dt)
 
 
-def figures(
-    make: Factory, body: str = "twin", world: WorldSettings = WorldSettings(), postures: int = 25
-) -> list[Figure]:
+def figures(make: Factory, body: str = "twin", world: WorldSettings = WorldSettings(), postures: int = 25) -> list[Figure]:
     """All measured quantities of an engine and a body, with their limits.
 
     Args:

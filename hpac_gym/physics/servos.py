@@ -37,9 +37,7 @@ class Servos:
         self._late = np.zeros(num_worlds, dtype=int)
         self._past = np.zeros((num_worlds, 0, len(SERVOS)))  # the latest ramp positions, as many as the largest lag in steps
 
-    def reset(
-        self, worlds: Sequence[int], servo: ArrayLike, settings: Sequence[ServoSettings], zero: ArrayLike = 0.0
-    ) -> None:
+    def reset(self, worlds: Sequence[int], servo: ArrayLike, settings: Sequence[ServoSettings], zero: ArrayLike = 0.0) -> None:
         """Reset the servos of some worlds to rest at given angles, with given zeros, both of shape (len(worlds), 6) [rad]."""
         index = np.asarray(worlds)
         self.zero[index] = zero

@@ -88,9 +88,7 @@ def default_engine() -> str:
     return "pybullet" if importlib.util.find_spec("pybullet") else "mujoco"
 
 
-def make_engine(
-    name: str, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
-) -> Engine:
+def make_engine(name: str, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False) -> Engine:
     """Create an engine by name.
 
     Args:

@@ -224,4 +224,3 @@ class Tendons:
         pull = hand.cmc_stiffness * twist + self._cmc_viscosity * rate
         torque[_CMC_JOINT] += min(max(pull, -hand.cmc_torque_limit), hand.cmc_torque_limit)
         return torque, tensions
-

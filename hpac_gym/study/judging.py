@@ -112,9 +112,7 @@ def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tu
             )
         elif not LEAST_SHARE <= share <= MOST_SHARE:
             others = f", while {movers} move" if movers else ""
-            faults.append(
-                f"{where}: {JOINTS[joint]} turns {share:.2f} of the design's travel{others}; does it rest, or {_HINT}"
-            )
+            faults.append(f"{where}: {JOINTS[joint]} turns {share:.2f} of the design's travel{others}; does it rest, or {_HINT}")
     if faults:
         return faults, remarks
     root = JOINTS.index(SERVOS[swept])

@@ -72,9 +72,7 @@ def gaussian_process(servo: Array, joint_pos: Array, base: Predictor) -> Predict
 
     def unlikelihood(parameters: Array) -> float:
         factor = factorised(parameters)
-        return float(
-            0.5 * np.sum(rest * linalg.cho_solve(factor, rest)) + rest.shape[1] * np.log(np.diag(factor[0])).sum()
-        )
+        return float(0.5 * np.sum(rest * linalg.cho_solve(factor, rest)) + rest.shape[1] * np.log(np.diag(factor[0])).sum())
 
     start, bounds = np.log([1.0, 0.5, 0.05]), [(-3, 3), (-3, 2), (-7, 1)]
     parameters = optimize.minimize(unlikelihood, start, bounds=bounds, method="L-BFGS-B").x

@@ -89,9 +89,7 @@ def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand
     return kept.only(np.flatnonzero(~(back & near_turn)))
 
 
-def _phase_points(
-    sweep: Sweep, segment: np.ndarray, rows: np.ndarray, joints: tuple[str, ...], direction: float
-) -> DigitSamples:
+def _phase_points(sweep: Sweep, segment: np.ndarray, rows: np.ndarray, joints: tuple[str, ...], direction: float) -> DigitSamples:
     columns = [JOINT_INDEX[name] for name in joints]
     numbers, place = np.unique(sweep.point[rows], return_inverse=True)
     off = np.abs(point_medians(sweep, rows)[2][:, columns])

@@ -53,7 +53,8 @@ class GraspConfig:
 
     radius: tuple[float, float] = setting((0.010, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06))
     sphere_radius: tuple[float, float] = setting(
-        (0.020, 0.033), "radius of a sphere, a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
+        (0.020, 0.033),
+        "radius of a sphere, a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
         bounds=(0.002, 0.06),
     )
     half_height: tuple[float, float] = setting((0.030, 0.060), "half-height of a box or cylinder [m]", bounds=(0.005, 0.15))

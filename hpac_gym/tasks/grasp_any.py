@@ -70,7 +70,8 @@ class GraspAnyConfig:
     """Uniform sampling ranges of an episode, success criteria, and reward weights."""
 
     width: tuple[float, float] = setting(
-        (0.005, 0.080), "smaller horizontal side of an object in a pose that the task includes [m]",
+        (0.005, 0.080),
+        "smaller horizontal side of an object in a pose that the task includes [m]",
         bounds=(0.0, 1.0),
     )
     flattest: float = setting(0.018, "least height of an object in such a pose [m]", bounds=(0.0, 1.0))

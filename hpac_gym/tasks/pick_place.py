@@ -131,7 +131,8 @@ class PickPlaceConfig:
         (-0.005, 0.010), "place of the object's centre along y of the hand frame [m]", bounds=(-0.1, 0.1)
     )
     beyond_wrist: tuple[float, float] = setting(
-        (0.105, 0.125), "place of the object's centre along z of the hand frame, once the wrist has reached it [m]",
+        (0.105, 0.125),
+        "place of the object's centre along z of the hand frame, once the wrist has reached it [m]",
         bounds=(0.02, 0.25),
     )
     carry_forward: tuple[float, float] = setting((-0.04, 0.08), "target offset along the fingers [m]", bounds=(-0.3, 0.3))

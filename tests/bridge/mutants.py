@@ -12,27 +12,35 @@ from __future__ import annotations
 
 import argparse
 import ast
+import faulthandler
 import hashlib
 import os
 import random
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator
+from contextlib import suppress
+from importlib import import_module
 from math import sqrt
+from multiprocessing import Pipe, get_context
 from pathlib import Path
+from types import CodeType
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 BRIDGE = Path("hpac_gym/bridge")
 LEFT_OUT = {"__init__.py", "generate.py", "protocol.py"}
 """Nothing to break, or compared with the generated files."""
-TESTS = ["frame", "reports", "patience", "link", "exits", "commands", "vectors", "protocol", "bad_devices", "host_board"]
-TIMEOUT = 900.0
-PATIENCE = 150
-"""Processor time after which a run hangs; all tests take a third of it [s]."""
+TESTS = {
+    "conversation": "frame reports patience link exits commands vectors protocol bad_devices host_board evidence",
+    "evidence": "evidence exits commands",
+}
+_QUICK = 0.25
+"""No test that waits for real time is quicker than this [s]."""
 EQUIVALENT = {
     "commands.py swap move_duration(rest, command.servo, hand) → move_duration(command.servo, rest, hand)": "as long back",
     "commands.py swap move_duration(rest, target, hand) → move_duration(target, rest, hand)": "as long back",
@@ -57,7 +65,8 @@ def sites(tree: ast.Module) -> Iterator[tuple[str, int]]:
         elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
             yield "shift", number
         elif isinstance(node, ast.Call) and len(node.args) >= 2 and not any(isinstance(a, ast.Starred) for a in node.args[:2]):
-            yield "swap", number
+            if getattr(node.func, "id", "") not in ("min", "max"):
+                yield "swap", number
 
 
 def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
@@ -81,46 +90,115 @@ def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
     return ast.unparse(ast.fix_missing_locations(tree)), f"line {node.lineno}: {kind} {was}" + (f" → {now}" if now else "")
 
 
-def noticed(folder: Path, module: Path, was: str, becomes: str) -> str:
-    """Which test notices that a module of this copy `becomes` something else than it `was`; empty if none does.
+class Watch:
+    """Pytest plugin of a child process: runs the tests in the order of `rank` and tells which one begins.
 
-    A test counts if it fails twice with the fault and passes without it: on a busy machine one may fail by itself.
+    Args:
+        tell: called as `tell(test, called)` at the beginning of each test; `called` has the functions of the bridge that
+            have been called since, as (file, first line, last line), if `trace` is set.
+        rank: sort key of a test's name.
+        patience: longest time of a test by its name [s]; if it takes longer, the process ends.
     """
-    evidence = "evidence" in module.parts
-    names = ["evidence", "exits", "commands"] if evidence else [*TESTS, "evidence"]
-    files = [f"tests/bridge/test_{name}.py" for name in names]
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-k", "not every_safety_claim"]
-    environment = os.environ | {"PYTHONPATH": str(folder), "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build")}
-    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of one text must not stand for the next
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
 
-    def failure(*words: str) -> str:
-        limited = ["sh", "-c", f'ulimit -t {PATIENCE}; exec "$0" "$@"', *command, *words]
-        with subprocess.Popen(limited, cwd=folder, env=environment, start_new_session=True, **pipes) as process:
-            try:
-                said, _ = process.communicate(timeout=TIMEOUT)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, 9)
-                return "timeout"
-        if process.returncode == 0:
-            return ""
-        return next((line for line in said.splitlines() if line.startswith(("FAILED", "ERROR"))), "crash")
+    def __init__(self, tell: Callable, rank: Callable, patience: Callable[[str], float], trace: bool) -> None:
+        self._tell, self._rank, self._patience, self._trace = tell, rank, patience, trace
+        self._called: set[CodeType] = set()
 
-    left_out: list[str] = []
-    try:
-        while True:
-            module.write_text(becomes)
-            found = failure(*files, *left_out)
-            test = found.split(" - ")[0].split()[-1] if found else ""
-            if "::" not in test:  # nothing, or the tests could not even be collected
-                return found[:100]
-            again = failure(test)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items.sort(key=lambda item: self._rank(item.nodeid))
+
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        self.tell(item.nodeid)
+        faulthandler.dump_traceback_later(self._patience(item.nodeid), exit=True)
+        if self._trace:
+            sys.setprofile(lambda frame, _event, _argument: self._called.add(frame.f_code))
+
+    def tell(self, test: str) -> None:
+        """Tell that a test begins, or by an empty name that all have passed."""
+        sys.setprofile(None)
+        ours = [code for code in self._called if str(BRIDGE) in code.co_filename]
+        self._tell((test, [(Path(code.co_filename), code.co_firstlineno, max(_lines(code))) for code in ours]))
+        self._called.clear()
+
+
+def _lines(code: CodeType) -> list[int]:
+    return [line for *_, line in code.co_lines() if line]
+
+
+class Judge:
+    """Runs the tests on a copy of the project, each time in a fork of this process, which has imported all but the bridge."""
+
+    def __init__(self, folder: Path, files: list[str]) -> None:
+        self.folder, self._files = folder, files
+        self._seconds: dict[str, float] = {}
+        self._called: dict[str, list[tuple[Path, int, int]]] = {}
+        for part in ("hpac_gym", "tests", "docs"):
+            shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images"))
+        (folder / "assets").symlink_to(ROOT / "assets")
+        shutil.copytree(ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build"))
+        shutil.copy(ROOT / "pyproject.toml", folder)
+        os.environ |= {"PYTHONPATH": str(folder), "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build")}
+        os.chdir(folder)
+        sys.path[0] = str(folder)
+        for name in ("hypothesis", "serial", "hpac_gym.model"):
+            import_module(name)
+        if found := self._failure(*files):
+            sys.exit(f"{found} fails without any fault")
+        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of one text must not stand for the next
+        sys.dont_write_bytecode = True
+
+    def _failure(self, *words: str, near: Collection[str] = ()) -> str:
+        """The test that fails, hangs or crashes; empty if none does. Those `near` the fault run first, the quicker before."""
+        known = dict(self._seconds)
+        ours, theirs = Pipe(duplex=False)
+        rank, patience = lambda test: (test not in near, known.get(test, 0)), lambda test: 60 + 10 * known.get(test, 60)
+        watch = Watch(theirs.send, rank, patience, trace=not known)
+        child = get_context("fork").Process(target=_run_tests, args=(watch, words))
+        child.start()
+        theirs.close()
+        test, begins = "collection", time.monotonic()
+        with suppress(EOFError):
+            while test:
+                after, called = ours.recv()
+                if not known:
+                    self._seconds[test], self._called[test] = time.monotonic() - begins, called
+                test, begins = after, time.monotonic()
+        child.join()
+        return test
+
+    def notices(self, module: Path, line: int, was: str, becomes: str) -> str:
+        """Which test notices that a module `becomes` something else than it `was`, at a line; empty if none does.
+
+        A test that waits for real time counts if it fails twice with the fault and passes without it: on a busy machine one may
+        fail by itself.
+        """
+        near = {
+            test
+            for test, called in self._called.items()
+            if any(path == module and first <= line <= last for path, first, last in called)
+        }
+        left_out: list[str] = []
+        try:
+            while True:
+                module.write_text(becomes)
+                test = self._failure(*self._files, *left_out, near=near)
+                if "::" not in test or self._seconds[test] < _QUICK:  # the first: none, or they could not even be collected
+                    return test
+                again = self._failure(test)
+                module.write_text(was)
+                if again and not self._failure(test):
+                    return test
+                left_out += ["--deselect", test]
+        finally:
             module.write_text(was)
-            if again and not failure(test):
-                return found[:100]
-            left_out += ["--deselect", test]
-    finally:
-        module.write_text(was)
+
+
+def _run_tests(watch: Watch, words: tuple[str, ...]) -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    os.dup2(1, 2)
+    options = ["-x", "-k", "not every_safety_claim", *(f"-pno:{name}" for name in ("cacheprovider", "faulthandler", "xdist"))]
+    if pytest.main([*options, *words], plugins=[watch]) == 0:
+        watch.tell("")
 
 
 def interval(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
@@ -135,7 +213,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=200, help="mutants (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after so long, with what has been tried until then")
-    parser.add_argument("--part", choices=("conversation", "evidence"), default="conversation", help="which modules")
+    parser.add_argument("--part", choices=TESTS, default="conversation", help="which modules")
     parser.add_argument("--record", type=Path, help="file of what was noticed before; grows")
     options = parser.parse_args()
     before = options.record.read_text().split() if options.record and options.record.exists() else []
@@ -144,14 +222,10 @@ def main() -> int:
     texts = {path: path.read_text() for path in paths}
     everything = [(path, *site) for path, text in texts.items() for site in sites(ast.parse(text))]
     drawn = random.Random(options.seed).sample(everything, min(options.count, len(everything)))
+    files = [f"tests/bridge/test_{name}.py" for name in TESTS[options.part].split()]
     killed, equivalent, survivors, start = 0, 0, [], time.monotonic()
     with tempfile.TemporaryDirectory(prefix="hpac_mutants_") as name:
-        folder = Path(name)
-        for part in ("hpac_gym", "tests", "docs"):
-            shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images"))
-        (folder / "assets").symlink_to(ROOT / "assets")
-        shutil.copytree(ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build"))
-        shutil.copy(ROOT / "pyproject.toml", folder)
+        judge = Judge(Path(name), files)
         for path, kind, number in drawn:
             if time.monotonic() - start > 60 * options.minutes:
                 break
@@ -163,7 +237,8 @@ def main() -> int:
             key = hashlib.sha256((path.name + mutated).encode()).hexdigest()[:20]
             how = "before" if key in before else ""
             if not how:
-                how = noticed(folder, folder / path.relative_to(ROOT), texts[path], mutated)
+                line = int(re.search(r"line (\d+)", what)[1])
+                how = judge.notices(judge.folder / path.relative_to(ROOT), line, texts[path], mutated)
                 print(f"{'killed  ' if how else 'SURVIVED'} {where}  [{how}]", flush=True)
                 if how and options.record:
                     with options.record.open("a") as record:

@@ -53,9 +53,10 @@ def signals_as_in_a_terminal():
 
 
 def check(result: sessions.Sessions) -> None:
-    assert result.powered == result.cut_off_too_long == result.untold == result.swallowed == 0, result
+    assert result.powered == result.untold == result.swallowed == 0, result
+    assert all(result.longest_cut_off[action] <= bound for action, bound in sessions.BOUND.items()), result
     assert result.with_pulses > 0.6 * result.sessions, result
-    assert min(result.interrupted, result.cut_off, result.lossy, result.unconfirmed) > 0.03 * result.sessions, result
+    assert min(result.interrupted, result.cut_off.total(), result.lossy, result.unconfirmed) > 0.03 * result.sessions, result
     assert result.interrupted_twice > 0.01 * result.sessions, result
 
 

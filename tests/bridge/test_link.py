@@ -125,9 +125,36 @@ def test_inadmissible_moves_are_refused_whole(virtual_hand, armed, servo, durati
     assert armed.statistics.rejected == 1
 
 
-def test_an_angle_beyond_the_wire_never_leaves_the_host(armed):
-    with pytest.raises(FrameError):
-        armed.move(ServoCommand(np.full(6, 4.0), 1.0))
+@pytest.mark.parametrize(
+    ("call", "error", "says"),
+    [
+        (lambda link: link.move(ServoCommand(np.full(6, 1.4), 2.0)), RejectedError, "thumb_mp: 1.4 rad, allowed 0 to 1.3566 rad"),
+        (lambda link: link.move(ServoCommand(np.full(6, 1.0), 0.1)), RejectedError, "1 rad within 100 ms, allowed 2 rad/s"),
+        (lambda link: link.move(ServoCommand(POSE, 10.001)), RejectedError, "duration: 10001 ms, allowed 10 to 10000 ms"),
+        (lambda link: link.arm(watchdog=2.001), RejectedError, "arm: period: watchdog 2001 ms, allowed 100 to 2000 ms"),
+        (lambda link: link.status(0.009), RejectedError, "status: period: 9 ms, allowed 0 or at least 10 ms"),
+        (lambda link: link.arm(watchdog=np.nan), FrameError, "watchdog = nan s, allowed 0 to 65.535 s"),
+        (lambda link: link.status(-0.001), FrameError, "period = -0.001 s, allowed 0 to 65.535 s"),
+        (lambda link: link.move(ServoCommand(POSE, 65.536)), FrameError, "duration = 65.536 s, allowed 0 to 65.535 s"),
+        (lambda link: link.move(ServoCommand([0] * 5 + [-3.2768], 1.0)), FrameError, "angle of -3.2768 rad, allowed ±3.2767"),
+        (lambda link: link.arm(3), ValueError, "3 is not a valid Action"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line_with_value_bound_and_unit(armed, call, error, says):
+    with pytest.raises(error) as caught:
+        call(armed)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert armed.status().state == "armed"
+
+
+def test_a_move_that_was_refused_unacknowledged_is_named_by_the_next_call(virtual_hand, armed):
+    armed._connection.exchange.listen = lambda seconds: None
+    armed.move(ServoCommand(POSE, 1.0), acknowledge=False)
+    armed.move(ServoCommand(POSE, 0.005), acknowledge=False, pace=False)
+    del armed._connection.exchange.listen
+    with pytest.raises(RejectedError, match=r"refused move: duration: 5 ms, allowed 10 to 10000 ms"):
+        armed.sleep(0.1)
 
 
 def test_moving_unarmed_is_refused(link):

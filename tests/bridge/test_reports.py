@@ -115,7 +115,7 @@ def test_a_fault_is_known_until_the_hand_says_otherwise():
 def test_a_refusal_says_what_and_where(frame, words, servo):
     known = KnownState()
     known.take_in(frame, "move")
-    error = known.refusal("move", frame)
+    error = known.refusal("move", {}, frame)
     assert words in str(error)
     assert (error.servo, error.state) == (servo, known.state)
 
@@ -241,7 +241,7 @@ def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
     exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
     for _ in range(300):
         exchange.send("heartbeat", {}, FLAG_NO_ACK)
-    assert list(exchange._unacknowledged) == list(range(45, 301))
+    assert [frame.seq for frame in exchange._unacknowledged] == list(range(45, 301))
 
 
 def test_json_is_indented_and_in_plain_letters(capsys):
@@ -253,7 +253,7 @@ def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unle
     parser = argparse.ArgumentParser()
     add_safety(parser)
     options = parser.parse_args([])
-    assert (options.frames, options.trials, options.sessions) == (10_000_000, 20, 10_000)
+    assert (options.frames, options.trials, options.sessions, options.seed) == (10_000_000, 20, 10_000, 1)
     assert parser.parse_args(["--frames", "1", "--trials", "1", "--sessions", "1"]).frames == 1
     with pytest.raises(SystemExit):
         parser.parse_args(["--sessions", "0"])

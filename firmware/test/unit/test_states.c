@@ -470,8 +470,19 @@ static void hold_ends_in_a_relax(void)
     CHECK(bench_silent(&bench) && !hpac_hand_powered(&bench.hand) && bench.hand.fault == HPAC_FAULT_WATCHDOG);
 }
 
+/* Should a bit flip, a safe action outside of a fault ends no pulses. */
+static void safe_actions_belong_to_faults(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench.hand.relaxing = true;
+    bench_run(&bench, 2);
+    CHECK(bench.hand.state == HPAC_STATE_ARMED && bench_all_pulses(&bench));
+}
+
 void test_states(void)
 {
+    safe_actions_belong_to_faults();
     memory_is_taken_up_within_bounds();
     the_estop_input_holds_off_clear();
     an_unsound_motion_is_a_fault();

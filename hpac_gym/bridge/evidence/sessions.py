@@ -7,7 +7,9 @@ hand, not the link's own knowledge.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -40,12 +42,13 @@ class BadTransport(VirtualTransport):
     Attributes:
         calls: number of reads and writes so far.
         dead_out, dead_in: whether this direction has failed.
+        reached_us: time of the last bytes that reached the hand [µs, its clock].
     """
 
     def __init__(self, hand: VirtualHand, rng: np.random.Generator) -> None:
         super().__init__(hand)
         self._rng = rng
-        self.calls = 0
+        self.calls = self.reached_us = 0
         self.loss_out, self.loss_in = rng.choice([0.0, 0.0, 0.1, 0.4], 2).tolist()
         self.dead_out = self.dead_in = self.gone = False
         self.dies_at, self.death = int(rng.integers(3, 300)), str(rng.choice(["", "", "out", "in", "both", "gone"]))
@@ -77,6 +80,7 @@ class BadTransport(VirtualTransport):
         passed = data[: self._rng.integers(len(data) + 1)] if interrupt else data
         arriving = b"" if self.dead_out else self._spoil(passed, self.loss_out)
         if arriving:
+            self.reached_us = self._hand.now_us
             super().write(arriving)
         if interrupt:
             self.interrupted += 1
@@ -106,16 +110,15 @@ class Sessions:
     """Sessions over a link that lost or damaged frames towards the hand."""
     powered: int = 0
     """Hands powered after the end although the link to them worked. Must be 0."""
-    cut_off: int = 0
-    """Hands powered after the end whose link had failed: only their firmware could act."""
-    cut_off_too_long: int = 0
-    """Cut-off hands powered for longer than watchdog and safe action allow (`BOUND`). Must be 0."""
+    cut_off: Counter[Action] = field(default_factory=Counter)
+    """Hands powered after the end whose link had failed, by their safe action: only their firmware could act."""
     untold: int = 0
     """Hands powered at the end without a warning to the user. Must be 0."""
     swallowed: int = 0
     """Interrupts and exceptions of the program that were lost. Must be 0."""
-    longest_cut_off: float = 0.0
-    """Longest time with pulses of a cut-off hand after its watchdog [s]."""
+    longest_cut_off: dict[Action, float] = field(default_factory=lambda: dict.fromkeys(Action, 0.0))
+    """Longest time with pulses of a cut-off hand, from one watchdog period after the last bytes that reached it, by its safe
+    action; must be at most `BOUND` [s]."""
 
 
 class _UserError(Exception):
@@ -182,7 +185,7 @@ def _play(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: A
     return ending
 
 
-def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: type[VirtualHand]) -> None:
+def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: Callable[[], VirtualHand]) -> None:
     """Run one session and count its result."""
     hand = kind()
     transports: list[BadTransport] = []
@@ -207,10 +210,10 @@ def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: type[Vi
     total.untold += powered and not ending.said
     total.powered += powered and reachable
     if powered and not reachable:
-        total.cut_off += 1
-        lasted = seconds_with_pulses(hand, watchdog + BOUND[action] + 1.0)
-        total.cut_off_too_long += lasted > watchdog + BOUND[action]
-        total.longest_cut_off = max(total.longest_cut_off, lasted - watchdog)
+        total.cut_off[action] += 1
+        seconds_with_pulses(hand, watchdog + BOUND[action] + 1.0)
+        lasted = (hand.now_us - bad.reached_us) * 1e-6 - watchdog
+        total.longest_cut_off[action] = max(total.longest_cut_off[action], lasted)
 
 
 def seconds_with_pulses(hand: VirtualHand, patience: float, step: float = 0.01) -> float:
@@ -221,12 +224,12 @@ def seconds_with_pulses(hand: VirtualHand, patience: float, step: float = 0.01) 
     return (hand.now_us - start_us) * 1e-6
 
 
-def run_sessions(count: int, seed: int = 1, release: bool = True, kind: type[VirtualHand] = VirtualHand) -> Sessions:
+def run_sessions(count: int, seed: int = 1, release: bool = True, kind: Callable[[], VirtualHand] = VirtualHand) -> Sessions:
     """Run random sessions and check how each one leaves the hand.
 
     Args:
         release: False is a negative control: the links end without releasing the hand.
-        kind: class of the hands; a hand without a watchdog is another control.
+        kind: makes a hand; one without a watchdog is another control.
     """
     total = Sessions()
     for number in range(count):

@@ -27,9 +27,7 @@ MAX_JOINT_SPEED = 20.0
 """Joint speed limit: that of a digit that snaps free of another one [rad/s]."""
 _urdf = lru_cache(maxsize=64)(hand_urdf)
 _LOAD_FLAGS = (
-    pybullet.URDF_USE_INERTIA_FROM_FILE
-    | pybullet.URDF_USE_SELF_COLLISION
-    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+    pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_SELF_COLLISION | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
 )
 
 

@@ -80,9 +80,7 @@ class SimObject:
         if self.spec.model is not None:
             _, spin = pybullet.getBaseVelocity(self.body, self._client)
             kept = 1.0 - SPIN_DECAY * dt
-            pybullet.resetBaseVelocity(
-                self.body, angularVelocity=[kept * rate for rate in spin], physicsClientId=self._client
-            )
+            pybullet.resetBaseVelocity(self.body, angularVelocity=[kept * rate for rate in spin], physicsClientId=self._client)
 
     def push(self, force: list[float]) -> None:
         """Apply a force [N], along the world's axes, at the centre of mass in the next physics step; fixed objects ignore it."""
