@@ -24,6 +24,7 @@ from hpac_gym.model import (
     reach,
 )
 from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
+from hpac_gym.physics.simulation import default_engine
 from hpac_gym.progress import progress
 from hpac_gym.study.results import save
 from hpac_gym.study.rig import HAND, UPRIGHT, WORLD, HandOnStand
@@ -118,7 +119,7 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     for axis, item in zip(axes, progress(items, "contact sheet"), strict=False):
         axis.imshow(picture(item, hand))
         axis.set_title(f"{item.panel} {item.name.replace('_', ' ')}", fontsize=8)
-    save(figure, path, picture=True)
+    save(figure, path, f"{hand.name}, simulated in {default_engine()}, each posture commanded from the open hand", picture=True)
 
 
 def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
