@@ -211,7 +211,7 @@ def test_a_table_shows_every_number_in_its_form_and_keeps_it_whole_for_programs(
     rows = rows_of(columns, {"first": np.array([0.5, 1.5, 1.5]), "second": np.zeros(2)})
     assert rows["first"]["share"] == pytest.approx(2 / 3)
     head, rule, first, second = table("hands", columns, rows).splitlines()
-    assert (head, rule) == ("| hands | middle [°] | beyond 1 |", "|---|--:|--:|")
+    assert (head, rule) == ("| hands | middle [°] | beyond 1 |", "| --- | --- | --- |")
     assert first == "| first | 1.50 [0.55, 1.50] | 67% |"
     assert second == "| second | 0.00 [0.00, 0.00] | 0% |"
 
