@@ -126,7 +126,7 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
     for axis, name in zip(axes, EVALUATED, strict=True):
         axis.set_title(label(name), fontsize=10)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_ylim(-limit, limit)
+        axis.set_ylim(-1.05 * limit, 1.05 * limit)  # a point at the limit is shown whole
         if name not in found:
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", color=GREY)
             continue
@@ -145,14 +145,11 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
 
 
 def residual_limit(found: Mapping[str, Residuals]) -> float:
-    """Half-range of the residual figure's axis: the paper's 2°, or a round number that covers 98 % of all points [°]."""
+    """Half-range of the residual figure's axis: the paper's 2°, or whole degrees that cover at least 98 % of all points [°]."""
     values = np.concatenate([np.degrees(np.abs(getattr(found[name], kind))) for name in found if name in EVALUATED
                              for kind, *_ in _KINDS])  # fmt: skip
-    needed = float(np.quantile(values, 0.98))
-    if float(values.max()) <= 1.5 * needed:
-        needed = float(values.max())
-    steps = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 60.0, 180.0)
-    return next(step for step in steps if step >= needed)
+    most, largest = np.quantile(values, (0.98, 1.0))
+    return max(2.0, float(np.ceil(largest if largest <= 1.5 * most else most)))
 
 
 def mae_figure(errors: Accuracy) -> Figure:

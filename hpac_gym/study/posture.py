@@ -10,19 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import (
-    HPAC,
-    JOINTS,
-    POSTURES,
-    SERVOS,
-    Hand,
-    Posture,
-    ServoCommand,
-    load_hand,
-    move_duration,
-    posture,
-    reach,
-)
+from hpac_gym.model import HPAC, JOINTS, POSTURES, SERVOS, Hand, Posture, ServoCommand, load_hand, move_duration, posture, reach
 from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
 from hpac_gym.physics.simulation import default_engine
 from hpac_gym.progress import progress
