@@ -26,25 +26,18 @@ ALL_BELOW_DEG = 0.23
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """δq = q_meas − q_model of one joint over the sweep of its servo."""
+    """Angles of one joint and its servo over a sweep, and δq = q_meas − q_model, all of shape (k,) [rad]."""
 
     servo: Array
-    """Angle of the joint's servo, shape (k,) [rad]."""
     measured: Array
-    """q_meas, shape (k,) [rad]."""
     uncompensated: Array
-    """q_meas − q_ideal with q_ideal = H(u)u, shape (k,) [rad]."""
+    """q_meas − q_ideal with q_ideal = H(u)u."""
     compensated: Array
-    """q_meas − q_comp with q_comp = H(u)u − b(q), shape (k,) [rad]."""
+    """q_meas − q_comp with q_comp = H(u)u − b(q)."""
 
 
 def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
-    """Residuals of every joint at the points of its own servo's flexion, over all trials.
-
-    Args:
-        points: sampling points of the sweep.
-        hand: the model under test, which is not fitted to the sweep.
-    """
+    """Residuals of every joint at the points of its own servo's flexion, over all trials; `hand` is not fitted to them."""
     rigid, elastic = rigid_joints_from_servo(points.servo, hand), elastic_joints_from_servo(points.servo, hand)
     found = {}
     for servo in range(len(SERVOS)):
@@ -59,12 +52,10 @@ def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """Errors by joint name [°]."""
+    """Mean and largest absolute residual, `uncompensated` and `compensated`, by joint name [°]."""
 
     mae_deg: dict[str, dict[str, float]]
-    """`uncompensated` and `compensated`: mean absolute residual."""
     max_residual_deg: dict[str, dict[str, float]]
-    """`uncompensated` and `compensated`: largest absolute residual."""
 
 
 def accuracy(found: dict[str, Residuals]) -> Accuracy:

@@ -184,8 +184,8 @@ def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
     samples = fit.samples
     lines += ["", f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times "
               f"as much about the fit as expected from their samples."]  # fmt: skip
-    lines += [f"{joint} rests at a stop at {angle:.3f} rad; {samples.at_stops} points from there on are left out, and the file's "
-              f"workspace ends there." for joint, angle in samples.stops.items()]  # fmt: skip
+    lines += [f"{joint} rests at {angle:.3f} rad: it, or another joint of the digit, is at a stop. {samples.at_stops} points "
+              "are left out; the file's workspace ends there." for joint, angle in samples.stops.items()]  # fmt: skip
     lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
     for first, *others in fit.confounded:
         apart = f"; it is confounded with {', '.join(others)}" if others else ""

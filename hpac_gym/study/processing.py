@@ -106,12 +106,7 @@ def sampling_rate(time: Array) -> float:
 
 
 def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
-    """Zero-phase second-order Butterworth low-pass, run forwards and backwards.
-
-    Args:
-        values: shape (n, ...).
-        rate_hz: sampling rate.
-        cutoff_hz: cut-off frequency.
+    """Zero-phase second-order Butterworth low-pass of values of shape (n, ...), run forwards and backwards.
 
     Raises:
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
@@ -179,15 +174,7 @@ def points(sweep: Sweep) -> Points:
 
 
 def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:
-    """Means over the rows of every group, and the number of values in each, ignoring NaN.
-
-    Args:
-        values: shape (n, m).
-        group: number of each row's group, shape (n,).
-
-    Returns:
-        Means and counts, shape (groups, m); a mean without values is NaN.
-    """
+    """Means and counts, shape (groups, m), of values (n, m) by their group's number (n,), ignoring NaN; NaN without values."""
     seen = ~np.isnan(values)
     total, count = np.zeros((2, group.max() + 1, values.shape[1]))
     np.add.at(total, group, np.where(seen, values, 0.0))

@@ -154,14 +154,6 @@ class Race:
     untrained: dict[str, Mean]
     camera: Mean
     """Error caused by the camera's scale error alone."""
-    hands: int
-
-    def winners(self) -> dict[int, str]:
-        """The best method for each number of points."""
-        numbers = next(iter(self.trained.values()))
-        means = {name: {n: table[n].mean for n in table} for name, table in self.trained.items()}
-        means |= {name: dict.fromkeys(numbers, value.mean) for name, value in self.untrained.items()}
-        return {n: min(means, key=lambda name: means[name][n]) for n in numbers}
 
 
 def run_race(
@@ -187,7 +179,7 @@ def run_race(
             errors[name][number].append(value)
     scale = [COMMON_ERRORS.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(truth), truth) for *_, truth in measured]
     trained = {name: {n: mean_of(values) for n, values in table.items()} for name, table in errors.items()}
-    return Race(trained, untrained, mean_of(scale), hands)
+    return Race(trained, untrained, mean_of(scale))
 
 
 def _errors_of_hand(record: Sweep, servo: Array, truth: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
@@ -232,7 +224,6 @@ def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES)
     lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
     body = [(name, *table.values()) for name, table in found.trained.items()]
     body += [(f"{name}, untrained", value, *[""] * (len(samples) - 1)) for name, value in found.untrained.items()]
-    body.append(("best", *found.winners().values()))
     lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
     lines += [f"The camera's scale error alone, which no method can observe, leaves {found.camera}°.", ""]
     caption = f"{count} hands, {title}, camera with common errors, seed {seed}"

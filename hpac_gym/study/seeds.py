@@ -48,13 +48,7 @@ COLUMNS = (
 
 
 def seeds(reference_file: str | os.PathLike[str], count: int, speeds: Mapping[float, float]) -> Part:
-    """Sweep seeds 0 … count − 1 at every speed, or the first of them at slow speeds.
-
-    Args:
-        reference_file: file of the tolerances and the camera.
-        count: number of seeds.
-        speeds: share of the seeds by seconds per point.
-    """
+    """Sweep seeds 0 … count − 1 of a reference file; `speeds` is the share of them by seconds per point."""
     jobs = [(seed, seconds) for seconds, share in speeds.items() for seed in range(max(round(share * count), 1))]
     found = [(seconds, accuracy_of_seed(reference_file, seed, seconds)) for seed, seconds in progress(jobs, "seeds and speeds")]
     runs = {f"{speed:g}": [run for seconds, run in found if seconds == speed] for speed in sorted(speeds)}

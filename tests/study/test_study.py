@@ -143,7 +143,6 @@ def test_four_points_are_enough_for_fitted_physics_even_where_its_laws_are_wrong
     fitted = race.trained["`hpac calibrate`"][4].mean
     assert fitted < min(race.trained[name][4].mean for name in rivals.RIVALS)
     assert fitted < min(value.mean for value in race.untrained.values())
-    assert race.winners()[4] == "`hpac calibrate`"
 
 
 @pytest.mark.slow
