@@ -81,7 +81,7 @@ PRINTED = (
 
 
 def met(errors: Accuracy) -> dict[str, bool]:
-    """Whether a sweep reproduces each of the `PRINTED` figures."""
+    """Whether a sweep shows each of the `PRINTED` figures."""
     before, after = ({name: errors.mae_deg[kind][name] for name in EVALUATED} for kind in ("uncompensated", "compensated"))
     largest = {name: errors.max_residual_deg["uncompensated"][name] for name in EVALUATED}
     gain = {name: before[name] - after[name] for name in EVALUATED}

@@ -1,4 +1,4 @@
-"""Share of reference sweeps that reproduce the paper's printed figures, for other tolerance draws and speeds."""
+"""Share of reference sweeps that show the paper's printed figures, for other tolerance draws and speeds."""
 
 from __future__ import annotations
 
