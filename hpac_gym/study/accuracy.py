@@ -26,25 +26,18 @@ ALL_BELOW_DEG = 0.23
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """δq = q_meas − q_model of one joint over the sweep of its servo."""
+    """Angles of one joint and its servo over a sweep, and δq = q_meas − q_model, all of shape (k,) [rad]."""
 
     servo: Array
-    """Angle of the joint's servo, shape (k,) [rad]."""
     measured: Array
-    """q_meas, shape (k,) [rad]."""
     uncompensated: Array
-    """q_meas − q_ideal with q_ideal = H(u)u, shape (k,) [rad]."""
+    """q_meas − q_ideal with q_ideal = H(u)u."""
     compensated: Array
-    """q_meas − q_comp with q_comp = H(u)u − b(q), shape (k,) [rad]."""
+    """q_meas − q_comp with q_comp = H(u)u − b(q)."""
 
 
 def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
-    """Residuals of every joint at the points of its own servo's flexion, over all trials.
-
-    Args:
-        points: sampling points of the sweep.
-        hand: the model under test, which is not fitted to the sweep.
-    """
+    """Residuals of every joint at the points of its own servo's flexion, over all trials; `hand` is not fitted to them."""
     rigid, elastic = rigid_joints_from_servo(points.servo, hand), elastic_joints_from_servo(points.servo, hand)
     found = {}
     for servo in range(len(SERVOS)):
@@ -59,12 +52,10 @@ def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """Errors by joint name [°]."""
+    """Mean and largest absolute residual, `uncompensated` and `compensated`, by joint name [°]."""
 
     mae_deg: dict[str, dict[str, float]]
-    """`uncompensated` and `compensated`: mean absolute residual."""
     max_residual_deg: dict[str, dict[str, float]]
-    """`uncompensated` and `compensated`: largest absolute residual."""
 
 
 def accuracy(found: dict[str, Residuals]) -> Accuracy:
@@ -90,7 +81,7 @@ PRINTED = (
 
 
 def met(errors: Accuracy) -> dict[str, bool]:
-    """Whether a sweep reproduces each of the `PRINTED` figures."""
+    """Whether a sweep shows each of the `PRINTED` figures."""
     before, after = ({name: errors.mae_deg[kind][name] for name in EVALUATED} for kind in ("uncompensated", "compensated"))
     largest = {name: errors.max_residual_deg["uncompensated"][name] for name in EVALUATED}
     gain = {name: before[name] - after[name] for name in EVALUATED}
@@ -126,7 +117,7 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
     for axis, name in zip(axes, EVALUATED, strict=True):
         axis.set_title(label(name), fontsize=10)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
-        axis.set_ylim(-limit, limit)
+        axis.set_ylim(-1.05 * limit, 1.05 * limit)  # a point at the limit is shown whole
         if name not in found:
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", color=GREY)
             continue
@@ -145,14 +136,11 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
 
 
 def residual_limit(found: Mapping[str, Residuals]) -> float:
-    """Half-range of the residual figure's axis: the paper's 2°, or a round number that covers 98 % of all points [°]."""
+    """Half-range of the residual figure's axis: the paper's 2°, or whole degrees that cover at least 98 % of all points [°]."""
     values = np.concatenate([np.degrees(np.abs(getattr(found[name], kind))) for name in found if name in EVALUATED
                              for kind, *_ in _KINDS])  # fmt: skip
-    needed = float(np.quantile(values, 0.98))
-    if float(values.max()) <= 1.5 * needed:
-        needed = float(values.max())
-    steps = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 60.0, 180.0)
-    return next(step for step in steps if step >= needed)
+    most, largest = np.quantile(values, (0.98, 1.0))
+    return max(2.0, float(np.ceil(largest if largest <= 1.5 * most else most)))
 
 
 def mae_figure(errors: Accuracy) -> Figure:

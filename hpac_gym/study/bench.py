@@ -120,12 +120,7 @@ def metal_sweeps(
 ) -> list[Sweep]:
     """Records of hands in metal: the rest poses and the held samples of every point, without samples in motion.
 
-    Args:
-        built: the hands.
-        seed: seed of the camera; hand i has the same camera for any number of hands.
-        camera: camera model.
-        protocol: sweep protocol.
-        servos: servos to sweep.
+    Hand i of a seed has the same camera for any number of hands.
     """
     point, phase = np.arange(protocol.points), np.full(protocol.points, FLEXING)
     if protocol.both_directions:

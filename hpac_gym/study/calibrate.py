@@ -19,7 +19,7 @@ from hpac_gym.study.combinations import SweptDigit, values
 from hpac_gym.study.identification import HELD_OUT_EVERY, SPREAD, DigitFit, Identification, held_out_rows, identify
 from hpac_gym.study.judging import judged
 from hpac_gym.study.record import read_sweep
-from hpac_gym.study.results import BLUE, GREEN, GREY, RED, label, log_ticks, save
+from hpac_gym.study.results import GREEN, GREY, RED, label, save
 from hpac_gym.study.samples import DigitSamples
 
 OUT = Path("runs/calibrate/hand.toml")
@@ -53,9 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     result, text = summary(found, base, errors, remarks), report(found, base, errors, remarks)
     write_text(folder / "report.md", text)
     write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
-    caption = f"{written.name}, {arguments.record.name}"
-    save(fit_figure(found, base, written), folder / "fit.png", f"{caption}; points, every {HELD_OUT_EVERY}th held out")
-    save(estimate_figure(found, base), folder / "estimates.png", f"{caption}; bars are 95 % intervals")
+    caption = f"{written.name}, {arguments.record.name}; points, every {HELD_OUT_EVERY}th held out"
+    save(fit_figure(found, base, written), folder / "fit.png", caption)
     print(json.dumps(result) if arguments.json else f"{text}\nwritten: {arguments.out}, {folder}")
     return 0
 
@@ -185,8 +184,8 @@ def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
     samples = fit.samples
     lines += ["", f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times "
               f"as much about the fit as expected from their samples."]  # fmt: skip
-    lines += [f"{joint} rests at a stop at {angle:.3f} rad; {samples.at_stops} points from there on are left out, and the file's "
-              f"workspace ends there." for joint, angle in samples.stops.items()]  # fmt: skip
+    lines += [f"{joint} rests at {angle:.3f} rad: it, or another joint of the digit, is at a stop. {samples.at_stops} points "
+              "are left out; the file's workspace ends there." for joint, angle in samples.stops.items()]  # fmt: skip
     lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
     for first, *others in fit.confounded:
         apart = f"; it is confounded with {', '.join(others)}" if others else ""
@@ -212,26 +211,4 @@ def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
     figure.supxlabel("servo angle u [°]")
     figure.supylabel("measured − predicted [°]")
     figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False)
-    return figure
-
-
-def estimate_figure(found: Identification, base: Hand) -> Figure:
-    """Every estimate divided by its design value, with its 95 % interval; pale where the data is uninformative."""
-    figure = Figure(figsize=(3 * len(found.fits), 4), layout="constrained")
-    axes = np.ravel(figure.subplots(1, len(found.fits), sharex=True, squeeze=False))
-    for axis, (name, fit) in zip(axes, found.fits.items(), strict=True):
-        design = values(SweptDigit(base.digits[name]))
-        shown = [(item, nominal) for item, nominal in zip(fit.estimates, design, strict=True) if item.name != "servo_zero"]
-        for row, (item, nominal) in enumerate(shown):
-            alpha = 0.25 + 0.75 * item.told
-            axis.plot(np.array([item.low, item.high]) / nominal, [row, row], color=BLUE, linewidth=3, alpha=alpha)
-            axis.plot(item.value / nominal, row, "o", color=BLUE, alpha=alpha)
-        axis.set_yticks(range(len(shown)), [item.name for item, _ in shown], fontsize=8)
-        axis.axvline(1.0, color=GREY, linewidth=0.8)
-        log_ticks(axis.xaxis, (0.2, 0.5, 1, 2, 5))
-        axis.set_xlim(0.2, 5.0)
-        axis.invert_yaxis()
-        zero = np.degrees(fit.swept.servo_zero)
-        axis.set_title(f"{name}, servo zero {zero:+.2f}°", fontsize=9)
-    figure.supxlabel("identified / design")
     return figure

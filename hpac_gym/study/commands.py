@@ -101,15 +101,7 @@ def _share(well: np.ndarray) -> float:
 
 
 def commands(name: str, workshop: Workshop, count: int, seed: int, maps: Collection[str] = tuple(MAPS)) -> Part:
-    """Sweep and calibrate every hand once, then command it through its range and back with every map.
-
-    Args:
-        name: name of the tolerances.
-        workshop: tolerances of the hands.
-        count: number of hands.
-        seed: seed of hands and camera.
-        maps: names from `MAPS`.
-    """
+    """Sweep and calibrate every hand of a workshop once, then command it through its range and back with each of the `MAPS`."""
     built = build(workshop, count, seed)
     records = metal_sweeps(built, seed, CAMERA, Protocol(both_directions=True), servos=SERVOS[:-1])
     identified = [identify(record).hand for record in progress(records, "calibrations")]

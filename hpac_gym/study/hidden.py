@@ -20,11 +20,10 @@ from hpac_gym.study.combinations import SweptDigit, combinations, values
 from hpac_gym.study.identification import IdentificationError, identify
 from hpac_gym.study.judging import judged
 from hpac_gym.study.populations import FIT_LAWS, FRICTION, OTHER_LAWS, SERVO, ZERO, geometry, varied_digit, varied_metal
-from hpac_gym.study.processing import points
-from hpac_gym.study.quasistatic import Built, Metal, hand_course
+from hpac_gym.study.quasistatic import Built, Metal, hand_course, softened
 from hpac_gym.study.record import RecordError, Sweep
 from hpac_gym.study.results import Column, Part, rows_of, table
-from hpac_gym.study.rig import Rig, settings_of
+from hpac_gym.study.rig import NEAR_STOP, rig_of
 
 REACH = {
     **geometry(0.05), "path_length": 0.05, "spring_stiffness": 0.2, "tendon_stiffness": 0.2, "drive_stiffness": 0.2
@@ -38,8 +37,6 @@ MARK_DEG = max(0.1, 1.3 * float(np.degrees(CAMERA.noise)))
 """Threshold of a good file's mean error: 1.3 times the noise of a camera sample, or 0.1° [°]."""
 DROPPED = 0.02
 """Share of frames missing from the records."""
-NEAR_STOP = np.deg2rad(0.3)
-"""In the physics engine, a joint this close to its stop may rest at it [rad]."""
 
 
 def hidden_hands(count: int, seed: int, metal: Metal) -> list[Built]:
@@ -69,9 +66,8 @@ def swept_digit(built: Built, column: int) -> SweptDigit:
     The compliances of servo and driving tendon add up. In flexion the dead band stops the horn short, like a zero.
     """
     digit, metal = list(built.hand.digits.values())[column], built.metal[column]
-    drive = 1 / (1 / digit.drive_stiffness + digit.servo_radius**2 / metal.servo_stiffness)
     friction = Friction(metal.joint_friction, metal.tendon_friction)
-    return SweptDigit(replace(digit, drive_stiffness=drive), friction, metal.servo_zero - metal.dead_band)
+    return SweptDigit(replace(digit, drive_stiffness=softened(digit, metal)), friction, metal.servo_zero - metal.dead_band)
 
 
 # Calibrated and judged -----------------------------------------------------------------
@@ -150,25 +146,10 @@ def run_hidden_in_physics(count: int, seed: int) -> list[HiddenHand]:
     hands = []
     hidden = list(enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND))))
     for number, built in progress(hidden, "hidden hands in the physics engine"):
-        first = built.metal[0]
-        settings = settings_of(first.joint_friction, first.dead_band, first.tendon_friction)
-        zero = (*(item.servo_zero for item in built.metal), 0.0)
-        rig = Rig(built.hand, settings, JointCamera(noise=0.0, drift=0.0), servo_zero=zero)
-        perfect = rig.sweep(np.random.default_rng(seed + number), servos=SERVOS[:-1])
-        seen = perfect.joint_pos.copy()
-        for rows in perfect.segments():
-            seen[rows] = CAMERA.seen(seen[rows], perfect.time[rows], np.random.default_rng([seed + number, int(rows[0])]))
-        held = points(perfect)
-        servo, truth = np.zeros((rig.protocol.points, len(SERVOS))), np.zeros((rig.protocol.points, len(JOINTS)))
-        for column, digit in enumerate(built.hand.digits.values()):
-            joints = [JOINT_INDEX[joint] for joint in digit.joints]
-            servo[:, column] = held.servo[held.swept == column, column]
-            truth[:, joints] = held.joint_pos[held.swept == column][:, joints]
-        metal = tuple(
-            replace(item, joint_friction=first.joint_friction, tendon_friction=first.tendon_friction,
-                    stop=tuple(angle - NEAR_STOP for angle in item.stop)) for item in built.metal
-        )  # fmt: skip
-        record = without_frames(perfect.with_joint_pos(seen), seed, number)
+        record, servo, truth = rig_of(built).seen_and_true(CAMERA, seed + number)
+        friction = {name: getattr(built.metal[0], name) for name in ("joint_friction", "tendon_friction")}
+        metal = tuple(replace(item, **friction, stop=tuple(angle - NEAR_STOP for angle in item.stop)) for item in built.metal)
+        record = without_frames(record, seed, number)
         hands.append(judge_hand(Built(built.hand, metal), record, truth, servo, know_truth=True))
     return hands
 

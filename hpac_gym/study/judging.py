@@ -65,11 +65,7 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
 
 
 def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
-    """Medians of the joints at each sampling point, and the deviation of each sample from them.
-
-    Args:
-        sweep: the record.
-        rows: samples at the sampling points of one phase of one segment.
+    """Medians of the joints at each sampling point of one phase of one segment, and the deviation of its samples from them.
 
     Returns:
         Servo angles (points, 6), medians (points, 15), deviations (samples, 15) [rad]; NaN where nothing was measured.

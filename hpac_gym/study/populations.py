@@ -30,10 +30,6 @@ _DIP, _PIP = EVALUATED.index("index_dip"), EVALUATED.index("index_pip")
 # Hands -------------------------------------------------------------------------------
 
 
-PLAIN = Metal()
-"""A digit without any deviation from the model."""
-
-
 @dataclass(frozen=True, slots=True)
 class Workshop:
     """Deviations of manufactured hands from the drawing. All values are chosen."""
@@ -42,7 +38,7 @@ class Workshop:
     """Relative standard deviation by field name of `Digit`, independent for each digit and joint."""
     servo_zero: float = 0.0
     """Standard deviation of the servo zeros [rad]."""
-    metal: Metal = PLAIN
+    metal: Metal = field(default_factory=Metal)
     """Median of the effects that the model omits."""
 
 

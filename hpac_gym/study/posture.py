@@ -10,20 +10,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import (
-    HPAC,
-    JOINTS,
-    POSTURES,
-    SERVOS,
-    Hand,
-    Posture,
-    ServoCommand,
-    load_hand,
-    move_duration,
-    posture,
-    reach,
-)
+from hpac_gym.model import HPAC, JOINTS, POSTURES, SERVOS, Hand, Posture, ServoCommand, load_hand, move_duration, posture, reach
 from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
+from hpac_gym.physics.simulation import default_engine
 from hpac_gym.progress import progress
 from hpac_gym.study.results import save
 from hpac_gym.study.rig import HAND, UPRIGHT, WORLD, HandOnStand
@@ -118,7 +107,7 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     for axis, item in zip(axes, progress(items, "contact sheet"), strict=False):
         axis.imshow(picture(item, hand))
         axis.set_title(f"{item.panel} {item.name.replace('_', ' ')}", fontsize=8)
-    save(figure, path, picture=True)
+    save(figure, path, f"{hand.name}, simulated in {default_engine()}, each posture commanded from the open hand", picture=True)
 
 
 def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The paper's processing of a record: radians, zero-phase Butterworth, unwrapping, drift correction; then points.
 
-Here unwrapping precedes the filter: a low-pass would smear a jump of 2π over neighbouring samples. On a record without such a
-jump the order makes no difference.
+Here unwrapping precedes the filter, and mistaken markers are left out: a low-pass would smear both over neighbouring samples. On
+a record without them this makes no difference.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ LONGEST_GAP = 6
 """Longest gap between samples, in sampling periods."""
 FAR = 6.0
 """Robust standard deviations beyond which a sample of a stationary joint is an outlier."""
+NEIGHBOURS = 7
+"""Number of samples in the running median from which a sample may deviate."""
+LEAST_FAR = np.deg2rad(2.0)
+"""Deviation from its neighbours that a sample may have in any record [rad]."""
 LEAST_NOISE = np.deg2rad(0.02)
 """Lower bound of the assumed camera noise [rad]."""
 
@@ -46,8 +50,8 @@ class Points:
 def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
     """The record after the paper's processing, segment by segment.
 
-    Dropped frames and missing measurements are interpolated linearly for the filter and removed again after it, so that only
-    these samples are lost.
+    Dropped frames, missing measurements and samples far from their neighbours are interpolated linearly for the filter and
+    removed again after it, so that only these samples are lost.
 
     Raises:
         RecordError: A segment is not sampled evenly, has too many missing samples, or is too short to filter.
@@ -62,15 +66,26 @@ def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
             seen = ~np.isnan(joint_pos[rows, joint])
             if not seen.any():
                 continue
+            unwrapped = np.full(len(rows), np.nan)
+            unwrapped[seen] = np.unwrap(joint_pos[rows[seen], joint])
+            seen[seen] = near_neighbours(unwrapped[seen])
             missing = 1 - seen.sum() / len(frames)
             if missing > MOST_MISSING:
                 raise RecordError(
                     f"{missing:.0%} of the samples of {JOINTS[joint]} from {sweep.time[rows[0]]:g} s to "
-                    f"{sweep.time[rows[-1]]:g} s are missing, more than {MOST_MISSING:.0%}"
+                    f"{sweep.time[rows[-1]]:g} s are missing or far from the others, more than {MOST_MISSING:.0%}"
                 )
-            bridged = np.interp(frames, frame[seen], np.unwrap(joint_pos[rows[seen], joint]))
-            joint_pos[rows[seen], joint] = low_pass(bridged, rate, cutoff_hz)[frame[seen]]
+            filtered = low_pass(np.interp(frames, frame[seen], unwrapped[seen]), rate, cutoff_hz)
+            joint_pos[rows, joint] = np.where(seen, filtered[frame], np.nan)
     return without_drift(sweep.with_joint_pos(joint_pos))
+
+
+def near_neighbours(values: Array) -> np.ndarray:
+    """Mask of the samples near the running median, which a steady motion equals; mistaken markers are far from it."""
+    from scipy import ndimage
+
+    off = np.abs(values - ndimage.median_filter(values, NEIGHBOURS, mode="nearest"))
+    return off <= max(FAR * 1.4826 * float(np.median(off)), LEAST_FAR)
 
 
 def sampling_rate(time: Array) -> float:
@@ -91,12 +106,7 @@ def sampling_rate(time: Array) -> float:
 
 
 def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
-    """Zero-phase second-order Butterworth low-pass, run forwards and backwards.
-
-    Args:
-        values: shape (n, ...).
-        rate_hz: sampling rate.
-        cutoff_hz: cut-off frequency.
+    """Zero-phase second-order Butterworth low-pass of values of shape (n, ...), run forwards and backwards.
 
     Raises:
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
@@ -164,15 +174,7 @@ def points(sweep: Sweep) -> Points:
 
 
 def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:
-    """Means over the rows of every group, and the number of values in each, ignoring NaN.
-
-    Args:
-        values: shape (n, m).
-        group: number of each row's group, shape (n,).
-
-    Returns:
-        Means and counts, shape (groups, m); a mean without values is NaN.
-    """
+    """Means and counts, shape (groups, m), of values (n, m) by their group's number (n,), ignoring NaN; NaN without values."""
     seen = ~np.isnan(values)
     total, count = np.zeros((2, group.max() + 1, values.shape[1]))
     np.add.at(total, group, np.where(seen, values, 0.0))

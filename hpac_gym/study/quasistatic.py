@@ -64,6 +64,11 @@ class Built:
     """One entry for each digit."""
 
 
+def softened(digit: Digit, metal: Metal) -> float:
+    """Stiffness of a digit's driving tendon in series with its servo [N/m]."""
+    return 1 / (1 / digit.drive_stiffness + digit.servo_radius**2 / metal.servo_stiffness)
+
+
 class _Digits:
     """Parameters of many digits with the same number of joints, each of shape (n,) or (n, joints)."""
 
@@ -81,7 +86,7 @@ class _Digits:
         self.segment = column(digits, "tendon_stiffness")[:, None] / column(digits, "path_length")
         if self.segment.shape[1] > 1:
             self.segment[:, 0] *= column(metal, "first_segment")
-        self.drive = 1 / (1 / column(digits, "drive_stiffness") + self.hub**2 / column(metal, "servo_stiffness"))
+        self.drive = np.array([softened(*pair) for pair in zip(digits, metal, strict=True)])
         d1, d2 = column(digits, "d1"), column(digits, "d2")
         self.guide_sum, self.guide_product = d1**2 + d2**2, 2 * d1 * d2
         self.rest_path = np.sqrt(self.guide_sum - self.guide_product * np.cos(self.alpha))

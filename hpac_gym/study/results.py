@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from numpy.typing import ArrayLike
 
-from hpac_gym.output import replacing
+from hpac_gym.output import markdown, replacing
 
 RED, GREEN, BLUE, GREY = "#c0392b", "#1e8449", "#2471a3", "#7f8c8d"
 
@@ -98,12 +98,6 @@ def table(first: str, columns: Sequence[Column], rows: Mapping[str, Mapping[str,
     """The rows as a Markdown table; `first` is the heading of the first column."""
     body = [(name, *(column.form.format(row[column.key]) for column in columns)) for name, row in rows.items()]
     return markdown((first, *(column.heading for column in columns)), body)
-
-
-def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table with the first column left-aligned and the others right-aligned."""
-    lines = [f"| {' | '.join(head)} |", "|---|" + "--:|" * (len(head) - 1)]
-    return "\n".join([*lines, *(f"| {' | '.join(map(str, row))} |" for row in rows)])
 
 
 def label(joint: str) -> str:

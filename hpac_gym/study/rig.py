@@ -10,20 +10,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpac_gym.body.geometry import link_poses, load_geometry
-from hpac_gym.model import HPAC, SERVO_INDEX, SERVOS, Hand
+from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import Damping, HandSettings, ServoSettings, WorldSettings
 from hpac_gym.physics.simulation import Simulation, default_engine, make_engine
 from hpac_gym.progress import progress
 from hpac_gym.study.bench import CAMERA, PROTOCOL, JointCamera, Protocol, rest_pose
-from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate
+from hpac_gym.study.processing import points
+from hpac_gym.study.quasistatic import Built, softened
+from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate, joints_of_servo
 
 WORLD = WorldSettings(physics_hz=640, error_reduction=0.2)
 """Smaller time steps than in the environments, so that the integration is stable at twice the tendon stiffness."""
 
 HAND = HandSettings(armature=(1e-3, 3e-4, 3e-4), damping=Damping(0.4, overrun=0.0))
 """The simulated hand of the rig, with smaller armatures than in the environments, as this rate permits."""
+
+NEAR_STOP = np.deg2rad(0.3)
+"""In a physics engine, a joint this close to its stop may rest at it [rad]."""
 
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 """Orientation of a hand with fingers upwards, quaternion xyzw."""
@@ -55,13 +60,15 @@ class HandOnStand:
         world: settings of the integration.
         orientation: orientation of the hand frame in the world, quaternion xyzw.
         visuals: whether pictures will be rendered.
+        engine: name of the engine; None is the default one.
     """
 
     def __init__(
-        self, hand: Hand, settings: HandSettings, world: WorldSettings, orientation: tuple[float, ...], visuals: bool = False
-    ) -> None:
+        self, hand: Hand, settings: HandSettings, world: WorldSettings, orientation: tuple[float, ...], visuals: bool = False,
+        engine: str | None = None,
+    ) -> None:  # fmt: skip
         self._setup = SceneSetup(None, hand=hand, hand_settings=settings, hand_quaternion=orientation)
-        self.simulation = Simulation(make_engine(default_engine(), 1, world, visuals))
+        self.simulation = Simulation(make_engine(engine or default_engine(), 1, world, visuals))
         self.close = self.simulation.engine.close
         self.step = self.simulation.rest  # advances by a time [s], in whole physics steps
 
@@ -95,6 +102,8 @@ class Rig:
     world: WorldSettings = WORLD
     servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
     """Angle of each servo's horn at the command 0 [rad]; at rest the tendons are slack nevertheless."""
+    engine: str | None = None
+    """Name of the physics engine; None is the default one."""
 
     def sweep(self, rng: np.random.Generator, trial: int = 0, servos: tuple[str, ...] = SERVOS, label: str = "") -> Sweep:
         """Sweep one servo after the other over the nominal hand's range, the others at rest, and record every frame.
@@ -107,7 +116,7 @@ class Rig:
         """
         parts = []
         for name in progress(servos, label, bool(label)):
-            sim = HandOnStand(self.hand, self.settings, self.world, tuple(upright(name)))
+            sim = HandOnStand(self.hand, self.settings, self.world, tuple(upright(name)), engine=self.engine)
             parts.append(self._segment(sim, SERVOS.index(name), trial, rng))
             sim.close()
         return concatenate(parts)
@@ -157,3 +166,34 @@ class Rig:
     def with_protocol(self, **changes: object) -> Rig:
         """The same rig with another protocol."""
         return replace(self, protocol=replace(self.protocol, **changes))
+
+    def seen_and_true(self, camera: JointCamera, seed: int) -> tuple[Sweep, Array, Array]:
+        """Sweep the five digits once before a camera.
+
+        Returns:
+            The record; servo angles, shape (points, 6), and true joint angles at its sampling points, shape (points, 15) [rad].
+        """
+        true = replace(self, camera=JointCamera(noise=0.0, drift=0.0)).sweep(np.random.default_rng(seed), servos=SERVOS[:-1])
+        seen, held = true.joint_pos.copy(), points(true)
+        for rows in true.segments():
+            seen[rows] = camera.seen(seen[rows], true.time[rows], np.random.default_rng([seed, int(rows[0])]))
+        servo, joint_pos = (np.zeros((self.protocol.points, len(names))) for names in (SERVOS, JOINTS))
+        for column in range(len(SERVOS) - 1):
+            swept, joints = held.swept == column, joints_of_servo(column)
+            servo[:, column], joint_pos[:, joints] = held.servo[swept, column], held.joint_pos[swept][:, joints]
+        return true.with_joint_pos(seen), servo, joint_pos
+
+
+def rig_of(built: Built, engine: str | None = None) -> Rig:
+    """A hand in metal in a physics engine, without guide pins and sliding cable, with Table I's stops.
+
+    Friction and dead band of all digits are the first one's. A servo that gives way is a softer driving tendon.
+    """
+    digits = {}
+    for (name, digit), metal in zip(built.hand.digits.items(), built.metal, strict=True):
+        first, *others = digit.path_length
+        path = (first * 2 / metal.first_segment if others else first, *others)
+        digits[name] = replace(digit, path_length=path, drive_stiffness=softened(digit, metal))
+    metal, zero = built.metal[0], (*(item.servo_zero for item in built.metal), 0.0)
+    settings = settings_of(metal.joint_friction, metal.dead_band, metal.tendon_friction)
+    return Rig(replace(built.hand, digits=digits), settings, servo_zero=zero, engine=engine)

@@ -1,7 +1,8 @@
 """Comparison of calibration methods, fitted to a few points of a sweep and evaluated against the true joint angles.
 
 Every method maps one servo's angle to the angles of the joints that it moves, fitted to N sampling points. The main comparison
-is on hands whose physics none of the models contains (`OTHER_METAL`); the other one is on hands that obey the laws of the fit.
+is on hands whose physics none of the models contains (`OTHER_METAL`), in metal and in MuJoCo; the third one is on hands that obey
+the laws of the fit.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from hpac_gym.progress import progress
 from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.identification import identify
 from hpac_gym.study.populations import FIT_LAWS, NINE, OTHER_LAWS, SERVO, STIFFNESS, ZERO, Workshop, build, geometry
-from hpac_gym.study.quasistatic import hand_course
-from hpac_gym.study.record import REST, Sweep
+from hpac_gym.study.quasistatic import Built, hand_course
+from hpac_gym.study.record import REST, Sweep, joints_of_servo
 from hpac_gym.study.results import Mean, Part, log_ticks, mean_of
+from hpac_gym.study.rig import NEAR_STOP, rig_of
 from hpac_gym.study.samples import digit_samples
 
 SAMPLES = (3, 4, 6, 8, 16, 31)
@@ -35,10 +37,37 @@ OTHER_METAL = Workshop({**STIFFNESS, **geometry(0.005)}, ZERO, OTHER_LAWS)
 """Hands whose physics is not the model's. All values are chosen."""
 HOME_METAL = replace(OTHER_METAL, metal=FIT_LAWS)
 """Hands of the same tolerances that obey the laws of the fit."""
-RACES = {"rivals": ("physics that is not the model's", OTHER_METAL), "rivals-at-home": ("physics of the fit", HOME_METAL)}
-"""Title and hands of every comparison, by the name of the part."""
 COMMON_ERRORS = JointCamera(common_scale=0.002, common_wander=np.deg2rad(0.05), outliers=0.005)
 """A camera with errors common to all joints, 0.2 % of scale and a drift of 0.05° within seconds, and 0.5 % outliers."""
+Measured = tuple[list[Sweep], list[Array], list[Array]]
+"""Records of hands; servo angles (k, 6) and true joint angles (k, 15) at which each is judged [rad]."""
+
+
+def in_metal(built: list[Built], seed: int) -> Measured:
+    """Measure hands in the quasi-static simulation."""
+    return metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1]), [SERVO] * len(built), list(hand_course(built, SERVO))
+
+
+def in_mujoco(built: list[Built], seed: int) -> Measured:
+    """Measure hands in MuJoCo, which adds dynamics, and lacks guide pins and the return cable's loss of tension.
+
+    True angles of a digit that rests at one of Table I's stops are NaN.
+    """
+    sweeps = [rig_of(hand, "mujoco").seen_and_true(COMMON_ERRORS, seed + number)
+              for number, hand in progress(list(enumerate(built)), "sweeps in MuJoCo")]  # fmt: skip
+    for *_, truth in sweeps:
+        stopped = truth > HPAC.joint_max - NEAR_STOP
+        for joints in map(joints_of_servo, range(len(SERVOS) - 1)):
+            truth[np.ix_(stopped[:, joints].any(axis=1), joints)] = np.nan
+    return tuple(map(list, zip(*sweeps, strict=True)))
+
+
+RACES = {
+    "rivals": ("physics that is not the model's", OTHER_METAL, in_metal),
+    "rivals-in-mujoco": ("hands in MuJoCo, EA/L in both segments", OTHER_METAL, in_mujoco),
+    "rivals-at-home": ("physics of the fit", HOME_METAL, in_metal),
+}
+"""Title, hands and measurement of every comparison, by the name of the part."""
 Predictor = Callable[[Array], Array]
 """Function from servo angles (k,) to joint angles (k, joints)."""
 
@@ -123,17 +152,11 @@ class Race:
     untrained: dict[str, Mean]
     camera: Mean
     """Error caused by the camera's scale error alone."""
-    hands: int
-
-    def winners(self) -> dict[int, str]:
-        """The best method for each number of points."""
-        numbers = next(iter(self.trained.values()))
-        means = {name: {n: table[n].mean for n in table} for name, table in self.trained.items()}
-        means |= {name: dict.fromkeys(numbers, value.mean) for name, value in self.untrained.items()}
-        return {n: min(means, key=lambda name: means[name][n]) for n in numbers}
 
 
-def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Race:
+def run_race(
+    workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES, measure: Callable = in_metal
+) -> Race:
     """Fit every method to random points of one sweep of each hand, and evaluate it against the true joint angles.
 
     Args:
@@ -141,22 +164,23 @@ def run_race(workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...]
         hands: number of hands; each has its own choice of training points.
         seed: seed of hands, camera, choices and the network's initial weights.
         samples: numbers of training points of each servo.
+        measure: `in_metal` or `in_mujoco`.
     """
-    built = build(workshop, hands, seed)
-    truth = hand_course(built, SERVO)
-    records = metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1])
-    untrained = {name: mean_of([_error(model(SERVO), angles) for angles in truth]) for name, model in UNTRAINED.items()}
+    measured = list(zip(*measure(build(workshop, hands, seed), seed), strict=True))
+    untrained = {
+        name: mean_of([_error(model(servo), truth) for _, servo, truth in measured]) for name, model in UNTRAINED.items()
+    }
     errors: dict[str, dict[int, list[float]]] = {name: {n: [] for n in samples} for name in (*RIVALS, *IDENTIFIED)}
     for number, hand in progress([(n, h) for n in samples for h in range(hands)], "rivals"):
         rng = np.random.default_rng([seed, number, hand])
-        for name, value in _errors_of_hand(records[hand], truth[hand], number, rng).items():
+        for name, value in _errors_of_hand(*measured[hand], number, rng).items():
             errors[name][number].append(value)
-    scale = [COMMON_ERRORS.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(angles), angles) for angles in truth]
+    scale = [COMMON_ERRORS.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(truth), truth) for *_, truth in measured]
     trained = {name: {n: mean_of(values) for n, values in table.items()} for name, table in errors.items()}
-    return Race(trained, untrained, mean_of(scale), hands)
+    return Race(trained, untrained, mean_of(scale))
 
 
-def _errors_of_hand(record: Sweep, truth: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
+def _errors_of_hand(record: Sweep, servo: Array, truth: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
     """Errors of all methods for one hand. All get the same points: means of the samples without outliers."""
     few = record.phase == REST
     predicted = {name: np.zeros_like(truth) for name in RIVALS}
@@ -167,10 +191,10 @@ def _errors_of_hand(record: Sweep, truth: Array, number: int, rng: np.random.Gen
         joints = [JOINT_INDEX[joint] for joint in digit.joints]
         for name, fit in RIVALS.items():
             predictor = fit(samples.servo[which], samples.joint_pos[which], rng, _model_of(swept, joints))
-            predicted[name][:, joints] = predictor(SERVO[:, swept])
+            predicted[name][:, joints] = predictor(servo[:, swept])
     for name, papers in IDENTIFIED.items():
         hand = identify(record[few], least_points=min(SAMPLES), papers_model=papers).hand
-        predicted[name] = settled_joints_from_servo(SERVO, hand)
+        predicted[name] = settled_joints_from_servo(servo, hand)
     return {name: _error(angles, truth) for name, angles in predicted.items()}
 
 
@@ -187,21 +211,20 @@ def _chosen(available: int, number: int, rng: np.random.Generator) -> np.ndarray
 
 def _error(predicted: Array, truth: Array) -> float:
     """Mean over the nine joints of the mean absolute error [°]."""
-    return float(np.degrees(np.abs(predicted - truth)[:, NINE].mean()))
+    return float(np.degrees(np.nanmean(np.abs(predicted - truth)[:, NINE])))
 
 
 def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES) -> Part:
     """Run one of the `RACES`, with its figure."""
-    title, workshop = RACES[stem]
-    found = run_race(workshop, count, seed, samples)
+    title, workshop, measure = RACES[stem]
+    found = run_race(workshop, count, seed, samples, measure)
     lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
     lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
     body = [(name, *table.values()) for name, table in found.trained.items()]
     body += [(f"{name}, untrained", value, *[""] * (len(samples) - 1)) for name, value in found.untrained.items()]
-    body.append(("best", *found.winners().values()))
     lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
     lines += [f"The camera's scale error alone, which no method can observe, leaves {found.camera}°.", ""]
-    caption = f"{count} hands in metal, {title}, camera with common errors, seed {seed}"
+    caption = f"{count} hands, {title}, camera with common errors, seed {seed}"
     return Part("\n".join(lines), found, {stem: race_figure(found)}, caption)
 
 

@@ -89,13 +89,12 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     "seeds": lambda options: seeds.seeds(
         options.reference, 2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else seeds.SPEEDS
     ),
-    "rivals": partial(_rivals, "rivals"),
-    "rivals-at-home": partial(_rivals, "rivals-at-home"),
+    **{name: partial(_rivals, name) for name in rivals.RACES},
     "calibration": lambda options: hidden.calibration(
         _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 20, 2)
     ),
     "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
-    "commands-other-laws": partial(_commands, *rivals.RACES["rivals"], commands.BEFORE_AND_AFTER),
+    "commands-other-laws": partial(_commands, *rivals.RACES["rivals"][:2], commands.BEFORE_AND_AFTER),
     "trials": _trials,
     "tracking": lambda options: tracking.tracking(
         load_reference(options.reference), options.trials, options.seed, (0.5,) if options.quick else tracking.RATES_HZ

@@ -38,9 +38,10 @@ def run(arguments: argparse.Namespace) -> int:
     hand = load_hand(arguments.hand) if arguments.hand else HPAC
     out = arguments.out
     result: dict[str, object] = {"hand": hand.name}
+    remarks: list[str] = []
     if arguments.record:
         record, cutoff_hz = read_sweep(arguments.record), CUTOFF_HZ
-        result |= {"record": str(arguments.record), "remarks": judged(record, hand)}
+        result["record"], remarks = str(arguments.record), judged(record, hand)
         caption, text = f"{arguments.record.name} against {hand.name}", ""
     else:
         reference = load_reference(arguments.reference)
@@ -53,10 +54,14 @@ def run(arguments: argparse.Namespace) -> int:
         caption = f"reference hand, seed {reference.seed}, simulated, against {hand.name}"
         text = workspace_table(table, hand)
         write_text(out / "workspace.md", text)
-    found = residuals(points(processed(record, cutoff_hz)), hand)
+    cleaned = processed(record, cutoff_hz)
+    left_out = int(np.isnan(cleaned.joint_pos).sum() - np.isnan(record.joint_pos).sum())
+    if left_out:
+        remarks.append(f"{left_out} samples lie far from their neighbours and are left out")
+    found = residuals(points(cleaned), hand)
     errors = accuracy(found)
-    result |= asdict(errors)
-    text = "\n".join([accuracy_table(errors), *(f"\nRemark: {remark}." for remark in result.get("remarks", ())), "", text])
+    result |= {"remarks": remarks, **asdict(errors)}
+    text = "\n".join([accuracy_table(errors), *(f"\nRemark: {remark}." for remark in remarks), "", text])
     save(residual_figure(found), out / "residuals.png", caption)
     save(mae_figure(errors), out / "mae.png", caption)
     write_text(out / "accuracy.md", accuracy_table(errors) + "\n")

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -51,16 +52,12 @@ def back_and_forth(phase: Array) -> Array:
 PROFILES: dict[str, Profile] = {"sine": sine, "minimum_jerk": back_and_forth}
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
-    """Desired and measured joint angles of one run."""
+class Track(NamedTuple):
+    """One run: times (n,) [s], the elastic model's joint angles of the profile and the measured ones, both (n, 15) [rad]."""
 
     time: Array
-    """Shape (n,) [s]."""
     wanted: Array
-    """The elastic model's joint angles of the commanded profile, shape (n, 15) [rad]."""
     measured: Array
-    """Shape (n, 15) [rad]."""
 
 
 def synergy_of(profile: Profile, rate_hz: float, time: Array | float) -> Array:
@@ -88,12 +85,7 @@ class Observer:
     """Share of an error that is corrected per frame."""
 
     def update(self, error: Array, rate: Array) -> None:
-        """Learn from one frame.
-
-        Args:
-            error: measured minus desired angle of every digit, shape (5,) [rad].
-            rate: rate of the desired motion at that time, shape (5,) [rad/s].
-        """
+        """Learn from one frame: measured minus desired angles [rad] and desired rates [rad/s] of the digits, shape (5,)."""
         flexing = (rate < 0).astype(int)
         power = float((rate**2).mean())
         if power > 1e-4:
@@ -112,14 +104,9 @@ def root_error(seen: Array, wanted: Array) -> Array:
 
 
 def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random.Generator, closed: bool = False) -> Track:
-    """Stream a profile to the reference hand at the control rate and measure it, four samples per control period.
+    """Stream a profile to the reference hand, with its tendon friction and servo lag, and measure it.
 
-    Args:
-        reference: the hand, with its tendon friction and servo lag.
-        profile: motion over one period.
-        rate_hz: periods per second.
-        rng: generator of the camera's noise.
-        closed: whether the camera's frame of the previous period corrects the command.
+    In closed loop, the camera's frame of the previous control period corrects the command. `rng` makes the camera's noise.
     """
     rig, observer = reference.rig, Observer()
     servo_settings = replace(rig.settings.servo, lag=reference.servo_lag)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,27 +20,16 @@ DRIVEN = (0.1, 0.9)
 """Part of the servo's range over which a hysteresis is averaged, excluding the ends, where the direction reverses."""
 
 
-@dataclass(frozen=True, slots=True)
-class JointTrials:
-    """Measured angles of one joint in all trials."""
+class JointTrials(NamedTuple):
+    """Servo angles (k,) and measured angles of one joint in all trials, shape (trials, k) [rad]."""
 
     servo: Array
-    """Servo angles, shape (k,) [rad]."""
     flexion: Array
-    """Shape (trials, k) [rad]."""
     extension: Array
-    """Shape (trials, k) [rad]."""
 
 
 def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, ...] = SERVOS) -> Sweep:
-    """Simulate sweeps in both directions; friction and the tendons' seats vary from trial to trial.
-
-    Args:
-        reference: the hand, whose tendon friction is given by its `trials`.
-        count: number of trials.
-        seed: seed of the variations and of the camera.
-        servos: servos to sweep.
-    """
+    """Simulate sweeps in both directions; friction and the tendons' seats vary from trial to trial."""
     parts = []
     for trial in progress(range(count), "trials"):
         rng = np.random.default_rng([seed, trial])

@@ -113,7 +113,7 @@ def test_a_dropped_frame_and_an_empty_cell_cost_those_samples_only():
 def test_a_joint_that_is_mostly_missing_is_told():
     sweep = record(smooth_sweep())
     sweep.joint_pos[100:400, 2] = np.nan
-    with pytest.raises(RecordError, match=r"34% of the samples of index_dip from .* are missing, more than 20%"):
+    with pytest.raises(RecordError, match=r"34% of the samples of index_dip from .* are missing or far from .*, more than 20%"):
         processed(sweep)
     sweep.joint_pos[:, 2] = np.nan
     assert np.isnan(processed(sweep).joint_pos[:, 2]).all()

@@ -1,6 +1,6 @@
 """Hands in metal: the second physics agrees with the closed form and the paper where their assumptions hold, not elsewhere."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from hpac_gym.model.parameters import Friction
 from hpac_gym.model.settled import EXTENSION, settled_joints_from_servo, with_friction
 from hpac_gym.study import quasistatic
 from hpac_gym.study.quasistatic import Built, Metal, SettleError, follow, hand_course
+from hpac_gym.study.rig import rig_of
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 21)
 STIFF_DRIVE = scaled_hand(HPAC, {"drive_stiffness": 1e4})
@@ -73,6 +74,15 @@ def test_a_servo_that_gives_way_is_a_softer_drive():
     hand = replace(HPAC, digits={**HPAC.digits, "index": softer})
     fingers = [JOINT_INDEX[name] for name in digit.joints]
     assert course(servo_stiffness=20.0)[:, fingers] == pytest.approx(course(hand)[:, fingers], abs=CLOSE)
+
+
+def test_a_hand_in_metal_is_the_same_hand_in_an_engine():
+    """EA/L in both segments and a servo that gives way become a longer path and a softer drive of the engine's hand."""
+    metal = Metal(first_segment=1.0, servo_stiffness=20.0, servo_zero=0.01)
+    rig = rig_of(Built(HPAC, (metal,) * 5))
+    found = settled_joints_from_servo(SERVO + np.array(rig.servo_zero), rig.hand)
+    assert swept(course(**asdict(metal))) == pytest.approx(swept(found), abs=CLOSE)
+    assert np.degrees(np.abs(swept(found - settled_joints_from_servo(SERVO))).max()) > 1
 
 
 def test_the_work_of_servo_and_springs_balances_without_friction():

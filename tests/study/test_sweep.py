@@ -9,6 +9,7 @@ import pytest
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, scaled_hand
+from hpac_gym.study import processing
 from hpac_gym.study import sweep as command
 from hpac_gym.study.accuracy import (
     EVALUATED,
@@ -185,14 +186,21 @@ def test_the_command_evaluates_a_record_and_prints_one_object(evaluation, errors
         assert "sweep.csv against H-PAC" in (out / f"{stem}.svg").read_text()
 
 
-def test_holes_in_a_record_cost_those_samples_only(evaluation, errors):
-    """Empty cells and 2 % dropped frames change no mean error by more than 0.02°."""
+def test_holes_and_mistaken_markers_in_a_record_cost_those_samples_only(evaluation, errors, monkeypatch):
+    """Empty cells, 2 % dropped frames and 5 % mistaken markers change no mean error by more than 0.05°; unless they are kept."""
     rng = np.random.default_rng(0)
     holes = evaluation.joint_pos.copy()
     holes[rng.random(holes.shape) < 0.005] = np.nan
     seen = evaluate(evaluation.with_joint_pos(holes)[rng.random(len(evaluation)) > 0.02])
+    marked = evaluation.joint_pos.copy()
+    mistaken = rng.random(marked.shape) < 0.05
+    marked[mistaken] = rng.uniform(0.0, 1.5, mistaken.sum())
+    spoiled = evaluation.with_joint_pos(marked)
     for kind in ("uncompensated", "compensated"):
         assert seen.mae_deg[kind] == pytest.approx(errors.mae_deg[kind], abs=0.02)
+        assert evaluate(spoiled).mae_deg[kind] == pytest.approx(errors.mae_deg[kind], abs=0.05)
+    monkeypatch.setattr(processing, "LEAST_FAR", np.inf)
+    assert max(evaluate(spoiled).mae_deg["compensated"].values()) > 0.5
 
 
 def test_the_residual_figure_shows_every_point_or_says_how_many_it_does_not(evaluation):
