@@ -6,6 +6,9 @@ and friction, and predict for each phase whether a closure that reached it survi
 at the end of the closing, such as joint angles, contact forces and object position, which says more about a trial than its
 outcome alone. The actor observes only what a real hand has. It samples closures from a distribution that it shifts towards
 predicted success; the width of the distribution is controlled by a target entropy, which falls during the training.
+
+Where random closures hardly ever succeed, the first trials are drawn about the task's script, and the actor first imitates
+those that succeeded.
 """
 
 from __future__ import annotations
@@ -24,19 +27,32 @@ from torch.nn import functional
 
 from agents.errors import RunError
 from agents.recipes import Recipe
-from hpac_gym.envs import GraspAny, GraspAnyConfig, PickPlace, grasp_task
+from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, PickPlace, grasp_task
 from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE, checked_options
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, checked_options
+from hpac_gym.evaluation.closures import decision_of
+from hpac_gym.model import action_from_synergy
 from hpac_gym.policies import Actor, Closures
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 from hpac_gym.tasks.phases import Timetable
+from hpac_gym.tasks.scripted import CLOSE_TIME
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+from hpac_gym.tasks.terms import Layout
 
 SHORT = GraspAnyConfig(
     timetable=Timetable(close_time=1.6, clearance=Timetable().lift_height), side_time=1 / CONTROL_HZ, ramp_time=1 / CONTROL_HZ
 )
 """HPAC-GraspAny-v0 without the time that a single closure does not use, and without the phases after success."""
-TASKS = {GRASP: grasp_task, GRASP_ANY: partial(GraspAny, config=SHORT), PICK_PLACE: PickPlace}
+TASKS = {
+    GRASP: grasp_task,
+    GRASP_ANY: partial(GraspAny, config=SHORT),
+    GRASP_TYPE: partial(GraspByType, types="train"),
+    PICK_PLACE: PickPlace,
+}
 """Task constructors for training, by id."""
+TYPE = Layout(GraspByType().terms, 1).slices["type"]
+"""Entries of an observation of HPAC-GraspType-v0 with the type's name. The networks do not see them: the rest of the observation
+contains the type's rule, which also describes unseen types."""
 MEAN_CLIP = 4.0
 """Bound of the actor's output before tanh."""
 LOG_STD = (-4.0, 0.5)
@@ -46,6 +62,10 @@ DRAWS = 4
 """Maximal number of draws of an episode until the learner accepts it."""
 SURE = 0.7
 """Predicted success above which a trial may be rejected."""
+MOST = 0.98
+"""Bound of the first decisions about a script, where the actor's tanh can imitate them."""
+UNSEEN = 1e9
+"""Scale of an entry that the networks do not see."""
 SMALLEST_SCALE = 0.05
 """Lower bound of the scale of an observation entry; in their units, entries are of order one."""
 
@@ -230,11 +250,11 @@ class Spread(nn.Module):
             for head in (self.mean, self.log_std):
                 head.weight *= 0.1
 
-    def forward(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """A sampled decision, shape (n, m), and its log-density, shape (n,)."""
+    def forward(self, seen: Tensor, decisions: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Decisions, shape (n, m), sampled unless they are given, and their log-density, shape (n,)."""
         value = self.body(seen)
         mean, log_std = self.mean(value).clamp(-MEAN_CLIP, MEAN_CLIP), self.log_std(value).clamp(*LOG_STD)
-        noise = torch.randn_like(mean)
+        noise = torch.randn_like(mean) if decisions is None else (torch.atanh(decisions) - mean) / log_std.exp()
         raw = mean + log_std.exp() * noise
         # A numerically stable form of log(1 − tanh²) for large arguments.
         squash = 2 * (np.log(2) - raw - functional.softplus(-2 * raw))
@@ -278,6 +298,10 @@ class Learner:
 
     def decide(self, seen: np.ndarray) -> np.ndarray:
         """Decisions to try, shape (n, m), for first observations, shape (n, observed); random before the first update."""
+        if self.updates == 0 and self._recipe.spread:
+            widths = self._recipe.spread * 10.0 ** self._rng.uniform(-1, 0, (len(seen), 1))
+            drawn = scripted_decisions(self._recipe.closures, seen)
+            return np.clip(drawn + widths * self._rng.standard_normal(drawn.shape), -MOST, MOST)
         if self.updates == 0:
             return self._rng.uniform(-1.0, 1.0, (len(seen), self.trials.decisions.shape[1]))
         with torch.no_grad():
@@ -308,6 +332,8 @@ class Learner:
         if self.updates == 0:
             self.mean, self.scale = np.float32(mean_and_scale(trials.seen[: trials.count]))
             self.mean_came_to, self.scale_came_to = np.float32(mean_and_scale(trials.came_to[: trials.count]))
+            if recipe.env_id == GRASP_TYPE:
+                self.scale[TYPE] = UNSEEN
         for name in ("critics", "actor"):
             for group in self.optimizers[name].param_groups:
                 group["lr"] = recipe.learning_rate * max(0.05, 1.0 - share)
@@ -329,6 +355,17 @@ class Learner:
         losses = reached * functional.binary_cross_entropy_with_logits(odds, through, reduction="none")
         truth = torch.from_numpy(scaled(trials.came_to[rows], self.mean_came_to, self.scale_came_to))
         self._descend("critics", losses.sum(-1).mean() + recipe.aftermath * functional.mse_loss(came_to, truth))
+
+        if recipe.spread and self.updates < recipe.random_episodes * recipe.updates_per_episode:
+            won = np.flatnonzero(trials.survived[: trials.count] == len(self._phases))
+            if not len(won):
+                raise RunError(f"none of the first {trials.count:,} trials held: a lower spread than {recipe.spread:g} may help")
+            rows = self._rng.choice(won, recipe.batch_size)
+            seen, decisions = self._scaled(trials.seen[rows]), torch.from_numpy(trials.decisions[rows])
+            log_density = self.actor(seen[:, : self._deployed], decisions)[1].mean()
+            self.entropy = -log_density.item() / decisions.shape[1]
+            self._descend("actor", -log_density)
+            return
 
         self.critics.requires_grad_(False)  # only the actor is updated by their gradient
         seen = seen[0, : recipe.actor_batch_size]
@@ -379,6 +416,15 @@ class Learner:
             layers=tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers),
             mean_clip=MEAN_CLIP,
         )
+
+
+def scripted_decisions(closures: Closures, seen: np.ndarray) -> np.ndarray:
+    """Decisions for the closures of `ScriptedGraspType`, shape (n, m), on first observations of HPAC-GraspType-v0."""
+    values = []
+    for start in (kind.start for kind in GRASP_TYPES.values()):
+        goals, preshape = map(action_from_synergy, (start.closed, start.preshape))
+        values.append(np.concatenate([goals, (CLOSE_TIME * CONTROL_HZ, 0.0), wrist_choice(start), preshape]))
+    return decision_of(closures, values)[seen[:, TYPE].argmax(axis=1)]
 
 
 def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

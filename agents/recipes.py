@@ -8,7 +8,7 @@ from math import inf
 from typing import Any, get_type_hints
 
 from agents.errors import RecipeError
-from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
@@ -30,7 +30,7 @@ class Recipe:
         RecipeError: A setting is out of bounds or not one of its choices.
     """
 
-    env_id: str = _choice(GRASP, "environment", (GRASP, GRASP_ANY, PICK_PLACE))
+    env_id: str = _choice(GRASP, "environment", (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE))
     set_ups: tuple[str, ...] = _choice(
         ("mujoco/twin",), "comma-separated engines and bodies, with equal shares of the worlds", SET_UPS
     )
@@ -40,6 +40,8 @@ class Recipe:
     seed: int = _setting(0, "seed of the run", 0, 2**31 - 1)
     num_envs: int = _setting(128, "number of parallel worlds", 1, 65_536)
     random_episodes: int = _setting(2_500, "trials of random closures before the first update", 1)
+    spread: float = _setting(0.0, "largest standard deviation of the first trials about the script, whose successes the actor "
+                             "imitates; 0: uniformly random closures, without imitation", 0, 1)  # fmt: skip
     updates_per_episode: float = _setting(0.15, "updates per trial", 1e-4, 100)
     batch_size: int = _setting(256, "batch size of each critic's update, in trials", 1, 65_536)
     actor_batch_size: int = _setting(128, "batch size of the actor's update, at most that of the critics", 1, 65_536)
@@ -66,6 +68,8 @@ class Recipe:
                 low, high = entry.metadata.get("bounds", (-inf, inf))
                 if "bounds" in entry.metadata and not low <= part <= high:
                     raise RecipeError(f"{entry.name} is {part}: it must lie in {low:g}…{high:g}")
+        if self.spread and self.env_id != GRASP_TYPE:
+            raise RecipeError(f"spread is {self.spread:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}")
         if not self.hidden or not self.set_ups:
             raise RecipeError("hidden and set_ups need at least one entry each")
         if self.num_envs < len(self.set_ups):
@@ -80,12 +84,18 @@ class Recipe:
     @property
     def closures(self) -> Closures:
         """The family of closures of the recipe."""
+        if self.env_id == GRASP_TYPE:
+            return Closures(goal=(-1, 1), wrist=(-1, 1))
         return Closures(begin=self.begin or None, release=self.release or None)
 
 
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
+    "grasp-type": Recipe(
+        env_id=GRASP_TYPE, episodes=12_000, random_episodes=2_500, spread=0.1, updates_per_episode=0.3,
+        entropy_first=-1.0, entropy_last=-2.0,
+    ),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
 }
 _KINDS = {"int": "a whole number", "float": "a number", "tuple[int, ...]": "comma-separated whole numbers",

@@ -1,7 +1,8 @@
-"""Closures: ways to close the hand, parametrised by eight numbers. One decision per episode instead of sixty.
+"""Closures: ways to close the hand, parametrised by eight numbers or more. One decision per episode instead of sixty.
 
 A closure moves every digit from open to a goal within a given duration, the thumb earlier or later than the fingers, at a
-constant CMC angle. It needs only numpy, so that a host with a real hand runs one without a simulator.
+constant CMC angle. With a free wrist it also has a wrist pose, and begins at a preshape instead of the open hand. It needs only
+numpy, so that a host with a real hand runs one without a simulator.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ OPEN = -1.0
 """Action that opens a digit."""
 _THUMB, _CMC = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
 _NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
+_WRIST = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
+_PRESHAPE = tuple(f"{servo}_preshape" for servo in SERVOS)
 
 Range = tuple[float, float]
 
@@ -41,6 +44,9 @@ class Closures:
     """Start of the closing; None means immediately."""
     release: Range | None = None
     """Time at which the hand opens again; None means never. Given if and only if `begin` is given."""
+    wrist: Range | None = None
+    """Each number of a free wrist's pose. If given, the first action of a closure is its preshape, in the range of `goal`, from
+    which all servos move to their goals; None means that the action has no wrist pose."""
 
     def __post_init__(self) -> None:
         if (self.begin is None) != (self.release is None):
@@ -71,13 +77,15 @@ class Closures:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the closure's numbers, in order."""
-        return (*_NAMES, "begin", "release") if self.begin is not None else _NAMES
+        times = ("begin", "release") if self.begin is not None else ()
+        return _NAMES + times + (_WRIST + _PRESHAPE if self.wrist is not None else ())
 
     @property
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest value of each number, shape (2, len(names))."""
         ranges = [self.goal] * len(SERVOS) + [self.duration, self.thumb_delay]
         ranges += [self.begin, self.release] if self.begin is not None else []
+        ranges += [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS) if self.wrist is not None else []
         return np.array(ranges).T
 
     def actions(self, decisions: ArrayLike, steps: ArrayLike) -> NDArray[np.float64]:
@@ -88,16 +96,19 @@ class Closures:
             steps: control steps since each decision, shape (n,).
 
         Returns:
-            Shape (n, 6), −1…1.
+            Shape (n, 6), −1…1; with a wrist pose, shape (n, 12).
         """
         low, high = self.bounds
         values = low + (np.asarray(decisions, dtype=float) + 1) / 2 * (high - low)
-        goals, (duration, thumb_delay) = values[:, :6], values[:, 6:8].T
-        begin, release = values[:, 8:].T if self.begin is not None else (0.0, np.inf)
+        goals, (duration, thumb_delay), more = values[:, :6], values[:, 6:8].T, values[:, 8:]
+        begin, release = more[:, :2].T if self.begin is not None else (0.0, np.inf)
+        wrist, start = np.zeros((len(values), 0)), np.full(goals.shape, OPEN)
+        start[:, _CMC] = goals[:, _CMC]
+        if self.wrist is not None:
+            begin = begin + 1  # the first action is the preshape itself
+            wrist, start = np.split(more[:, -len(_WRIST + _PRESHAPE) :], [len(_WRIST)], axis=1)
         time = np.asarray(steps, dtype=float)
         delay = np.repeat(np.maximum(-thumb_delay, 0.0)[:, None], len(SERVOS), axis=1)
         delay[:, _THUMB] = np.maximum(thumb_delay, 0.0)
         share = np.clip(((time + 1 - begin)[:, None] - delay) / duration[:, None], 0.0, 1.0)
-        actions = OPEN + share * (time <= release)[:, None] * (goals - OPEN)
-        actions[:, _CMC] = goals[:, _CMC]
-        return actions
+        return np.hstack([start + share * (time <= release)[:, None] * (goals - start), wrist])

@@ -18,7 +18,7 @@ class Policy(Protocol):
         """Start a new episode; ``seed`` is its seed."""
 
     def act(self, observation: np.ndarray) -> np.ndarray:
-        """The action for an observation, shape (6,), −1…1."""
+        """The action for an observation, shape (6,), −1…1; shape (12,) with a free wrist."""
 
 
 class LearnedPolicy:

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.model import SERVOS
 from hpac_gym.output import replacing
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.errors import PolicyError
@@ -89,7 +88,7 @@ class PolicyFile:
     def sizes(self) -> tuple[int, int]:
         """Numbers of observed values and of action values."""
         observed, decided = self.actor.sizes
-        return observed, decided if self.closures is None else len(SERVOS)
+        return observed, decided if self.closures is None else self.closures.actions(np.zeros((1, decided)), [0]).shape[1]
 
 
 def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from agents.closures import Learner
+from agents.closures import TYPE, Learner, scripted_decisions
 from agents.errors import RunError
 from agents.recipes import RECIPES, with_settings
+from hpac_gym.envs import GraspByType
+from hpac_gym.tasks.scripted import ScriptedGraspType
 
 SEEN = 6
 HIDDEN = 8
@@ -94,3 +96,48 @@ def test_a_training_that_diverges_ends_in_one_line(taught):
     learner.updates -= 1
     with pytest.raises(RunError, match="diverged before trial 1800: its last checkpoint is kept"):
         learner.learn(1.0)
+
+
+TYPES = 16
+TOLD = 78
+"""Size of a *deploy* observation of HPAC-GraspType-v0."""
+
+
+def asked_for(kinds: np.ndarray) -> np.ndarray:
+    """Observations that contain the name of a type, and its number in binary as its only other description."""
+    seen = np.zeros((len(kinds), TOLD + HIDDEN), np.float32)
+    seen[:, TYPE] = np.eye(TYPES)[kinds]
+    seen[:, :4] = kinds[:, None] >> np.arange(4) & 1
+    return seen
+
+
+def test_scripted_decisions_are_the_closures_of_the_script():
+    script, seen, closures = ScriptedGraspType(GraspByType()), asked_for(np.arange(TYPES)), RECIPES["grasp-type"].closures
+    for row, decision in zip(seen, scripted_decisions(closures, seen), strict=True):
+        script.reset()
+        acted = [script.act(row[:TOLD]) for _ in range(40)]
+        np.testing.assert_allclose(closures.actions(np.tile(decision, (40, 1)), np.arange(40)), acted, atol=1e-6)
+
+
+def test_the_actor_imitates_first_trials_about_the_script_that_succeeded_and_is_not_told_the_type_s_name():
+    """A trial succeeds if its wrist is farther than the script's, in one half of the cases."""
+    settings = {"hidden": "64", "random_episodes": "600", "episodes": "600", "batch_size": "128", "learning_rate": "5e-3"}
+    recipe = with_settings(RECIPES["grasp-type"], settings | {"updates_per_episode": "0.5"})
+    learner, rng = Learner(recipe, TOLD + HIDDEN, TOLD, phases=1), np.random.default_rng(0)
+    seen = asked_for(rng.integers(TYPES, size=600))
+    script, tried = scripted_decisions(recipe.closures, seen), learner.decide(seen)
+    assert 0.02 < np.abs(tried - script).mean() < 0.06
+    won = tried[:, 8] > script[:, 8]
+    lost = copy.deepcopy(learner)
+    lost.trials.add(seen, tried, np.zeros(600, int), np.zeros((600, HIDDEN)))
+    with pytest.raises(RunError, match=r"none of the first 600 trials held: a lower spread than 0\.1 may help"):
+        lost.learn(0.0)
+    learner.trials.add(seen, tried, won.astype(int), np.zeros((600, HIDDEN)))
+    learner.learn(0.0)
+    policy, rows = learner.policy(), asked_for(np.arange(TYPES))[:, :TOLD]
+    missed = np.array([policy(row) for row in rows]) - scripted_decisions(recipe.closures, rows)
+    assert missed[:, 8].mean() > 0.01 > abs(missed[:, 9].mean())
+    assert np.abs(missed).mean() < 0.1, "0.4 to the script of another type, on average"
+    renamed = rows.copy()
+    renamed[:, TYPE] = rows[::-1, TYPE]
+    np.testing.assert_allclose([policy(row) for row in renamed], [policy(row) for row in rows], atol=1e-6)

@@ -61,6 +61,11 @@ def test_a_resumed_training_starts_from_other_seeds():
     assert len({training_seed(0, steps, 4) for steps in range(0, 100_000, 1000)}) > 90
 
 
+def test_only_a_task_with_a_script_has_first_trials_about_it():
+    with pytest.raises(RecipeError, match=r"spread is 0\.1: only HPAC-GraspType-v0 has a script for it, not HPAC-Grasp-v0"):
+        replace(GRASP, spread=0.1)
+
+
 def test_a_recipe_with_a_bad_number_cannot_be_made():
     with pytest.raises(RecipeError, match="doubt"):
         replace(GRASP, doubt=-1.0)

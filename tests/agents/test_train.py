@@ -60,6 +60,14 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     assert judged.summary()["policies"]["learned"]["episodes"] == 2
 
 
+def test_a_policy_of_grasp_types_is_trained_and_judged(tmp_path, monkeypatch):
+    train_here(monkeypatch, "grasp-type", "--out", tmp_path, "--episodes", 12, *SMALL, "--spread", 0.01)
+    policy = tmp_path / "policy.zip"
+    assert read_policy(policy).sizes == (78, 12)
+    judged = evaluate([str(policy)], "HPAC-GraspType-v0", 2, options={"engine": "mujoco", "types": "test"})
+    assert len(judged.episodes["learned"]) == 2
+
+
 def test_the_same_seed_trains_the_same_policy(trained, tmp_path, monkeypatch):
     train_here(monkeypatch, "grasp", "--out", tmp_path / "again", "--episodes", 16, "--seed", 3, *SMALL)
     assert read_policy(tmp_path / "again" / "policy.zip").about["sha256"] == read_policy(trained / "policy.zip").about["sha256"]

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from agents.evaluate import evaluate
 from hpac_gym.envs import scripted_closure
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import HpacError, ParameterError, ShapeError, WorkspaceError
@@ -23,6 +24,7 @@ from tests.envs.episodes import a_setup, run
 from tools.tables import DOCS
 
 ID = "HPAC-GraspType-v0"
+ONE_CLOSURE = "hpac_gym.policies.baselines:one_closure:rod"
 ENGINES = [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"]
 
 
@@ -244,3 +246,59 @@ def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monk
     assert infos[-1]["is_success"]
     times = env.unwrapped.task.timetable.ends
     assert len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3  # the last one is of the grasp's quality
+
+
+class Behaviour:
+    """An action at each step, made of the script's actions of the episode."""
+
+    def __init__(self, env: gymnasium.Env, name: str) -> None:
+        self.script, self.behaves = scripted_closure(env.unwrapped.task), BEHAVIOURS[name]
+
+    def reset(self, seed: int) -> None:
+        self.script.reset()
+        self.path = None
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        if self.path is None:
+            self.step, self.path = -1, [self.script.act(observation) for _ in range(64)]
+        self.step += 1
+        return np.asarray(self.behaves(self.path, self.step), np.float32)
+
+
+BEHAVIOURS = {
+    "keeps its preshape": lambda path, step: path[0],
+    "arrives open and stays open": lambda path, step: [*[-1.0] * 6, *path[0][6:]],
+    "closes every digit fully": lambda path, step: path[0] if step == 0 else np.ones(12),
+    "closes without the thumb": lambda path, step: [path[0][0], *path[step][1:5], *path[0][5:]],
+    "closes by half": lambda path, step: path[min(step, 8)],
+    "closes after the lift has begun": lambda path, step: path[max(step - 26, 0)],
+    "opens before the lift": lambda path, step: path[step if step < 22 else 0],
+    "opens after the shake": lambda path, step: path[step if step < 54 else 0],
+    "opens and closes every second": lambda path, step: path[round(8 - 8 * np.cos(2 * np.pi * step / 20))],
+    "trembles": lambda path, step: path[step if step < 16 else 16 - 6 * (step % 2)],
+    "stays 3 cm away": lambda path, step: np.minimum(path[step] + 0.03 / WRIST_REACH * (np.arange(12) == 6), 1),
+    "arrives in the object": lambda path, step: np.maximum(path[step] - 0.5 * (np.arange(12) == 6), -1),
+}
+"""Action at a step, made of the script's actions of the episode."""
+
+
+@pytest.fixture(scope="module")
+def honest():
+    return paid_for("scripted")
+
+
+def paid_for(policy: str) -> tuple[np.ndarray, np.ndarray]:
+    """Returns and successes of 48 training episodes of a policy, which are printed as a row of the page's table."""
+    (episodes,) = evaluate([policy], ID, 48, seed_start=0, options={"engine": "mujoco"}).episodes.values()
+    paid, won = (np.array([getattr(one, name) for one in episodes]) for name in ("total_reward", "success"))
+    ends = paid[~won].max(initial=-np.inf), paid[won].min(initial=np.inf)
+    print("", policy.rpartition(":")[2], f"{paid.mean():.1f}", won.sum(), *(f"{end:.1f}" for end in ends), "", sep=" | ")
+    return paid, won
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", [*(f"{__name__}:Behaviour:{name}" for name in BEHAVIOURS), ONE_CLOSURE])
+def test_no_behaviour_is_paid_as_well_as_the_script_and_no_failure_as_well_as_a_success(policy, honest):
+    paid, won = paid_for(policy)
+    assert paid.mean() < honest[0].mean() - 1
+    assert paid[~won].max() < min(paid[won].min(initial=np.inf), honest[0][honest[1]].min())

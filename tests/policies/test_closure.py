@@ -8,6 +8,7 @@ import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.model import SERVO_INDEX
 from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
 from hpac_gym.policies.made_for import difference, made_for
+from hpac_gym.tasks.grasp_types import WRIST_ACTIONS
 
 CMC, THUMB = SERVO_INDEX["thumb_cmc"], SERVO_INDEX["thumb_mp"]
 RNG = np.random.default_rng(0)
@@ -48,6 +49,18 @@ def test_a_closure_with_a_release_begins_and_lets_go_when_it_is_told():
     assert np.all(digits[:18] == -1)
     assert np.all(digits[36:41] > 0)
     assert np.all(digits[41:] == -1)
+
+
+def test_a_closure_with_a_wrist_pose_goes_from_its_preshape_to_its_goals():
+    closures = Closures(goal=(-1, 1), thumb_delay=(0, 0), wrist=(-1, 1))
+    assert closures.names[8:14] == WRIST_ACTIONS
+    for decision in RNG.uniform(-1, 1, (20, 20)):
+        actions = way(closures, decision)
+        np.testing.assert_allclose(actions[0], [*decision[14:], *decision[8:14]])
+        np.testing.assert_allclose(actions[23:], np.tile([*decision[:6], *decision[8:14]], (41, 1)))
+        assert np.abs(actions[1, :6] - actions[0, :6]).max() > 0
+    timed = Closures(wrist=(-1, 1), begin=(6, 18), release=(40, 50))
+    assert timed.actions(np.zeros((3, len(timed.names))), [0, 20, 60]).shape == (3, 12)
 
 
 def test_all_worlds_at_once_are_what_each_is_alone():
