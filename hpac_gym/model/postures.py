@@ -19,7 +19,8 @@ from hpac_gym.model.command import servo_from_joints
 from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import FINGERS, JOINT_INDEX, JOINTS
-from hpac_gym.model.parameters import Hand
+from hpac_gym.model.parameters import Calibration, Hand
+from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_joints
 from hpac_gym.model.workspace import clip_to_workspace
 
 _PARTS = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
@@ -91,6 +92,8 @@ def posture(name: str) -> Posture:
 def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
     """Reachable posture nearest to a target: clipped by Eq. (14), then projected onto the elastic manifold by Eq. (15).
 
+    A calibrated hand is commanded by `settled_servo_from_joints` instead, in flexion, as from the open hand.
+
     Args:
         target_joint_pos: q_d, shape (15,) [rad].
         hand: the parameters.
@@ -99,6 +102,10 @@ def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
         ShapeError: Wrong shape, NaN or infinity.
     """
     target = as_finite_vector(target_joint_pos, len(JOINTS), "target_joint_pos")
-    servo = servo_from_joints(clip_to_workspace(target, hand), hand)
-    joint_pos = elastic_joints_from_servo(servo, hand)
+    calibrated = hand.calibration != Calibration()
+    inverse, forward = (
+        (settled_servo_from_joints, settled_joints_from_servo) if calibrated else (servo_from_joints, elastic_joints_from_servo)
+    )
+    servo = inverse(clip_to_workspace(target, hand), hand)
+    joint_pos = forward(servo, hand)
     return Reach(joint_pos, servo, float(np.linalg.norm(target - joint_pos)))

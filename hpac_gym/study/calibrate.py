@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_joints_from_servo, hand_to_toml, load_hand
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, hand_to_toml, load_hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 from hpac_gym.output import markdown, write_text
@@ -78,21 +77,12 @@ class FileError:
 
     mean_abs_deg: float
     max_deg: float
-    papers_map_deg: float
-    """Mean absolute error of Eqs. (5), (12) with the file's numbers, without drive stretch, zero and friction."""
     noise_deg: float
     """Standard deviation of one camera sample."""
     points: int
 
 
-def papers_map(servo: Array, hand: Hand, direction: float) -> Array:
-    """Joint angles of Eqs. (5), (12), with the arguments of `settled_joints_from_servo`."""
-    return elastic_joints_from_servo(np.clip(servo, hand.servo_min, hand.servo_max), hand)
-
-
-def residuals(
-    found: Identification, hand: Hand, model: Callable = settled_joints_from_servo
-) -> dict[str, tuple[DigitSamples, Array]]:
+def residuals(found: Identification, hand: Hand) -> dict[str, tuple[DigitSamples, Array]]:
     """Measured minus predicted angles by joint: the digit's samples and the residuals (k,) [rad]."""
     table = {}
     for column, samples in found.samples.items():
@@ -100,7 +90,7 @@ def residuals(
         servo[:, column] = samples.servo
         for direction in (FLEXION, EXTENSION):
             rows = samples.direction == direction
-            predicted[rows] = model(servo[rows], hand, direction)
+            predicted[rows] = settled_joints_from_servo(servo[rows], hand, direction)
         rest = samples.joint_pos - predicted[:, [JOINT_INDEX[joint] for joint in samples.joints]]
         table |= {joint: (samples, rest[:, i]) for i, joint in enumerate(samples.joints) if joint not in samples.missing}
     return {name: table[name] for name in JOINTS if name in table}
@@ -108,13 +98,12 @@ def residuals(
 
 def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
     """Errors at the held-out points, by joint."""
-    table, by_papers = {}, residuals(found, written, papers_map)
+    table = {}
     for name, (samples, rest) in residuals(found, written).items():
         rows = held_out_rows(samples) & ~np.isnan(rest)
         if rows.any():
-            off, papers_off = (np.degrees(np.abs(values[rows])) for values in (rest, by_papers[name][1]))
-            noise = np.degrees(samples.noise[samples.joints.index(name)])
-            table[name] = FileError(*map(float, (off.mean(), off.max(), papers_off.mean(), noise)), int(rows.sum()))
+            off, noise = np.degrees(np.abs(rest[rows])), np.degrees(samples.noise[samples.joints.index(name)])
+            table[name] = FileError(*map(float, (off.mean(), off.max(), noise)), int(rows.sum()))
     return table
 
 
@@ -153,7 +142,7 @@ def report(found: Identification, base: Hand, errors: dict[str, FileError], rema
     lines = [f"# Calibration about {base.name}", ""]
     if worst:
         mean = np.mean([error.mean_abs_deg for error in errors.values()])
-        told = ("file, mean error [°]", "largest", "paper's map with the file's numbers", "camera noise", "points held out")
+        told = ("file, mean error [°]", "largest", "camera noise", "points held out")
         cells = {name: (*(f"{value:.3f}" for value in astuple(error)[:-1]), error.points) for name, error in errors.items()}
         lines += [
             f"The error of the written file at the held-out points is {mean:.3f}° on average and "

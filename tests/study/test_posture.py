@@ -2,13 +2,16 @@
 
 import argparse
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hpac_gym.body.geometry import link_poses, load_geometry
-from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture
+from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture, reach
+from hpac_gym.model.parameters import Calibration, Friction
 from hpac_gym.study import posture as posture_command
+from hpac_gym.study.quasistatic import Built, Metal, hand_course
 
 GEOMETRY = load_geometry()
 
@@ -67,6 +70,21 @@ def test_json_of_one_and_of_all(capsys):
     assert found["distance_rad"] == pytest.approx(0, abs=1e-12)
     assert run("list", "--json") == 0
     assert list(json.loads(capsys.readouterr().out)) == list(POSTURES)
+
+
+def test_a_calibrated_hand_is_commanded_with_what_was_learned():
+    """A hand in metal, its zeros and friction known, takes the posture that is promised; with the paper's map it does not."""
+    friction = Friction(1e-3, 0.03)
+    metal = Metal(servo_zero=0.03, joint_friction=friction.joint, tendon_friction=friction.tendon)
+    built = Built(HPAC, (metal,) * 5)
+    calibrated = replace(HPAC, calibration=Calibration((*(0.03,) * 5, 0.0), (friction,) * 5))
+    off = []
+    for hand in (calibrated, HPAC):
+        taken = reach(posture("fist").target_joint_pos, hand)
+        reached = hand_course([built], np.linspace(0.0, 1.0, 12)[:, None] * taken.servo)[0, -1]
+        off.append(np.degrees(np.abs(reached - taken.joint_pos)[posture("fist").target_joint_pos > 0.1]))
+    assert off[0].max() < 0.05
+    assert off[1][:-1].min() > 0.5  # all but the CMC, whose servo is exact
 
 
 def test_a_posture_is_sent_to_the_port_that_is_named():
