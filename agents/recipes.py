@@ -91,6 +91,7 @@ class Recipe:
 
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
+    "grasp-robust": Recipe(set_ups=("mujoco/twin", "mujoco/light", "pybullet/twin"), randomize="full"),
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
     "grasp-type": Recipe(
         env_id=GRASP_TYPE, episodes=12_000, random_episodes=2_500, spread=0.1, updates_per_episode=0.3,
