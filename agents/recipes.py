@@ -94,7 +94,7 @@ RECIPES: Mapping[str, Recipe] = {
     "grasp-robust": Recipe(set_ups=("mujoco/twin", "mujoco/light", "pybullet/twin"), randomize="full"),
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
     "grasp-type": Recipe(
-        env_id=GRASP_TYPE, episodes=12_000, random_episodes=2_500, spread=0.1, updates_per_episode=0.3,
+        env_id=GRASP_TYPE, episodes=8_000, random_episodes=1_500, spread=0.1, updates_per_episode=0.5,
         entropy_first=-1.0, entropy_last=-2.0,
     ),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
