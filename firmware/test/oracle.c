@@ -520,6 +520,7 @@ static void advance(oracle_t *o, uint64_t now_us)
         enter_fault(o, BY_SUPPLY, NOBODY);
     }
     start_servos(o);
+    o->in_doubt = o->in_doubt || (o->relaxing && o->ramp.duration_us < DOUBT_US); /* in the hand there may be no way left */
     if (o->relaxing && !moving(o)) {
         detach(o);
     } else if (o->hold_left_us > 0) {

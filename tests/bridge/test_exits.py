@@ -169,6 +169,24 @@ def test_a_signal_that_waited_for_the_end_is_delivered_then(virtual_hand):
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
+def test_a_second_ctrl_c_repeats_the_first_for_a_second(virtual_hand, monkeypatch):
+    clock = [50.0]
+    monkeypatch.setattr("hpac_gym.bridge.interrupts.monotonic", lambda: clock[0])
+
+    def raises(at):
+        clock[0] = at
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            return True
+        return False
+
+    with HandLink(virtual_hand.connect):
+        assert [raises(at) for at in (50.0, 50.99, 51.0, 51.5)] == [True, False, True, False]
+    with HandLink(virtual_hand.connect):
+        assert raises(51.6), "a new link begins anew"
+
+
 def test_a_program_keeps_its_own_signal_handlers(virtual_hand):
     seen = []
     before = signal.signal(signal.SIGTERM, lambda number, _frame: seen.append(number))

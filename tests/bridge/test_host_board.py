@@ -1,5 +1,6 @@
 """HandLink against the firmware as a process: real pseudo-terminal, real clock, pyserial."""
 
+import io
 import os
 import signal
 import subprocess
@@ -132,6 +133,36 @@ def _alive(pid):
         return stat.read().split(")")[-1].split()[0] != "Z"
 
 
+def test_a_board_that_does_not_end_is_killed_after_a_second(monkeypatch):
+    ends = []
+
+    class Stuck:
+        stdout = io.StringIO()
+        terminate, kill = (lambda self: ends.append("terminate")), (lambda self: ends.append("kill"))
+
+        def wait(self, timeout=None):
+            ends.append(timeout)
+            if timeout is not None:
+                raise subprocess.TimeoutExpired("hpac_host", timeout)
+
+    with HostBoard() as board:
+        folder, process = board._folder, board.process
+        board.process = Stuck()
+        board.__exit__()
+        assert ends == ["terminate", 1.0, "kill", None]
+        assert Stuck.stdout.closed
+        assert not folder.exists()
+        board.process = process
+
+
+def test_a_board_that_says_nothing_is_given_up_after_five_seconds(monkeypatch):
+    waits = []
+    monkeypatch.setattr("hpac_gym.bridge.host_board.select.select", lambda *words: waits.append(words[3]) or ([], [], []))
+    with pytest.raises(PortError, match="did not open a pseudo-terminal"):
+        HostBoard().__enter__()
+    assert waits == [5.0]
+
+
 @pytest.mark.parametrize("port", ["/dev/does_not_exist", "socket://localhost:1", "socket://nonsense"])
 def test_a_wrong_port_is_one_clear_error(port):
     with pytest.raises(PortError, match=port):
@@ -196,8 +227,9 @@ def test_dtr_and_rts_are_low_before_the_port_opens(monkeypatch):
         def reset_input_buffer(self):
             events.append("flush")
 
-    monkeypatch.setattr("hpac_gym.bridge.transport.serial.serial_for_url", lambda *_, **__: FakeSerial())
+    monkeypatch.setattr("hpac_gym.bridge.transport.serial.serial_for_url", lambda *_, **how: events.append(how) or FakeSerial())
     open_transport("/dev/ttyUSB9")
-    before = events[: events.index("open")]
+    how, *before = events[: events.index("open")]
     assert {("dtr", False), ("rts", False), ("exclusive", True), ("baudrate", 460_800)} <= set(before)
+    assert how == {"do_not_open": True, "timeout": 0, "write_timeout": 1.0}
     assert events[-1] == "flush"

@@ -12,10 +12,12 @@ from hpac_gym.bridge import (
     HandLink,
     HandshakeError,
     LinkTimeout,
+    PortError,
     RejectedError,
     StoppedError,
     UnconfirmedWarning,
     connection,
+    line,
 )
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
@@ -254,6 +256,38 @@ def test_a_call_that_does_not_end_is_passed_over(monkeypatch):
     assert time.monotonic() - start >= 0.1
     thread.join()
     assert ends == ["stopped by close()"]
+
+
+def test_who_preempts_insists_every_fiftieth_of_a_second_for_three(monkeypatch):
+    clock, insisted = [0.0], []
+
+    class Held:
+        """A lock that never comes free."""
+
+        def acquire(self, blocking=True, timeout=0.0):
+            clock[0] += timeout
+            return False
+
+    turns = Turns()
+    turns._lock = Held()
+    monkeypatch.setattr(connection, "monotonic", lambda: clock[0])
+    with turns.preempt("estop()", lambda: insisted.append(clock[0])):
+        assert clock[0] == pytest.approx(3.0, abs=0.03)
+    np.testing.assert_allclose(np.diff(insisted), 0.02)
+
+
+def test_reconnecting_is_tried_every_twentieth_of_a_second_for_ten(monkeypatch):
+    clock, pauses = [0.0], []
+
+    def refuse():
+        raise PortError("no such port")
+
+    monkeypatch.setattr(line, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(line, "sleep", lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)))
+    with pytest.raises(PortError, match="no such port"):
+        HandLink(refuse).reconnect()
+    assert set(pauses) == {0.05}
+    assert clock[0] == pytest.approx(10.0, abs=0.06)
 
 
 def test_who_preempts_nobody_stops_nobody():

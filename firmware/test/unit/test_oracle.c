@@ -1,5 +1,5 @@
 /* The oracle against the hand where both know a moment to a few microseconds only: the start of a servo that travels from an
- * angle within a motion. It must neither raise a false alarm there nor overlook a hand that is early or late. */
+ * angle within a motion, the end of a relax. It must neither raise a false alarm there nor overlook a hand that is early or late. */
 #include <string.h>
 
 #include "check.h"
@@ -127,8 +127,24 @@ static void a_start_at_the_wrong_time_is_noticed(uint32_t ms, int wrong_us)
     CHECK((w.oracle.guard.broken[0] == '\0') == (wrong_us == 0));
 }
 
+/* Where the oracle sees a microradian left to rest, which no pulse shows, the hand may see none: its pulses end at once. */
+static void a_relax_at_rest_raises_no_alarm(double off_urad)
+{
+    watched_t w;
+    armed_within_a_motion(&w, 100);
+    run(&w, 5000);
+    w.oracle.ramp.to[0] += off_urad;
+    for (uint32_t ms = 0; ms <= HPAC_WATCHDOG_MAX_MS; ms++) {
+        tick(&w, 1000);
+    }
+    CHECK(w.hand.fault == HPAC_FAULT_WATCHDOG && w.hand.attached == 0u && w.oracle.attached == 0u);
+    CHECK(w.oracle.guard.broken[0] == '\0');
+}
+
 void test_oracle(void)
 {
+    a_relax_at_rest_raises_no_alarm(0);
+    a_relax_at_rest_raises_no_alarm(1);
     for (uint32_t ms = 100; ms < 1300u; ms += 83u) {
         for (int offset_us = -3; offset_us <= 3; offset_us++) {
             frames_about_a_start_raise_no_alarm(ms, offset_us);
