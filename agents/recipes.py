@@ -91,7 +91,6 @@ class Recipe:
 
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
-    "grasp-robust": Recipe(set_ups=("mujoco/twin", "mujoco/light", "pybullet/twin"), randomize="full"),
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
     "grasp-type": Recipe(
         env_id=GRASP_TYPE, episodes=8_000, random_episodes=1_500, spread=0.1, updates_per_episode=0.5,
