@@ -67,6 +67,18 @@ def test_wiggle_moves_each_servo_alone_next_to_its_name(capsys, monkeypatch):
     assert first_moves == sorted(first_moves)
 
 
+@pytest.mark.parametrize(("angle", "move"), [("0.3", 0.8), ("1.2", 1.2)])
+def test_wiggle_takes_its_time(angle, move, monkeypatch):
+    hand = VirtualHand()
+    monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: hand)
+    with HandLink(hand.connect) as link:
+        link.arm()
+        link.clear()
+    begun = hand.now_us
+    assert run("wiggle", "--port", "virtual", "--servo", "index_mcp", "--angle", angle) == 0
+    assert (hand.now_us - begun) * 1e-6 == pytest.approx(0.4 + 2 * (move + 0.2), abs=0.15)  # after the start from rest
+
+
 def test_wiggle_refuses_an_angle_past_the_limits():
     with pytest.raises(WorkspaceError, match=f"at most {min(HPAC.servo_max):.3f} rad"):
         run("wiggle", "--port", "virtual", "--angle", "3")
