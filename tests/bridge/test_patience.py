@@ -181,6 +181,26 @@ def test_sequence_numbers_go_round_without_zero(virtual_hand):
     assert [exchange._frame("status", {"period_ms": 0}, 0).seq for _ in range(3)] == [0xFFFF, 1, 2]
 
 
+@pytest.mark.parametrize(("method", "gone"), [("write", True), ("read", True), ("read", False)])
+def test_a_call_that_is_stopped_says_so_whatever_the_port_does(virtual_hand, method, gone):
+    stopped = []
+
+    def check():
+        if stopped:
+            raise StoppedError("stopped by close()")
+
+    def stop(*_):
+        stopped.append(True)
+        if gone:
+            raise PortError("closed meanwhile")
+        return b""
+
+    transport = virtual_hand.connect()
+    setattr(transport, method, stop)
+    with pytest.raises(StoppedError):
+        Exchange(transport, LinkStatistics(), KnownState(), check).request("estop", timeout=0.0, attempts=1)
+
+
 # --- doctor -----------------------------------------------------------------------------------------------------------
 
 
