@@ -7,8 +7,8 @@ at the end of the closing, such as joint angles, contact forces and object posit
 outcome alone. The actor observes only what a real hand has. It samples closures from a distribution that it shifts towards
 predicted success; the width of the distribution is controlled by a target entropy, which falls during the training.
 
-Where random closures hardly ever succeed, the first trials are drawn about the task's script, and the actor first imitates
-those that succeeded.
+Where random closures hardly ever succeed, the first trials are drawn about the task's script, and the actor maximises the
+likelihood of the trials that succeeded instead; the critics then only choose the episodes.
 """
 
 from __future__ import annotations
@@ -356,7 +356,7 @@ class Learner:
         truth = torch.from_numpy(scaled(trials.came_to[rows], self.mean_came_to, self.scale_came_to))
         self._descend("critics", losses.sum(-1).mean() + recipe.aftermath * functional.mse_loss(came_to, truth))
 
-        if recipe.spread and self.updates < recipe.random_episodes * recipe.updates_per_episode:
+        if recipe.spread:
             won = np.flatnonzero(trials.survived[: trials.count] == len(self._phases))
             if not len(won):
                 raise RunError(f"none of the first {trials.count:,} trials held: a lower spread than {recipe.spread:g} may help")

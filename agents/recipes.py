@@ -41,7 +41,7 @@ class Recipe:
     num_envs: int = _setting(128, "number of parallel worlds", 1, 65_536)
     random_episodes: int = _setting(2_500, "trials of random closures before the first update", 1)
     spread: float = _setting(0.0, "largest standard deviation of the first trials about the script, whose successes the actor "
-                             "imitates; 0: uniformly random closures, without imitation", 0, 1)  # fmt: skip
+                             "imitates; 0: uniformly random closures, and critics instead of imitation", 0, 1)  # fmt: skip
     updates_per_episode: float = _setting(0.15, "updates per trial", 1e-4, 100)
     batch_size: int = _setting(256, "batch size of each critic's update, in trials", 1, 65_536)
     actor_batch_size: int = _setting(128, "batch size of the actor's update, at most that of the critics", 1, 65_536)
@@ -92,10 +92,7 @@ class Recipe:
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
-    "grasp-type": Recipe(
-        env_id=GRASP_TYPE, episodes=8_000, random_episodes=1_500, spread=0.1, updates_per_episode=0.5,
-        entropy_first=-1.0, entropy_last=-2.0,
-    ),
+    "grasp-type": Recipe(env_id=GRASP_TYPE, episodes=3_000, random_episodes=1_000, spread=0.1, updates_per_episode=0.6),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
 }
 _KINDS = {"int": "a whole number", "float": "a number", "tuple[int, ...]": "comma-separated whole numbers",

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import json
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from hpac_gym.bridge import (
     commands,
     servo_from_pulses,
 )
-from hpac_gym.bridge.commands import send_and_hold
+from hpac_gym.bridge.commands import connector, send_and_hold
 from hpac_gym.bridge.doctor import diagnose
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.protocol import MESSAGES
@@ -65,6 +66,18 @@ def test_wiggle_moves_each_servo_alone_next_to_its_name(capsys, monkeypatch):
     assert moved.sum(axis=1).max() == 1
     first_moves = [int(np.argmax(moved[:, i])) for i in range(6)]
     assert first_moves == sorted(first_moves)
+
+
+@pytest.mark.parametrize(("angle", "move"), [("0.3", 0.8), ("1.2", 1.2)])
+def test_wiggle_takes_its_time(angle, move, monkeypatch):
+    hand = VirtualHand()
+    monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: hand)
+    with HandLink(hand.connect) as link:
+        link.arm()
+        link.clear()
+    begun = hand.now_us
+    assert run("wiggle", "--port", "virtual", "--servo", "index_mcp", "--angle", angle) == 0
+    assert (hand.now_us - begun) * 1e-6 == pytest.approx(0.4 + 2 * (move + 0.2), abs=0.15)  # after the start from rest
 
 
 def test_wiggle_refuses_an_angle_past_the_limits():
@@ -221,6 +234,16 @@ def test_an_estop_that_nobody_confirms_says_what_to_do(monkeypatch):
     monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand.connect", lambda self: Device(self, lambda data: b""))
     with pytest.raises(LinkTimeout, match="20 times, not confirmed: switch the servo supply off"):
         run("estop", "--port", "virtual")
+
+
+def test_the_port_host_starts_a_board_for_as_long_as_the_command_runs(capsys):
+    assert run("doctor", "--port", "host") == 0
+    assert "ok  host: hand with firmware" in capsys.readouterr().out
+    with ExitStack() as stack:
+        board = connector("host", HPAC, stack).__self__
+        assert board.process.poll() is None
+    assert board.process.poll() is not None
+    assert connector("/dev/ttyUSB0", HPAC, stack) == "/dev/ttyUSB0"
 
 
 @pytest.mark.parametrize("command", ["wiggle", "doctor", "clear", "estop", "conform"])

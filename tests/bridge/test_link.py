@@ -45,7 +45,7 @@ def streamed(rng, count):
 
 def test_handshake_greets_and_does_not_arm(virtual_hand, link):
     assert link.info.firmware_version == "0.2.0"
-    assert link.info.watchdog == 0.4
+    assert (link.info.watchdog, link.info.boot_count) == (0.4, 1)
     assert link.state == "idle"
     assert not virtual_hand.pulses().any()
 

@@ -134,13 +134,14 @@ def test_arming_asks_every_twentieth_of_a_second(talking, overheard):
 
 def test_waiting_for_a_hand_that_never_stops_ends_a_second_after_its_time(talking, monkeypatch):
     talking.arm()
-    still = talking.status()
-    monkeypatch.setattr(HandLink, "status", lambda self: dataclasses.replace(still, moving=True))
+    still, asked = talking.status(), []
+    monkeypatch.setattr(HandLink, "status", lambda self: asked.append(1) or dataclasses.replace(still, moving=True))
     talking.move(ServoCommand(np.full(6, 0.01), 0.5))
     start = talking._now()
     with pytest.raises(LinkTimeout, match="still moves 1 s after"):
         talking.wait()
     assert talking._now() - start == pytest.approx(1.5, abs=0.02)
+    assert len(asked) == pytest.approx(1000, abs=3)
 
 
 def test_the_counters_of_a_session_are_exact(virtual_hand):
@@ -159,10 +160,45 @@ def test_the_counters_of_a_session_are_exact(virtual_hand):
     link.close()
 
 
+def test_what_is_no_frame_is_counted_when_the_connection_ends(virtual_hand):
+    class Noisy(VirtualTransport):
+        noise = b"boot\0text\0"
+
+        def read(self, timeout):
+            noise, self.noise = self.noise, b""
+            return noise + super().read(timeout)
+
+    link = HandLink(lambda: Noisy(virtual_hand))
+    for times in (1, 2):
+        link.connect()
+        link.close()
+        assert (link.statistics.bad_frames, link.statistics.bad_bytes) == (2 * times, 8 * times)
+
+
 def test_sequence_numbers_go_round_without_zero(virtual_hand):
     exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
     exchange._seq = 0xFFFE
     assert [exchange._frame("status", {"period_ms": 0}, 0).seq for _ in range(3)] == [0xFFFF, 1, 2]
+
+
+@pytest.mark.parametrize(("method", "gone"), [("write", True), ("read", True), ("read", False)])
+def test_a_call_that_is_stopped_says_so_whatever_the_port_does(virtual_hand, method, gone):
+    stopped = []
+
+    def check():
+        if stopped:
+            raise StoppedError("stopped by close()")
+
+    def stop(*_):
+        stopped.append(True)
+        if gone:
+            raise PortError("closed meanwhile")
+        return b""
+
+    transport = virtual_hand.connect()
+    setattr(transport, method, stop)
+    with pytest.raises(StoppedError):
+        Exchange(transport, LinkStatistics(), KnownState(), check).request("estop", timeout=0.0, attempts=1)
 
 
 # --- doctor -----------------------------------------------------------------------------------------------------------
@@ -204,6 +240,15 @@ def test_doctor_takes_nine_in_ten_printable_bytes_for_text(virtual_hand, heard, 
     finding = _unanswered("here", exchange, heard)
     assert what in finding.what
     assert not finding.healthy
+
+
+def test_doctor_keeps_the_last_four_kilobytes(virtual_hand):
+    class Talking(VirtualTransport):
+        def read(self, timeout):
+            super().read(timeout)
+            return b"temperature 23\r\n" * 100
+
+    assert "text instead of frames (4096 bytes, such as 'temperature 23')" in diagnose("here", lambda: Talking(virtual_hand)).what
 
 
 def test_doctor_tells_the_round_trip_in_milliseconds(talking):

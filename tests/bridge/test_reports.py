@@ -19,7 +19,7 @@ from hpac_gym.bridge.generate import vectors
 from hpac_gym.bridge.limits import ServoLimits
 from hpac_gym.bridge.protocol import FLAG_NO_ACK, Fault, Field, Message, Reason, State
 from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
-from hpac_gym.bridge.transport import SocketTransport, _open_advice, open_transport
+from hpac_gym.bridge.transport import SerialTransport, SocketTransport, _open_advice, open_transport
 from hpac_gym.model import SERVOS
 
 EXAMPLES = {name: decode(wire[1:-1]) for name, verdict, wire in vectors() if verdict == "ok"}
@@ -212,6 +212,33 @@ def test_a_port_that_does_not_open_says_what_to_do(error, advice):
 def test_pulses_of_several_hands_name_a_silent_servo():
     with pytest.raises(FrameError, match="no pulses on pinky_mcp"):
         servo_from_pulses([[1500000] * 6, [1500000] * 4 + [0, 1500000]])
+
+
+class FakePort:
+    """A serial port at which some bytes lie."""
+
+    timeout = 0.0
+
+    def __init__(self, lies):
+        self.lies, self.waits = lies, []
+
+    def read(self, size):
+        self.waits.append(self.timeout)
+        taken, self.lies = self.lies[:size], self.lies[size:]
+        return taken
+
+    @property
+    def in_waiting(self):
+        return len(self.lies)
+
+
+@pytest.mark.parametrize("lies", [b"", b"a", b"abc"])
+def test_a_serial_read_waits_for_the_first_byte_and_takes_all_that_lies_there(monkeypatch, lies):
+    transport = object.__new__(SerialTransport)
+    transport._serial = FakePort(lies)
+    assert transport.read(0.5) == lies
+    assert transport._serial.waits[0] == 0.5
+    assert transport._serial.lies == b""
 
 
 # --- values -----------------------------------------------------------------------------------------------------------
