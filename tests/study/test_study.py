@@ -44,6 +44,7 @@ def test_the_turning_points_do_not_count_for_the_width():
     assert trials.hysteresis_width(joint) == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_for():
     """The index in PyBullet against the closed form's two branches, slowly and without noise.
@@ -95,6 +96,7 @@ def test_a_slow_profile_is_tracked_and_a_later_servo_lags_more():
     assert found[0.05] - found[0.0] == pytest.approx(0.05, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_the_camera_in_the_loop_halves_the_error_and_without_learning_it_does_not(monkeypatch):
     def rms() -> float:
@@ -129,16 +131,19 @@ def race() -> rivals.Race:
     return rivals.run_race(rivals.OTHER_METAL, 1, 0, samples=(4, 16))
 
 
+@pytest.mark.slow
 def test_more_samples_help_every_rival_that_can_bend(race):
     for name in ("polynomial", "Gaussian process", "network"):
         assert race.trained[name][16].mean < race.trained[name][4].mean
 
 
+@pytest.mark.slow
 def test_linear_scaling_stays_far_off_whatever_it_is_given(race):
     """The cosine law is no line."""
     assert race.trained["linear scaling"][16].mean > 10 * race.trained["`hpac calibrate`"][16].mean
 
 
+@pytest.mark.slow
 def test_four_points_are_enough_for_fitted_physics_even_where_its_laws_are_wrong(race):
     fitted = race.trained["`hpac calibrate`"][4].mean
     assert fitted < min(race.trained[name][4].mean for name in rivals.RIVALS)
