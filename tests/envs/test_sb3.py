@@ -32,7 +32,7 @@ def actions(steps: int, num_envs: int = 3) -> np.ndarray:
     ("name", "options", "steps"),
     [
         (GRASP, {"randomize": "full"}, 70), (GRASP, {"max_episode_steps": 5}, 12), (POSTURE, {"max_episode_steps": 7}, 16),
-        (GRASP, {"obs": "image", "max_episode_steps": 2}, 3),
+        pytest.param(GRASP, {"obs": "image", "max_episode_steps": 2}, 3, marks=pytest.mark.slow),
     ],
     ids=str,
 )  # fmt: skip

@@ -77,9 +77,9 @@ def test_95_percent_intervals_hold_the_truth_in_90_percent_of_the_digits():
     assert found["worst_deg"] < 0.1
 
 
-@pytest.mark.parametrize("draws", [1, pytest.param(20, marks=pytest.mark.slow)])
-def test_other_laws_than_the_fits_are_still_met_within_the_marks(draws):
-    found = summarised(run_hidden(draws, 5, "other laws"))
+@pytest.mark.slow
+def test_other_laws_than_the_fits_are_still_met_within_the_marks():
+    found = summarised(run_hidden(20, 5, "other laws"))
     assert found["refused"] == 0
     assert found["within"] >= 0.95
     assert not found["coverage"]
@@ -173,6 +173,7 @@ def test_a_stop_is_found_left_out_and_written_into_the_workspace(nominal_record)
     assert not identify(nominal_record[nominal_record.swept == 1]).fits["index"].samples.stops
 
 
+@pytest.mark.slow
 def test_both_directions_tell_friction_that_one_cannot():
     metal = (Metal(joint_friction=2e-3, tendon_friction=0.06),) * 5
     built = [Built(HPAC, metal)]

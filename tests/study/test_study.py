@@ -85,6 +85,7 @@ def test_profiles_have_period_one_and_reach_both_ends():
     assert np.diff(tracking.back_and_forth(ends))[[0, 2]] == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_a_slow_profile_is_tracked_and_a_later_servo_lags_more():
     found = {}

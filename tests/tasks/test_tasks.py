@@ -163,7 +163,12 @@ def test_the_fates_end_as_they_should(kind):
 
 @pytest.mark.parametrize(
     ("kind", "config"),
-    [(Grasp, GraspConfig()), (of_any, GraspAnyConfig()), (of_type, GraspTypeConfig()), (PickPlace, PickPlaceConfig())],
+    [
+        (Grasp, GraspConfig()),
+        pytest.param(of_any, GraspAnyConfig(), marks=pytest.mark.slow),
+        (of_type, GraspTypeConfig()),
+        (PickPlace, PickPlaceConfig()),
+    ],
 )
 def test_a_weight_is_one_number_that_its_term_and_the_documentation_follow(kind, config):
     usual, task = told(kind()), kind()
