@@ -29,7 +29,7 @@ class _Interrupts:
         self._held: list[int] = []
         self._before: dict[int, object] = {}
         self._closing: set[CodeType] = set()
-        self._owner = os.getpid()
+        self._owner = 0  # the process that installed the handlers
 
     def closing(self, function: Callable) -> Callable:
         """Mark a function during which signals are delayed."""

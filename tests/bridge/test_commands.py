@@ -279,3 +279,10 @@ def interrupt_once_there(virtual, sleep):
         sleep(self, seconds)
 
     return interrupted
+
+
+@pytest.mark.parametrize("command", ["wiggle", "estop", "clear", "conform"])
+def test_a_command_that_talks_to_a_hand_wants_its_port(command, capsys):
+    with pytest.raises(SystemExit):
+        run(command)
+    assert "required: --port" in capsys.readouterr().err
