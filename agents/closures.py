@@ -30,7 +30,6 @@ from agents.recipes import Recipe
 from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, PickPlace, grasp_task
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, checked_options
-from hpac_gym.evaluation.closures import decision_of
 from hpac_gym.model import action_from_synergy
 from hpac_gym.policies import Actor, Closures
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
@@ -424,7 +423,7 @@ def scripted_decisions(closures: Closures, seen: np.ndarray) -> np.ndarray:
     for start in (kind.start for kind in GRASP_TYPES.values()):
         goals, preshape = map(action_from_synergy, (start.closed, start.preshape))
         values.append(np.concatenate([goals, (CLOSE_TIME * CONTROL_HZ, 0.0), wrist_choice(start), preshape]))
-    return decision_of(closures, values)[seen[:, TYPE].argmax(axis=1)]
+    return closures.decisions(values)[seen[:, TYPE].argmax(axis=1)]
 
 
 def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -22,7 +22,6 @@ from hpac import run, whole_number
 from hpac_gym.body.object_sets import SPLITS
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
-from hpac_gym.evaluation.closures import decision_of
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.model import HPAC
@@ -93,7 +92,7 @@ TRIES = (1, 4, 16, 64)
 
 def drawn_closure(seed: int, number: int) -> NDArray[np.float64]:
     """Decision of the random closure of a seed and trial number, shape (8,), −1…1."""
-    return decision_of(CLOSURES, np.random.default_rng([seed, number, 3]).uniform(LOWEST, HIGHEST))
+    return CLOSURES.decisions(np.random.default_rng([seed, number, 3]).uniform(LOWEST, HIGHEST))
 
 
 def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, int]:

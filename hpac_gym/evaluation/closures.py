@@ -14,7 +14,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hpac_gym.model import SERVO_INDEX, SERVOS
 from hpac_gym.policies import Closures
@@ -25,12 +25,6 @@ MEASURED_WITH = {"engine": "pybullet", "body": "twin", "randomize": "nominal"}
 """Options of the environment in which the closures were evaluated."""
 CLOSURES = Closures(goal=(-1.0, 1.0), duration=(0.0, 32.0), thumb_delay=(-8.0, 8.0))
 _CMC = SERVO_INDEX["thumb_cmc"]
-
-
-def decision_of(closures: Closures, values: ArrayLike) -> NDArray[np.float64]:
-    """The numbers of a closure scaled to a decision, −1…1, both of shape (..., len(closures.names))."""
-    low, high = closures.bounds
-    return 2 * (np.asarray(values) - low) / (high - low) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +51,7 @@ class Closure:
 
     def action(self, step: int) -> NDArray[np.float32]:
         """The action of a control step, counted from 1, shape (6,)."""
-        decision = decision_of(CLOSURES, [*self.goal, self.steps, self.lead])
+        decision = CLOSURES.decisions([*self.goal, self.steps, self.lead])
         return CLOSURES.actions([decision], [step - 1 + max(-self.lead, 0.0)])[0].astype(np.float32)
 
 

@@ -88,6 +88,11 @@ class Closures:
         ranges += [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS) if self.wrist is not None else []
         return np.array(ranges).T
 
+    def decisions(self, values: ArrayLike) -> NDArray[np.float64]:
+        """The numbers of closures scaled to decisions, −1…1, both of shape (..., len(names))."""
+        low, high = self.bounds
+        return 2 * (np.asarray(values) - low) / (high - low) - 1
+
     def actions(self, decisions: ArrayLike, steps: ArrayLike) -> NDArray[np.float64]:
         """Actions of n closures at given control steps.
 
