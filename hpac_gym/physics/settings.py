@@ -115,7 +115,7 @@ class WorldSettings:
     """Settings of the integration; `docs/physics.md` has the measurements behind the numbers.
 
     Raises:
-        ValueError: A rate that is not positive, negative iterations, or an error reduction outside ]0, 1].
+        ValueError: A rate that is not positive, negative iterations or torsion, or an error reduction outside ]0, 1].
     """
 
     physics_hz: int = 120
@@ -131,6 +131,9 @@ class WorldSettings:
     that fingers squeeze out only within half of the friction cone."""
     error_reduction: float = 0.4
     """Fraction of a penetration, or of a joint-limit violation, that a PyBullet step corrects (Bullet's ERP)."""
+    torsion: float | None = None
+    """Torsional friction torque of a contact with the object, per newton of normal force [m]. None is the engine's own: 5 mm in
+    MuJoCo (`hpac_gym.physics.mjcf.TORSION`), 0 in PyBullet, whose direct solver knows none."""
 
     def __post_init__(self) -> None:
         if not self.physics_hz > 0:
@@ -139,6 +142,8 @@ class WorldSettings:
             raise ValueError(f"solver_iterations = {self.solver_iterations} must be at least 0")
         if not 0 < self.error_reduction <= 1:
             raise ValueError(f"error_reduction = {self.error_reduction} must be a share in ]0, 1]")
+        if not 0 <= (self.torsion or 0.0) < inf:
+            raise ValueError(f"torsion = {self.torsion} m must be finite and at least 0 m")
 
     @property
     def dt(self) -> float:

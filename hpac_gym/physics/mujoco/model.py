@@ -215,6 +215,8 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geom
     model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
     # These flags state that a frame coincides with its body's; worlds move theirs.
     model.geom_sameframe[:] = 0
+    if settings.torsion is not None:
+        model.geom_friction[:, 1] = settings.torsion
     return model
 
 
