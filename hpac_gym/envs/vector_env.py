@@ -119,11 +119,13 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """Start episodes in some worlds, and add their infos."""
         drawn = self.episodes.reset(worlds, [self._generators[world] for world in worlds], given)
         self._steps[worlds], self._over[worlds] = 0, False
-        report = {name: values.tolist() for name, values in self.episodes.report().items()}
+        begun = np.zeros(self.num_envs, dtype=bool)
+        begun[worlds] = True
+        for name, column in _masked(self.episodes.report(), begun).items():
+            infos[name] = np.where(begun, column, infos[name]) if name in infos else column
         terms: dict[str, Any] = {} if self.task.goal_terms else {"reward_terms": {}}
         for world, values in zip(worlds, drawn, strict=True):
-            told = {name: column[world] for name, column in report.items()} | terms
-            self._add_info(infos, told | {"randomized": {name: list(value) for name, value in values.items()}}, world)
+            self._add_info(infos, terms | {"randomized": {name: list(value) for name, value in values.items()}}, world)
 
     def step(self, actions: NDArray) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
         """Carry out one action in every environment for one control period.
