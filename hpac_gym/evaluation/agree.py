@@ -17,6 +17,7 @@ import gymnasium
 import numpy as np
 
 from hpac import whole_number
+from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
@@ -32,13 +33,14 @@ FLOOR = (1e-6, 1e-3)
 """Displacements of the object along the palm's normal when an engine is compared with itself [m]."""
 CHUNK = 10
 """Episodes per job of a worker."""
-CONTACTS = {
+VARIATIONS = {
     "iterative": WorldSettings(solver_iterations=200),
     "iterative+torsion": WorldSettings(solver_iterations=200, torsion=TORSION),
     "no-torsion": WorldSettings(torsion=0.0),
+    "wrist-200-N": WorldSettings(wrist_effort=WRIST_EFFORT),
 }
-"""Contact models that show why the engines differ: PyBullet with its iterative solver, without and with MuJoCo's torsional
-friction, and MuJoCo without it."""
+"""Physics that shows why the engines differ: PyBullet with its iterative solver, without and with MuJoCo's torsional friction;
+MuJoCo without torsional friction, and with PyBullet's limit of the wrist's force."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +49,14 @@ class Variant:
 
     engine: str
     body: str
-    contact: str = ""
-    """Name of one of `CONTACTS`; empty for the engine's own contacts."""
+    variation: str = ""
+    """Name of one of `VARIATIONS`; empty for the engine's own physics."""
     moved: float = 0.0
     """Displacement of the object along the palm's normal [m]."""
 
     @property
     def name(self) -> str:
-        return "/".join(filter(None, (self.engine, self.body, self.contact)))
+        return "/".join(filter(None, (self.engine, self.body, self.variation)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +74,10 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
 
     with gymnasium.make(TASK, engine=variant.engine, body=variant.body, randomize=randomize) as env:
         task, actor, trials = env.unwrapped.task, load_policy(policy, env), []
-        if variant.contact:
+        if variant.variation:
             episodes = env.unwrapped.episodes
             episodes.simulation.engine.close()
-            episodes.simulation = Simulation(make_engine(variant.engine, settings=CONTACTS[variant.contact]))
+            episodes.simulation = Simulation(make_engine(variant.engine, settings=VARIATIONS[variant.variation]))
         draw = task.setup
 
         def moved(rng, hand):
@@ -112,7 +114,7 @@ def agreement(
     Args:
         policy: scripted, random, or a policy file.
         episodes: number of episodes per set-up.
-        set_ups: names engine/body or engine/body/contact, with one of `CONTACTS`; each is compared with the first.
+        set_ups: names engine/body or engine/body/variation, with one of `VARIATIONS`; each is compared with the first.
         seed_start: seed of the first episode.
         randomize: a preset of `hpac_gym.envs.randomization.PRESETS`.
         floor: compare every set-up also with itself.
@@ -160,10 +162,10 @@ def _variant(name: str) -> Variant:
     match name.split("/"):
         case [engine, body] if engine and body:
             return Variant(engine, body)
-        case [engine, body, contact] if engine and body and contact in CONTACTS:
-            return Variant(engine, body, contact)
-    contacts = ", ".join(CONTACTS)
-    raise ParameterError(f"set-up {name!r} must be an engine and a body, such as mujoco/light, then perhaps one of {contacts}")
+        case [engine, body, variation] if engine and body and variation in VARIATIONS:
+            return Variant(engine, body, variation)
+    known = ", ".join(VARIATIONS)
+    raise ParameterError(f"set-up {name!r} must be an engine and a body, such as mujoco/light, then perhaps one of {known}")
 
 
 def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
@@ -202,8 +204,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-n", "--episodes", type=whole_number(1), default=1200, metavar="N",
                         help="episodes per set-up (default: %(default)s)")  # fmt: skip
     parser.add_argument("--set-ups", nargs="+", default=list(SET_UPS), metavar="ENGINE/BODY",
-                        help="set-ups, compared with the first (default: %(default)s); ENGINE/BODY/CONTACT also names a contact "
-                        f"model: {', '.join(CONTACTS)}")  # fmt: skip
+                        help="set-ups, compared with the first (default: %(default)s); ENGINE/BODY/VARIATION has other "
+                        f"physics: {', '.join(VARIATIONS)}")  # fmt: skip
     parser.add_argument("--no-floor", dest="floor", action="store_false", help="do not compare the set-ups with themselves")
     parser.add_argument("--randomize", default="nominal", help="nominal, hand, link or full (default: %(default)s)")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",

@@ -115,7 +115,8 @@ class WorldSettings:
     """Settings of the integration; `docs/physics.md` has the measurements behind the numbers.
 
     Raises:
-        ValueError: A rate that is not positive, negative iterations or torsion, or an error reduction outside ]0, 1].
+        ValueError: A rate that is not positive, negative iterations or torsion, a wrist without force, or an error reduction
+            outside ]0, 1].
     """
 
     physics_hz: int = 120
@@ -134,6 +135,9 @@ class WorldSettings:
     torsion: float | None = None
     """Torsional friction torque of a contact with the object, per newton of normal force [m]. None is the engine's own: 5 mm in
     MuJoCo (`hpac_gym.physics.mjcf.TORSION`), 0 in PyBullet, whose direct solver knows none."""
+    wrist_effort: float | None = None
+    """Largest force of the wrist along each axis [N]. None is the engine's own: `hpac_gym.body.urdf.WRIST_EFFORT` in PyBullet,
+    no limit in MuJoCo, where a limited wrist is softer and lags by a quarter of a millimetre under the hand's weight."""
 
     def __post_init__(self) -> None:
         if not self.physics_hz > 0:
@@ -144,6 +148,8 @@ class WorldSettings:
             raise ValueError(f"error_reduction = {self.error_reduction} must be a share in ]0, 1]")
         if not 0 <= (self.torsion or 0.0) < inf:
             raise ValueError(f"torsion = {self.torsion} m must be finite and at least 0 m")
+        if not (self.wrist_effort is None or 0 < self.wrist_effort < inf):
+            raise ValueError(f"wrist_effort = {self.wrist_effort} N must be finite and greater than 0 N")
 
     @property
     def dt(self) -> float:

@@ -101,7 +101,7 @@ def test_servos_arrive_together_and_on_time():
     ("settings", "change"),
     [
         *((ServoSettings, {"speed": 0.0}), (ServoSettings, {"dead_band": -1.0})),
-        *((WorldSettings, {"physics_hz": 0}), (WorldSettings, {"torsion": -1.0})),
+        *((WorldSettings, {"physics_hz": 0}), (WorldSettings, {"torsion": -1.0}), (WorldSettings, {"wrist_effort": 0.0})),
     ],
 )
 def test_settings_name_the_bad_value(settings, change):

@@ -43,6 +43,8 @@ BRAKES = 5
 WRIST_STIFFNESS = 1e7
 """Stiffness of the servos that hold the palm [N/m]: weight and shake deflect it by less than 1 µm. Their force is not limited:
 MuJoCo applies limits before a step, when so stiff a servo requests thousands of newtons that it never exerts in the step."""
+LIMITED_WRIST_STIFFNESS = 2e4
+"""Stiffness of the servos of a wrist whose force is limited (`WorldSettings.wrist_effort`) [N/m]."""
 KINDS = {
     "sphere": int(mujoco.mjtGeom.mjGEOM_SPHERE),
     "capsule": int(mujoco.mjtGeom.mjGEOM_CAPSULE),
@@ -190,8 +192,11 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geom
             for geom in [geom for geom in body.findall("geom") if geom.get("class") == "drawn"]:
                 body.remove(geom)
     _add_brakes(actuators)
+    wrist = {"kp": repr(WRIST_STIFFNESS), "dampratio": "0", "forcelimited": "false"}
+    if effort := settings.wrist_effort:
+        wrist = {"kp": repr(LIMITED_WRIST_STIFFNESS), "forcerange": _text((-effort, effort))}
     for slide in actuators.findall("position"):
-        slide.attrib |= {"kp": repr(WRIST_STIFFNESS), "dampratio": "0", "forcelimited": "false"}
+        slide.attrib |= wrist
     if layout.object is not None:
         _add_object(root, world, layout)
         if not layout.fixed:
