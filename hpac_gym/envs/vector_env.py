@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import PostureEnv
-from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
+from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setup_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model.checks import as_array
@@ -51,8 +51,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         **options: Any,
     ) -> None:
         self._episodes: Episodes | None = None
-        if num_envs < 1:
-            raise ParameterError(f"num_envs = {num_envs} must be at least 1")
+        check_num_envs(num_envs)
         if max_episode_steps is not None and max_episode_steps < 1:
             raise ParameterError(f"max_episode_steps = {max_episode_steps} must be at least 1")
         if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:

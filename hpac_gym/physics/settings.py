@@ -140,10 +140,13 @@ class WorldSettings:
     no limit in MuJoCo, where a limited wrist is softer and lags by a quarter of a millimetre under the hand's weight."""
 
     def __post_init__(self) -> None:
-        if not self.physics_hz > 0:
-            raise ValueError(f"physics_hz = {self.physics_hz} Hz must be greater than 0 Hz")
-        if self.solver_iterations < 0:
-            raise ValueError(f"solver_iterations = {self.solver_iterations} must be at least 0")
+        if not 0 < self.physics_hz < inf:
+            raise ValueError(f"physics_hz = {self.physics_hz} Hz must be finite and greater than 0 Hz")
+        if not -inf < self.gravity < inf:
+            raise ValueError(f"gravity = {self.gravity} m/s² must be finite")
+        if not (0 <= self.constraint_softness < inf and self.solver_iterations >= 0):
+            numbers = f"constraint_softness = {self.constraint_softness}, solver_iterations = {self.solver_iterations}"
+            raise ValueError(f"{numbers}: both must be finite and at least 0")
         if not 0 < self.error_reduction <= 1:
             raise ValueError(f"error_reduction = {self.error_reduction} must be a share in ]0, 1]")
         if not 0 <= (self.torsion or 0.0) < inf:

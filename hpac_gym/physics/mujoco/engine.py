@@ -31,11 +31,14 @@ class MuJoCoEngine(Engine):
 
     Raises:
         ValueError: Fewer than one world or thread.
+        ParameterError: Iterations for Bullet's iterative solver.
     """
 
     def __init__(
         self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False, threads: int | None = None
     ) -> None:
+        if settings.solver_iterations:
+            raise ParameterError(f"solver_iterations = {settings.solver_iterations} must be 0 in MuJoCo: they are Bullet's")
         threads = max(min(num_worlds, _processors()), 1) if threads is None else threads
         if not (num_worlds >= 1 and threads >= 1):
             raise ValueError(f"{num_worlds} worlds on {threads} threads: both must be at least 1")
