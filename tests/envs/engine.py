@@ -1,7 +1,6 @@
-"""Where the gate reaches below an environment: everything that knows PyBullet, or how an environment keeps its hand.
+"""Access of the gate's tests to PyBullet and to the internals of an environment.
 
-The rest of the gate knows actions, observations, rewards and infos alone. Another physics engine, or a renamed attribute,
-changes this file only.
+The other tests of the gate use only actions, observations, rewards and infos.
 """
 
 from __future__ import annotations
@@ -81,7 +80,7 @@ def flick(env: gymnasium.Env, joint: str, speed: float) -> None:
 
 @dataclass(frozen=True)
 class State:
-    """What a physics engine reports at one time."""
+    """State that a physics engine reports."""
 
     joint_pos: Vector
     """Shape (15,) [rad]."""
@@ -90,30 +89,28 @@ class State:
     forces: dict[str, float]
     """Normal force between the object and each part of the hand that touches it [N]."""
     slipped: Vector
-    """How far the object has moved beside what it was carried, in the world, shape (3,) [m]."""
+    """Displacement of the object in the world, less that by which it was carried, shape (3,) [m]."""
     tilt: float
-    """Turn of the object about the world's x axis [rad]."""
+    """Rotation of the object about the world's x axis [rad]."""
     velocity: Vector
-    """Of the object, shape (3,) [m/s]."""
+    """Velocity of the object, shape (3,) [m/s]."""
     spin: Vector
-    """Of the object, shape (3,) [rad/s]."""
+    """Angular velocity of the object, shape (3,) [rad/s]."""
     carried: bool
-    """Whether the object goes where the wrist goes."""
+    """True while the object moves with the wrist."""
     supported: bool
-    """Whether the object touches the post that it started on."""
+    """True while the object touches the post on which it started."""
     placed: bool
-    """Whether the object touches the body that was added last, which is the post of its target."""
+    """True while the object touches the body that was added last, the post of its target."""
 
 
 @contextmanager
 def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
-    """Have the engine report a story instead of computing what happens.
-
-    The wrist is where its motors were last told to be, without delay.
+    """Replace the engine's results by a story. The wrist follows its motors' targets without delay.
 
     Args:
-        env: has been reset.
-        story: the state at a time since then [s].
+        env: environment that has been reset.
+        story: function of the time since the reset [s] that gives the state.
     """
     bodies = Bodies(env)
     client = bodies.client

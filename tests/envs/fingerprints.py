@@ -8,7 +8,7 @@ processors and contact makes it grow. Each case therefore compares only what can
   distance of exactly zero falls in the first physics step or not, and a round one goes on rocking by 1e-4 rad.
 * The first `TOUCHED_STEPS` control steps from the first touch on, to 1e-4, if the object is one sphere or one box. On a
   cylinder, or on many boxes that make up a round shape, the points of contact jump.
-* Stories: whole episodes in which the engine is told what to report, so that what the environment makes of it is exact: 1e-5.
+* Stories: whole episodes with prescribed states instead of a simulation, to 1e-5.
 * Outcomes and lengths of many whole episodes, counted.
 
 No seed is chosen: a case takes the first ones.
@@ -78,7 +78,7 @@ def closing(begin: int = 6, let_go: int = NEVER) -> Policy:
 
 
 def own(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """The script's closure for the type that is told."""
+    """The scripted closure of the requested type."""
     script = scripted_closure(env.unwrapped.task)
     script.reset()
     while True:
@@ -86,7 +86,7 @@ def own(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np
 
 
 def apart(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """The fingers close and open, then the thumb does; they never meet."""
+    """First the fingers close and open, then the thumb, so that they never touch."""
     for step in count():
         action = np.full(6, -1.0)
         action[slice(1, 5) if step < 20 else [0, 5]] = np.sin(np.pi * (step % 20) / 20) * 2 - 1
@@ -94,14 +94,14 @@ def apart(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[
 
 
 def reaching(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """To the goal, as far as the model knows the way."""
+    """Command the goal's synergy, without feedback."""
     goal = first["desired_goal"][[JOINT_INDEX[name] for name in SERVOS]]
     while True:
         yield action_from_synergy(np.clip(goal, HPAC.synergy_min, HPAC.synergy_max)) + rng.uniform(-0.01, 0.01, 6)
 
 
 def flicked(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """Open, and at the tenth step a joint gets a speed that no servo can give it."""
+    """Keep the hand open; at the tenth step a joint gets a speed beyond the servos'."""
     for step in count():
         if step == 10:
             flick(env, "index_dip", 60.0)
@@ -109,13 +109,13 @@ def flicked(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterato
 
 
 def clenched(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """A fist at once, which the wrist carries into whatever there is."""
+    """Make a fist at once, which the wrist carries into any obstacle."""
     while True:
         yield CLOSED
 
 
 def restless(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
-    """From one extreme to another, each held for some steps."""
+    """Jump between extreme actions, each held for five steps."""
     while True:
         action = rng.choice([-1.0, 1.0], 6)
         yield from [action] * 5
@@ -130,7 +130,7 @@ def flat(observation: Any) -> np.ndarray:
 
 
 def leaves(observation: Any) -> list[np.ndarray]:
-    """The vectors that an observation consists of; a picture from 0 to 1."""
+    """The vectors of an observation; pictures are scaled to 0…1."""
     if isinstance(observation, dict):
         return list(chain.from_iterable(leaves(observation[name]) for name in sorted(observation)))
     values = np.asarray(observation)
@@ -138,7 +138,7 @@ def leaves(observation: Any) -> list[np.ndarray]:
 
 
 def numbers(info: dict[str, Any], prefix: str = "") -> dict[str, float]:
-    """The numbers of an info, by name, but for what randomization drew: a fault that is put in that way would show itself."""
+    """The numbers of an info by name, without the values drawn by randomization, which would reveal a seeded fault."""
     found: dict[str, float] = {}
     for name, value in info.items():
         if name == "randomized":
@@ -151,7 +151,7 @@ def numbers(info: dict[str, Any], prefix: str = "") -> dict[str, float]:
 
 
 def whole(env: gymnasium.Env, action: np.ndarray) -> np.ndarray:
-    """Six numbers as an action of the environment: a wrist that is free goes where the type that is asked for has it."""
+    """An action of the environment from its first six numbers; a free wrist goes to the pose of the requested type."""
     if env.action_space.shape == (len(SERVOS),):
         return action
     return np.append(action, wrist_choice(GRASP_TYPES[env.unwrapped.episodes.setups[0].grasp].start)).astype(np.float32)
@@ -165,7 +165,7 @@ class Episode:
     rewards: list[float]
     infos: list[dict[str, float]]
     touch: int | None = None
-    """Observation that is the first after a touch."""
+    """Index of the first observation after a touch."""
 
     def bits(self) -> bytes:
         everything = [*chain.from_iterable(self.observations), self.rewards, *(list(info.values()) for info in self.infos)]
@@ -207,13 +207,13 @@ def play(
 
     Args:
         env: the environment.
-        policy: what acts.
-        seed: of the episode.
-        limit: steps at most.
+        policy: the policy.
+        seed: seed of the episode.
+        limit: largest number of steps.
         disturbance: added to all actions.
-        options: of the reset.
-        story: what happens, instead of what the engine computes.
-        watch: look for the first touch, and end there.
+        options: options of the reset.
+        story: states that replace the simulation.
+        watch: end the episode at the first touch.
         pinned: fix the object where it starts.
     """
     observation, info = env.reset(seed=seed, options=options)
@@ -272,9 +272,9 @@ def heavy() -> SceneSetup:
 USUAL = {GRASP: closing(), GRASP_ANY: closing(), PICK_PLACE: closing(12, 74), POSTURE: apart, POSTURE_V1: apart}
 PRIVILEGED = {"obs": "privileged"}
 PLACED_BY_SCRIPT = {"wrist": "script"}
-"""A free wrist sets its scene in the first step, when an object could no longer be pinned, nor a story be told."""
+"""With a free wrist the first step replaces the scene, after which an object cannot be pinned nor a story be used."""
 ASIDE = np.array([0.6, -0.4, 0.3])
-"""Where the object of a story slips to, times the distance."""
+"""Direction in which the object of a story slips."""
 HELD = Story(
     gripped=((0.4, np.inf),), carried=(1.2, np.inf), supported=((0.0, 1.25),),
     slip={0.4: 0 * ASIDE, 1.2: 0.01 * ASIDE, 3.2: 0.024 * ASIDE},
@@ -327,7 +327,7 @@ BY_NAME = {case.name: case for case in CASES}
 
 @cache
 def kept() -> dict[str, Any]:
-    """What the file keeps, by the cases' names."""
+    """Contents of the file, by the names of the cases."""
     return json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
 
 
@@ -342,11 +342,11 @@ def parts(
     """The means of an episode before and after the first touch.
 
     Args:
-        case: what is played.
-        env: of the case.
-        seed: of the episode.
-        touch: the first observation after a touch; None if nothing touches.
-        touched: whether the steps from there on count.
+        case: the case.
+        env: its environment.
+        seed: seed of the episode.
+        touch: index of the first observation after a touch; None without a touch.
+        touched: include the steps after the touch.
         disturbance: added to all actions.
     """
     free = case.play(env, seed, NEVER if touch is None else touch - 1, disturbance=disturbance, pinned=case.story is None)
@@ -368,7 +368,7 @@ def agree(then: dict[str, Any], now: dict[str, Any], tolerance: tuple[float, flo
 
 
 def changed(case: Case, disturbance: float = 0.0, **fault: Any) -> bool:
-    """Whether a case's fingerprint is another one now, or with a fault."""
+    """True if a case's fingerprint differs from the file's, optionally with a fault."""
     with case.make(**fault) as env:
         found = found_now(env, case, disturbance)
     return not all(
@@ -385,7 +385,7 @@ def digest(env: gymnasium.Env, case: Case, steps: int = 30) -> str:
 
 
 def taken(case: Case) -> list[dict[str, Any]]:
-    """What the file shall keep of a case."""
+    """New entry of the file for a case."""
     rows = []
     with case.make() as env:
         for seed in case.seeds:
@@ -409,7 +409,7 @@ disturbance of 1e-9 up to eight and one.
 
 
 def most_flips(episodes: int) -> int:
-    """Episodes of so many that rounding may end otherwise, but for a chance of `ALARM`."""
+    """Largest number of `episodes` that rounding changes, except with probability `ALARM`."""
     beyond, flips = 1.0, -1
     while beyond > ALARM:
         flips += 1
@@ -442,7 +442,7 @@ def ends(batch: Sequence[Case], **fault: Any) -> list[list[int]]:
 
 
 def rounded(value: Any) -> Any:
-    """To eight digits, all the way down."""
+    """All numbers of nested lists and dictionaries, rounded to eight digits."""
     if isinstance(value, dict):
         return {name: rounded(inner) for name, inner in value.items()}
     if isinstance(value, list):

@@ -1,7 +1,7 @@
-"""Sequences of states that an environment is told instead of simulating them, so that what it makes of them is exact.
+"""Prescribed sequences of states that replace the simulation, so that an environment's outputs are exact.
 
-The hand swings smoothly and the wrist goes where it is told. What touches what, and where the object is, follows each story:
-it is held and slips slowly, is let go, is knocked away, is put down.
+The hand swings smoothly and the wrist follows its targets. Contacts and the object's position follow each story: the object is
+held and slips slowly, is released, is knocked away, is put down.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ NEVER: Span = (np.inf, np.inf)
 
 
 def within(time: float, *spans: Span) -> bool:
-    """Whether a time falls in one of the spans [s]; half a physics step belongs to either side."""
+    """True if a time lies in one of the spans [s], with a tolerance of a millisecond."""
     return any(begin - 1e-3 < time < end - 1e-3 for begin, end in spans)
 
 
 @dataclass(frozen=True)
 class Story:
-    """What happens to the object, by the time since the episode began [s]."""
+    """Contacts and motion of the object as functions of the time since the episode began [s]."""
 
     gripped: tuple[Span, ...] = (NEVER,)
-    """When the hand touches the object."""
+    """Spans in which the hand touches the object."""
     carried: Span = NEVER
-    """When the object goes where the wrist goes."""
+    """Span in which the object moves with the wrist."""
     supported: tuple[Span, ...] = ((0.0, np.inf),)
-    """When it touches the post that it started on."""
+    """Spans in which it touches the post on which it started."""
     placed: tuple[Span, ...] = (NEVER,)
-    """When it touches the post of its target."""
+    """Spans in which it touches the post of its target."""
     slip: Mapping[float, Vector] = field(default_factory=dict)
-    """Where the object is at these times beside what it was carried, straight in between, shape (3,) [m]."""
+    """Displacement of the object, less that by which it was carried, at some times, linear in between, shape (3,) [m]."""
 
     def __call__(self, time: float) -> State:
         """The state at a time [s]."""
