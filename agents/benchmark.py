@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.command import command_parser
-from agents.errors import RunError, TaskError
+from agents.command import RunError, TaskError, command_parser
 from agents.evaluate import evaluate
 from agents.tasks import make_task
 from agents.train import versions

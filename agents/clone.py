@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.command import command_parser
-from agents.errors import RunError
+from agents.command import RunError, command_parser
 from agents.tasks import target_of
 from agents.train import POLICY, versions
 from hpac import run, whole_number

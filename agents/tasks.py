@@ -7,7 +7,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 import hpac_gym  # noqa: F401 - registers the environments, so that an id also works without its module
-from agents.errors import TaskError
+from agents.command import TaskError
 from hpac_gym.policies.made_for import made_for
 
 

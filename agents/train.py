@@ -17,14 +17,12 @@ from pathlib import Path
 from platform import python_version
 from typing import Any
 
-from agents.command import command_parser, minutes
-from agents.errors import RecipeError, RunError
-from agents.learning_curve import CURVE, drop_rows_after
-from agents.progress import Progress
+from agents.command import RecipeError, RunError, command_parser, minutes
+from agents.progress import CURVE, Progress, drop_rows_after
 from agents.recipes import RECIPES, Recipe, recipe_named, settings_of, with_settings
-from agents.seeds import training_seed
 from agents.tasks import target_of
 from hpac import INTERRUPTED, run, whole_number
+from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 

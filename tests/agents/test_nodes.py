@@ -9,7 +9,7 @@ import pytest
 
 from agents import checkpoints, nodes, train
 from agents.closures import Learner
-from agents.errors import RunError
+from agents.command import RunError
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
 
@@ -129,4 +129,4 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (0, 1)]
     assert trained == [0, 1]
     assert nodes.main(["grasp", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "0", *SMALL]) == 1
-    assert "seed-0 failed: agents.errors.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err
+    assert "seed-0 failed: agents.command.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err
