@@ -20,8 +20,7 @@ import numpy as np
 
 from agents.command import RunError, TaskError, command_parser
 from agents.evaluate import evaluate
-from agents.tasks import make_task
-from agents.train import versions
+from agents.tasks import make_task, versions
 from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from agents.command import RunError, command_parser
-from agents.tasks import target_of
-from agents.train import POLICY, versions
+from agents.tasks import POLICY, target_of, versions
 from hpac import run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
 from hpac_gym.output import writable_folder

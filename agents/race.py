@@ -24,8 +24,7 @@ from torch import nn
 
 from agents.command import RunError, command_parser, minutes
 from agents.progress import Progress
-from agents.tasks import target_of
-from agents.train import POLICY, versions
+from agents.tasks import POLICY, target_of, versions
 from hpac import run, whole_number
 from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv
