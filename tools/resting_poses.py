@@ -29,7 +29,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
 from hpac_gym.physics.engine import HAND_POSITION, POST, SUPPORT_FRICTION, Engine, SceneSetup, matrix_from_quaternion
 from hpac_gym.physics.mjcf import CONTACT
-from hpac_gym.physics.mujoco.model import geom_size, quaternion_from_matrix
+from hpac_gym.physics.mujoco.model import quaternion_from_matrix, size_of
 from hpac_gym.physics.simulation import ENGINES, make_engine
 from hpac_gym.progress import progress
 
@@ -96,7 +96,8 @@ class Table:
         numbers = {"pos": _text(model.center_of_mass), "mass": repr(model.mass), "fullinertia": _text(entries)}
         Xml.SubElement(body, "inertial", numbers)
         for solid in model.solids:
-            shape = {"type": solid.kind, "size": _text(geom_size(solid, 1.0)), "pos": _text(solid.center)}
+            size, _ = size_of(solid.kind, *np.divide(solid.size, 2).tolist())
+            shape = {"type": solid.kind, "size": _text(size), "pos": _text(solid.center)}
             Xml.SubElement(body, "geom", shape | {"quat": _text(quaternion_from_matrix(solid.rotation))})
         self.object = model
         self.model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))

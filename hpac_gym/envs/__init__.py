@@ -14,7 +14,7 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.envs.hand_env import HandEnv, PostureEnv, posture_task
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V0
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V0, check_num_envs
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.errors import ParameterError
@@ -153,8 +153,7 @@ def _entry_points(env_id: str, make_task: Callable[..., Task]) -> tuple[Callable
         task, of_task, others = given(options)
         if (others.get("engine") or default_engine()) != "pybullet":
             return HandVectorEnv(task, num_envs, autoreset_mode, **others)
-        if num_envs < 1:
-            raise ParameterError(f"num_envs = {num_envs} must be at least 1")
+        check_num_envs(num_envs)
         make = partial(gymnasium.make, f"hpac_gym:{env_id}", **of_task, **others)
         # A fork would copy locks held by threads of other libraries, and its child would wait for them for ever.
         return AsyncVectorEnv([make] * num_envs, autoreset_mode=autoreset_mode, context="spawn")

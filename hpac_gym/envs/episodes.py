@@ -129,13 +129,13 @@ class Episodes:
             Values drawn by the randomization, by name, for each of the worlds.
         """
         options, body = self.options, BODIES[self.options.body]
+        inertia = {} if body == _NO_CHOICE else {"armature": body.armature, "hub_inertia": body.hub_inertia}
         setups, values, cameras = [], [], []
         for world, generator in zip(worlds, generators, strict=True):
             setup_rng, camera_rng = generator.spawn(2)
             drawn = self.randomizations[world].draw(setup_rng)
             setup = given or self.task.setup(setup_rng, options.hand)
-            if body != _NO_CHOICE and (given is None or setup.hand_settings == _NO_CHOICE):
-                inertia = {"armature": body.armature, "hub_inertia": body.hub_inertia}
+            if inertia and (given is None or setup.hand_settings == _NO_CHOICE):
                 setup = replace(setup, hand_settings=replace(setup.hand_settings, **inertia))
             setups.append(changed_setup(setup, drawn))
             values.append(drawn)
@@ -160,12 +160,12 @@ class Episodes:
                 layout.start(worlds, setups)
         self._predicted = self._predicted.copy()  # the previous `Moment` keeps its array
         for world, setup in zip(worlds, setups, strict=True):
-            self.setups[world] = setup
-            self._rotation[world] = setup.hand_rotation
-            self._down[world] = -self._rotation[world][2]
+            self.setups[world], self._rotation[world] = setup, setup.hand_rotation
             self._wrist[world] = self.task.wrist_path(setup, self._times)
-            servo, self._predicted[world], self._last_action[world] = self._start_of(*map(float, setup.synergy))
-            self._servo[world] = self._arrived[world] = servo
+            start = self._start_of(*setup.synergy.tolist())
+            self._servo[world], self._predicted[world], self._last_action[world] = start
+        index = np.asarray(worlds)
+        self._down[index], self._arrived[index] = -self._rotation[index, 2], self._servo[index]
 
     def step(self, actions: NDArray) -> Array:
         """Carry out one action in every world for one control period, and judge it.

@@ -142,6 +142,16 @@ def checked_options(
     return Options(known, obs, reward, randomization(randomize), noise, engine or default_engine(), body, render_mode is not None)
 
 
+def check_num_envs(num_envs: int) -> None:
+    """Refuse a number of environments that is not a positive whole number.
+
+    Raises:
+        ParameterError: It is not.
+    """
+    if not (isinstance(num_envs, int | np.integer) and num_envs >= 1):
+        raise ParameterError(f"num_envs = {num_envs} must be a whole number of at least 1")
+
+
 def setup_of(options: Mapping[str, Any] | None, task: Task, hand: Hand) -> SceneSetup | None:
     """Setup given by the options of a `reset`, or None.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import PostureEnv
-from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
+from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setup_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model.checks import as_array
@@ -51,8 +51,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         **options: Any,
     ) -> None:
         self._episodes: Episodes | None = None
-        if num_envs < 1:
-            raise ParameterError(f"num_envs = {num_envs} must be at least 1")
+        check_num_envs(num_envs)
         if max_episode_steps is not None and max_episode_steps < 1:
             raise ParameterError(f"max_episode_steps = {max_episode_steps} must be at least 1")
         if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:
@@ -119,11 +118,13 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """Start episodes in some worlds, and add their infos."""
         drawn = self.episodes.reset(worlds, [self._generators[world] for world in worlds], given)
         self._steps[worlds], self._over[worlds] = 0, False
-        report = {name: values.tolist() for name, values in self.episodes.report().items()}
+        begun = np.zeros(self.num_envs, dtype=bool)
+        begun[worlds] = True
+        for name, column in _masked(self.episodes.report(), begun).items():
+            infos[name] = np.where(begun, column, infos[name]) if name in infos else column
         terms: dict[str, Any] = {} if self.task.goal_terms else {"reward_terms": {}}
         for world, values in zip(worlds, drawn, strict=True):
-            told = {name: column[world] for name, column in report.items()} | terms
-            self._add_info(infos, told | {"randomized": {name: list(value) for name, value in values.items()}}, world)
+            self._add_info(infos, terms | {"randomized": {name: list(value) for name, value in values.items()}}, world)
 
     def step(self, actions: NDArray) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
         """Carry out one action in every environment for one control period.

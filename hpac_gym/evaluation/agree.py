@@ -17,19 +17,30 @@ import gymnasium
 import numpy as np
 
 from hpac import whole_number
+from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.envs.options import GRASP
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown
-from hpac_gym.physics.simulation import SET_UPS
+from hpac_gym.physics.mjcf import TORSION
+from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.physics.simulation import SET_UPS, Simulation, make_engine
 from hpac_gym.progress import progress
 
 FLOOR = (1e-6, 1e-3)
 """Displacements of the object along the palm's normal when an engine is compared with itself [m]."""
 CHUNK = 10
 """Episodes per job of a worker."""
+VARIATIONS = {
+    "iterative": WorldSettings(solver_iterations=200),
+    "iterative+torsion": WorldSettings(solver_iterations=200, torsion=TORSION),
+    "no-torsion": WorldSettings(torsion=0.0),
+    "wrist-200-N": WorldSettings(wrist_effort=WRIST_EFFORT),
+}
+"""Physics that shows why the engines differ: PyBullet with its iterative solver, without and with MuJoCo's torsional friction;
+MuJoCo without torsional friction, and with PyBullet's limit of the wrist's force."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +49,14 @@ class Variant:
 
     engine: str
     body: str
+    variation: str = ""
+    """Name of one of `VARIATIONS`; empty for the engine's own physics."""
     moved: float = 0.0
     """Displacement of the object along the palm's normal [m]."""
 
     @property
     def name(self) -> str:
-        return f"{self.engine}/{self.body}" + (f", object moved by {1e3 * self.moved:g} mm" if self.moved else "")
+        return "/".join(filter(None, (self.engine, self.body, self.variation)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +74,10 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
 
     with gymnasium.make(GRASP, engine=variant.engine, body=variant.body, randomize=randomize) as env:
         task, actor, trials = env.unwrapped.task, load_policy(policy, env), []
+        if variant.variation:
+            episodes = env.unwrapped.episodes
+            episodes.simulation.engine.close()
+            episodes.simulation = Simulation(make_engine(variant.engine, settings=VARIATIONS[variant.variation]))
         draw = task.setup
 
         def moved(rng, hand):
@@ -90,25 +107,27 @@ def compare(first: Sequence[Trial], second: Sequence[Trial]) -> dict[str, Any]:
 
 def agreement(
     policy: str, episodes: int, set_ups: Sequence[str] = SET_UPS, *,
-    seed_start: int = HELD_OUT_SEED, randomize: str = "nominal", workers: int = 1,
+    seed_start: int = HELD_OUT_SEED, randomize: str = "nominal", floor: bool = True, workers: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
     """Run the same episodes in every set-up.
 
     Args:
         policy: scripted, random, or a policy file.
         episodes: number of episodes per set-up.
-        set_ups: `engine/body` names; each is compared with the first and with itself.
+        set_ups: names engine/body or engine/body/variation, with one of `VARIATIONS`; each is compared with the first.
         seed_start: seed of the first episode.
         randomize: a preset of `hpac_gym.envs.randomization.PRESETS`.
+        floor: compare every set-up also with itself.
         workers: number of processes.
 
     Raises:
-        ParameterError: A set-up is not of the form engine/body.
+        ParameterError: A set-up is not of that form.
         PolicyError: The policy cannot be loaded, or was made for another environment.
         WorkerError: A worker process was ended from outside.
     """
     plain = [_variant(name) for name in dict.fromkeys(set_ups)]
-    variants = plain + [replace(variant, moved=moved) for variant in plain for moved in FLOOR]
+    moves = FLOOR if floor else ()
+    variants = plain + [replace(variant, moved=moved) for variant in plain for moved in moves]
     for variant in plain:
         run_trials(policy, variant, (), randomize)  # errors are raised here, not in a worker
     seeds = range(seed_start, seed_start + episodes)
@@ -129,7 +148,7 @@ def agreement(
             row["over"] = plain[0].name
             row |= compare(reference, trials)
             row["difference_by_shape"] = {shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes}
-        row["floor"] = {f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)]) for moved in FLOOR}
+        row["floor"] = {f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)]) for moved in moves}
         rows.append(row)
     about = {"task": GRASP, "policy": policy, "first_seed": seed_start, "episodes": episodes, "randomize": randomize}
     return about | {"set_ups": rows}
@@ -140,10 +159,13 @@ def _only(trials: Sequence[Trial], shape: str) -> list[Trial]:
 
 
 def _variant(name: str) -> Variant:
-    engine, slash, body = name.partition("/")
-    if not (engine and slash and body):
-        raise ParameterError(f"set-up {name!r} must be an engine and a body, such as mujoco/light")
-    return Variant(engine, body)
+    match name.split("/"):
+        case [engine, body] if engine and body:
+            return Variant(engine, body)
+        case [engine, body, variation] if engine and body and variation in VARIATIONS:
+            return Variant(engine, body, variation)
+    known = ", ".join(VARIATIONS)
+    raise ParameterError(f"set-up {name!r} must be an engine and a body, such as mujoco/light, then perhaps one of {known}")
 
 
 def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
@@ -153,7 +175,7 @@ def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """The result as tables in Markdown."""
-    floors = [f"agrees with itself, object moved by {1e3 * moved:g} mm" for moved in FLOOR]
+    floors = [f"agrees with itself, object moved by {moved}" for moved in result["set_ups"][0]["floor"]]
     head = ["set-up", "success", "95 % interval", "difference", "95 % interval", "agree", *floors]
     rows, by_shape = [], []
     for row in result["set_ups"]:
@@ -182,7 +204,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-n", "--episodes", type=whole_number(1), default=1200, metavar="N",
                         help="episodes per set-up (default: %(default)s)")  # fmt: skip
     parser.add_argument("--set-ups", nargs="+", default=list(SET_UPS), metavar="ENGINE/BODY",
-                        help="set-ups, compared with the first (default: %(default)s)")  # fmt: skip
+                        help="set-ups, compared with the first (default: %(default)s); ENGINE/BODY/VARIATION has other "
+                        f"physics: {', '.join(VARIATIONS)}")  # fmt: skip
+    parser.add_argument("--no-floor", dest="floor", action="store_false", help="do not compare the set-ups with themselves")
     parser.add_argument("--randomize", default="nominal", help="nominal, hand, link or full (default: %(default)s)")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
                         help="seed of the first episode (default: %(default)s)")  # fmt: skip
@@ -196,7 +220,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     found = agreement(
         options.policy, options.episodes, options.set_ups,
-        seed_start=options.seed_start, randomize=options.randomize, workers=options.workers,
+        seed_start=options.seed_start, randomize=options.randomize, floor=options.floor,
+        workers=options.workers,
     )  # fmt: skip
     print(json.dumps(found, indent=2) if options.json else table(found))
     return 0

@@ -84,7 +84,7 @@ def run_types(
             steps += 1
             over = (job >= 0) & (episodes.outcome != RUNNING)
             for world in np.flatnonzero(over | (steps == close_end)):
-                if not task.hold(world).moments:  # an episode that ends before the hold gets one sample
+                if not task.hold(world).looks:  # an episode that ends before the hold gets one sample
                     task.look(world, episodes.now.state, episodes.simulation.engine.contacts(world))
             for world in np.flatnonzero(over):
                 hold, kind = task.hold(world), types[job[world]]

@@ -115,7 +115,8 @@ class WorldSettings:
     """Settings of the integration; `docs/physics.md` has the measurements behind the numbers.
 
     Raises:
-        ValueError: A rate that is not positive, negative iterations, or an error reduction outside ]0, 1].
+        ValueError: A rate that is not positive, negative iterations or torsion, a wrist without force, or an error reduction
+            outside ]0, 1].
     """
 
     physics_hz: int = 120
@@ -131,14 +132,27 @@ class WorldSettings:
     that fingers squeeze out only within half of the friction cone."""
     error_reduction: float = 0.4
     """Fraction of a penetration, or of a joint-limit violation, that a PyBullet step corrects (Bullet's ERP)."""
+    torsion: float | None = None
+    """Torsional friction torque of a contact with the object, per newton of normal force [m]. None is the engine's own: 5 mm in
+    MuJoCo (`hpac_gym.physics.mjcf.TORSION`), 0 in PyBullet, whose direct solver knows none."""
+    wrist_effort: float | None = None
+    """Largest force of the wrist along each axis [N]. None is the engine's own: `hpac_gym.body.urdf.WRIST_EFFORT` in PyBullet,
+    no limit in MuJoCo, where a limited wrist is softer and lags by a quarter of a millimetre under the hand's weight."""
 
     def __post_init__(self) -> None:
-        if not self.physics_hz > 0:
-            raise ValueError(f"physics_hz = {self.physics_hz} Hz must be greater than 0 Hz")
-        if self.solver_iterations < 0:
-            raise ValueError(f"solver_iterations = {self.solver_iterations} must be at least 0")
+        if not 0 < self.physics_hz < inf:
+            raise ValueError(f"physics_hz = {self.physics_hz} Hz must be finite and greater than 0 Hz")
+        if not -inf < self.gravity < inf:
+            raise ValueError(f"gravity = {self.gravity} m/s² must be finite")
+        if not (0 <= self.constraint_softness < inf and self.solver_iterations >= 0):
+            numbers = f"constraint_softness = {self.constraint_softness}, solver_iterations = {self.solver_iterations}"
+            raise ValueError(f"{numbers}: both must be finite and at least 0")
         if not 0 < self.error_reduction <= 1:
             raise ValueError(f"error_reduction = {self.error_reduction} must be a share in ]0, 1]")
+        if not 0 <= (self.torsion or 0.0) < inf:
+            raise ValueError(f"torsion = {self.torsion} m must be finite and at least 0 m")
+        if not (self.wrist_effort is None or 0 < self.wrist_effort < inf):
+            raise ValueError(f"wrist_effort = {self.wrist_effort} N must be finite and greater than 0 N")
 
     @property
     def dt(self) -> float:

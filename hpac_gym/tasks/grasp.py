@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.objects import SHAPES, ObjectSpec, Support
-from hpac_gym.model import HPAC, SERVO_INDEX, Hand
+from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
@@ -18,7 +18,7 @@ from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp_data import NOMINAL, NamedGrasp, Variant, named_grasp
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, setting
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, open_hand, outcome_term, setting
 from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, PRIVILEGED_TERMS, Moment, RewardTerm, Term, progress_terms
 
 PALM_SURFACE = 0.0125
@@ -133,9 +133,7 @@ class Grasp(Task):
             rng.uniform(*config.towards_thumb),
             rng.uniform(*config.beyond_wrist),
         ]
-        synergy = np.zeros(len(SERVO_INDEX))
-        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
-        return SceneSetup(spec, np.array(place), yaw, synergy, hand)
+        return SceneSetup(spec, np.array(place), yaw, open_hand(config.thumb_preshape), hand)
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin to judge episodes in some worlds."""

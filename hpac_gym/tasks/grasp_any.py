@@ -13,9 +13,9 @@ from hpac_gym.body.hands import hand_set
 from hpac_gym.body.object_sets import SPLITS, RestingPose, object_set
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, SERVO_INDEX, Hand
+from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import PARTS, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.cameras import CameraNoise
@@ -23,7 +23,18 @@ from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import Timetable, phase_at, wrist_table
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.task import (
+    FAILURE,
+    RUNNING,
+    SUCCESS,
+    Task,
+    contact_score,
+    effort_term,
+    open_hand,
+    outcome_term,
+    scene_report,
+    setting,
+)
 from hpac_gym.tasks.terms import (
     AXES,
     COMMAND_TERMS,
@@ -218,13 +229,11 @@ class GraspAny(Task):
         pose, model = entry.poses[rng.integers(len(entry.poses))], entry.model
         mass, friction = rng.uniform(*config.mass) * model.mass, rng.uniform(*config.friction) * entry.friction
         spec = ObjectSpec(model.shape, model.half_extents, mass, friction, model)
-        synergy = np.zeros(len(SERVO_INDEX))
-        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
         turn = placing.best_turn(pose.size) + np.pi * rng.integers(2)
         pull = rng.standard_normal(3)
         setup = SceneSetup(
-            spec, yaw=turn, synergy=synergy, hand=hand, object_quaternion=pose.quaternion, rest_height=pose.height,
-            hand_quaternion=placing.SIDE if placing.from_side(entry.stand, pose.size) else placing.ABOVE,
+            spec, yaw=turn, synergy=open_hand(config.thumb_preshape), hand=hand, object_quaternion=pose.quaternion,
+            rest_height=pose.height, hand_quaternion=placing.SIDE if placing.from_side(entry.stand, pose.size) else placing.ABOVE,
             pull=pull / np.linalg.norm(pull),
         )  # fmt: skip
         error = rng.uniform(*config.place_error, 3) * [1.0, 1.0, setup.hand_quaternion == placing.SIDE]
@@ -303,8 +312,7 @@ class GraspAny(Task):
 
     def _watch_closing(self, state: SceneState) -> None:
         """Record the last step's gain in touch, and growth of the object's displacement as a fraction of `reach`."""
-        weights, thumb, fingers = self.config.weights, state.touching[:, _THUMB], state.touching[:, _FINGERS].sum(axis=1)
-        touch = weights.thumb * thumb + weights.finger * fingers + weights.opposed * (thumb & (fingers > 0))
+        touch = contact_score(self.config.weights, state.touching)
         self._gained, self._touch = touch - self._touch, touch
         distance = np.minimum(np.linalg.norm(state.object_pos - self._place, axis=1) / self.config.reach, 1.0)
         self._pushed, self._distance = distance - self._distance, distance
@@ -323,5 +331,3 @@ class GraspAny(Task):
 
 CAMERA_TARGET = np.array([0.03, 0.0, 0.10])
 """Point in the hand frame at which the camera looks [m]."""
-_THUMB = PARTS.index("thumb")
-_FINGERS = [PARTS.index(name) for name in PARTS[2:]]

@@ -1,6 +1,6 @@
 """Rules that define the grasp types: which parts of the hand touch the object, where, and with what force.
 
-A `Rule` is evaluated on a `Hold`, the contacts at some moments while the object is held. ``data/grasp_types.toml`` has the rule
+A `Rule` is evaluated on a `Hold`, some looks at the contacts while the object is held. ``data/grasp_types.toml`` has the rule
 of every type.
 """
 
@@ -176,29 +176,29 @@ def _at_most(value: float, limit: float) -> float:
 class Hold:
     """Contacts observed while an object was held."""
 
-    moments: tuple[Moment, ...]
-    """Observed moments, at least one."""
+    looks: tuple[Look, ...]
+    """Looks at the contacts, at least one."""
     start: Array = field(default_factory=lambda: np.eye(3))
     """Rotation of the object in the hand when the hand began to close, shape (3, 3)."""
 
     @property
     def touched(self) -> dict[str, float]:
-        """Fraction of the moments in which each part touches."""
-        return {part: float(np.mean([any(_part(link) == part for link in now.links) for now in self.moments])) for part in PARTS}
+        """Fraction of the looks in which each part touches."""
+        return {part: float(np.mean([any(_part(link) == part for link in now.links) for now in self.looks])) for part in PARTS}
 
     @property
     def part_force(self) -> dict[str, float]:
         """Mean normal force of each part [N]."""
         return {
             part: float(np.mean([sum(f for f, link in zip(now.force, now.links, strict=True) if _part(link) == part)
-                                 for now in self.moments]))
+                                 for now in self.looks]))
             for part in PARTS
         }  # fmt: skip
 
     @property
     def force(self) -> float:
         """Mean total contact force [N]."""
-        return float(np.mean([now.force.sum() for now in self.moments]))
+        return float(np.mean([now.force.sum() for now in self.looks]))
 
     @property
     def off_tips(self) -> float:
@@ -207,14 +207,14 @@ class Hold:
 
     @property
     def turn_deg(self) -> float:
-        """Largest rotation of the object in the hand since the first moment [deg]."""
-        first = self.moments[0].rotation
-        return max(_angle_deg((np.trace(first.T @ now.rotation) - 1) / 2) for now in self.moments)
+        """Largest rotation of the object in the hand since the first look [deg]."""
+        first = self.looks[0].rotation
+        return max(_angle_deg((np.trace(first.T @ now.rotation) - 1) / 2) for now in self.looks)
 
     @property
     def tilt_deg(self) -> float:
         """Largest tilt of the object's z axis in the hand relative to `start` [deg]."""
-        return max(_angle_deg(self.start[:, 2] @ now.rotation[:, 2]) for now in self.moments)
+        return max(_angle_deg(self.start[:, 2] @ now.rotation[:, 2]) for now in self.looks)
 
     def along(self, axis: str) -> float:
         """Fraction of the contact force along an axis of the object, weighted by the normals' squared component."""
@@ -223,7 +223,7 @@ class Hold:
     def on_side(self, finger: str) -> float:
         """Fraction of a finger's contact force on its side, where the normal is within 45° of the hinge axis."""
         force = side = 0.0
-        for now in self.moments:
+        for now in self.looks:
             frames = dict(now.frames(finger))
             for link, push, normal in zip(now.links, now.force, now.normal, strict=True):
                 if link in frames:
@@ -234,14 +234,14 @@ class Hold:
     def pressed(self, button: float) -> float:
         """Mean force of middle and distal links along −z on points above `button` [N]."""
         found = []
-        for now in self.moments:
+        for now in self.looks:
             down = now.force * np.maximum(-now.normal[:, 2], 0.0)
             found.append(down[(now.point[:, 2] > button) & np.array([link in _BEYOND_ROOT for link in now.links], bool)].sum())
         return float(np.mean(found))
 
     def through(self, holes: Sequence[Hole], digit: str) -> float:
-        """Fraction of the moments with a digit through an opening and touching; below `TOUCHES`, near misses count in part."""
-        seen = np.array([max(now.through(hole, digit) for hole in holes) for now in self.moments])
+        """Fraction of the looks with a digit through an opening and touching; below `TOUCHES`, near misses count in part."""
+        seen = np.array([max(now.through(hole, digit) for hole in holes) for now in self.looks])
         share = float(np.mean(seen == 1.0))
         return share if share >= TOUCHES else min(float(np.mean(seen)), 0.99 * TOUCHES)
 
@@ -252,12 +252,12 @@ class Hold:
         return sum(best[:count]) / count
 
     def _share(self, weight: Any) -> float:
-        total = sum(now.force.sum() for now in self.moments)
-        return float(sum((now.force * weight(now)).sum() for now in self.moments if len(now.links)) / total) if total > 0 else 0.0
+        total = sum(now.force.sum() for now in self.looks)
+        return float(sum((now.force * weight(now)).sum() for now in self.looks if len(now.links)) / total) if total > 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class Look:
     """Contacts between hand and object at one moment, with the pose of the object and the joint angles."""
 
     links: tuple[str, ...]
@@ -297,11 +297,11 @@ class Moment:
         return 0.3 * float(np.exp(-np.linalg.norm(places[-1] - hole.centre) / 0.03))
 
 
-def moment_of(contacts: Contacts, state: SceneState, world: int, hand_rotation: Array) -> Moment:
-    """The `Moment` of one world's state, given the rotation of its hand in the world, shape (3, 3)."""
+def look_at(contacts: Contacts, state: SceneState, world: int, hand_rotation: Array) -> Look:
+    """A look at one world's state, given the rotation of its hand in the world, shape (3, 3)."""
     rotation = state.object_rotation[world].copy()
     to_object = (hand_rotation @ rotation).T
-    return Moment(
+    return Look(
         contacts.link, contacts.force, (contacts.point - contacts.centre) @ to_object.T, contacts.normal @ to_object.T,
         rotation, state.object_pos[world].copy(), state.joint_pos[world].copy(),
     )  # fmt: skip

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
-    FINGERS,
     HPAC,
     POSTURES,
     SERVOS,
@@ -38,10 +37,10 @@ from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_grasp
 from hpac_gym.tasks.grasp_data import NOMINAL, GraspError, NamedGrasp, grasps_from_toml
-from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, moment_of
+from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, look_at
 from hpac_gym.tasks.occlusion import Skeleton
 from hpac_gym.tasks.phases import Timetable
-from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term, scene_report, setting
+from hpac_gym.tasks.task import FAILURE, FINGER_PARTS, SUCCESS, THUMB_PART, effort_term, outcome_term, scene_report, setting
 from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, Moment, RewardTerm, Term, progress_terms
 
 HELD_OUT_TYPES = ("large_sphere", "three_finger_pinch", "screwdriver", "tape_roll")
@@ -61,8 +60,6 @@ LOOK_EVERY = 4
 """Control steps between two evaluations of the contacts of a hold, since one takes about as long as a step."""
 NOTHING = "nothing touches"
 """Missed clause of a hold that has not been evaluated."""
-_FINGERS = [PARTS.index(name) for name in FINGERS]
-_THUMB = PARTS.index("thumb")
 _SKELETON = Skeleton(1)
 
 
@@ -226,8 +223,8 @@ class GraspByType(Grasp):
 
     def _touched_share(self, touching: NDArray[np.bool_]) -> Array:
         """Fraction of the required parts that touch, shape (n,)."""
-        fingers = touching[:, _FINGERS].sum(axis=1)
-        counts = np.stack([fingers, fingers + touching[:, _THUMB]], axis=1)
+        fingers = touching[:, FINGER_PARTS].sum(axis=1)
+        counts = np.stack([fingers, fingers + touching[:, THUMB_PART]], axis=1)
         found = (touching & self._touch).sum(axis=1) + np.minimum(counts, self._counts).sum(axis=1)
         return found / np.maximum(self._touch.sum(axis=1) + self._counts.sum(axis=1), 1)
 
@@ -298,7 +295,7 @@ class GraspByType(Grasp):
 
     def look(self, world: int, state: SceneState, contacts: Contacts) -> None:
         """Add the current contacts of a world to its hold, and evaluate its rule."""
-        self._seen[world] += (moment_of(contacts, state, world, self._hand[world]),)
+        self._seen[world] += (look_at(contacts, state, world, self._hand[world]),)
         clauses = self._rules[world].clauses(self.hold(world))
         self.kept[world] = np.mean(list(clauses.values()))
         self._missed[world] = "; ".join(name for name, value in clauses.items() if value < 1)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, SERVO_INDEX, Hand
+from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
@@ -19,7 +19,7 @@ from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import moved, phase_at
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, outcome_term, setting
+from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, open_hand, outcome_term, setting
 from hpac_gym.tasks.terms import (
     AXES,
     COMMAND_TERMS,
@@ -201,9 +201,7 @@ class PickPlace(Task):
         forward, aside, up = self.timetable.reach
         place += [aside, up, forward]
         target = place + np.array([rng.uniform(*config.carry_aside), 0.0, rng.uniform(*config.carry_forward)])
-        synergy = np.zeros(len(SERVO_INDEX))
-        synergy[SERVO_INDEX["thumb_cmc"]] = config.thumb_preshape
-        return SceneSetup(spec, place, 0.0, synergy, hand, target=target)
+        return SceneSetup(spec, place, 0.0, open_hand(config.thumb_preshape), hand, target=target)
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin to judge episodes in some worlds.

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.model import FINGERS, Hand
+from hpac_gym.model import FINGERS, SERVO_INDEX, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
@@ -96,6 +96,13 @@ class Task(Protocol):
         return scene_report(self, now)
 
 
+def open_hand(thumb_cmc: float) -> Array:
+    """Synergy of the open hand with a CMC at which the thumb opposes the fingers, shape (6,) [rad]."""
+    synergy = np.zeros(len(SERVO_INDEX))
+    synergy[SERVO_INDEX["thumb_cmc"]] = thumb_cmc
+    return synergy
+
+
 def setting(default: Any, meaning: str, **more: Any) -> Any:
     """A field of a config, with its meaning for the documentation and other metadata."""
     return field(default=default, metadata={"meaning": meaning, **more})
@@ -112,24 +119,25 @@ class Weights(Protocol):
     failure: float
 
 
-_FINGERS = [PARTS.index(name) for name in FINGERS]
-_THUMB = PARTS.index("thumb")
+FINGER_PARTS = [PARTS.index(name) for name in FINGERS]
+THUMB_PART = PARTS.index("thumb")
+
+
+def contact_score(weights: Weights, touching: NDArray[np.bool_]) -> Array:
+    """Score of the parts that touch the object, shape (n,), for `SceneState.touching`."""
+    fingers, thumb = touching[:, FINGER_PARTS].sum(axis=1), touching[:, THUMB_PART]
+    return weights.thumb * thumb + weights.finger * fingers + weights.opposed * (thumb & (fingers > 0))
 
 
 def contact_term(weights: Weights, phase: int) -> RewardTerm:
     """Reward for touching the object in one phase."""
-
-    def value(now: Moment) -> Array:
-        fingers, thumb = now.state.touching[:, _FINGERS].sum(axis=1), now.state.touching[:, _THUMB]
-        opposed = thumb & (fingers > 0)
-        found = weights.thumb * thumb + weights.finger * fingers + weights.opposed * opposed
-        return np.where(now.phase == phase, found, 0.0)
-
     meaning = (
         f"while closing: {weights.thumb:g} for the thumb and {weights.finger:g} for each finger that touches the object, "
         f"{weights.opposed:g} when they oppose each other"
     )
-    return RewardTerm("contact", meaning, value)
+    return RewardTerm(
+        "contact", meaning, lambda now: np.where(now.phase == phase, contact_score(weights, now.state.touching), 0.0)
+    )
 
 
 def effort_term(weights: Weights) -> RewardTerm:

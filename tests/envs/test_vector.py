@@ -320,9 +320,11 @@ def test_make_vec_on_another_engine_makes_one_vector_environment(monkeypatch):
     hooks.close()
 
 
-@pytest.mark.parametrize("options", [{"num_envs": 0}, {"obs": "nonsense"}, {"grasp": "nonsense"}, {"autoreset_mode": "nonsense"}])
+@pytest.mark.parametrize(
+    "options", [{"num_envs": 0}, {"num_envs": 2.5}, {"obs": "nonsense"}, {"grasp": "nonsense"}, {"autoreset_mode": "nonsense"}]
+)
 def test_make_vec_names_a_wrong_option(options):
-    with pytest.raises((ParameterError, LookupError, ValueError), match=r"num_envs = 0|nonsense"):
+    with pytest.raises((ParameterError, LookupError, ValueError), match=r"num_envs = (0|2\.5) |nonsense"):
         gymnasium.make_vec(GRASP, **{"num_envs": 2} | options)
 
 

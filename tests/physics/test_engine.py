@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, servo_from_synergy
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsError, SceneSetup, SceneState
@@ -112,6 +113,24 @@ def test_the_tables_move_servos_and_wrist_and_the_hand_alone_stays_where_it_is(n
     assert state.supported.tolist() == [True, False]
     engine.close()
     engine.close()
+
+
+@engines
+@pytest.mark.parametrize("effort", [None, 100.0])
+def test_the_wrist_pushes_against_an_obstacle_with_its_force(name, effort):
+    """The palm moves 20 mm into a fixed box. The limit is 200 N in PyBullet and, unless it is set, none in MuJoCo."""
+    simulation = Simulation(make_engine(name, settings=WorldSettings(wrist_effort=effort)))
+    box = ObjectSpec("box", (0.02, 0.015, 0.015), 1.0, 0.8)
+    start = SceneSetup(box, np.array([0.0425, -0.02, 0.05]), fixed=True)
+    simulation.reset([0], [start])
+    way = np.append(np.linspace(0.0, 0.03, 60), np.full(60, 0.03))
+    simulation.advance((way[:, None] * start.hand_rotation[:, 0])[None])
+    (force,) = simulation.state().contact_force[:, PARTS.index("palm")]
+    if effort is None and name == "mujoco":
+        assert force > 1e4
+    else:
+        assert force == pytest.approx(effort or WRIST_EFFORT, rel=0.01)
+    simulation.engine.close()
 
 
 @engines

@@ -1,27 +1,37 @@
-"""A ball squeezed between two leaning plates: which engine and solver holds it as Coulomb's law says.
+"""A ball squeezed between two leaning plates, or turned between two parallel ones: which engine and solver holds it.
 
 The ball stays while the tangent of the lean is below the friction coefficient, however small its mass. Bullet's direct solver
 (Dantzig) computes the limit of every friction force from the normal forces that there would be without any friction. In a squeeze
-these are too small, so that it loses the ball at half of the cone. That is why PyBullet loses spheres that MuJoCo, and Bullet's
-own iterative solver, hold.
+these are too small, so that it loses the ball at half of the cone.
+
+A torque about the line through both contacts turns the ball unless the contacts have torsional friction, as MuJoCo's here have
+and as Bullet's iterative solver can have. These two differences are why PyBullet loses round objects that MuJoCo holds:
+docs/physics.md, "Why PyBullet loses round objects".
 """
 
 import mujoco
 import numpy as np
 import pytest
 
-from hpac_gym.physics.mjcf import CONTACT, OPTION
+from hpac_gym.physics.mjcf import CONTACT, OPTION, TORSION
 
 FRICTION, PUSH, MASS, RADIUS, STEPS = 0.5, 5.0, 0.06, 0.025, 120
+HELD_TORQUE = 2 * TORSION * PUSH
+"""Torque that two contacts with torsional friction hold [N·m]."""
 
 
-def held(moved: float) -> bool:
-    """Whether the ball has not left the plates after a second [m]."""
-    return moved < 0.05
+def held(ball: tuple[float, float]) -> bool:
+    """Whether the ball has not left the plates after a second."""
+    return ball[0] < 0.05
 
 
-def mujoco_ball(lean: float) -> float:
-    """How far the ball moves in MuJoCo with the engine's contact settings [m]."""
+def still(ball: tuple[float, float]) -> bool:
+    """Whether the ball does not turn after a second."""
+    return ball[1] < 0.1
+
+
+def mujoco_ball(lean: float, torque: float = 0.0, torsion: float = TORSION) -> tuple[float, float]:
+    """How far the ball moves [m], and how fast it turns at the end [rad/s], in MuJoCo with the engine's contact settings."""
     plates, actuators = "", ""
     for side in (-1, 1):
         x, z = side * np.cos(lean), np.sin(lean)  # from the ball to the plate
@@ -35,19 +45,19 @@ def mujoco_ball(lean: float) -> float:
     options = " ".join(f'{name}="{value}"' for name, value in OPTION.items())
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><compiler angle="radian"/><option gravity="0 0 0" {options}/>'
-        f'<default><geom friction="{FRICTION} 0.005 0.0001" {contact}/></default>'
+        f'<default><geom friction="{FRICTION} {torsion} 0.0001" {contact}/></default>'
         f'<worldbody><body name="ball"><freejoint/><geom type="sphere" size="{RADIUS}" mass="{MASS}"/></body>{plates}</worldbody>'
         f"<actuator>{actuators}</actuator></mujoco>"
     )
     data = mujoco.MjData(model)
-    data.ctrl[:] = 1.0
+    data.ctrl[:], data.body("ball").xfrc_applied[3] = 1.0, torque
     for _ in range(STEPS):
         mujoco.mj_step(model, data)
-    return float(np.linalg.norm(data.body("ball").xpos))
+    return float(np.linalg.norm(data.body("ball").xpos)), float(np.linalg.norm(data.qvel[3:6]))
 
 
-def bullet_ball(lean: float, solver: str) -> float:
-    """How far the ball moves in PyBullet with one of its solvers [m]."""
+def bullet_ball(lean: float, solver: str, torque: float = 0.0, torsion: float = 0.0) -> tuple[float, float]:
+    """How far the ball moves [m], and how fast it turns at the end [rad/s], in PyBullet with one of its solvers."""
     import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)
@@ -58,7 +68,9 @@ def bullet_ball(lean: float, solver: str) -> float:
     ball_shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client)
     plate_shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.005, 0.05, 0.05], physicsClientId=client)
     ball = pybullet.createMultiBody(MASS, ball_shape, basePosition=[0, 0, 0], physicsClientId=client)
-    pybullet.changeDynamics(ball, -1, lateralFriction=FRICTION, linearDamping=0, angularDamping=0, physicsClientId=client)
+    pybullet.changeDynamics(
+        ball, -1, lateralFriction=FRICTION, spinningFriction=torsion, linearDamping=0, angularDamping=0, physicsClientId=client
+    )
     plates = []
     for side in (-1, 1):
         x, z = side * np.cos(lean), np.sin(lean)
@@ -75,24 +87,45 @@ def bullet_ball(lean: float, solver: str) -> float:
     for _ in range(STEPS):
         for plate, push in plates:
             pybullet.setJointMotorControl2(plate, 0, pybullet.TORQUE_CONTROL, force=push, physicsClientId=client)
+        pybullet.applyExternalTorque(ball, -1, [torque, 0, 0], pybullet.WORLD_FRAME, physicsClientId=client)
         pybullet.stepSimulation(physicsClientId=client)
     position, _ = pybullet.getBasePositionAndOrientation(ball, physicsClientId=client)
+    _, spin = pybullet.getBaseVelocity(ball, physicsClientId=client)
     pybullet.disconnect(client)
-    return float(np.linalg.norm(position))
+    return float(np.linalg.norm(position)), float(np.linalg.norm(spin))
 
 
-@pytest.mark.parametrize("share", [0.2, 0.6, 0.8, 1.2, 1.6])
+CONE = pytest.mark.parametrize("share", [0.2, 0.6, 0.8, 1.2, 1.6])
+TWIST = pytest.mark.parametrize("share", [0.02, 0.6, 0.9, 1.1, 1.5])
+
+
+@CONE
 def test_mujoco_holds_a_ball_within_the_friction_cone(share):
     assert held(mujoco_ball(np.arctan(share * FRICTION))) == (share < 1.0)
 
 
 @pytest.mark.pybullet
-@pytest.mark.parametrize("share", [0.2, 0.6, 0.8, 1.2, 1.6])
+@CONE
 def test_bullets_iterative_solver_holds_a_ball_within_the_friction_cone(share):
     assert held(bullet_ball(np.arctan(share * FRICTION), "SI")) == (share < 1.0)
 
 
 @pytest.mark.pybullet
-@pytest.mark.parametrize("share", [0.2, 0.6, 0.8, 1.2, 1.6])
+@CONE
 def test_bullets_direct_solver_holds_it_within_half_of_the_cone(share):
     assert held(bullet_ball(np.arctan(share * FRICTION), "DANTZIG")) == (share < 0.5)
+
+
+@TWIST
+def test_mujoco_holds_a_ball_against_a_torque_by_torsional_friction_alone(share):
+    assert still(mujoco_ball(0.0, share * HELD_TORQUE)) == (share < 1.0)
+    assert not still(mujoco_ball(0.0, share * HELD_TORQUE, torsion=0.0))
+
+
+@pytest.mark.pybullet
+@TWIST
+def test_bullet_has_torsional_friction_in_its_iterative_solver_alone_and_only_on_request(share):
+    torque = share * HELD_TORQUE
+    assert still(bullet_ball(0.0, "SI", torque, TORSION)) == (share < 1.0)
+    assert not still(bullet_ball(0.0, "SI", torque))
+    assert not still(bullet_ball(0.0, "DANTZIG", torque, TORSION))

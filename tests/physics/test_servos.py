@@ -99,7 +99,10 @@ def test_servos_arrive_together_and_on_time():
 
 @pytest.mark.parametrize(
     ("settings", "change"),
-    [(ServoSettings, {"speed": 0.0}), (ServoSettings, {"dead_band": -1.0}), (WorldSettings, {"physics_hz": 0})],
+    [
+        *((ServoSettings, {"speed": 0.0}), (ServoSettings, {"dead_band": -1.0})),
+        *((WorldSettings, {"physics_hz": 0}), (WorldSettings, {"torsion": -1.0}), (WorldSettings, {"wrist_effort": 0.0})),
+    ],
 )
 def test_settings_name_the_bad_value(settings, change):
     with pytest.raises(ValueError, match=str(next(iter(change.values())))):

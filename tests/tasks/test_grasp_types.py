@@ -17,7 +17,7 @@ from hpac_gym.model import (
 from hpac_gym.physics.engine import HAND_QUATERNION, matrix_from_quaternion
 from hpac_gym.tasks.grasp import quaternion_from_rpy
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
-from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Moment, Rule
+from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Look, Rule
 from hpac_gym.tasks.grasp_types import (
     GRASP_TYPES,
     START,
@@ -54,18 +54,18 @@ def test_the_named_grasps_of_v0_stay_as_they_are():
     assert hashlib.sha256(np.round(1e6 * numbers).astype(np.int64).tobytes()).hexdigest()[:16] == "d9dcee7cd29a09c0"
 
 
-def moment(
+def look(
     force: dict[str, float], normal=(1.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), rotation=None, centre=(0.5, 0.0, 0.0)
-) -> Moment:
+) -> Look:
     """Contacts of some links with one normal and one point, the hand open."""
     count = len(force)
     spread = [np.tile(np.asarray(vector, float), (count, 1)) for vector in (point, normal)]
     turn = np.eye(3) if rotation is None else rotation
-    return Moment(tuple(force), np.array(list(force.values())), *spread, turn, np.array(centre), np.zeros(15))
+    return Look(tuple(force), np.array(list(force.values())), *spread, turn, np.array(centre), np.zeros(15))
 
 
-def hold(*moments: Moment) -> Hold:
-    return Hold(moments)
+def hold(*looks: Look) -> Hold:
+    return Hold(looks)
 
 
 PINCH = {TIPS["thumb"]: 3.0, TIPS["index"]: 3.0}
@@ -76,26 +76,26 @@ TILTED = TURNED[:, [2, 1, 0]] * [1, 1, -1]
 @pytest.mark.parametrize(
     ("rule", "good", "bad"),
     [
-        (Rule(touch=("thumb", "index")), hold(moment(PINCH)), hold(moment({TIPS["index"]: 3.0}))),
-        (Rule(fingers=1), hold(moment(PINCH)), hold(moment({TIPS["thumb"]: 3.0}))),
-        (Rule(digits=2), hold(moment(PINCH)), hold(moment({TIPS["thumb"]: 3.0, "palm": 1.0}))),
-        (Rule(never=("palm",)), hold(moment(PINCH)), hold(moment(PINCH | {"palm": 0.1}))),
-        (Rule(tips=True), hold(moment(PINCH)), hold(moment(PINCH | {"index_mcp_link": 3.0}))),
-        (Rule(force=4.0), hold(moment(PINCH)), hold(moment({TIPS["thumb"]: 3.0}))),
-        (Rule(), hold(moment(PINCH), moment(PINCH)), hold(moment(PINCH), moment(PINCH, rotation=TURNED))),
-        (Rule(turn_deg=180, tilt_deg=20), hold(moment(PINCH, rotation=TURNED)), hold(moment(PINCH, rotation=TILTED))),
-        (Rule(axis="x", along=0.7), hold(moment(PINCH)), hold(moment(PINCH, normal=(0.0, 1.0, 0.0)))),
-        (Rule(axis="z", across=0.7), hold(moment(PINCH)), hold(moment(PINCH, normal=(0.0, 0.0, 1.0)))),
-        (Rule(side="index"), hold(moment(PINCH, normal=(0.0, 1.0, 0.0))), hold(moment(PINCH))),
+        (Rule(touch=("thumb", "index")), hold(look(PINCH)), hold(look({TIPS["index"]: 3.0}))),
+        (Rule(fingers=1), hold(look(PINCH)), hold(look({TIPS["thumb"]: 3.0}))),
+        (Rule(digits=2), hold(look(PINCH)), hold(look({TIPS["thumb"]: 3.0, "palm": 1.0}))),
+        (Rule(never=("palm",)), hold(look(PINCH)), hold(look(PINCH | {"palm": 0.1}))),
+        (Rule(tips=True), hold(look(PINCH)), hold(look(PINCH | {"index_mcp_link": 3.0}))),
+        (Rule(force=4.0), hold(look(PINCH)), hold(look({TIPS["thumb"]: 3.0}))),
+        (Rule(), hold(look(PINCH), look(PINCH)), hold(look(PINCH), look(PINCH, rotation=TURNED))),
+        (Rule(turn_deg=180, tilt_deg=20), hold(look(PINCH, rotation=TURNED)), hold(look(PINCH, rotation=TILTED))),
+        (Rule(axis="x", along=0.7), hold(look(PINCH)), hold(look(PINCH, normal=(0.0, 1.0, 0.0)))),
+        (Rule(axis="z", across=0.7), hold(look(PINCH)), hold(look(PINCH, normal=(0.0, 0.0, 1.0)))),
+        (Rule(side="index"), hold(look(PINCH, normal=(0.0, 1.0, 0.0))), hold(look(PINCH))),
         (
             Rule(button=0.04, press=2.0),
-            hold(moment(PINCH, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.05))),
-            hold(moment(PINCH, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.03))),
+            hold(look(PINCH, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.05))),
+            hold(look(PINCH, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.03))),
         ),
         (
             Rule(button=0.04, press=2.0),
-            hold(moment({TIPS["thumb"]: 3.0}, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.05))),
-            hold(moment({TIPS["thumb"]: 3.0}, point=(0.0, 0.0, 0.05))),
+            hold(look({TIPS["thumb"]: 3.0}, normal=(0.0, 0.0, -1.0), point=(0.0, 0.0, 0.05))),
+            hold(look({TIPS["thumb"]: 3.0}, point=(0.0, 0.0, 0.05))),
         ),
     ],
     ids=["touch", "fingers", "digits", "never", "tips", "force", "turn", "tilt", "along", "across", "side", "button", "pressed"],
@@ -107,21 +107,21 @@ def test_a_rule_tells_a_good_hold_from_a_bad_one(rule: Rule, good: Hold, bad: Ho
 
 
 def test_a_part_touches_if_it_does_in_half_of_the_hold():
-    rule, without = Rule(touch=("thumb",)), moment({TIPS["index"]: 3.0})
-    assert rule.kept(hold(moment(PINCH), without))
-    assert not rule.kept(hold(moment(PINCH), without, without))
+    rule, without = Rule(touch=("thumb",)), look({TIPS["index"]: 3.0})
+    assert rule.kept(hold(look(PINCH), without))
+    assert not rule.kept(hold(look(PINCH), without, without))
 
 
 def test_a_digit_goes_through_a_ring_that_is_put_over_it_and_not_through_one_beside_it():
     """The open index lies along z of the hand, its last two links from z = 137 to 188 mm at y = 35 to 40 mm."""
     ring = Hole(centre=(0.0, 0.0, 0.0), axis="z", half=(0.014, 0.014))
     rule = Rule(through=("index",), holes=(ring,))
-    assert rule.kept(hold(moment(PINCH, centre=(0.0, 0.038, 0.165))))
-    assert not rule.kept(hold(moment({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165)))), "it must touch, too"
-    without = [moment({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165))] * 4
-    assert not rule.kept(hold(moment(PINCH, centre=(0.0, 0.038, 0.165)), *without)), "a fifth of the hold is not enough"
-    assert not rule.kept(hold(moment(PINCH, centre=(0.0, 0.060, 0.165))))
-    assert not rule.kept(hold(moment(PINCH, centre=(0.0, 0.038, 0.200)))), "beyond its tip"
+    assert rule.kept(hold(look(PINCH, centre=(0.0, 0.038, 0.165))))
+    assert not rule.kept(hold(look({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165)))), "it must touch, too"
+    without = [look({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165))] * 4
+    assert not rule.kept(hold(look(PINCH, centre=(0.0, 0.038, 0.165)), *without)), "a fifth of the hold is not enough"
+    assert not rule.kept(hold(look(PINCH, centre=(0.0, 0.060, 0.165))))
+    assert not rule.kept(hold(look(PINCH, centre=(0.0, 0.038, 0.200)))), "beyond its tip"
     assert ring.outside(np.array([0.02, 0.0, -0.01]), np.array([0.02, 0.0, 0.01])) == pytest.approx(0.006)
 
 

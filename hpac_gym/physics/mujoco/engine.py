@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Any
 
 import mujoco
@@ -14,7 +15,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, Contacts, Engine, PhysicsError, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.mujoco.camera import Camera
-from hpac_gym.physics.mujoco.group import FELT, FELT_ENDS, Group
+from hpac_gym.physics.mujoco.group import FELT, FORCE, ON_SUPPORT, ON_TARGET, TENSION, TOUCHING, Group
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
@@ -30,11 +31,14 @@ class MuJoCoEngine(Engine):
 
     Raises:
         ValueError: Fewer than one world or thread.
+        ParameterError: Iterations for Bullet's iterative solver.
     """
 
     def __init__(
         self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False, threads: int | None = None
     ) -> None:
+        if settings.solver_iterations:
+            raise ParameterError(f"solver_iterations = {settings.solver_iterations} must be 0 in MuJoCo: they are Bullet's")
         threads = max(min(num_worlds, _processors()), 1) if threads is None else threads
         if not (num_worlds >= 1 and threads >= 1):
             raise ValueError(f"{num_worlds} worlds on {threads} threads: both must be at least 1")
@@ -63,22 +67,22 @@ class MuJoCoEngine(Engine):
         Raises:
             ParameterError: A setup's hand has tendon friction.
         """
-        jobs: dict[Group, list[tuple[int, SceneSetup]]] = {}
-        before = list(self._group_of)
-        for world, setup in sorted(zip(worlds, setups, strict=True), key=lambda job: job[0]):
+        jobs: dict[Group, list[int]] = {}
+        moved = False
+        for world, setup in sorted(zip(worlds, setups, strict=True), key=itemgetter(0)):
             self.require(setup.hand_settings)
             layout = Layout.of(setup)
-            if layout not in self._groups:
-                self._groups[layout] = Group(layout, *self._options)
-            jobs.setdefault(self._groups[layout], []).append((world, setup))
+            group = self._groups.get(layout)
+            if group is None:
+                group = self._groups[layout] = Group(layout, *self._options)
+            jobs.setdefault(group, []).append(world)
+            moved |= self._group_of[world] is not group
+            self._group_of[world], self._setups[world], self._to_hand[world] = group, setup, setup.hand_rotation.T
         for group, entries in jobs.items():
-            for world, setup in entries:
-                self._group_of[world], self._setups[world] = group, setup
-                self._to_hand[world], self._steps[world] = setup.hand_rotation.T, 0
-            index = np.array([world for world, _ in entries])
-            group.start(index, [setup for _, setup in entries])
-            self._felt[index] = 0.0
-        if before != self._group_of:
+            index = np.array(entries)
+            group.start(index, [self._setups[world] for world in entries])
+            self._felt[index], self._steps[index] = 0.0, 0
+        if moved:
             owners = self._groups.values()
             rows = [np.array([world for world, owner in enumerate(self._group_of) if owner is group], int) for group in owners]
             self._members = {group: members for group, members in zip(owners, rows, strict=True) if len(members)}
@@ -107,9 +111,10 @@ class MuJoCoEngine(Engine):
             state.joint_pos[rows], state.joint_vel[rows] = qpos[:, at.joint], qvel[:, at.dof]
             if group.layout.object is not None:
                 self._read_object(state, group, rows, qpos, qvel)
-        state.tension, touching, state.contact_force, support, target = np.split(self._felt.copy(), FELT_ENDS, axis=1)
-        state.touching, state.on_target = touching > 0, target[:, 0] > 0
-        state.supported = (support[:, 0] > 0) | state.on_target
+        felt = self._felt.copy()
+        state.tension, state.touching, state.contact_force = felt[:, TENSION], felt[:, TOUCHING] > 0, felt[:, FORCE]
+        state.on_target = felt[:, ON_TARGET] > 0
+        state.supported = (felt[:, ON_SUPPORT] > 0) | state.on_target
         return state
 
     def _read_object(self, state: SceneState, group: Group, rows: Any, qpos: Array, qvel: Array) -> None:
@@ -209,9 +214,12 @@ def _turn(rotation: Array, vector: Array) -> Array:
 
 def _matrices(quaternion: Array) -> Array:
     """Rotation matrices of unit quaternions wxyz, shapes (n, 4) and (n, 3, 3)."""
-    w, x, y, z = quaternion.T
-    rotation = np.empty((len(quaternion), 3, 3))
-    rotation[:, 0, 0], rotation[:, 0, 1], rotation[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
-    rotation[:, 1, 0], rotation[:, 1, 1], rotation[:, 1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
-    rotation[:, 2, 0], rotation[:, 2, 1], rotation[:, 2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
-    return rotation
+    products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
+    rotation = 2 * (products[:, _FIRST] + _SIGN * products[:, _SECOND])
+    rotation[:, ::4] = 1 - rotation[:, ::4]
+    return rotation.reshape(-1, 3, 3)
+
+
+_FIRST = np.array([10, 6, 7, 6, 5, 11, 7, 11, 5])
+"""Products yy, xy, xz, xy, xx, yz, xz, yz and xx, and with `_SECOND` zz, zw, yw, zw, zz, xw, yw, xw and yy."""
+_SECOND, _SIGN = np.array([15, 3, 2, 3, 15, 1, 2, 1, 10]), np.array([1, -1, 1, 1, 1, -1, -1, 1, 1])

@@ -34,10 +34,11 @@ FIELDS = (
 """Fields of the model with separate values for every world."""
 BODIES_KEPT = 64
 """Number of hand geometries whose compiled fields a group caches."""
-FELT_ENDS = (len(DIGITS), len(DIGITS) + len(PARTS), len(DIGITS) + 2 * len(PARTS), len(DIGITS) + 2 * len(PARTS) + 1)
-"""Column boundaries between the quantities in a row of `Group.felt`."""
-FELT = FELT_ENDS[-1] + 1
-"""Number of columns of `Group.felt`."""
+TENSION, TOUCHING = slice(0, len(DIGITS)), slice(len(DIGITS), len(DIGITS) + len(PARTS))
+FORCE = slice(TOUCHING.stop, TOUCHING.stop + len(PARTS))
+ON_SUPPORT, ON_TARGET, FELT = FORCE.stop, FORCE.stop + 1, FORCE.stop + 2
+"""Columns of `Group.felt`, and their number: tensions of the drives [N], numbers of contacts of `PARTS`, their normal forces [N],
+numbers of contacts of the object with its support and with the target."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,14 +208,10 @@ class Group:
 
     def _set_object(self, world: int, setup: SceneSetup) -> None:
         fields, at, spec = self.fields, self.at, setup.object
-        geoms = geoms_of(spec.shape, spec.half_extents, spec.model, spec.scale)
-        rows = at.object_geoms[geoms.index]
-        fields["geom_type"][world, rows] = geoms.kind
-        fields["geom_size"][world, rows] = geoms.size
-        fields["geom_pos"][world, rows] = geoms.place
-        fields["geom_quat"][world, rows] = geoms.quaternion
-        fields["geom_aabb"][world, rows, 3:] = geoms.half
-        fields["geom_rbound"][world, rows] = geoms.radius
+        index, values = geoms_of(spec)
+        rows = at.object_geoms[index]
+        for name, value in values.items():
+            fields[name][world, rows] = value
         # The hand's skin and the support multiply the object's friction; MuJoCo uses the value of the geom with higher priority.
         rows = at.object_geoms
         fields["geom_friction"][world, rows, 0] = setup.hand_settings.contact_friction * spec.friction
@@ -300,16 +297,13 @@ class Group:
         return int(world), mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_")
 
     def felt(self, rows: Index | slice) -> Array:
-        """Forces and contacts of worlds in the last physics step, shape (m, FELT).
-
-        Columns: tensions of the drives [N], numbers of contacts of `PARTS`, their normal forces [N], numbers of contacts of
-        the object with its support and with the target.
-        """
-        tension = -self.force[rows, : len(DIGITS)]
-        sensors, found = self.sensors[rows], np.zeros((len(tension), 2))
-        if not self.model.nsensor:
-            return np.concatenate([tension, np.zeros((len(tension), 2 * len(PARTS))), found], axis=1)
-        split = len(PARTS) * SLOTS * FORCE_SIZE
-        slots = sensors[:, :split].reshape(-1, len(PARTS), SLOTS, FORCE_SIZE)
-        found[:, : sensors.shape[1] - split] = sensors[:, split:]
-        return np.concatenate([tension, slots[:, :, 0, 0], slots[..., 1].sum(axis=2), found], axis=1)
+        """Forces and contacts of worlds in the last physics step, shape (m, FELT)."""
+        tension, sensors = -self.force[rows, : len(DIGITS)], self.sensors[rows]
+        found = np.zeros((len(tension), FELT))
+        found[:, TENSION] = tension
+        if self.model.nsensor:
+            split = len(PARTS) * SLOTS * FORCE_SIZE
+            slots = sensors[:, :split].reshape(-1, len(PARTS), SLOTS, FORCE_SIZE)
+            found[:, TOUCHING], found[:, FORCE] = slots[:, :, 0, 0], slots[..., 1].sum(axis=2)
+            found[:, ON_SUPPORT : ON_SUPPORT + sensors.shape[1] - split] = sensors[:, split:]
+        return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
+from typing import Any
 from xml.etree import ElementTree as Xml
 
 import mujoco
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
-from hpac_gym.body.object_models import ObjectModel, Solid, principal_inertia
+from hpac_gym.body.object_models import ObjectModel, principal_inertia
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.model import HPAC
 from hpac_gym.model.checks import Array
@@ -42,6 +43,8 @@ BRAKES = 5
 WRIST_STIFFNESS = 1e7
 """Stiffness of the servos that hold the palm [N/m]: weight and shake deflect it by less than 1 µm. Their force is not limited:
 MuJoCo applies limits before a step, when so stiff a servo requests thousands of newtons that it never exerts in the step."""
+LIMITED_WRIST_STIFFNESS = 2e4
+"""Stiffness of the servos of a wrist whose force is limited (`WorldSettings.wrist_effort`) [N/m]."""
 KINDS = {
     "sphere": int(mujoco.mjtGeom.mjGEOM_SPHERE),
     "capsule": int(mujoco.mjtGeom.mjGEOM_CAPSULE),
@@ -49,6 +52,7 @@ KINDS = {
     "box": int(mujoco.mjtGeom.mjGEOM_BOX),
     "hull": int(mujoco.mjtGeom.mjGEOM_MESH),
 }
+_ALONE, _ORIGIN, _STRAIGHT = np.zeros(1, dtype=np.intp), np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,50 +102,40 @@ def inertia_of_hand(geometry: Geometry, armature: tuple[float, float, float]) ->
     return mass_matrix(geometry, armature, HPAC.synergy_max / 2)
 
 
-@dataclass(frozen=True, slots=True)
-class Geoms:
-    """MuJoCo geom parameters of the k primitive solids of an object; those of hulls are compiled."""
-
-    index: NDArray[np.intp]
-    """Index of each primitive among the object's solids, shape (k,)."""
-    kind: Array
-    """MuJoCo geom type, shape (k,)."""
-    size: Array
-    """MuJoCo geom size, shape (k, 3) [m]."""
-    place: Array
-    """Centre in the object's frame, shape (k, 3) [m]."""
-    quaternion: Array
-    """Orientation wxyz in the object's frame, shape (k, 4)."""
-    half: Array
-    """Half-extents of each bounding box along the solid's own axes, shape (k, 3) [m]."""
-    radius: Array
-    """Radius of each bounding sphere, shape (k,) [m]."""
+def geoms_of(spec: ObjectSpec) -> tuple[NDArray[np.intp], dict[str, Any]]:
+    """Indices of the k primitive solids among an object's, and their values of MuJoCo's geom fields; hulls are compiled."""
+    if spec.model is not None:
+        return _geoms_of_model(spec.model, spec.scale)
+    return _ALONE, _geom_fields(spec.shape, *spec.half_extents)
 
 
 @lru_cache(maxsize=1024)
-def geoms_of(shape: str, half_extents: tuple[float, float, float], model: ObjectModel | None, scale: float) -> Geoms:
-    """Geom parameters of an object, from the fields of its `ObjectSpec`."""
-    if model is None:
-        x, y, z = (2 * side for side in half_extents)
-        solids: tuple[Solid, ...] = (Solid(shape, 1.0, (x, y, z), np.zeros(3), np.eye(3)),)
-    else:
-        solids = tuple(solid for solid in model.solids if solid.hull is None)
-    index = range(1) if model is None else [index for index, solid in enumerate(model.solids) if solid.hull is None]
-    half = np.array([[scale * side / 2 for side in solid.size] for solid in solids]).reshape(-1, 3)
-    return Geoms(
-        np.array(index, dtype=np.intp),
-        np.array([KINDS[solid.kind] for solid in solids]),
-        np.array([geom_size(solid, scale) for solid in solids]).reshape(-1, 3),
-        np.array([scale * solid.center for solid in solids]).reshape(-1, 3),
-        np.array([quaternion_from_matrix(solid.rotation) for solid in solids]).reshape(-1, 4),
-        half,
-        np.array([_reach(solid.kind, *sides) for solid, sides in zip(solids, half.tolist(), strict=True)]),
-    )
+def _geoms_of_model(model: ObjectModel, scale: float) -> tuple[NDArray[np.intp], dict[str, Any]]:
+    index = [index for index, solid in enumerate(model.solids) if solid.hull is None]
+    rows = []
+    for solid in (model.solids[i] for i in index):
+        place, turn = scale * solid.center, quaternion_from_matrix(solid.rotation)
+        rows.append(_geom_fields(solid.kind, *(scale * side / 2 for side in solid.size), place, turn))
+    return np.array(index, dtype=np.intp), {name: np.array([row[name] for row in rows]) for name in rows[0]} if rows else {}
 
 
-def _reach(kind: str, x: float, y: float, z: float) -> float:
-    """Radius of the bounding sphere of a solid with these half-extents [m]."""
-    return {"sphere": x, "capsule": z, "cylinder": math.hypot(x, z), "box": math.hypot(x, y, z)}[kind]
+def _geom_fields(kind: str, x: float, y: float, z: float, place: Array = _ORIGIN, turn: Array = _STRAIGHT) -> dict[str, Any]:
+    """MuJoCo's geom fields of a solid with these half-extents [m], at a place [m], turned by a quaternion wxyz."""
+    size, reach = size_of(kind, x, y, z)
+    numbers = {"geom_type": KINDS[kind], "geom_size": size, "geom_pos": place, "geom_quat": turn}
+    return numbers | {"geom_rbound": reach, "geom_aabb": (0.0, 0.0, 0.0, x, y, z)}
+
+
+def size_of(kind: str, x: float, y: float, z: float) -> tuple[tuple[float, float, float], float]:
+    """MuJoCo's size of a solid with these half-extents (radius and half length of round ones), and its bounding radius [m]."""
+    match kind:
+        case "box":
+            return (x, y, z), math.hypot(x, y, z)
+        case "sphere":
+            return (x, 0.0, 0.0), x
+        case "cylinder":
+            return (x, z, 0.0), math.hypot(x, z)
+    return (x, z - x, 0.0), z
 
 
 @cache
@@ -153,23 +147,16 @@ def _mass_of(model: ObjectModel) -> tuple[Array, Array]:
 @lru_cache(maxsize=64)
 def inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
     """Centre of mass, shape (3,) [m], principal moments about it, shape (3,) [kg·m²], and their axes, quaternion wxyz."""
-    straight, centre = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     if spec.model is None:
         x, y, z = (2 * half for half in spec.half_extents)
-        return centre, np.array(principal_inertia(spec.shape, spec.mass, (x, y, z))), straight
+        return _ORIGIN, np.array(principal_inertia(spec.shape, spec.mass, (x, y, z))), _STRAIGHT
     centre, inertia = _mass_of(spec.model)
     inertia = inertia * (spec.mass / spec.model.mass * spec.scale**2)
     if is_straight(spec.model):
-        return spec.scale * centre, np.diag(inertia), straight
+        return spec.scale * centre, np.diag(inertia), _STRAIGHT
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     return spec.scale * centre, moments, quaternion_from_matrix(axes)
-
-
-def geom_size(solid: Solid, scale: float) -> Array:
-    """MuJoCo's size of a solid: half extents of a box, radius and half length of round ones, shape (3,) [m]."""
-    x, y, z = (scale * side / 2 for side in solid.size)
-    return np.array({"box": (x, y, z), "sphere": (x, 0.0, 0.0), "cylinder": (x, z, 0.0), "capsule": (x, z - x, 0.0)}[solid.kind])
 
 
 def quaternion_from_matrix(rotation: Array) -> Array:
@@ -205,8 +192,11 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geom
             for geom in [geom for geom in body.findall("geom") if geom.get("class") == "drawn"]:
                 body.remove(geom)
     _add_brakes(actuators)
+    wrist = {"kp": repr(WRIST_STIFFNESS), "dampratio": "0", "forcelimited": "false"}
+    if effort := settings.wrist_effort:
+        wrist = {"kp": repr(LIMITED_WRIST_STIFFNESS), "forcerange": _text((-effort, effort))}
     for slide in actuators.findall("position"):
-        slide.attrib |= {"kp": repr(WRIST_STIFFNESS), "dampratio": "0", "forcelimited": "false"}
+        slide.attrib |= wrist
     if layout.object is not None:
         _add_object(root, world, layout)
         if not layout.fixed:
@@ -215,6 +205,8 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geom
     model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
     # These flags state that a frame coincides with its body's; worlds move theirs.
     model.geom_sameframe[:] = 0
+    if settings.torsion is not None:
+        model.geom_friction[:, 1] = settings.torsion
     return model
 
 

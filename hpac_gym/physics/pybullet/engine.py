@@ -26,11 +26,19 @@ class PyBulletEngine(Engine):
         settings: settings of every world.
         visuals: load visual shapes; without them a reset is faster and the physics identical.
 
+    Raises:
+        ValueError: Fewer than one world.
+        ParameterError: Torsional friction with the direct solver.
+
     Attributes:
         scenes: one PyBullet world each, for tests.
     """
 
     def __init__(self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False) -> None:
+        if num_worlds < 1:
+            raise ValueError(f"{num_worlds} worlds: at least 1 is needed")
+        if settings.torsion and not settings.solver_iterations:
+            raise ParameterError(f"torsion = {settings.torsion} m needs Bullet's iterative solver: solver_iterations ≥ 1")
         self.num_worlds, self.dt = num_worlds, settings.dt
         self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
         self._setups: list[SceneSetup | None] = [None] * num_worlds

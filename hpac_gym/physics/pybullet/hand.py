@@ -160,7 +160,7 @@ class SimHand:
             pybullet.POSITION_CONTROL,
             targetPositions=[a * x + b * y + c * z for a, b, c in self._axes],
             targetVelocities=[0.0] * 3,
-            forces=[WRIST_EFFORT] * 3,
+            forces=[self.world.settings.wrist_effort or WRIST_EFFORT] * 3,
             positionGains=[1.0] * 3,
             velocityGains=[1.0] * 3,
             physicsClientId=self._client,

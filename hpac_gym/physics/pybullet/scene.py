@@ -61,6 +61,9 @@ class Scene:
         centre = HAND_POSITION + self.to_hand.T @ setup.position
         orientation, _ = setup.object_turn
         self.object = SimObject(self.world, setup.object, centre, orientation, self._visuals, setup.fixed)
+        if torsion := self.world.settings.torsion:  # Bullet multiplies it by the other body's lateral friction
+            spinning = torsion / setup.hand_settings.contact_friction
+            pybullet.changeDynamics(self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client)
         if not setup.fixed:
             self._add_supports(setup)
         self._added += [self.object.body, *self.supports]
