@@ -297,6 +297,16 @@ assert len(link.status().attached) == 6
     assert not host_board.pulses().any()
 
 
+@pytest.mark.parametrize("call", [HandLink.estop, HandLink.heartbeat, HandLink.clear, HandLink.status])
+def test_no_call_of_another_process_reaches_the_hand(virtual_hand, armed, call):
+    armed._connection._owner += 1
+    sent = armed.statistics.sent
+    with pytest.raises(PortError, match="belongs to process"):
+        call(armed)
+    assert armed.statistics.sent == sent
+    armed._connection._owner -= 1
+
+
 # --- answers and links that are lost --------------------------------------------------------------------------------
 
 
@@ -396,6 +406,12 @@ def test_a_closed_log_does_not_stand_between_the_program_and_the_hand(virtual_ha
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_log_that_is_not_on_the_disk_is_an_error_of_its_own_block(virtual_hand):
+    with pytest.raises(OSError, match="space"), WireLog("/dev/full") as log:
+        log.record(0.0, "sent", b"\x01", Frame("estop", 7))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_neither_stops_an_estop_nor_hides_the_users_exception(virtual_hand):
     with pytest.warns(LogWarning, match="space"):
         with pytest.raises(ZeroDivisionError), WireLog("/dev/full") as log, HandLink(virtual_hand.connect, log=log) as link:
@@ -414,8 +430,10 @@ def test_a_log_that_fails_is_told_once_even_where_warnings_are_errors(virtual_ha
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with HandLink(virtual_hand.connect, log=Broken()) as link:
+            told = capsys.readouterr().err
             link.arm(Action.hold)
-    assert capsys.readouterr().err.count("broken log") == 1
+    assert told.count("broken log") == 1, "the first frame tells"
+    assert not capsys.readouterr().err
 
 
 # --- e-stop from elsewhere ------------------------------------------------------------------------------------------

@@ -351,6 +351,14 @@ def test_unplug_and_replug_reconnects_disarmed(virtual_hand, armed):
         armed.move(ServoCommand(POSE, 1.0))
 
 
+def test_an_unplugged_hand_neither_connects_nor_reads_nor_writes(virtual_hand):
+    transport = virtual_hand.connect()
+    virtual_hand.plugged = False
+    for call in (virtual_hand.connect, lambda: transport.read(0.0), lambda: transport.write(b"")):
+        with pytest.raises(PortError, match="unplugged"):
+            call()
+
+
 def test_a_reset_of_the_board_is_noticed(virtual_hand, armed):
     virtual_hand.restart(Reset.power_on, boot_count=2)
     with pytest.raises(RejectedError, match="state boot"):

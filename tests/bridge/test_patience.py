@@ -201,6 +201,21 @@ def test_a_call_that_is_stopped_says_so_whatever_the_port_does(virtual_hand, met
         Exchange(transport, LinkStatistics(), KnownState(), check).request("estop", timeout=0.0, attempts=1)
 
 
+@pytest.mark.parametrize("method", ["write", "read"])
+def test_a_port_that_fails_in_one_direction_ends_the_call_at_once(virtual_hand, method):
+    calls = []
+
+    def fail(*_):
+        calls.append(method)
+        raise PortError("the cable is off")
+
+    transport = virtual_hand.connect()
+    setattr(transport, method, fail)
+    with pytest.raises(PortError, match="the cable is off"):
+        Exchange(transport, LinkStatistics(), KnownState()).request("estop")
+    assert len(calls) == 1
+
+
 # --- doctor -----------------------------------------------------------------------------------------------------------
 
 
