@@ -232,14 +232,14 @@ def test_clear_leaves_a_fault_that_holds(host_board, capsys):
 
 def test_an_estop_that_nobody_confirms_says_what_to_do(monkeypatch):
     monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand.connect", lambda self: Device(self, lambda data: b""))
-    with pytest.raises(LinkTimeout, match="switch the servo supply off: no answer to estop: 20 times, 0.1 s each"):
+    with pytest.raises(LinkTimeout, match=r"switch the servo supply off: no answer to estop: 20 times, 0\.1 s each"):
         run("estop", "--port", "virtual")
     with pytest.raises(PortError, match="switch the servo supply off: /dev/does_not_exist"):
         run("estop", "--port", "/dev/does_not_exist")
 
 
 def test_a_hand_file_that_cannot_be_read_does_not_delay_an_estop(host_board, tmp_path, capsys):
-    with pytest.raises(HpacError, match="no.toml: No such file"):
+    with pytest.raises(HpacError, match=r"no\.toml: No such file"):
         run("estop", "--port", host_board.port, "--hand", str(tmp_path / "no.toml"))
     assert capsys.readouterr().out.startswith("stopped")
     assert "fault estop" in diagnose(host_board.port, host_board.port).what

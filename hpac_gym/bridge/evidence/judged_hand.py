@@ -99,6 +99,13 @@ class Coarse(JudgedHand):
         return [width // 20_000 * 20_000 for width in widths]
 
 
+class Babbling(JudgedHand):
+    """A hand that sends text instead of frames."""
+
+    def transmit(self) -> bytes:
+        return b"x" * len(super().transmit())
+
+
 class Shifted(JudgedHand):
     """A hand whose first servo is 0.5 rad off."""
 
