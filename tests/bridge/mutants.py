@@ -21,7 +21,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
 from math import sqrt
@@ -37,7 +37,7 @@ LEFT_OUT = {"__init__.py", "generate.py", "protocol.py"}
 """Nothing to break, or compared with the generated files."""
 TESTS = {
     "conversation": "frame reports patience link exits commands vectors protocol bad_devices host_board evidence",
-    "evidence": "evidence exits commands",
+    "evidence": "evidence",
 }
 _QUICK = 0.25
 """No test that waits for real time is quicker than this [s]."""
@@ -147,12 +147,11 @@ class Judge:
         os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of one text must not stand for the next
         sys.dont_write_bytecode = True
 
-    def _failure(self, *words: str, near: Collection[str] = ()) -> str:
-        """The test that fails, hangs or crashes; empty if none does. Those `near` the fault run first, the quicker before."""
+    def _failure(self, *words: str) -> str:
+        """The test that fails, hangs or crashes; empty if none does. The quicker run first."""
         known = dict(self._seconds)
         ours, theirs = Pipe(duplex=False)
-        rank, patience = lambda test: (test not in near, known.get(test, 0)), lambda test: 60 + 10 * known.get(test, 60)
-        watch = Watch(theirs.send, rank, patience, trace=not known)
+        watch = Watch(theirs.send, lambda test: known.get(test, 0), lambda test: 60 + 10 * known.get(test, 60), trace=not known)
         child = get_context("fork").Process(target=_run_tests, args=(watch, words))
         child.start()
         theirs.close()
@@ -169,6 +168,7 @@ class Judge:
     def notices(self, module: Path, line: int, was: str, becomes: str) -> str:
         """Which test notices that a module `becomes` something else than it `was`, at a line; empty if none does.
 
+        Only the tests that call the function of that line run, or all of them if none does or the line is outside of functions.
         A test that waits for real time counts if it fails twice with the fault and passes without it: on a busy machine one may
         fail by itself.
         """
@@ -181,7 +181,7 @@ class Judge:
         try:
             while True:
                 module.write_text(becomes)
-                test = self._failure(*self._files, *left_out, near=near)
+                test = self._failure(*(sorted(near) or self._files), *left_out)
                 if "::" not in test or self._seconds[test] < _QUICK:  # the first: none, or they could not even be collected
                     return test
                 again = self._failure(test)
@@ -189,6 +189,7 @@ class Judge:
                 if again and not self._failure(test):
                     return test
                 left_out += ["--deselect", test]
+                near.discard(test)
         finally:
             module.write_text(was)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hpac_gym.bridge import HostBoard, VirtualHand
-from hpac_gym.bridge.evidence import judged_hand, safety
+from hpac_gym.bridge.evidence import judged_hand, safety, sessions
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.oracle import RULES as ORACLE_RULES
 from hpac_gym.bridge.evidence.oracle import Oracle, Reader, seal, unseal, wire
@@ -112,6 +112,32 @@ def test_a_firmware_that_breaks_a_promise_breaks_its_claim(tmp_path, file, was, 
     environment = os.environ | {BUILD_VARIABLE: str(copy / "build")}
     answer = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
     assert [line for line in answer.stdout.splitlines() if line.startswith("False") and claim in line], answer.stdout
+
+
+# --- random sessions ------------------------------------------------------------------------------------------------
+
+
+def check_sessions(result: sessions.Sessions) -> None:
+    assert result.powered == result.untold == result.swallowed == 0, result
+    assert all(result.longest_cut_off[action] <= bound for action, bound in sessions.BOUND.items()), result
+    assert result.with_pulses > 0.6 * result.sessions, result
+    assert min(result.interrupted, result.cut_off.total(), result.lossy, result.unconfirmed) > 0.03 * result.sessions, result
+    assert result.interrupted_twice > 0.01 * result.sessions, result
+
+
+def test_no_random_session_leaves_the_hand_powered():
+    check_sessions(sessions.run_sessions(250))
+
+
+@pytest.mark.slow
+def test_none_of_ten_thousand_random_sessions_leaves_the_hand_powered():
+    check_sessions(sessions.run_sessions(10_000, seed=2))
+
+
+def test_sessions_whose_last_words_are_left_out_are_found_out():
+    result = sessions.run_sessions(200, release=False)
+    assert result.powered > 100
+    assert result.untold > 100
 
 
 # --- the oracle -----------------------------------------------------------------------------------------------------

@@ -31,7 +31,6 @@ from hpac_gym.bridge import (
     WireLog,
 )
 from hpac_gym.bridge.errors import LogWarning
-from hpac_gym.bridge.evidence import sessions
 from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.virtual_hand import VirtualTransport
 from hpac_gym.model import ServoCommand
@@ -47,32 +46,6 @@ def signals_as_in_a_terminal():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
-
-
-# --- random sessions ------------------------------------------------------------------------------------------------
-
-
-def check(result: sessions.Sessions) -> None:
-    assert result.powered == result.untold == result.swallowed == 0, result
-    assert all(result.longest_cut_off[action] <= bound for action, bound in sessions.BOUND.items()), result
-    assert result.with_pulses > 0.6 * result.sessions, result
-    assert min(result.interrupted, result.cut_off.total(), result.lossy, result.unconfirmed) > 0.03 * result.sessions, result
-    assert result.interrupted_twice > 0.01 * result.sessions, result
-
-
-def test_no_random_session_leaves_the_hand_powered():
-    check(sessions.run_sessions(250))
-
-
-@pytest.mark.slow
-def test_none_of_ten_thousand_random_sessions_leaves_the_hand_powered():
-    check(sessions.run_sessions(10_000, seed=2))
-
-
-def test_sessions_whose_last_words_are_left_out_are_found_out():
-    result = sessions.run_sessions(200, release=False)
-    assert result.powered > 100
-    assert result.untold > 100
 
 
 # --- signals --------------------------------------------------------------------------------------------------------
