@@ -17,7 +17,7 @@ from hpac_gym.bridge import (
     StoppedError,
     UnconfirmedWarning,
     connection,
-    line,
+    link,
 )
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
@@ -342,8 +342,8 @@ def test_reconnecting_is_tried_every_twentieth_of_a_second_for_ten(monkeypatch):
     def refuse():
         raise PortError("no such port")
 
-    monkeypatch.setattr(line, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(line, "sleep", lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)))
+    monkeypatch.setattr(link, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(link, "sleep", lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)))
     with pytest.raises(PortError, match="no such port"):
         HandLink(refuse).reconnect()
     assert set(pauses) == {0.05}
