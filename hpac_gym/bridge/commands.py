@@ -16,11 +16,10 @@ from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.evidence import safety
 from hpac_gym.bridge.evidence.conform import conform
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.host_board import HostBoard
+from hpac_gym.bridge.hands import HostBoard, VirtualHand, config_of
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport, open_transport
-from hpac_gym.bridge.virtual_hand import VirtualHand, config_of
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, move_duration
 

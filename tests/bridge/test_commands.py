@@ -24,8 +24,8 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.commands import connector, send_and_hold
 from hpac_gym.bridge.doctor import diagnose
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.hands import VirtualTransport, config_of, default_config
 from hpac_gym.bridge.protocol import MESSAGES
-from hpac_gym.bridge.virtual_hand import VirtualTransport, config_of, default_config
 from hpac_gym.errors import HpacError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
 

@@ -15,7 +15,7 @@ from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.oracle import RULES as ORACLE_RULES
 from hpac_gym.bridge.evidence.oracle import Oracle, Reader, seal, unseal, wire
 from hpac_gym.bridge.frame import Frame, decode, encode
-from hpac_gym.bridge.host_board import BUILD_VARIABLE
+from hpac_gym.bridge.hands import BUILD_VARIABLE
 from hpac_gym.bridge.protocol import MESSAGES
 from tests.bridge.test_commands import run
 

@@ -32,7 +32,7 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, decode, encode
-from hpac_gym.bridge.virtual_hand import VirtualTransport
+from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.model import ServoCommand
 
 ROOT = Path(__file__).parents[2]

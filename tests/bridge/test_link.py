@@ -24,8 +24,8 @@ from hpac_gym.bridge import (
     servo_from_pulses,
 )
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import MESSAGES
-from hpac_gym.bridge.virtual_hand import VirtualTransport
 from hpac_gym.errors import HpacError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration, stream_command
 

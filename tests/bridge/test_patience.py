@@ -23,9 +23,9 @@ from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import decode
+from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK
 from hpac_gym.bridge.reports import KnownState
-from hpac_gym.bridge.virtual_hand import VirtualTransport
 from hpac_gym.model import ServoCommand
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hpac_gym.bridge import generate, protocol
+from hpac_gym.bridge.hands import Config, config_of, default_config, load_library
 from hpac_gym.bridge.limits import limits_hash, servo_limits
-from hpac_gym.bridge.virtual_hand import Config, config_of, default_config, load_library
 from hpac_gym.model import HPAC, SERVOS
 
 

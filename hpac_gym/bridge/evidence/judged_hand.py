@@ -9,8 +9,8 @@ import numpy as np
 
 from hpac_gym.bridge.evidence import oracle as wire
 from hpac_gym.bridge.evidence.oracle import Oracle
+from hpac_gym.bridge.hands import VirtualHand
 from hpac_gym.bridge.protocol import Reset
-from hpac_gym.bridge.virtual_hand import VirtualHand
 
 
 class JudgedHand(VirtualHand):

@@ -34,10 +34,9 @@ from hpac_gym.bridge.evidence.judged_hand import (
     StartsAtOnce,
 )
 from hpac_gym.bridge.evidence.sessions import BOUND, run_sessions, seconds_with_pulses
-from hpac_gym.bridge.host_board import HostBoard, firmware_file
+from hpac_gym.bridge.hands import HostBoard, VirtualHand, VirtualTransport, firmware_file
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Reset
-from hpac_gym.bridge.virtual_hand import VirtualHand, VirtualTransport
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
 
 BOARD_TICK_US = 20_000
