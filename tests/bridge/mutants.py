@@ -37,7 +37,7 @@ LEFT_OUT = {"__init__.py", "generate.py", "protocol.py"}
 """Nothing to break, or compared with the generated files."""
 TESTS = {
     "conversation": "frame reports patience link exits commands vectors protocol bad_devices host_board evidence",
-    "evidence": "evidence",
+    "evidence": "oracle evidence",
 }
 _QUICK = 0.25
 """No test that waits for real time is quicker than this [s]."""
@@ -111,11 +111,11 @@ class Watch:
         self.tell(item.nodeid)
         faulthandler.dump_traceback_later(self._patience(item.nodeid), exit=True)
         if self._trace:
-            sys.setprofile(lambda frame, _event, _argument: self._called.add(frame.f_code))
+            sys.settrace(lambda frame, _event, _argument: self._called.add(frame.f_code))
 
     def tell(self, test: str) -> None:
         """Tell that a test begins, or by an empty name that all have passed."""
-        sys.setprofile(None)
+        sys.settrace(None)
         ours = [code for code in self._called if str(BRIDGE) in code.co_filename]
         self._tell((test, [(Path(code.co_filename), code.co_firstlineno, max(_lines(code))) for code in ours]))
         self._called.clear()

@@ -13,10 +13,7 @@ from hpac_gym.bridge import HostBoard, VirtualHand
 from hpac_gym.bridge.evidence import judged_hand, safety, sessions
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.oracle import RULES as ORACLE_RULES
-from hpac_gym.bridge.evidence.oracle import Oracle, Reader, seal, unseal, wire
-from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import BUILD_VARIABLE
-from hpac_gym.bridge.protocol import MESSAGES
 from tests.bridge.test_commands import run
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
@@ -143,25 +140,6 @@ def test_sessions_whose_last_words_are_left_out_are_found_out():
 # --- the oracle -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", MESSAGES)
-def test_the_oracles_codec_is_the_codec(name):
-    fields = {field.name: (1, 0, 200, 3, 4, 5)[: field.count] if field.is_array else 77 for field in MESSAGES[name].fields}
-    data = encode(Frame(name, 0x1234, 1, fields))
-    (message,) = Reader().push(data)
-    assert (message.kind, message.seq, message.flags) == (MESSAGES[name].code, 0x1234, 1)
-    assert wire(message.kind, message.seq, message.payload, message.flags) == data
-    assert decode(data[1:-1]).fields == fields
-
-
-def test_the_oracle_tells_damage():
-    body = bytes(range(20))
-    sealed = seal(body)
-    assert unseal(sealed[1:-1]) == (body, True)
-    assert unseal(sealed[1:-2] + bytes([sealed[-2] ^ 1]))[1] is False
-    assert unseal(b"\5abc") is None
-    assert unseal(b"\3ab") is None
-
-
 @pytest.mark.parametrize(
     ("rule", "kind", "play"),
     [
@@ -185,10 +163,6 @@ def test_each_rule_of_the_oracle_finds_the_hand_that_breaks_it(rule, kind, play)
     assert rule in ORACLE_RULES
     assert sum(oracle.broken[rule] for oracle in oracles) > 0
     assert all(complaint.text for oracle in oracles for complaint in oracle.complaints)
-
-
-def test_an_oracle_that_saw_nothing_has_tried_nothing():
-    assert Oracle().tried.total() == 0
 
 
 # --- conformance ----------------------------------------------------------------------------------------------------
