@@ -168,27 +168,26 @@ class Judge:
     def notices(self, module: Path, line: int, was: str, becomes: str) -> str:
         """Which test notices that a module `becomes` something else than it `was`, at a line; empty if none does.
 
-        Only the tests that call the function of that line run, or all of them if none does or the line is outside of functions.
+        Only the tests that call the function of that line run, and those whose calls are not known: in processes, or traced. All
+        of them run if the line is outside of functions.
         A test that waits for real time counts if it fails twice with the fault and passes without it: on a busy machine one may
         fail by itself.
         """
-        near = {
-            test
+        calls = {
+            test: any(path == module and first <= line <= last for path, first, last in called)
             for test, called in self._called.items()
-            if any(path == module and first <= line <= last for path, first, last in called)
         }
-        left_out: list[str] = []
+        near = {test for test, hit in calls.items() if hit or not any(calls.values()) or not self._called[test]}
         try:
             while True:
                 module.write_text(becomes)
-                test = self._failure(*(sorted(near) or self._files), *left_out)
+                test = self._failure(*sorted(near)) if near else ""
                 if "::" not in test or self._seconds[test] < _QUICK:  # the first: none, or they could not even be collected
                     return test
                 again = self._failure(test)
                 module.write_text(was)
                 if again and not self._failure(test):
                     return test
-                left_out += ["--deselect", test]
                 near.discard(test)
         finally:
             module.write_text(was)

@@ -82,6 +82,7 @@ ARMED = (HELLO, (wire.ARM, arm()))
         (wire.HEARTBEAT, OURS, 4, True),
         (wire.CLEAR, OURS, 0, False),
         (wire.CLEAR, OURS, wire.NO_ACK, True),
+        (wire.CLEAR, OURS, wire.MINIMUM_JERK, True),
         (wire.CLEAR, OTHER, 0, True),
         (wire.STATUS, bytes(2), 0, False),
         (wire.STATUS, bytes(1), 0, True),
@@ -210,7 +211,8 @@ def test_every_angle_is_within_its_range():
         stage = Stage(*ARMED)
         stage.oracle._pose = list(angles)
         assert (stage.started(angles).broken == set()) is within
-        assert within or stage.oracle.broken["range"] == 21
+        assert stage.oracle.tried["range"] == 21
+        assert stage.oracle.broken["range"] == (0 if within else 21)
 
 
 @pytest.mark.parametrize(
