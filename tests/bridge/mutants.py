@@ -44,7 +44,9 @@ _QUICK = 0.25
 EQUIVALENT = {
     "commands.py swap move_duration(rest, command.servo, hand) → move_duration(command.servo, rest, hand)": "as long back",
     "commands.py swap move_duration(rest, target, hand) → move_duration(target, rest, hand)": "as long back",
-    "errors.py shift 3 → 6": "the line that a warning is blamed on",
+    "errors.py shift 3 → 6 in warnings.warn(warning, stacklevel=3)": "the line that a warning is blamed on",
+    "evidence/oracle.py delete self._rest = self._rest[-300:]": "bounds the memory alone",
+    "evidence/oracle.py delete return None": "the end of a function, or a test goes red",
 }
 """What a mutant does, without its line number, and why nothing that a user can see differs."""
 FLIPPED = {
@@ -55,6 +57,8 @@ FLIPPED = {
 
 def sites(tree: ast.Module) -> Iterator[tuple[str, int]]:
     """Every mutation of a module, as its kind and the number of its node in a walk of the tree."""
+    words = [node for node in ast.walk(tree) if isinstance(node, ast.keyword)]
+    without_effect = {id(word.value) for word in words if word.arg in ("strict", "slots")}
     for number, node in enumerate(ast.walk(tree)):
         call = isinstance(node, ast.Expr) and not isinstance(node.value, ast.Constant | ast.Yield | ast.YieldFrom)
         result = isinstance(node, ast.Return) and node.value is not None
@@ -62,7 +66,7 @@ def sites(tree: ast.Module) -> Iterator[tuple[str, int]]:
             yield "delete", number
         elif isinstance(node, ast.Compare) and type(node.ops[0]) in FLIPPED:
             yield "flip", number
-        elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool) and id(node) not in without_effect:
             yield "shift", number
         elif isinstance(node, ast.Call) and len(node.args) >= 2 and not any(isinstance(a, ast.Starred) for a in node.args[:2]):
             if getattr(node.func, "id", "") not in ("min", "max"):
@@ -87,6 +91,7 @@ def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
     else:
         node.args[0], node.args[1] = node.args[1], node.args[0]
     now = "" if kind == "delete" else ast.unparse(node).split("\n")[0][:90]
+    now += f" in {text.splitlines()[node.lineno - 1].strip()}" if kind == "shift" else ""
     return ast.unparse(ast.fix_missing_locations(tree)), f"line {node.lineno}: {kind} {was}" + (f" → {now}" if now else "")
 
 
@@ -129,7 +134,7 @@ class Judge:
     """Runs the tests on a copy of the project, each time in a fork of this process, which has imported all but the bridge."""
 
     def __init__(self, folder: Path, files: list[str]) -> None:
-        self.folder, self._files = folder, files
+        self.folder = folder
         self._seconds: dict[str, float] = {}
         self._called: dict[str, list[tuple[Path, int, int]]] = {}
         for part in ("hpac_gym", "tests", "docs"):

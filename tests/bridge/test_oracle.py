@@ -145,12 +145,14 @@ def test_what_is_refused_depends_on_what_came_before(messages, refused):
         (99, move(), True),
         (100 + 0x7FFF, move(), False),
         (100 + 0x8000, move(), True),
+        (-5, move(), True),
     ],
 )
-def test_which_sequence_numbers_a_move_may_have(seq, payload, refused):
+@pytest.mark.parametrize("last", [100, 0xFFFF])
+def test_which_sequence_numbers_a_move_may_have(seq, payload, refused, last):
     stage = Stage(*ARMED)
-    stage.say(wire.MOVE, move(), seq=100)
-    stage.say(wire.MOVE, payload, seq=seq)
+    stage.say(wire.MOVE, move(), seq=last)
+    stage.say(wire.MOVE, payload, seq=(seq - 100 + last) % 0x10000)
     assert stage.broken == ({"accept"} if refused else set())
 
 
