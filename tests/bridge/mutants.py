@@ -33,7 +33,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 BRIDGE = Path("hpac_gym/bridge")
-LEFT_OUT = {"__init__.py", "generate.py", "protocol.py"}
+LEFT_OUT = {"__init__.py", "protocol.py"}
 """Nothing to break, or compared with the generated files."""
 TESTS = {
     "conversation": "frame reports patience link exits commands vectors protocol bad_devices host_board evidence",
@@ -137,7 +137,7 @@ class Judge:
         self.folder = folder
         self._seconds: dict[str, float] = {}
         self._called: dict[str, list[tuple[Path, int, int]]] = {}
-        for part in ("hpac_gym", "tests", "docs"):
+        for part in ("hpac_gym", "agents", "tools", "tests", "docs"):
             shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images"))
         (folder / "assets").symlink_to(ROOT / "assets")
         shutil.copytree(ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build"))
