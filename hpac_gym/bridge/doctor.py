@@ -143,6 +143,9 @@ def _unanswered(name: str, exchange: Exchange, heard: bytes) -> Finding:
 
 def _judge(name: str, info: HandInfo, status: HandStatus, statistics: LinkStatistics, hand: Hand) -> Finding:
     what = f"hand with firmware {info.firmware_version}, state {status.state}, reset {info.reset}, boot {info.boot_count}"
+    what += f", supply {status.supply:.2f} V" if status.supply > 0 else ""
+    what += f", heat up to {max(status.heat):.0%}" if any(status.heat) else ""
+    what += f", trims {' '.join(map(str, info.trim_ns))} ns" if any(info.trim_ns) else ""
     if status.fault != "none":
         pulses = f", pulses on {len(status.attached)} servos" if status.attached else ""
         return Finding(name, False, f"{what}, fault {status.fault}{pulses}", _FAULT_STEPS.get(status.fault, "hpac clear"))
