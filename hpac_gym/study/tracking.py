@@ -110,7 +110,7 @@ def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random
     """
     rig, observer = reference.rig, Observer()
     servo_settings = replace(rig.settings.servo, lag=reference.servo_lag)
-    settings = replace(rig.settings, tendon_friction=reference.trials.tendon_friction, servo=servo_settings)
+    settings = replace(rig.settings, tendon_friction=reference.tendon_friction, servo=servo_settings)
     world = replace(rig.world, collisions=False)  # all five digits move at once; thumb and index would collide
     period, steps = 1 / CONTROL_HZ, int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
     noise = rng.normal(0.0, rig.camera.noise, (steps * SAMPLES, len(JOINTS)))
@@ -172,9 +172,9 @@ def run_tracking(reference: Reference, name: str, rate_hz: float, closed: bool, 
     lags, errors = {joint: [] for joint in EVALUATED}, {joint: [] for joint in EVALUATED}
     for run in range(count):
         rng = np.random.default_rng([seed, run])
-        factor = max(1 + reference.trials.friction_spread * rng.standard_normal(), 0.0)
-        trials = replace(reference.trials, tendon_friction=factor * reference.trials.tendon_friction)
-        seen = track(replace(reference, trials=trials), PROFILES[name], rate_hz, rng, closed)
+        factor = max(1 + reference.friction_spread * rng.standard_normal(), 0.0)
+        rubbing = replace(reference, tendon_friction=factor * reference.tendon_friction)
+        seen = track(rubbing, PROFILES[name], rate_hz, rng, closed)
         for joint in EVALUATED:
             wanted, measured = seen.wanted[:, JOINT_INDEX[joint]], seen.measured[:, JOINT_INDEX[joint]]
             lags[joint].append(lag(seen.time, wanted, measured))

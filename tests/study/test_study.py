@@ -15,12 +15,12 @@ from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
 from hpac_gym.study.processing import points, processed
 from hpac_gym.study.quasistatic import Built, Metal, hand_course
 from hpac_gym.study.record import concatenate
-from hpac_gym.study.reference import load_reference
+from hpac_gym.study.reference import Reference
 from hpac_gym.study.results import Column, mean_of, range_of, rows_of, table
 from hpac_gym.study.trials import JointTrials
 from tests.study.options import parsed
 
-REFERENCE = load_reference()
+REFERENCE = Reference.of()
 SERVO = np.linspace(0, 1, 11)
 
 
@@ -54,10 +54,10 @@ def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_f
     quiet = replace(REFERENCE.rig, hand=HPAC, camera=JointCamera(noise=0.0, drift=0.0)).with_protocol(
         points=12, seconds_per_point=3.0, rest=0.5, both_directions=True
     )
-    settings = replace(REFERENCE.trials, tendon_friction=0.05, friction_spread=0.0)
-    record = trials.run_trials(replace(REFERENCE, rig=quiet, trials=settings), 1, 0, servos=("index_mcp",))
+    rubbing = replace(REFERENCE, rig=quiet, tendon_friction=0.05, friction_spread=0.0)
+    record = trials.run_trials(rubbing, 1, 0, servos=("index_mcp",))
     friction = Friction(REFERENCE.rig.settings.joint_friction, 0.05)
-    for name, joint in trials.by_joint(points(processed(record, REFERENCE.cutoff_hz))).items():
+    for name, joint in trials.by_joint(points(processed(record))).items():
         servo = np.zeros((len(joint.servo), 6))
         servo[:, 1] = joint.servo
         column = JOINTS.index(name)
