@@ -91,7 +91,7 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
         _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 20, 2)
     ),
     "labels": lambda options: hidden.labels(
-        _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 20, 2)
+        _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 50, 2)
     ),
     "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
     "commands-other-laws": partial(_commands, *rivals.RACES["rivals"][:2], commands.BEFORE_AND_AFTER),
