@@ -34,31 +34,35 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
         base: the hand's design.
 
     Raises:
-        RecordError: A segment has no rest or is labelled with another servo, or one of its joints rests, moves with another
-            servo, has another ratio, or is measured too inaccurately. The message lists the first faults.
+        RecordError: The record has no points; or a segment has no rest or is labelled with another servo, or one of its joints
+            rests, moves with another servo, has another ratio, or is measured too inaccurately. The message has the first faults.
     """
     corrected = without_drift(sweep)
     faults, remarks = [], []
+    if not ((sweep.phase == FLEXING) & (sweep.point >= 0)).any():
+        raise RecordError("column point: no row of a flexion is at a sampling point (all are −1)")
     for rows in sweep.segments():
         flexed = rows[(sweep.phase[rows] == FLEXING) & (sweep.point[rows] >= 0)]
         if not flexed.size:
             continue
         swept = int(sweep.swept[rows[0]])
         where = f"trial {sweep.trial[rows[0]]}, sweep of {SERVOS[swept]}"
-        rest = int((sweep.phase[rows] == REST).sum())
+        rest = rows[sweep.phase[rows] == REST]
         travel = np.ptp(sweep.servo[flexed], axis=0)
         moved = int(travel.argmax())
-        if rest < LEAST_REST:
+        if rest.size < LEAST_REST:
             faults.append(
-                f"{where}: {rest} samples are marked 'rest', at least {LEAST_REST} are needed to take out offset and drift"
+                f"{where}: {rest.size} samples are marked 'rest', at least {LEAST_REST} are needed to take out offset and drift"
             )
-        elif moved != swept:
-            turns = f"servo {SERVOS[moved]} moves {travel[moved]:.2f} rad, {SERVOS[swept]} {travel[swept]:.2f} rad"
-            faults.append(f"{where}: {turns}; {_HINT}")
+        elif moved != swept or travel[moved] == 0:
+            instead = f", but {SERVOS[moved]} {travel[moved]:.2f} rad; {_HINT}" if travel[moved] > 0 else ""
+            faults.append(f"{where}: servo {SERVOS[swept]} moves {travel[swept]:.2f} rad{instead}")
         elif len(np.unique(sweep.point[flexed])) >= 3:
             found = _judged_joints(corrected, rows, flexed, swept, base)
             faults += found[0]
             remarks += found[1]
+            if not rest[0] < flexed[0] < flexed[-1] < rest[-1]:
+                remarks.append(f"{where}: rest poses at one end only: the camera's offset is taken out, its drift is not")
     if faults:
         told = list(dict.fromkeys(faults))
         more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
@@ -112,7 +116,7 @@ def _judged_joints(
                 f"others of their point, {MOST_GARBAGE:.0%} may"
             )
         elif not LEAST_SHARE <= share <= MOST_SHARE:
-            others = f", while {movers} move" if movers else ""
+            others = f", but {movers} moved" if movers else ""
             faults.append(f"{where}: {JOINTS[joint]} turns {share:.2f} of the design's travel{others}; does it rest, or {_HINT}")
     if faults:
         return faults, remarks
