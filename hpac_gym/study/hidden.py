@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations as combinations_of
@@ -139,18 +139,23 @@ def run_hidden(count: int, seed: int, laws: str) -> list[HiddenHand]:
     ]
 
 
+def measured_in_physics(count: int, seed: int) -> Iterator[tuple[Built, Sweep, Array, Array]]:
+    """Hidden hands of the physics engine, their records, and servo and true joint angles at the sampling points."""
+    hidden = enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND)))
+    for number, built in progress(list(hidden), "hidden hands in the physics engine"):
+        record, servo, truth = rig_of(built).seen_and_true(CAMERA, seed + number)
+        yield built, without_frames(record, seed, number), servo, truth
+
+
 def run_hidden_in_physics(count: int, seed: int) -> list[HiddenHand]:
     """Calibrate hidden hands of the physics engine: one friction for all digits, no servo compliance, Table I's stops.
 
     The truth is the measurement of a perfect camera at the sampling points of the same sweep.
     """
     hands = []
-    hidden = list(enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND))))
-    for number, built in progress(hidden, "hidden hands in the physics engine"):
-        record, servo, truth = rig_of(built).seen_and_true(CAMERA, seed + number)
+    for built, record, servo, truth in measured_in_physics(count, seed):
         friction = {name: getattr(built.metal[0], name) for name in ("joint_friction", "tendon_friction")}
         metal = tuple(replace(item, **friction, stop=tuple(angle - NEAR_STOP for angle in item.stop)) for item in built.metal)
-        record = without_frames(record, seed, number)
         hands.append(judge_hand(Built(built.hand, metal), record, truth, servo, know_truth=True))
     return hands
 
@@ -251,19 +256,15 @@ def labels(count: int, seed: int, in_physics: int = 0) -> Part:
     """Check records with and without exchanged labels: `count` hidden hands of each law, `in_physics` in the physics engine."""
     records: dict[str, list[Sweep]] = {}
     for laws, metal in LAWS.items():
-        built = hidden_hands(count, seed, metal)
-        both = metal_sweeps(built, seed, CAMERA, Protocol(both_directions=True), SERVOS[:-1])
+        both = metal_sweeps(hidden_hands(count, seed, metal), seed, CAMERA, Protocol(both_directions=True), SERVOS[:-1])
+        both = [without_frames(record, seed, number) for number, record in enumerate(both)]
         records[f"{laws}, points both ways"] = both
         records[f"{laws}, flexion alone"] = [record[record.phase != EXTENDING] for record in both]
-    hidden = enumerate(hidden_hands(in_physics, seed, replace(FRICTION, dead_band=DEAD_BAND)))
-    engine = [rig_of(built).seen_and_true(CAMERA, seed + number)[0] for number, built in progress(list(hidden), "physics engine")]
-    records |= {"physics engine, the return filmed": engine} if in_physics else {}
+    if in_physics:
+        records["physics engine, the return filmed"] = [record for _, record, *_ in measured_in_physics(in_physics, seed)]
     found = {}
     for name, sweeps in records.items():
-        parts = [
-            verdicts(without_frames(record, seed, number), np.random.default_rng([seed, number]))
-            for number, record in enumerate(progress(sweeps, name))
-        ]
+        parts = [verdicts(record, np.random.default_rng([seed, i])) for i, record in enumerate(progress(sweeps, name))]
         found[name] = {kind: [result for part in parts for result in part[kind]] for kind in KINDS}
     rows = rows_of(LABEL_COLUMNS, found)
     return Part(f"## Exchanged labels of joints, hidden hands, seed {seed}\n\n{table('hidden', LABEL_COLUMNS, rows)}\n", rows)
