@@ -10,6 +10,7 @@ import argparse
 import errno
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -120,7 +121,8 @@ def _drop_output() -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status."""
+    """Run one command and return its exit status. A warning is one line, like an error."""
+    warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
     return run(lambda: _main(sys.argv[1:] if argv is None else argv))
 
 

@@ -18,11 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from agents.command import command_parser
-from agents.errors import RunError, TaskError
+from agents.command import RunError, TaskError, command_parser
 from agents.evaluate import evaluate
-from agents.tasks import make_task
-from agents.train import versions
+from agents.tasks import make_task, versions
 from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
@@ -45,6 +43,8 @@ BUDGETS = (0, 100_000, 1_000_000, 10_000_000)
 """Permitted budgets of environment steps per training; 0 means untrained."""
 RUNS, EPISODES = 5, 1_000
 """Required runs of a trained method and episodes per cell."""
+NO_PHASE = "unknown"
+"""Name in the file for failures of a task without phases."""
 _TWIN = {"engine": "mujoco", "body": "twin"}
 _REAL = _TWIN | {"objects": "real"}
 _TYPES = _TWIN | {"types": "train", "objects": "train"}
@@ -167,7 +167,7 @@ def judge(head: Results, split: str, seed: int, workers: int) -> Results:
         "seed": seed,
         "successes": won,
         "interval_95": list(wilson_interval(won, len(episodes))),
-        "failures": dict(Counter(episode.phase or "unknown" for episode in episodes if not episode.success)),
+        "failures": dict(Counter(episode.phase or NO_PHASE for episode in episodes if not episode.success)),
         "holding_force": None if None in forces else float(np.mean(forces)),
     }
 
@@ -280,6 +280,7 @@ def table(results: Results) -> str:
         interval = f" [{100 * low:.1f}, {100 * high:.1f}]" if cells or results["budget"] else ""
         runs = ", ".join(f"{100 * cell['successes'] / results['episodes']:.1f}" for cell in cells)
         lost = sum((Counter(cell["failures"]) for cell in cells), Counter())
+        lost.pop(NO_PHASE, None)
         why = ", ".join(f"{name} {100 * n / results['episodes'] / len(cells):.1f}" for name, n in lost.most_common())
         forces = [cell["holding_force"] for cell in cells if cell["holding_force"] is not None]
         force = f"{np.mean(forces):.1f}" if forces else ""

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from agents.closures import Learner
-from agents.errors import RunError
+from agents.command import RunError
 
 _PREFIX = "checkpoint-"
 _UNFINISHED = ".unfinished"

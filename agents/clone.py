@@ -10,10 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agents.command import command_parser
-from agents.errors import RunError
-from agents.tasks import target_of
-from agents.train import POLICY, versions
+from agents.command import RunError, command_parser
+from agents.tasks import POLICY, target_of, versions
 from hpac import run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
 from hpac_gym.output import writable_folder

@@ -1,8 +1,21 @@
-"""Argument parsing shared by the commands of this package."""
+"""What the commands of this package share: argument parsing, and the errors that they print as one line with exit status 2."""
 
 import argparse
 
 from hpac import Parser
+from hpac_gym.errors import HpacError
+
+
+class RecipeError(HpacError, ValueError):
+    """A recipe is unknown, or one of its settings is invalid."""
+
+
+class TaskError(HpacError, ValueError):
+    """An environment id is unknown, or its spaces are not supported by the agents."""
+
+
+class RunError(HpacError, OSError):
+    """A results folder cannot be read or written."""
 
 
 def command_parser(module: str, description: str) -> Parser:

@@ -14,10 +14,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from agents.command import command_parser
-from agents.errors import RunError
+from agents.command import RunError, command_parser
 from agents.evaluate import table
-from agents.learning_curve import CURVE, read_curve
+from agents.progress import CURVE, read_curve
 from hpac import run
 from hpac_gym.output import replacing, write_text
 

@@ -27,12 +27,11 @@ import torch
 from tqdm import tqdm
 
 from agents.closures import Learner, Trials, worlds_of
-from agents.command import command_parser
-from agents.errors import RunError
+from agents.command import RunError, command_parser
 from agents.recipes import Recipe, recipe_named
-from agents.seeds import training_seed
-from agents.train import versions
+from agents.tasks import versions
 from hpac import run, whole_number
+from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 
 ROOT = Path(__file__).resolve().parents[1]

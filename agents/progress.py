@@ -1,15 +1,19 @@
-"""Progress of a training: the progress bar and the learning curve."""
+"""Progress of a training: the progress bar and the learning curve, a CSV file that gets a row every five hundred trials."""
 
+import csv
 import sys
 import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from tqdm import tqdm
 
-from agents.learning_curve import CURVE, append_row
+from agents.command import RunError
 
+CURVE = "progress.csv"
+COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
 ROW_EVERY = 500
 """Trials per row of the learning curve."""
 WINDOW = 1_000
@@ -105,3 +109,44 @@ class Progress:
         else:
             self._bar.set_postfix_str(text, refresh=False)
             self._bar.update(100 * self.share - self._bar.n)
+
+
+def append_row(path: Path, row: dict[str, float | int]) -> None:
+    """Append a row, with the header if the file is new.
+
+    Raises:
+        RunError: The file cannot be written, or the disk is full.
+    """
+    try:
+        with path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS)
+            if file.tell() == 0:
+                writer.writeheader()
+            writer.writerow(row)
+    except OSError as error:
+        raise RunError(f"cannot write '{path}': {error.strerror or error}") from error
+
+
+def drop_rows_after(path: Path, episodes: int) -> None:
+    """Remove rows that an interrupted training wrote after its last checkpoint, including an incomplete one."""
+    if not path.exists():
+        return
+    header, *rows = path.read_text().splitlines(keepends=True) or [""]
+    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= episodes]
+    path.write_text("".join([header, *kept]))
+
+
+def read_curve(path: Path) -> dict[str, np.ndarray]:
+    """Read the columns by name.
+
+    Raises:
+        RunError: The file is missing or not a learning curve.
+    """
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        return {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
+    except OSError as error:
+        raise RunError(f"cannot read '{path}': {error.strerror or error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"'{path}' is not a learning curve: {error!r}") from None

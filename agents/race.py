@@ -22,15 +22,13 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
-from agents.command import command_parser, minutes
-from agents.errors import RunError
+from agents.command import RunError, command_parser, minutes
 from agents.progress import Progress
-from agents.seeds import training_seed
-from agents.tasks import target_of
-from agents.train import POLICY, versions
+from agents.tasks import POLICY, target_of, versions
 from hpac import run, whole_number
 from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
 

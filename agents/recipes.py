@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from math import inf
 from typing import Any, get_type_hints
 
-from agents.errors import RecipeError
+from agents.command import RecipeError
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.physics.simulation import SET_UPS

@@ -19,8 +19,7 @@ import gymnasium
 import numpy as np
 from tqdm import tqdm
 
-from agents.command import command_parser
-from agents.errors import RunError
+from agents.command import RunError, command_parser
 from agents.evaluate import DEFAULT_TASK
 from agents.video import Sheet, Video
 from hpac import run, whole_number

@@ -17,6 +17,7 @@ import numpy as np
 
 from agents.command import command_parser, minutes
 from agents.evaluate import DEFAULT_TASK, LEARNED, evaluate
+from agents.tasks import POLICY
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
@@ -72,11 +73,11 @@ def race(runs: Path, seed: int, limit: float, episodes: int, seed_start: int, wo
 
     for name in (*race.CONTENDERS, "grasp"):
         out = runs / f"{name}-{seed}"
-        if not (out / train.POLICY).exists() and name == "grasp":
+        if not (out / POLICY).exists() and name == "grasp":
             train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
-        elif not (out / train.POLICY).exists():
+        elif not (out / POLICY).exists():
             race.race(name, out, seed, 60 * limit)
-        yield judged_run(name, seed, str(out / train.POLICY), episodes, seed_start, workers)
+        yield judged_run(name, seed, str(out / POLICY), episodes, seed_start, workers)
 
 
 def race_row(cell: dict[str, Any]) -> str:

@@ -1,5 +1,7 @@
-"""Creation of environments by id, with a check of the spaces that the agents support."""
+"""Environments by id, with a check of the spaces that the agents support; what a policy file says about its origin."""
 
+from importlib.metadata import PackageNotFoundError, version
+from platform import python_version
 from typing import Any
 
 import gymnasium
@@ -7,8 +9,12 @@ import numpy as np
 from gymnasium.spaces import Box
 
 import hpac_gym  # noqa: F401 - registers the environments, so that an id also works without its module
-from agents.errors import TaskError
+from agents.command import TaskError
 from hpac_gym.policies.made_for import made_for
+
+POLICY = "policy.zip"
+"""Name of the policy file in the folder of a run."""
+LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
 
 def make_task(env_id: str, **options) -> gymnasium.Env:
@@ -38,3 +44,14 @@ def target_of(env_id: str, **options) -> dict[str, Any]:
     full_id = f"hpac_gym:{env_id}"
     with make_task(full_id, **options) as env:
         return {"env_id": full_id, "made_for": made_for(env)}
+
+
+def versions() -> dict[str, str]:
+    """The versions of Python and of the libraries that a result depends on."""
+    found = {"python": python_version()}
+    for name in LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found

@@ -12,25 +12,19 @@ import sys
 import time
 from dataclasses import asdict, fields, replace
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from platform import python_version
 from typing import Any
 
-from agents.command import command_parser, minutes
-from agents.errors import RecipeError, RunError
-from agents.learning_curve import CURVE, drop_rows_after
-from agents.progress import Progress
+from agents.command import RecipeError, RunError, command_parser, minutes
+from agents.progress import CURVE, Progress, drop_rows_after
 from agents.recipes import RECIPES, Recipe, recipe_named, settings_of, with_settings
-from agents.seeds import training_seed
-from agents.tasks import target_of
+from agents.tasks import POLICY, target_of, versions
 from hpac import INTERRUPTED, run, whole_number
+from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 
-POLICY = "policy.zip"
 RUN = "run.json"
-LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -110,17 +104,6 @@ def train(
         worlds.close()
     print(f"{progress.stopped_by or 'done'} after {learner.trials.count:,} trials: {out / POLICY}", file=sys.stderr)
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
-
-
-def versions() -> dict[str, str]:
-    """The versions of Python and of the libraries that a result depends on."""
-    found = {"python": python_version()}
-    for name in LIBRARIES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -8,7 +8,7 @@ import imageio.v2 as imageio
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from agents.errors import RunError
+from agents.command import RunError
 
 _TEXT_SIZE = 15
 

@@ -1,13 +1,15 @@
 """Headroom of HPAC-GraspAny-v0: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
 
 ``script`` searches better closures for the script, on training objects. ``ceiling`` counts the episodes of a split that at
-least one closure holds. ``touch`` learns a second decision from each observation once the hand is closed, and compares the
-observations. All on MuJoCo with nominal hands; an episode ends after the shake, which decides its success.
+least one closure holds. ``touch`` learns a second decision from each observation once the hand is closed, with and without
+memory of the closing, and compares the observations. All on MuJoCo, with nominal hands unless ``touch`` gets ``--varied-hands``;
+an episode ends after the shake, which decides its success.
 """
 
 from __future__ import annotations
 
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
 from functools import partial
@@ -43,14 +45,15 @@ class Player:
     Args:
         objects: the split.
         count: batch size n.
+        hands: nominal, train or test.
 
     Attributes:
         task: the task; its *privileged* observation is *deploy*, then *load*, then the rest.
     """
 
-    def __init__(self, objects: str, count: int = 64) -> None:
-        self.objects, self.count = objects, count
-        self.task = GraspAny(objects, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
+    def __init__(self, objects: str, count: int = 64, hands: str = "nominal") -> None:
+        self.name, self.count = f"{objects}-{hands}", count
+        self.task = GraspAny(objects, hands=hands, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
         self.task.privileged_terms = (*LOAD_TERMS, *self.task.privileged_terms)
         self._episodes = Episodes(self.task, count, checked_options(obs="privileged", engine="mujoco"))
 
@@ -178,7 +181,9 @@ def script() -> Iterator[str]:
 
 # A second decision -----------------------------------------------------------------------------------------------------
 
-DECIDED = 26
+LOOKS = (0, 6, 11, 16, 21, 26)
+"""Control steps whose observations a decision may use: all of them with memory, otherwise the first and the last."""
+DECIDED = LOOKS[-1]
 """Control step of the second decision, when the script has closed the hand."""
 CHOICES = ("keep", "squeeze", "another")
 """Keep still; close further by `SQUEEZE`; open for `OPENING` control steps and try a random closure of `drawn_closure`."""
@@ -196,7 +201,7 @@ class Trials:
     """Episodes in which the script closes the hand, run with each of the choices.
 
     Attributes:
-        seen: observations at the first step and at the decision, shape (n, 2, observed).
+        seen: observations at the steps `LOOKS`, shape (n, len(LOOKS), observed).
         won: success of each choice, shape (n, len(CHOICES)).
     """
 
@@ -209,27 +214,28 @@ def trials_of(player: Player, seeds: range, folder: Path) -> Trials:
     parts = []
     for first in range(seeds.start, seeds.stop, player.count):
         part = range(first, min(first + player.count, seeds.stop))
-        path = folder / f"{player.objects}-{part.start}-{part.stop}.npz"
+        path = folder / f"{player.name}-{part.start}-{part.stop}.npz"
         if not path.exists():
-            looks: dict[int, NDArray] = {}
+            looks: dict[int, dict[int, NDArray]] = defaultdict(dict)
             won = np.array([player.play(part, partial(_decided, player.task, choice, part, looks)) for choice in CHOICES]).T
             with replacing(path) as temporary:
-                np.savez(temporary, seen=np.array([looks[place] for place in range(len(part))]), won=won)
+                np.savez(temporary, seen=np.array([[*looks[place].values()] for place in range(len(part))]), won=won)
         with np.load(path) as kept:
             parts.append((kept["seen"], kept["won"]))
     return Trials(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _decided(task: GraspAny, choice: str, seeds: range, looks: dict[int, NDArray], first: NDArray, places: NDArray) -> Act:
-    """The script with a choice after `DECIDED` steps; `looks` gets the first observation and the one at the decision."""
+def _decided(task: GraspAny, choice: str, seeds: range, looks: dict[int, dict], first: NDArray, places: NDArray) -> Act:
+    """The script with a choice after `DECIDED` steps; `looks` gets the observations at the steps `LOOKS` of each episode."""
     scripts = [ScriptedGraspAny(task) for _ in first]
     others = np.array([drawn_closure(seeds[place], 0) for place in places])
     for script in scripts:
         script.reset()
 
     def act(step: int, seen: NDArray) -> NDArray:
-        if step == DECIDED:
-            looks.update(zip(places.tolist(), np.stack([first, seen], 1), strict=True))
+        if step in LOOKS:
+            for place, row in zip(places.tolist(), seen, strict=True):
+                looks[place][step] = row.copy()
         if choice == "another" and step >= DECIDED:
             since = step - DECIDED - OPENING
             if since < 0:
@@ -276,12 +282,14 @@ def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
 
 
 def arms(seen: NDArray, task: GraspAny) -> dict[str, NDArray]:
-    """Both observations of each episode, by observation mode, each of shape (n, k)."""
+    """Inputs of the decision by their name, each of shape (n, k), from observations of shape (n, len(LOOKS), observed)."""
     deploy = sum(len(term.labels) for term in task.terms)
     load = deploy + sum(len(term.labels) for term in LOAD_TERMS)
     everything = np.arange(seen.shape[2])
     parts = {"deploy": everything[:deploy], "load": everything[:load], "privileged": np.delete(everything, range(deploy, load))}
-    return {name: seen[:, :, part].reshape(len(seen), -1) for name, part in parts.items()}
+    times = {"": [0, -1], ", memory": slice(None)}
+    pairs = ((name + memory, seen[:, looks][..., part]) for name, part in parts.items() for memory, looks in times.items())
+    return {name: values.reshape(len(seen), -1) for name, values in pairs}
 
 
 def _mean(values: NDArray) -> str:
@@ -292,16 +300,19 @@ def _mean(values: NDArray) -> str:
     return f"{values.mean():.3f} [{low:.3f}, {high:.3f}]"
 
 
-def touch(episodes: int, folder: Path) -> Iterator[str]:
+def touch(episodes: int, folder: Path, varied_hands: bool) -> Iterator[str]:
     """Markdown table of the success of the second decision by its observation, on held-out and on real objects.
 
-    The last columns measure how well each observation predicts success if the hand keeps still: the loss is the mean
+    With ``varied_hands``, the decision is learned with the training hands and evaluated with the held-out ones. The last
+    columns measure how well each observation predicts success if the hand keeps still: the loss is the mean
     negative log-likelihood of the outcome.
     """
-    player = Player("train")
+    hands = ("train", "test") if varied_hands else ("nominal", "nominal")
+    player = Player("train", hands=hands[0])
     trained = trials_of(player, range(RUNS * TRAINING_EPISODES), folder)
     runs = [slice(run * TRAINING_EPISODES, (run + 1) * TRAINING_EPISODES) for run in range(RUNS)]
-    parts = [trials_of(Player(name), range(BENCHMARK_SEED, BENCHMARK_SEED + episodes), folder) for name in ("test", "real")]
+    seeds = range(BENCHMARK_SEED, BENCHMARK_SEED + episodes)
+    parts = [trials_of(Player(objects, hands=hands[1]), seeds, folder) for objects in ("test", "real")]
     judged, places = np.concatenate([part.won for part in parts]), np.arange(2 * episodes)
     known = arms(trained.seen, player.task)
     asked = arms(np.concatenate([part.seen for part in parts]), player.task)
@@ -329,10 +340,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--episodes", type=whole_number(1), default=200, help="evaluation episodes per split")
     parser.add_argument("--seed-start", type=whole_number(0), default=BENCHMARK_SEED, help="first seed of the ceiling")
     parser.add_argument("--trials", type=Path, default=Path("runs/touch"), help="folder of the trials of touch")
+    parser.add_argument("--varied-hands", action="store_true", help="touch: hands that differ, training and held-out ones")
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)
     found = {"script": script, "ceiling": partial(ceiling, args.objects, seeds),
-             "touch": partial(touch, args.episodes, args.trials)}  # fmt: skip
+             "touch": partial(touch, args.episodes, args.trials, args.varied_hands)}  # fmt: skip
     for line in found[args.what]():
         print(line, flush=True)
     return 0

@@ -1,4 +1,5 @@
-"""Write every generated file of the checkout: ``make generate``. ``--check`` compares; status 1 if one is out of date.
+"""Write every generated file of the checkout: ``make generate``. ``--check`` compares; status 1 if one is out of date. ``--hand
+FILE`` writes the firmware's limits for another hand.
 
 Model files come from ``hpac_gym/body/data`` and the hand's parameters, the procedural objects from ``tools/object_families.py``,
 the firmware's header, ``docs/wire.md`` and its test vectors from the protocol and the hand's parameters, the tables of
@@ -18,11 +19,12 @@ from hpac_gym.body.geometry import load_geometry
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.object_urdf import object_urdf
 from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, hand_urdf
-from hpac_gym.bridge import generate as wire
+from hpac_gym.model import load_hand
 from hpac_gym.physics.mjcf import FILES, hand_mjcf
 from hpac_gym.physics.settings import BODIES
 from tools.object_families import procedural_objects
 from tools.tables import documents
+from tools.wire_files import wire_files
 
 ROOT = Path(__file__).parents[1]
 _NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
@@ -37,7 +39,7 @@ def generated() -> dict[Path, str]:
         **{urdf / "objects" / f"{name}.urdf": object_urdf(model) for name, model in load_object_models().items()},
         **{mjcf / name: hand_mjcf(geometry, BODIES[body], on_wrist) for name, (body, on_wrist) in FILES.items()},
         ROOT / "hpac_gym" / "body" / "data" / "procedural_objects.toml": procedural_objects(),
-        **wire.generated(),
+        **wire_files(),
         **documents(),
     }
 
@@ -62,8 +64,10 @@ def main(argv: list[str] | None = None) -> int:
     """Write or check the files; the exit status is 1 if ``--check`` finds one out of date."""
     parser = argparse.ArgumentParser(prog="python -m tools.generate", description="Write every generated file.")
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
-    check = parser.parse_args(argv).check
-    stale = {path: text for path, text in generated().items() if is_stale(path, text)}
+    parser.add_argument("--hand", metavar="FILE", help="only the firmware's files, for the hand of this file (TOML)")
+    options = parser.parse_args(argv)
+    check, wanted = options.check, wire_files(load_hand(options.hand)) if options.hand else generated()
+    stale = {path: text for path, text in wanted.items() if is_stale(path, text)}
     for path, text in stale.items():
         print(f"{path.relative_to(ROOT)}: {'out of date, run make generate' if check else 'written'}")
         if not check:

@@ -25,13 +25,12 @@ from hpac_gym.bridge.errors import (
     UnconfirmedWarning,
 )
 from hpac_gym.bridge.exchange import LinkStatistics, WireLog
-from hpac_gym.bridge.host_board import HostBoard
+from hpac_gym.bridge.hands import HostBoard, VirtualHand
 from hpac_gym.bridge.limits import pulses_from_servo, servo_from_pulses
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import Action, Fault, Reason, Reset, State
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import SerialTransport, SocketTransport, Transport, open_transport
-from hpac_gym.bridge.virtual_hand import VirtualHand
 
 __all__ = [
     "Action",

@@ -12,15 +12,14 @@ import numpy as np
 
 from hpac import whole_number
 from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
-from hpac_gym.bridge.errors import LinkTimeout
+from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.evidence import safety
 from hpac_gym.bridge.evidence.conform import conform
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.host_board import HostBoard
+from hpac_gym.bridge.hands import HostBoard, VirtualHand, config_of
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport, open_transport
-from hpac_gym.bridge.virtual_hand import VirtualHand, config_of
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, move_duration
 
@@ -92,8 +91,8 @@ def _hand(options: argparse.Namespace) -> Hand:
     return load_hand(options.hand) if options.hand else HPAC
 
 
-def _opened(options: argparse.Namespace, stack: ExitStack) -> Transport:
-    port = connector(options.port, _hand(options), stack)
+def _opened(name: str, hand: Hand, stack: ExitStack) -> Transport:
+    port = connector(name, hand, stack)
     return open_transport(port) if isinstance(port, str) else port()
 
 
@@ -121,7 +120,8 @@ def _safety(options: argparse.Namespace) -> int:
 def _conform(options: argparse.Namespace) -> int:
     rows = []
     with ExitStack() as stack:
-        for row in conform(_opened(options, stack), _hand(options)):
+        hand = _hand(options)
+        for row in conform(_opened(options.port, hand, stack), hand):
             rows.append(row)
             if not options.json:
                 mark = "holds " if row.holds else "BROKEN" if row.tried else "NOT TRIED"
@@ -154,16 +154,16 @@ def _wiggle(options: argparse.Namespace) -> int:
 
 
 def _estop(options: argparse.Namespace) -> int:
-    """Send ESTOP without a handshake: the hand accepts it from any sender."""
+    """Send ESTOP without a handshake: the hand accepts it from any sender. An unreadable hand file is reported afterwards."""
     with ExitStack() as stack:
-        transport = _opened(options, stack)
-        stack.callback(transport.close)
-        exchange = Exchange(transport, LinkStatistics(), KnownState())
         try:
-            exchange.request("estop", attempts=_ESTOP_ATTEMPTS)
-        except LinkTimeout:
-            raise LinkTimeout(f"ESTOP sent {_ESTOP_ATTEMPTS} times, not confirmed: switch the servo supply off") from None
-    print("stopped: no pulses, fault estop; `hpac clear` leaves it")
+            transport = _opened(options.port, _hand(options) if options.port == "virtual" else HPAC, stack)
+            stack.callback(transport.close)
+            Exchange(transport, LinkStatistics(), KnownState()).request("estop", attempts=_ESTOP_ATTEMPTS)
+        except (LinkTimeout, PortError) as error:
+            raise type(error)(f"ESTOP is not confirmed, switch the servo supply off: {error}") from None
+    print("stopped: no pulses, fault estop; `hpac clear` leaves it", flush=True)
+    _hand(options)
     return 0
 
 
@@ -195,7 +195,7 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
-    """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until Ctrl-C.
+    """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until Ctrl-C, unless it is virtual.
 
     Args:
         port: as in the commands.
@@ -212,6 +212,9 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
         rest = np.clip(np.zeros(len(SERVOS)), hand.servo_min, hand.servo_max)
         link.move(ServoCommand(command.servo, max(command.duration, 1.1 * move_duration(rest, command.servo, hand))))
         link.wait()
+        if port == "virtual":  # held, its clock would run on to the overload at once
+            print("arrived", file=sys.stderr)
+            return
         print("holding; Ctrl-C lets go", file=sys.stderr)
         try:
             while True:

@@ -80,7 +80,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     try:
         transport = _Heard(open_transport(port) if isinstance(port, str) else port())
     except PortError as error:
-        what, _, advice = str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ").partition("; ")
+        what, _, advice = _without_name(error, name).partition("; ")
         return Finding(name, False, what, advice)
     statistics = LinkStatistics()
     exchange = Exchange(transport, statistics, KnownState())
@@ -101,11 +101,15 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     except LinkTimeout:
         return _unanswered(name, exchange, transport.data)
     except PortError as error:
-        return Finding(name, False, str(error), "plug it in again, and look for a loose cable")
+        return Finding(name, False, _without_name(error, name), "plug it in again, and look for a loose cable")
     except BridgeError as error:
         return Finding(name, False, str(error), "frames get lost: try a shorter cable, and another USB port without a hub")
     finally:
         transport.close()
+
+
+def _without_name(error: PortError, name: str) -> str:
+    return str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ")
 
 
 def _look(exchange: Exchange) -> Frame:
@@ -139,6 +143,9 @@ def _unanswered(name: str, exchange: Exchange, heard: bytes) -> Finding:
 
 def _judge(name: str, info: HandInfo, status: HandStatus, statistics: LinkStatistics, hand: Hand) -> Finding:
     what = f"hand with firmware {info.firmware_version}, state {status.state}, reset {info.reset}, boot {info.boot_count}"
+    what += f", supply {status.supply:.2f} V" if status.supply > 0 else ""
+    what += f", heat up to {max(status.heat):.0%}" if any(status.heat) else ""
+    what += f", trims {' '.join(map(str, info.trim_ns))} ns" if any(info.trim_ns) else ""
     if status.fault != "none":
         pulses = f", pulses on {len(status.attached)} servos" if status.attached else ""
         return Finding(name, False, f"{what}, fault {status.fault}{pulses}", _FAULT_STEPS.get(status.fault, "hpac clear"))

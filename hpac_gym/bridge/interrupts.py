@@ -25,7 +25,7 @@ class _Interrupts:
 
     def __init__(self) -> None:
         self._links: WeakSet[object] = WeakSet()  # weak: a link lost to an interrupt in its constructor is dropped
-        self._raised_at = -_SAME_INTENT
+        self._raised_at: float  # set with the first link
         self._held: list[int] = []
         self._before: dict[int, object] = {}
         self._closing: set[CodeType] = set()
@@ -52,8 +52,6 @@ class _Interrupts:
     def link_closed(self, link: object) -> None:
         """Restore the previous handlers with the last link."""
         self._links.discard(link)
-        if not self._links:
-            self._raised_at = -_SAME_INTENT
         if not self._links and threading.current_thread() is threading.main_thread():
             for number, before in self._before.items():
                 if signal.getsignal(number) == self._on_signal:

@@ -1,6 +1,6 @@
 """The protocol description as Python values, read from `protocol.toml` in this folder.
 
-Pure data: names, codes and layouts. `frame` encodes them as bytes, `generate` writes the C header.
+Pure data: names, codes and layouts. `frame` encodes them as bytes, `tools.wire_files` writes the C header.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class HandInfo:
         if self.limits_hash != wanted:
             raise HandshakeError(
                 f"the firmware's servo limits {self.limits_hash:08x} are not this hand's {wanted:08x}: name the hand that it was "
-                "built for (--hand FILE), or build and flash it for this one (python -m hpac_gym.bridge.generate --hand FILE)"
+                "built for (--hand FILE), or build and flash it for this one (python -m tools.generate --hand FILE)"
             )
 
 

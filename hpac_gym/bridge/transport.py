@@ -1,4 +1,4 @@
-"""Byte transports: a serial port or pseudo-terminal, or a TCP socket. The in-process transport is in `virtual_hand`.
+"""Byte transports: a serial port or pseudo-terminal, or a TCP socket. The in-process transport is in `hands`.
 
 A transport also owns the clock, so that a link to a virtual hand runs in virtual time without sleeping.
 """

@@ -18,6 +18,7 @@ import numpy as np
 
 from hpac import whole_number
 from hpac_gym.body.urdf import WRIST_EFFORT
+from hpac_gym.envs.options import GRASP
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
@@ -28,7 +29,6 @@ from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS, Simulation, make_engine
 from hpac_gym.progress import progress
 
-TASK = "HPAC-Grasp-v0"
 FLOOR = (1e-6, 1e-3)
 """Displacements of the object along the palm's normal when an engine is compared with itself [m]."""
 CHUNK = 10
@@ -72,7 +72,7 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
     from hpac_gym.evaluation.episode import control_steps
     from hpac_gym.policies.loading import load_policy
 
-    with gymnasium.make(TASK, engine=variant.engine, body=variant.body, randomize=randomize) as env:
+    with gymnasium.make(GRASP, engine=variant.engine, body=variant.body, randomize=randomize) as env:
         task, actor, trials = env.unwrapped.task, load_policy(policy, env), []
         if variant.variation:
             episodes = env.unwrapped.episodes
@@ -150,7 +150,7 @@ def agreement(
             row["difference_by_shape"] = {shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes}
         row["floor"] = {f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)]) for moved in moves}
         rows.append(row)
-    about = {"task": TASK, "policy": policy, "first_seed": seed_start, "episodes": episodes, "randomize": randomize}
+    about = {"task": GRASP, "policy": policy, "first_seed": seed_start, "episodes": episodes, "randomize": randomize}
     return about | {"set_ups": rows}
 
 

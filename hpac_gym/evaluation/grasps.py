@@ -17,6 +17,7 @@ import numpy as np
 
 from hpac import whole_number
 from hpac_gym.envs import GRASPS, NOMINAL
+from hpac_gym.envs.options import GRASP
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -28,7 +29,6 @@ from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_data import named_grasp
 
-TASK = "HPAC-Grasp-v0"
 CHUNK = 5  # episodes per job of a worker
 RANDOM = "random"
 COLUMNS = ("grasp", "object", "policy", "success", "95 % interval", "hold force", "drops by phase")
@@ -92,7 +92,7 @@ def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
 
 def run_trials(policy: str, grasp: str, variant: str, seeds: Sequence[int]) -> list[Trial]:
     """Run episodes of one policy at one grasp in a new environment."""
-    with gymnasium.make(TASK, grasp=grasp, variant=variant) as env:
+    with gymnasium.make(GRASP, grasp=grasp, variant=variant) as env:
         actor = load_policy(policy, env)
         return [run_trial(env, actor, seed) for seed in seeds]
 
@@ -166,7 +166,7 @@ def run(options: argparse.Namespace) -> int:
     rows = benchmark(
         policies, names, options.episodes, variant=variant, seed_start=options.seed_start, workers=options.workers
     )  # fmt: skip
-    result = {"task": TASK, "variant": variant, "first_seed": options.seed_start, "grasps": [row.summary() for row in rows]}
+    result = {"task": GRASP, "variant": variant, "first_seed": options.seed_start, "grasps": [row.summary() for row in rows]}
     if options.policy not in BASELINES:
         result["policy"] = {"file": options.policy, **read_policy(options.policy).about}
     trials = {f"{row.grasp}/{row.policy}": [asdict(trial) for trial in row.trials] for row in rows}

@@ -10,7 +10,8 @@ import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hpac_gym.evaluation.grasps import TASK, run_trial
+from hpac_gym.envs.options import GRASP
+from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.model import POSTURES
 from hpac_gym.output import replacing
 from hpac_gym.physics.engine import Viewpoint
@@ -44,9 +45,9 @@ def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Port
         GraspError: The grasp or variant does not exist.
         PolicyError: The policy cannot be loaded, or was made for another environment.
     """
-    with gymnasium.make(TASK, grasp=grasp, variant=variant, render_mode="rgb_array") as env:  # else objects have no colours
-        trial = run_trial(env, load_policy(policy, env), seed)
-        return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), trial.success)
+    with gymnasium.make(GRASP, grasp=grasp, variant=variant, render_mode="rgb_array") as env:  # else objects have no colours
+        *_, (_, info) = control_steps(env, load_policy(policy, env), seed)
+        return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), bool(info["is_success"]))
 
 
 def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:

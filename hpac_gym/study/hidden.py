@@ -1,10 +1,11 @@
-"""`hpac calibrate` on hidden hands: error of the written file and coverage of its intervals."""
+"""`hpac calibrate` on hidden hands: error of the written file, coverage of its intervals, and refusal of exchanged labels."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import combinations as combinations_of
 
 import numpy as np
 
@@ -15,13 +16,13 @@ from hpac_gym.model.parameters import Friction
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import markdown
 from hpac_gym.progress import progress
-from hpac_gym.study.bench import JointCamera, metal_sweeps
+from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
 from hpac_gym.study.combinations import SweptDigit, combinations, values
 from hpac_gym.study.identification import IdentificationError, identify
 from hpac_gym.study.judging import judged
 from hpac_gym.study.populations import FIT_LAWS, FRICTION, OTHER_LAWS, SERVO, ZERO, geometry, varied_digit, varied_metal
 from hpac_gym.study.quasistatic import Built, Metal, hand_course, softened
-from hpac_gym.study.record import RecordError, Sweep
+from hpac_gym.study.record import EXTENDING, RecordError, Sweep, joints_of_servo
 from hpac_gym.study.results import Column, Part, rows_of, table
 from hpac_gym.study.rig import NEAR_STOP, rig_of
 
@@ -138,18 +139,23 @@ def run_hidden(count: int, seed: int, laws: str) -> list[HiddenHand]:
     ]
 
 
+def measured_in_physics(count: int, seed: int) -> Iterator[tuple[Built, Sweep, Array, Array]]:
+    """Hidden hands of the physics engine, their records, and servo and true joint angles at the sampling points."""
+    hidden = enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND)))
+    for number, built in progress(list(hidden), "hidden hands in the physics engine"):
+        record, servo, truth = rig_of(built).seen_and_true(CAMERA, seed + number)
+        yield built, without_frames(record, seed, number), servo, truth
+
+
 def run_hidden_in_physics(count: int, seed: int) -> list[HiddenHand]:
     """Calibrate hidden hands of the physics engine: one friction for all digits, no servo compliance, Table I's stops.
 
     The truth is the measurement of a perfect camera at the sampling points of the same sweep.
     """
     hands = []
-    hidden = list(enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND))))
-    for number, built in progress(hidden, "hidden hands in the physics engine"):
-        record, servo, truth = rig_of(built).seen_and_true(CAMERA, seed + number)
+    for built, record, servo, truth in measured_in_physics(count, seed):
         friction = {name: getattr(built.metal[0], name) for name in ("joint_friction", "tendon_friction")}
         metal = tuple(replace(item, **friction, stop=tuple(angle - NEAR_STOP for angle in item.stop)) for item in built.metal)
-        record = without_frames(record, seed, number)
         hands.append(judge_hand(Built(built.hand, metal), record, truth, servo, know_truth=True))
     return hands
 
@@ -198,3 +204,67 @@ def calibration(count: int, seed: int, in_physics: int = 0) -> Part:
         shares = rows["physics engine"]["coverage"].values()
         lines += [f"In the physics engine {np.mean(list(shares)):.0%} of the intervals hold the truth.", ""]
     return Part("\n".join(lines), rows)
+
+
+# Exchanged labels -----------------------------------------------------------------------
+
+KINDS = ("as labelled", "MCP and DIP", "another pair of a digit", "joints of two digits")
+"""Kinds of exchange of two joints' labels."""
+
+
+def exchanged(record: Sweep, first: int, second: int) -> Sweep:
+    """The record with the columns of two joints exchanged."""
+    joint_pos = record.joint_pos.copy()
+    joint_pos[:, [first, second]] = joint_pos[:, [second, first]]
+    return record.with_joint_pos(joint_pos)
+
+
+def verdict(record: Sweep) -> str:
+    """Whether the checks of `hpac sweep` and `hpac calibrate` refuse a record, remark on it or take it."""
+    try:
+        return "remark" if judged(record, HPAC) else "taken"
+    except RecordError:
+        return "refused"
+
+
+def verdicts(record: Sweep, rng: np.random.Generator) -> dict[str, list[str]]:
+    """Verdicts on every segment by kind of exchange: all pairs of a digit, and each joint with a random one of another digit."""
+    found: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    for rows in record.segments():
+        segment, own = record[rows], joints_of_servo(int(record.swept[rows[0]]))
+        others = [joint for joint in range(len(JOINTS)) if joint not in (*own, JOINT_INDEX["thumb_cmc"])]
+        found[KINDS[0]].append(verdict(segment))
+        for joint, other in combinations_of(own, 2):
+            dip_first = JOINTS[joint].endswith("_dip") and JOINTS[other].endswith("_mcp")
+            found[KINDS[1 if dip_first else 2]].append(verdict(exchanged(segment, joint, other)))
+        found[KINDS[3]] += [verdict(exchanged(segment, joint, int(rng.choice(others)))) for joint in own]
+    return found
+
+
+def _shares(kind: str, result: str) -> Column:
+    return Column(f"{kind}, {result}", f"{kind}: {result}", lambda found: found[kind].count(result) / len(found[kind]), "{:.1%}")
+
+
+LABEL_COLUMNS = (
+    Column("digits", "digits", lambda found: len(found[KINDS[0]])),
+    *(_shares(kind, result) for kind in KINDS[:2] for result in ("refused", "remark")),
+    *(_shares(kind, "refused") for kind in KINDS[2:]),
+)
+
+
+def labels(count: int, seed: int, in_physics: int = 0) -> Part:
+    """Check records with and without exchanged labels: `count` hidden hands of each law, `in_physics` in the physics engine."""
+    records: dict[str, list[Sweep]] = {}
+    for laws, metal in LAWS.items():
+        both = metal_sweeps(hidden_hands(count, seed, metal), seed, CAMERA, Protocol(both_directions=True), SERVOS[:-1])
+        both = [without_frames(record, seed, number) for number, record in enumerate(both)]
+        records[f"{laws}, points both ways"] = both
+        records[f"{laws}, flexion alone"] = [record[record.phase != EXTENDING] for record in both]
+    if in_physics:
+        records["physics engine, the return filmed"] = [record for _, record, *_ in measured_in_physics(in_physics, seed)]
+    found = {}
+    for name, sweeps in records.items():
+        parts = [verdicts(record, np.random.default_rng([seed, i])) for i, record in enumerate(progress(sweeps, name))]
+        found[name] = {kind: [result for part in parts for result in part[kind]] for kind in KINDS}
+    rows = rows_of(LABEL_COLUMNS, found)
+    return Part(f"## Exchanged labels of joints, hidden hands, seed {seed}\n\n{table('hidden', LABEL_COLUMNS, rows)}\n", rows)

@@ -7,7 +7,7 @@ import numpy as np
 from hpac_gym.model import JOINTS, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
-from hpac_gym.study.record import FLEXING, REST, RecordError, Sweep, joints_of_servo
+from hpac_gym.study.record import EXTENDING, FLEXING, REST, RecordError, Sweep, joints_of_servo
 
 LEAST_REST = 5
 """Least number of samples at rest in a segment."""
@@ -19,6 +19,8 @@ MOST_GARBAGE = 0.1
 """Largest share of outliers among a joint's samples."""
 MOST_NOISE = np.deg2rad(1.0)
 """Largest standard deviation of samples within a sampling point [rad]."""
+CERTAIN = 4.0
+"""Standard errors by which a joint must lag behind its root joint, or lead it, for the record to tell which is which."""
 SHOWN = 3
 """Number of faults that the message lists."""
 _HINT = "are labels exchanged?"
@@ -32,31 +34,35 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
         base: the hand's design.
 
     Raises:
-        RecordError: A segment has no rest or is labelled with another servo, or one of its joints rests, moves with another
-            servo, has another ratio, or is measured too inaccurately. The message lists the first faults.
+        RecordError: The record has no points; or a segment has no rest or is labelled with another servo, or one of its joints
+            rests, moves with another servo, has another ratio, or is measured too inaccurately. The message has the first faults.
     """
     corrected = without_drift(sweep)
     faults, remarks = [], []
+    if not ((sweep.phase == FLEXING) & (sweep.point >= 0)).any():
+        raise RecordError("column point: no row of a flexion is at a sampling point (all are −1)")
     for rows in sweep.segments():
         flexed = rows[(sweep.phase[rows] == FLEXING) & (sweep.point[rows] >= 0)]
         if not flexed.size:
             continue
         swept = int(sweep.swept[rows[0]])
         where = f"trial {sweep.trial[rows[0]]}, sweep of {SERVOS[swept]}"
-        rest = int((sweep.phase[rows] == REST).sum())
+        rest = rows[sweep.phase[rows] == REST]
         travel = np.ptp(sweep.servo[flexed], axis=0)
         moved = int(travel.argmax())
-        if rest < LEAST_REST:
+        if rest.size < LEAST_REST:
             faults.append(
-                f"{where}: {rest} samples are marked 'rest', at least {LEAST_REST} are needed to take out offset and drift"
+                f"{where}: {rest.size} samples are marked 'rest', at least {LEAST_REST} are needed to take out offset and drift"
             )
-        elif moved != swept:
-            turns = f"servo {SERVOS[moved]} moves {travel[moved]:.2f} rad, {SERVOS[swept]} {travel[swept]:.2f} rad"
-            faults.append(f"{where}: {turns}; {_HINT}")
+        elif moved != swept or travel[moved] == 0:
+            instead = f", but {SERVOS[moved]} {travel[moved]:.2f} rad; {_HINT}" if travel[moved] > 0 else ""
+            faults.append(f"{where}: servo {SERVOS[swept]} moves {travel[swept]:.2f} rad{instead}")
         elif len(np.unique(sweep.point[flexed])) >= 3:
-            found = _judged_joints(corrected, flexed, swept, base)
+            found = _judged_joints(corrected, rows, flexed, swept, base)
             faults += found[0]
             remarks += found[1]
+            if not rest[0] < flexed[0] < flexed[-1] < rest[-1]:
+                remarks.append(f"{where}: rest poses at one end only: the camera's offset is taken out, its drift is not")
     if faults:
         told = list(dict.fromkeys(faults))
         more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
@@ -70,12 +76,13 @@ def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
     Returns:
         Servo angles (points, 6), medians (points, 15), deviations (samples, 15) [rad]; NaN where nothing was measured.
     """
-    points, place = np.unique(sweep.point[rows], return_inverse=True)
-    measured = sweep.joint_pos[rows]
-    medians = np.full((len(points), len(JOINTS)), np.nan)
-    for number in range(len(points)):
-        seen = ~np.isnan(measured[place == number]).all(axis=0)
-        medians[number, seen] = np.nanmedian(measured[place == number][:, seen], axis=0)
+    _, place, counts = np.unique(sweep.point[rows], return_inverse=True, return_counts=True)
+    measured, order = sweep.joint_pos[rows], np.argsort(place, kind="stable")
+    values = np.full((len(counts), counts.max(), len(JOINTS)), np.nan)
+    values[place[order], np.arange(len(rows)) - np.repeat(np.cumsum(counts) - counts, counts)] = measured[order]
+    values.sort(axis=1)  # NaN comes last
+    seen = (~np.isnan(values)).sum(axis=1)[:, None]
+    medians = (np.take_along_axis(values, (seen - 1) // 2, 1) + np.take_along_axis(values, seen // 2, 1))[:, 0] / 2
     return group_means(sweep.servo[rows], place)[0], medians, measured - medians[place]
 
 
@@ -85,9 +92,11 @@ def noise_of(deviations: Array) -> float:
     return max(1.4826 * float(np.median(np.abs(seen))), LEAST_NOISE) if seen.size else LEAST_NOISE
 
 
-def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tuple[list[str], list[str]]:
-    """Faults and remarks on the joints that a servo moves, from the sampling points of its flexion."""
-    servo, medians, deviations = point_medians(sweep, rows)
+def _judged_joints(
+    sweep: Sweep, segment: np.ndarray, flexed: np.ndarray, swept: int, base: Hand
+) -> tuple[list[str], list[str]]:
+    """Faults and remarks on the joints that a servo moves, from the rows of a segment and those of its flexion's points."""
+    servo, medians, deviations = point_medians(sweep, flexed)
     design = elastic_joints_from_servo(np.clip(servo, base.servo_min, base.servo_max), base)
     travel, wanted = _travel(medians), _travel(np.where(np.isnan(medians), np.nan, design))
     own, where, faults, remarks = joints_of_servo(swept), f"sweep of {SERVOS[swept]}", [], []
@@ -107,7 +116,7 @@ def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tu
                 f"others of their point, {MOST_GARBAGE:.0%} may"
             )
         elif not LEAST_SHARE <= share <= MOST_SHARE:
-            others = f", while {movers} move" if movers else ""
+            others = f", but {movers} moved" if movers else ""
             faults.append(f"{where}: {JOINTS[joint]} turns {share:.2f} of the design's travel{others}; does it rest, or {_HINT}")
     if faults:
         return faults, remarks
@@ -121,14 +130,47 @@ def _judged_joints(sweep: Sweep, rows: np.ndarray, swept: int, base: Hand) -> tu
 
         ratio, wanted = max(float(stats.theilslopes(pair[:, 1], pair[:, 0]).slope), 1e-3), base.elastic_ratio[joint]
         turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, the design's {wanted:.3f}"
+        lag, error = lag_behind(sweep, segment, root, joint)
         if abs(np.log(ratio / wanted)) > np.log1p(RATIO_TOLERANCE):
             faults.append(f"{where}: {turns} within {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?")
-        elif wanted < 1 < ratio and JOINTS[joint].endswith("_dip"):
+        elif lag < -CERTAIN * error:
+            faults.append(
+                f"{where}: {SERVOS[swept]}, which the tendon pulls, lags behind {JOINTS[joint]} by {np.degrees(-lag):.2f} ± "
+                f"{np.degrees(2 * error):.2f}° in both directions; {_HINT}"
+            )
+        elif wanted < 1 < ratio and not lag > CERTAIN * error:
             remarks.append(
                 f"{turns}: exchanged labels of the two look like this, and so do radii that are off by some percent; "
-                f"the record cannot tell which"
+                f"a record that also has frames of the digit's return tells which"
             )
     return faults, remarks
+
+
+def lag_behind(sweep: Sweep, segment: np.ndarray, root: int, joint: int) -> tuple[float, float]:
+    """Lag of a joint behind its root joint, which friction and inertia cause in both directions, and its standard error [rad].
+
+    The driving tendon pulls on the root joint and the others follow: at the same angle of the root they are less flexed in
+    flexion than in extension, whatever the radii. Uses the frames in motion, because a digit that stops overshoots within its
+    friction band, or those of the points where no others are recorded. Infinite error if the record has one direction only.
+    """
+    seen = segment[(sweep.phase[segment] != REST) & ~np.isnan(sweep.joint_pos[np.ix_(segment, [root, joint])]).any(axis=1)]
+    moving = seen[sweep.point[seen] < 0]
+    seen = moving if {FLEXING, EXTENDING} <= set(sweep.phase[moving]) else seen
+    angle, other = sweep.joint_pos[seen][:, [root, joint]].T
+    low, high = np.quantile(angle, (0.05, 0.95))
+    inside = np.abs(angle - (low + high) / 2) < 0.4 * (high - low)
+    direction, angle, other = np.where(sweep.phase[seen] == EXTENDING, 1.0, -1.0)[inside], angle[inside], other[inside]
+    if abs(direction.sum()) == len(direction):
+        return 0.0, np.inf
+    basis, kept = np.column_stack([np.vander(angle, 3), direction]), np.ones(len(angle), dtype=bool)
+    for _ in range(5):  # without outliers
+        off = other - basis @ np.linalg.lstsq(basis[kept], other[kept], rcond=None)[0]
+        kept = np.abs(off) <= FAR * noise_of(off)
+    solution = np.linalg.lstsq(basis[kept], other[kept], rcond=None)[0]
+    error = noise_of(off) * np.sqrt(np.linalg.pinv(basis[kept].T @ basis[kept])[-1, -1])
+    return float(solution[-1]), float(error)
+
+
 
 
 def _travel(medians: Array) -> Array:

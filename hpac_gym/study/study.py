@@ -12,9 +12,8 @@ from pathlib import Path
 from hpac import whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.output import write_text
-from hpac_gym.study import commands, hidden, populations, rivals, seeds, tracking, trials
+from hpac_gym.study import commands, hidden, populations, reference, rivals, tracking, trials
 from hpac_gym.study.populations import Workshop
-from hpac_gym.study.reference import REFERENCE_FILE, load_reference
 from hpac_gym.study.results import Part, save
 
 TRIAL_PROTOCOL = {"points": 15, "seconds_per_point": 3.0}
@@ -36,7 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=whole_number(3), default=5, metavar="N", help="trials and tracking runs (%(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="seed of all parts (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="few and coarse runs, to test the command")
-    parser.add_argument("--reference", type=Path, default=REFERENCE_FILE, metavar="TOML", help="the simulated hand and camera")
     parser.add_argument("--out", type=Path, default=Path("runs/study"), metavar="DIR", help="folder of the results (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.set_defaults(run=run)
@@ -77,27 +75,29 @@ def _commands(name: str, workshop: Workshop, maps: Collection[str], options: arg
 
 
 def _trials(options: argparse.Namespace) -> Part:
-    reference = load_reference(options.reference)
-    protocol = QUICK_PROTOCOL if options.quick else TRIAL_PROTOCOL
-    slow = replace(reference, rig=reference.rig.with_protocol(**protocol))
+    hand = reference.Reference.of()
+    slow = replace(hand, rig=hand.rig.with_protocol(**(QUICK_PROTOCOL if options.quick else TRIAL_PROTOCOL)))
     return trials.trials(slow, options.trials, options.seed)
 
 
 PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     "populations": lambda options: populations.populations(_hands(options, 400), options.seed),
     "causes": lambda options: populations.causes(),
-    "seeds": lambda options: seeds.seeds(
-        options.reference, 2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else seeds.SPEEDS
+    "seeds": lambda options: reference.seeds(
+        2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else reference.SPEEDS
     ),
     **{name: partial(_rivals, name) for name in rivals.RACES},
     "calibration": lambda options: hidden.calibration(
         _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 20, 2)
     ),
+    "labels": lambda options: hidden.labels(
+        _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 50, 2)
+    ),
     "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
     "commands-other-laws": partial(_commands, *rivals.RACES["rivals"][:2], commands.BEFORE_AND_AFTER),
     "trials": _trials,
     "tracking": lambda options: tracking.tracking(
-        load_reference(options.reference), options.trials, options.seed, (0.5,) if options.quick else tracking.RATES_HZ
+        reference.Reference.of(), options.trials, options.seed, (0.5,) if options.quick else tracking.RATES_HZ
     ),
 }
 """Parts by their names on the command line."""

@@ -13,9 +13,9 @@ from hpac_gym.model import HPAC, JOINT_INDEX, Hand, load_hand
 from hpac_gym.output import markdown, write_text
 from hpac_gym.study.accuracy import Accuracy, accuracy, mae_figure, residual_figure, residuals, workspace
 from hpac_gym.study.judging import judged
-from hpac_gym.study.processing import CUTOFF_HZ, points, processed
+from hpac_gym.study.processing import points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
-from hpac_gym.study.reference import REFERENCE_FILE, Reference, load_reference
+from hpac_gym.study.reference import Reference
 from hpac_gym.study.results import label, save
 
 WORKSPACE_STREAM, EVALUATION_STREAM = 0, 1
@@ -27,7 +27,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("--record", type=Path, metavar="CSV", help="evaluate this record instead of simulating a sweep")
     parser.add_argument("--hand", type=Path, metavar="TOML", help="the model under test (default: the nominal hand)")
-    parser.add_argument("--reference", type=Path, default=REFERENCE_FILE, metavar="TOML", help="the simulated hand and camera")
     parser.add_argument("--out", type=Path, default=Path("runs/sweep"), metavar="DIR", help="folder of the results (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
     parser.set_defaults(run=run)
@@ -40,21 +39,21 @@ def run(arguments: argparse.Namespace) -> int:
     result: dict[str, object] = {"hand": hand.name}
     remarks: list[str] = []
     if arguments.record:
-        record, cutoff_hz = read_sweep(arguments.record), CUTOFF_HZ
+        record = read_sweep(arguments.record)
         result["record"], remarks = str(arguments.record), judged(record, hand)
         caption, text = f"{arguments.record.name} against {hand.name}", ""
     else:
-        reference = load_reference(arguments.reference)
-        record, cutoff_hz = simulate(reference, EVALUATION_STREAM, "evaluation sweep"), reference.cutoff_hz
+        reference = Reference.of()
+        record = simulate(reference, EVALUATION_STREAM, "evaluation sweep")
         write_sweep(out / "sweep.csv", record)
         first = simulate(reference, WORKSPACE_STREAM, "workspace sweep", points=WORKSPACE_POINTS)
         write_sweep(out / "workspace.csv", first)
-        table = workspace(points(processed(first, cutoff_hz)))
+        table = workspace(points(processed(first)))
         result |= {"seed": reference.seed, "workspace_rad": {name: list(bounds) for name, bounds in table.items()}}
         caption = f"reference hand, seed {reference.seed}, simulated, against {hand.name}"
         text = workspace_table(table, hand)
         write_text(out / "workspace.md", text)
-    cleaned = processed(record, cutoff_hz)
+    cleaned = processed(record)
     left_out = int(np.isnan(cleaned.joint_pos).sum() - np.isnan(record.joint_pos).sum())
     if left_out:
         remarks.append(f"{left_out} samples lie far from their neighbours and are left out")

@@ -110,7 +110,7 @@ def track(reference: Reference, profile: Profile, rate_hz: float, rng: np.random
     """
     rig, observer = reference.rig, Observer()
     servo_settings = replace(rig.settings.servo, lag=reference.servo_lag)
-    settings = replace(rig.settings, tendon_friction=reference.trials.tendon_friction, servo=servo_settings)
+    settings = replace(rig.settings, tendon_friction=reference.tendon_friction, servo=servo_settings)
     world = replace(rig.world, collisions=False)  # all five digits move at once; thumb and index would collide
     period, steps = 1 / CONTROL_HZ, int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
     noise = rng.normal(0.0, rig.camera.noise, (steps * SAMPLES, len(JOINTS)))
@@ -161,29 +161,26 @@ class Tracked:
     rate_hz: float
     closed: bool
     """Whether the camera was in the loop."""
-    lag_s: dict[str, Mean]
-    """Lag by joint, and `mean` over the joints [s]."""
+    lag_s: Mean
+    """Lag, mean over the joints [s]."""
     rms_deg: dict[str, Mean]
     """RMS error by joint, and `mean` over the joints [°]."""
 
 
 def run_tracking(reference: Reference, name: str, rate_hz: float, closed: bool, count: int, seed: int) -> Tracked:
     """Several runs of one of the `PROFILES` with different friction and camera noise."""
-    lags, errors = {joint: [] for joint in EVALUATED}, {joint: [] for joint in EVALUATED}
+    lags, errors = np.empty((2, len(EVALUATED), count))
     for run in range(count):
         rng = np.random.default_rng([seed, run])
-        factor = max(1 + reference.trials.friction_spread * rng.standard_normal(), 0.0)
-        trials = replace(reference.trials, tendon_friction=factor * reference.trials.tendon_friction)
-        seen = track(replace(reference, trials=trials), PROFILES[name], rate_hz, rng, closed)
-        for joint in EVALUATED:
+        factor = max(1 + reference.friction_spread * rng.standard_normal(), 0.0)
+        rubbing = replace(reference, tendon_friction=factor * reference.tendon_friction)
+        seen = track(rubbing, PROFILES[name], rate_hz, rng, closed)
+        for i, joint in enumerate(EVALUATED):
             wanted, measured = seen.wanted[:, JOINT_INDEX[joint]], seen.measured[:, JOINT_INDEX[joint]]
-            lags[joint].append(lag(seen.time, wanted, measured))
-            errors[joint].append(np.degrees(np.sqrt(np.mean((measured - wanted) ** 2))))
-    return Tracked(name, rate_hz, closed, _means(lags), _means(errors))
-
-
-def _means(runs: dict[str, list[float]]) -> dict[str, Mean]:
-    return {**{name: mean_of(values) for name, values in runs.items()}, "mean": mean_of(np.mean(list(runs.values()), axis=0))}
+            lags[i, run] = lag(seen.time, wanted, measured)
+            errors[i, run] = np.degrees(np.sqrt(np.mean((measured - wanted) ** 2)))
+    by_joint = {**dict(zip(EVALUATED, errors, strict=True)), "mean": errors.mean(axis=0)}
+    return Tracked(name, rate_hz, closed, mean_of(lags.mean(axis=0)), {key: mean_of(values) for key, values in by_joint.items()})
 
 
 def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[float] = RATES_HZ) -> Part:
@@ -192,7 +189,7 @@ def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[flo
     found = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking")]
     body = []
     for item in found:
-        late, loop = item.lag_s["mean"], "camera at 20 Hz" if item.closed else "open"
+        late, loop = item.lag_s, "camera at 20 Hz" if item.closed else "open"
         lags = f"{1e3 * late.mean:.1f} [{1e3 * late.low:.1f}, {1e3 * late.high:.1f}]"
         body.append((item.profile.replace("_", " "), f"{item.rate_hz:g}", loop, lags, item.rms_deg["mean"]))
     text = f"## Tracking, mean over the nine joints: {count} runs, seed {seed}; mean and 95 % interval\n\n"

@@ -33,12 +33,12 @@ def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, .
     parts = []
     for trial in progress(range(count), "trials"):
         rng = np.random.default_rng([seed, trial])
-        factor = max(1 + reference.trials.friction_spread * rng.standard_normal(), 0.0)
+        factor = max(1 + reference.friction_spread * rng.standard_normal(), 0.0)
         settings = replace(
             reference.rig.settings,
             joint_friction=factor * reference.rig.settings.joint_friction,
-            tendon_friction=factor * reference.trials.tendon_friction,
-            slack=tuple((reference.trials.seat * rng.standard_normal(5)).tolist()),
+            tendon_friction=factor * reference.tendon_friction,
+            slack=tuple((reference.seat * rng.standard_normal(5)).tolist()),
         )
         rig = replace(reference.rig, settings=settings).with_protocol(both_directions=True)
         parts.append(rig.sweep(rng, trial=trial, servos=servos))
@@ -90,7 +90,7 @@ COLUMNS = (
 
 def trials(reference: Reference, count: int, seed: int) -> Part:
     """Hysteresis and repeatability of every joint."""
-    joints = by_joint(points(processed(run_trials(reference, count, seed), reference.cutoff_hz)))
+    joints = by_joint(points(processed(run_trials(reference, count, seed))))
     rows = rows_of(COLUMNS, joints)
     labelled = {label(name): row for name, row in rows.items()}
     text = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval\n\n"

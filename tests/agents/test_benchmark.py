@@ -11,7 +11,7 @@ import pytest
 from agents import benchmark
 from agents.benchmark import comparison, env_hash, faults, main, splits_of, table
 from agents.closures import TASKS
-from agents.errors import RunError, TaskError
+from agents.command import RunError, TaskError
 from agents.evaluate import evaluate
 from hpac_gym.envs import GraspAny
 from hpac_gym.envs.episodes import Episodes

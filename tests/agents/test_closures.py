@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents.closures import TYPE, Learner, scripted_decisions
-from agents.errors import RunError
+from agents.command import RunError
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.envs import GraspByType
 from hpac_gym.tasks.scripted import ScriptedGraspType

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents.curves import report
-from agents.learning_curve import COLUMNS, append_row, drop_rows_after, read_curve
+from agents.progress import COLUMNS, append_row, drop_rows_after, read_curve
 
 
 def row(trials: int) -> dict[str, float]:

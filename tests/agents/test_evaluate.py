@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from agents import reproduce
-from agents.errors import TaskError
+from agents.command import TaskError
 from agents.evaluate import evaluate, main, run_batch, run_episode, table
 from agents.tasks import make_task
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED

@@ -9,8 +9,9 @@ import pytest
 
 from agents import checkpoints, nodes, train
 from agents.closures import Learner
-from agents.errors import RunError
+from agents.command import RunError
 from agents.recipes import RECIPES, with_settings
+from agents.tasks import versions
 from hpac_gym.policies import read_policy
 
 SETTINGS = {"num_envs": "2", "hidden": "16", "batch_size": "16", "random_episodes": "4", "checkpoint_every": "30"}
@@ -32,7 +33,7 @@ def test_each_chunk_counts_once():
 
 def test_a_collector_decides_with_what_the_learner_knows():
     recipe = with_settings(RECIPES["grasp"], {"episodes": "40", **SETTINGS})
-    collector = nodes.Collector(recipe, 5, train.versions())
+    collector = nodes.Collector(recipe, 5, versions())
     copy = collector._learner
     learner, rng = Learner(recipe, len(copy.mean), 44, 4), np.random.default_rng(0)
     hidden = len(copy.mean) - 44
@@ -53,7 +54,7 @@ def test_a_collector_decides_with_what_the_learner_knows():
 
 def test_a_node_of_other_versions_is_refused():
     with pytest.raises(RunError, match=r"has mujoco-core \S+, not 1.2 as the learner has"):
-        nodes.Collector(RECIPES["grasp"], 0, train.versions() | {"mujoco-core": "1.2"})
+        nodes.Collector(RECIPES["grasp"], 0, versions() | {"mujoco-core": "1.2"})
 
 
 def test_without_ray_one_line_names_the_extra(monkeypatch):
@@ -118,7 +119,7 @@ def assert_no_trial_twice(folder, count):
 @pytest.mark.slow
 def test_a_collector_that_cannot_start_ends_the_run_in_one_line(cluster, tmp_path, monkeypatch):
     monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
-    monkeypatch.setattr(nodes, "versions", lambda: train.versions() | {"python": "2.7"})
+    monkeypatch.setattr(nodes, "versions", lambda: versions() | {"python": "2.7"})
     with pytest.raises(RunError, match=r"collector 0 failed: .*has python \S+, not 2.7 as the learner has"):
         train.main(["grasp", "--out", f"{tmp_path}", "--nodes", "1", *SMALL])
 
@@ -129,4 +130,4 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (0, 1)]
     assert trained == [0, 1]
     assert nodes.main(["grasp", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "0", *SMALL]) == 1
-    assert "seed-0 failed: agents.errors.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err
+    assert "seed-0 failed: agents.command.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from agents import race, reproduce
-from agents.errors import RunError
+from agents.command import RunError
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 

@@ -3,10 +3,9 @@ from dataclasses import FrozenInstanceError, asdict, replace
 
 import pytest
 
-from agents.errors import RecipeError
+from agents.command import RecipeError
 from agents.recipes import RECIPES, recipe_named, settings_of, with_settings
-from agents.seeds import training_seed
-from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED, training_seed
 
 GRASP = RECIPES["grasp"]
 

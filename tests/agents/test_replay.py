@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from agents.errors import RunError
+from agents.command import RunError
 from agents.replay import PULSE_TOLERANCE, Report, film, main
 from hpac import run
 from hpac_gym.bridge import HostBoard

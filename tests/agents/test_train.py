@@ -16,7 +16,7 @@ import pytest
 
 from agents import checkpoints, train
 from agents.closures import Learner, worlds_of
-from agents.errors import RunError
+from agents.command import RunError
 from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy

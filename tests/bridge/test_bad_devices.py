@@ -10,8 +10,8 @@ import pytest
 
 from hpac_gym.bridge import HandLink, HandshakeError, PortError, VirtualHand
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import CONSTANTS
-from hpac_gym.bridge.virtual_hand import VirtualTransport
 from hpac_gym.model import ServoCommand
 
 BITS_PER_BYTE = 10

@@ -24,9 +24,9 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.commands import connector, send_and_hold
 from hpac_gym.bridge.doctor import diagnose
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.hands import VirtualTransport, config_of, default_config
 from hpac_gym.bridge.protocol import MESSAGES
-from hpac_gym.bridge.virtual_hand import VirtualTransport, config_of, default_config
-from hpac_gym.errors import WorkspaceError
+from hpac_gym.errors import HpacError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
 
 HELLO_OF_A_HAND = Frame(
@@ -232,8 +232,17 @@ def test_clear_leaves_a_fault_that_holds(host_board, capsys):
 
 def test_an_estop_that_nobody_confirms_says_what_to_do(monkeypatch):
     monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand.connect", lambda self: Device(self, lambda data: b""))
-    with pytest.raises(LinkTimeout, match="20 times, not confirmed: switch the servo supply off"):
+    with pytest.raises(LinkTimeout, match=r"switch the servo supply off: no answer to estop: 20 times, 0\.1 s each"):
         run("estop", "--port", "virtual")
+    with pytest.raises(PortError, match="switch the servo supply off: /dev/does_not_exist"):
+        run("estop", "--port", "/dev/does_not_exist")
+
+
+def test_a_hand_file_that_cannot_be_read_does_not_delay_an_estop(host_board, tmp_path, capsys):
+    with pytest.raises(HpacError, match=r"no\.toml: No such file"):
+        run("estop", "--port", host_board.port, "--hand", str(tmp_path / "no.toml"))
+    assert capsys.readouterr().out.startswith("stopped")
+    assert "fault estop" in diagnose(host_board.port, host_board.port).what
 
 
 def test_the_port_host_starts_a_board_for_as_long_as_the_command_runs(capsys):
@@ -263,12 +272,14 @@ def test_limits_of_another_hand_are_refused_by_name(slower_hand, host_board):
 def test_a_posture_is_sent_with_the_limits_of_its_own_hand(slower_hand, monkeypatch, capsys):
     hand, _ = slower_hand
     virtual = VirtualHand(config=config_of(hand))
-    monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: virtual)
-    monkeypatch.setattr(HandLink, "sleep", interrupt_once_there(virtual, HandLink.sleep))
     send_and_hold("virtual", ServoCommand(np.full(6, 0.5), 0.1), hand)
+    assert capsys.readouterr().err == "arrived\n"
+    monkeypatch.setattr("hpac_gym.bridge.commands.connector", lambda *_: virtual.connect)
+    monkeypatch.setattr(HandLink, "sleep", interrupt_once_there(virtual, HandLink.sleep))
+    send_and_hold("here", ServoCommand(np.full(6, 0.5), 0.1), hand)
     assert not virtual.pulses().any()
     with pytest.raises(HandshakeError, match="limits"):
-        send_and_hold("virtual", ServoCommand(np.full(6, 0.5), 0.1), HPAC)
+        send_and_hold("here", ServoCommand(np.full(6, 0.5), 0.1), HPAC)
 
 
 def interrupt_once_there(virtual, sleep):

@@ -20,7 +20,7 @@ from hpac_gym.bridge import (
     open_transport,
     servo_from_pulses,
 )
-from hpac_gym.bridge.host_board import BUILD_VARIABLE
+from hpac_gym.bridge.hands import BUILD_VARIABLE
 from hpac_gym.model import HPAC, ServoCommand, stream_command
 
 POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
@@ -157,7 +157,7 @@ def test_a_board_that_does_not_end_is_killed_after_a_second(monkeypatch):
 
 def test_a_board_that_says_nothing_is_given_up_after_five_seconds(monkeypatch):
     waits = []
-    monkeypatch.setattr("hpac_gym.bridge.host_board.select.select", lambda *words: waits.append(words[3]) or ([], [], []))
+    monkeypatch.setattr("hpac_gym.bridge.hands.select.select", lambda *words: waits.append(words[3]) or ([], [], []))
     with pytest.raises(PortError, match="did not open a pseudo-terminal"):
         HostBoard().__enter__()
     assert waits == [5.0]

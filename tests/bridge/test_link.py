@@ -24,8 +24,8 @@ from hpac_gym.bridge import (
     servo_from_pulses,
 )
 from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import MESSAGES
-from hpac_gym.bridge.virtual_hand import VirtualTransport
 from hpac_gym.errors import HpacError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration, stream_command
 
@@ -349,6 +349,14 @@ def test_unplug_and_replug_reconnects_disarmed(virtual_hand, armed):
     assert not virtual_hand.pulses().any()
     with pytest.raises(RejectedError):
         armed.move(ServoCommand(POSE, 1.0))
+
+
+def test_an_unplugged_hand_neither_connects_nor_reads_nor_writes(virtual_hand):
+    transport = virtual_hand.connect()
+    virtual_hand.plugged = False
+    for call in (virtual_hand.connect, lambda: transport.read(0.0), lambda: transport.write(b"")):
+        with pytest.raises(PortError, match="unplugged"):
+            call()
 
 
 def test_a_reset_of_the_board_is_noticed(virtual_hand, armed):

@@ -17,15 +17,15 @@ from hpac_gym.bridge import (
     StoppedError,
     UnconfirmedWarning,
     connection,
-    line,
+    link,
 )
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import decode
+from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK
 from hpac_gym.bridge.reports import KnownState
-from hpac_gym.bridge.virtual_hand import VirtualTransport
 from hpac_gym.model import ServoCommand
 
 
@@ -201,6 +201,21 @@ def test_a_call_that_is_stopped_says_so_whatever_the_port_does(virtual_hand, met
         Exchange(transport, LinkStatistics(), KnownState(), check).request("estop", timeout=0.0, attempts=1)
 
 
+@pytest.mark.parametrize("method", ["write", "read"])
+def test_a_port_that_fails_in_one_direction_ends_the_call_at_once(virtual_hand, method):
+    calls = []
+
+    def fail(*_):
+        calls.append(method)
+        raise PortError("the cable is off")
+
+    transport = virtual_hand.connect()
+    setattr(transport, method, fail)
+    with pytest.raises(PortError, match="the cable is off"):
+        Exchange(transport, LinkStatistics(), KnownState()).request("estop")
+    assert len(calls) == 1
+
+
 # --- doctor -----------------------------------------------------------------------------------------------------------
 
 
@@ -249,6 +264,15 @@ def test_doctor_keeps_the_last_four_kilobytes(virtual_hand):
             return b"temperature 23\r\n" * 100
 
     assert "text instead of frames (4096 bytes, such as 'temperature 23')" in diagnose("here", lambda: Talking(virtual_hand)).what
+
+
+def test_doctor_tells_what_the_board_measures_and_the_trims(talking):
+    plain = _judge("here", talking.info, talking.status(), LinkStatistics(), talking._hand).what
+    assert not any(word in plain for word in ("supply", "heat", "trims"))
+    status = dataclasses.replace(talking.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0]))
+    info = dataclasses.replace(talking.info, trim_ns=(0, -300, 0, 0, 0, 20_000))
+    what = _judge("here", info, status, LinkStatistics(), talking._hand).what
+    assert "boot 1, supply 5.02 V, heat up to 34%, trims 0 -300 0 0 0 20000 ns" in what
 
 
 def test_doctor_tells_the_round_trip_in_milliseconds(talking):
@@ -327,8 +351,8 @@ def test_reconnecting_is_tried_every_twentieth_of_a_second_for_ten(monkeypatch):
     def refuse():
         raise PortError("no such port")
 
-    monkeypatch.setattr(line, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(line, "sleep", lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)))
+    monkeypatch.setattr(link, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(link, "sleep", lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)))
     with pytest.raises(PortError, match="no such port"):
         HandLink(refuse).reconnect()
     assert set(pauses) == {0.05}

@@ -1,16 +1,23 @@
 """The protocol has one owner: what is generated from it is up to date, and the servo table is the model's."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from hpac_gym.bridge import generate, protocol
+from hpac_gym.bridge import protocol
+from hpac_gym.bridge.hands import Config, config_of, default_config, load_library
 from hpac_gym.bridge.limits import limits_hash, servo_limits
-from hpac_gym.bridge.virtual_hand import Config, config_of, default_config, load_library
-from hpac_gym.model import HPAC, SERVOS
+from hpac_gym.model import HPAC, SERVOS, hand_to_toml
+from tools import generate
 
 
-def test_generated_files_are_up_to_date():
-    assert generate.main(["--check"]) == 0
+def test_generated_files_are_up_to_date(capsys, tmp_path):
+    (tmp_path / "hand.toml").write_text(hand_to_toml(HPAC))
+    assert generate.main(["--check", "--hand", str(tmp_path / "hand.toml")]) == 0
+    (tmp_path / "hand.toml").write_text(hand_to_toml(dataclasses.replace(HPAC, rate_limit=HPAC.rate_limit / 2)))
+    assert generate.main(["--check", "--hand", str(tmp_path / "hand.toml")]) == 1
+    assert "firmware/core/hpac_protocol.h: out of date" in capsys.readouterr().out
 
 
 def test_servo_limits_are_the_models_to_half_a_step_of_the_wire():

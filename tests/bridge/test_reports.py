@@ -15,12 +15,12 @@ from hpac_gym.bridge.commands import _print_json, add_safety
 from hpac_gym.bridge.doctor import Finding
 from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.frame import Frame, decode
-from hpac_gym.bridge.generate import vectors
 from hpac_gym.bridge.limits import ServoLimits
 from hpac_gym.bridge.protocol import FLAG_NO_ACK, Fault, Field, Message, Reason, State
 from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
 from hpac_gym.bridge.transport import SerialTransport, SocketTransport, _open_advice, open_transport
 from hpac_gym.model import SERVOS
+from tools.wire_files import vectors
 
 EXAMPLES = {name: decode(wire[1:-1]) for name, verdict, wire in vectors() if verdict == "ok"}
 

@@ -6,8 +6,8 @@ import pytest
 
 from hpac_gym.bridge.errors import FrameError, VersionError
 from hpac_gym.bridge.frame import decode, encode
-from hpac_gym.bridge.generate import VECTORS
 from hpac_gym.bridge.protocol import FRAME_MAX, MESSAGES
+from tools.wire_files import VECTORS
 
 ROWS = list(csv.DictReader(VECTORS.read_text().splitlines()))
 COMPLAINTS = {

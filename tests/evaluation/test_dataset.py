@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agents import clone
-from agents.errors import RunError
+from agents.command import RunError
 from hpac import main
 from hpac_gym.evaluation import dataset as module
 from hpac_gym.evaluation.dataset import DatasetError, read_dataset, record

@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
+from hpac_gym.bridge.hands import VirtualHand
 from hpac_gym.bridge.limits import limits_hash, pulses_from_servo, servo_limits
 from hpac_gym.bridge.protocol import MESSAGES, Action, Reason, State
-from hpac_gym.bridge.virtual_hand import VirtualHand
 from hpac_gym.model import HPAC
 
 LOW = pulses_from_servo([servo.min_urad * 1e-6 for servo in servo_limits()])

@@ -23,16 +23,17 @@ from hpac_gym.study.accuracy import (
     residuals,
     workspace,
 )
+from hpac_gym.study.bench import JointCamera, Protocol
 from hpac_gym.study.processing import points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
-from hpac_gym.study.reference import REFERENCE_FILE, load_reference
+from hpac_gym.study.reference import Reference
 from hpac_gym.study.rig import Rig
 
-REFERENCE = load_reference()
+REFERENCE = Reference.of()
 
 
 def evaluate(sweep: Sweep):
-    return accuracy(residuals(points(processed(sweep, REFERENCE.cutoff_hz))))
+    return accuracy(residuals(points(processed(sweep))))
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +97,7 @@ def test_the_printed_figures_are_read_with_their_margins():
 
 def test_what_remains_has_a_sign_the_models_and_not_the_noises(errors, evaluation):
     """All nine compensated residuals lie below zero: drive stretch and friction, which Eq. (12) leaves out."""
-    found = residuals(points(processed(evaluation, REFERENCE.cutoff_hz)))
+    found = residuals(points(processed(evaluation)))
     assert all(found[name].compensated.mean() < 0 for name in EVALUATED)
 
 
@@ -204,7 +205,7 @@ def test_holes_and_mistaken_markers_in_a_record_cost_those_samples_only(evaluati
 
 
 def test_the_residual_figure_shows_every_point_or_says_how_many_it_does_not(evaluation):
-    found = residuals(points(processed(evaluation, REFERENCE.cutoff_hz)))
+    found = residuals(points(processed(evaluation)))
     assert residual_limit(found) == 2.0
     far = {name: replace(item, uncompensated=item.uncompensated + np.deg2rad(4.5)) for name, item in found.items()}
     assert residual_limit(far) >= np.degrees(max(np.abs(far[name].uncompensated).max() for name in EVALUATED))
@@ -228,28 +229,15 @@ def test_the_command_sweeps_the_reference_hand(tmp_path, capsys):
     assert len(read_sweep(tmp_path / "sweep.csv")) > len(read_sweep(tmp_path / "workspace.csv")) > 0
 
 
-REFERENCE_FAULTS = [
-    ("schema = 1", "schema = 3", "schema 3 is not 1"),
-    ("seed = 1", "seed = 1.5", r"seed must be a whole number, not 1\.5"),
-    ("noise_deg = 0.1", "noise_rad = 0.1", r"\[camera\] lacks or does not know noise_deg, noise_rad"),
-    ("d1 = 0.0002", "d9 = 0.0002", r"\[tolerance\] lacks or does not know d9"),
-    ("joint_friction = 1.0e-3", "joint_friction = -1", "joint_friction = -1 must be a number of at least 0"),
-    ("points = 31 ", "points = 1 ", r"points = 1 must be a whole number of at least 2"),
-    ("points = 31 ", "points = 31.5 ", r"points = 31\.5 must be a whole number"),
-    ("hold = 0.5 ", "hold = 1.5 ", r"hold = 1\.5 s must lie between 0 s and seconds_per_point = 1\.5 s"),
-    ("rate_hz = 20.0", "rate_hz = 0.0", r"rate_hz=0\.0, .*rate_hz \[Hz\], wander_time \[s\] must be greater than 0"),
-    ("[physics]", "[physics", "not TOML"),
-    ("[camera]", "[kamera]", r"table \[camera\] is missing"),
-]
-
-
-@pytest.mark.parametrize(("good", "bad", "message"), REFERENCE_FAULTS)
-def test_a_faulty_reference_file_is_told(tmp_path, good, bad, message):
-    text = REFERENCE_FILE.read_text()
-    assert good in text
-    path = tmp_path / "reference.toml"
-    path.write_text(text.replace(good, bad, 1))
+@pytest.mark.parametrize(
+    ("faulty", "message"),
+    [
+        (lambda: Protocol(points=1), "points = 1 must be a whole number of at least 2"),
+        (lambda: Protocol(points=31.5), r"points = 31\.5 must be a whole number"),
+        (lambda: Protocol(hold=1.5), r"hold = 1\.5 s must lie between 0 s and seconds_per_point = 1\.5 s"),
+        (lambda: JointCamera(rate_hz=0.0), r"rate_hz=0\.0, .*rate_hz \[Hz\], wander_time \[s\] must be greater than 0"),
+    ],
+)
+def test_a_faulty_protocol_or_camera_is_told(faulty, message):
     with pytest.raises(ParameterError, match=message):
-        load_reference(path)
-    with pytest.raises(ParameterError, match="No such file"):
-        load_reference(tmp_path / "none.toml")
+        faulty()

@@ -11,6 +11,7 @@ from tools.any_closures import (
     CHOICES,
     CLOSURES,
     HIGHEST,
+    LOOKS,
     LOWEST,
     Player,
     arms,
@@ -47,12 +48,15 @@ def test_the_first_winner_of_each_seed_is_counted():
 
 def test_load_adds_to_deploy_and_privileged_does_not_see_it():
     task = GraspAny()
-    seen = np.arange(2 * 2 * 155.0).reshape(2, 2, 155)
+    seen = np.arange(2 * len(LOOKS) * 155.0).reshape(2, len(LOOKS), 155)
     found = arms(seen, task)
     assert found["deploy"].shape == (2, 2 * 46)
     assert found["load"].shape == (2, 2 * 57)
     assert found["privileged"].shape == (2, 2 * 144)
     assert found["privileged"][0, 46] == 57
+    assert found["load, memory"].shape == (2, len(LOOKS) * 57)
+    np.testing.assert_array_equal(found["load"][0, -57:], seen[0, -1, :57])
+    np.testing.assert_array_equal(found["load, memory"][0, 57:114], seen[0, 1, :57])
 
 
 @pytest.mark.slow
@@ -71,7 +75,8 @@ def test_trials_are_the_same_until_the_decision_and_are_kept(tmp_path):
     player = Player("train", 4)
     trials = trials_of(player, range(6), tmp_path)
     assert trials.won.shape == (6, len(CHOICES))
-    assert np.abs(trials.seen[:, 0] - trials.seen[:, 1]).max() > 0.1
+    assert trials.seen.shape[:2] == (6, len(LOOKS))
+    assert np.abs(trials.seen[:, 0] - trials.seen[:, -1]).max() > 0.1
     np.testing.assert_array_equal(play_script(player, range(6), ANY_CLOSURES.__getitem__)[1], trials.won[:, 0])
     player.play = None  # what is kept is not played again
     again = trials_of(player, range(6), tmp_path)

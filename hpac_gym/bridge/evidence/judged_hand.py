@@ -9,8 +9,8 @@ import numpy as np
 
 from hpac_gym.bridge.evidence import oracle as wire
 from hpac_gym.bridge.evidence.oracle import Oracle
+from hpac_gym.bridge.hands import VirtualHand
 from hpac_gym.bridge.protocol import Reset
-from hpac_gym.bridge.virtual_hand import VirtualHand
 
 
 class JudgedHand(VirtualHand):
@@ -97,6 +97,13 @@ class Coarse(JudgedHand):
 
     def shown(self, now_us: int, widths: list[int]) -> list[int]:
         return [width // 20_000 * 20_000 for width in widths]
+
+
+class Babbling(JudgedHand):
+    """A hand that sends text instead of frames."""
+
+    def transmit(self) -> bytes:
+        return b"x" * len(super().transmit())
 
 
 class Shifted(JudgedHand):

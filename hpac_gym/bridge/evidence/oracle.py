@@ -174,7 +174,7 @@ class Oracle:
                     self._armed, self._last_move = False, None
 
     def _end(self, action: int, now_us: int, rule: str) -> None:
-        self._armed, self._repeatable = False, False
+        self._armed = False
         self._ending, self._ending_us, self._ending_rule = action, now_us, rule
 
     def device(self, now_us: int, data: bytes) -> None:

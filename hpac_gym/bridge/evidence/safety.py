@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -22,6 +22,7 @@ from hpac_gym.bridge.errors import BridgeError, FaultError
 from hpac_gym.bridge.evidence import oracle as wire
 from hpac_gym.bridge.evidence.judged_hand import (
     AlwaysOn,
+    Babbling,
     Coarse,
     DeafToEstop,
     Forgiving,
@@ -33,10 +34,9 @@ from hpac_gym.bridge.evidence.judged_hand import (
     StartsAtOnce,
 )
 from hpac_gym.bridge.evidence.sessions import BOUND, run_sessions, seconds_with_pulses
-from hpac_gym.bridge.host_board import HostBoard, firmware_file
+from hpac_gym.bridge.hands import HostBoard, VirtualHand, VirtualTransport, firmware_file
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Reset
-from hpac_gym.bridge.virtual_hand import VirtualHand, VirtualTransport
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration
 
 BOARD_TICK_US = 20_000
@@ -317,9 +317,9 @@ def _overload(kind: Hands) -> Played:
 class _Restarting(VirtualTransport):
     """A board that restarts when its port opens and again after `restart_at` writes, sending boot text each time."""
 
-    def __init__(self, hand: VirtualHand, restart_at: int, seen: dict[str, int], endless: bool) -> None:
+    def __init__(self, hand: VirtualHand, restart_at: int, seen: dict[str, int]) -> None:
         super().__init__(hand)
-        self._hand, self._left, self._seen, self._endless = hand, restart_at, seen, endless
+        self._left, self._seen = restart_at, seen
         self._restart()
 
     def _restart(self) -> None:
@@ -335,19 +335,17 @@ class _Restarting(VirtualTransport):
             super().write(data)
 
     def read(self, timeout: float) -> bytes:
-        data = super().read(timeout)
-        if self._text or self._endless:
-            data, self._text = (self._text or _BOOT_TEXT) + (b"" if self._endless else data), b""
-            self._seen["bytes"] += len(data)
-        return data
+        text, self._text = self._text, b""
+        self._seen["bytes"] += len(text)
+        return text + super().read(timeout)
 
 
-def _boots(endless: bool) -> Played:
+def _boots(kind: Hands) -> Played:
     """Sessions with boards that restart at opening and during the session: number that are lost or leave pulses."""
     lost, seen = 0, {"resets": 0, "bytes": 0}
     for restart_at in range(8, 28):
-        hand = VirtualHand()
-        link = HandLink(lambda hand=hand, at=restart_at: _Restarting(hand, at, seen, endless), handshake_timeout=1.0)
+        hand = kind()
+        link = HandLink(lambda hand=hand, at=restart_at: _Restarting(hand, at, seen), handshake_timeout=1.0)
         try:
             link.connect()
             with suppress(BridgeError):  # the restart must end the session with an error
@@ -391,16 +389,15 @@ def measure(frames: int = 10_000_000, trials: int = 20, sessions: int = 10_000, 
     Raises:
         FirmwareMissing: The host build is missing.
     """
-
-    for claim, limit, unit, control, play, *words in _PLAYED:
-        figure, tried = play(JudgedHand, *words)
-        yield Claim(claim, float(figure), limit, unit, int(tried), float(play(control, *words)[0]))
+    yield from (_played(*row) for row in _PLAYED)
     yield from _driver(frames, seed)
-    lost, tried = _boots(endless=False)
-    text = "boot text and restarts, at opening and in the session: sessions lost or left with pulses"
-    yield Claim(text, lost, 0, "sessions", tried, _boots(endless=True)[0])
     yield from _sessions(sessions, seed)
     yield from _wall_clock(trials)
+
+
+def _played(claim: str, limit: float, unit: str, control: Hands, play: Callable[..., Played], *words: object) -> Claim:
+    figure, tried = play(JudgedHand, *words)
+    return Claim(claim, float(figure), limit, unit, int(tried), float(play(control, *words)[0]))
 
 
 _PLAYED = [
@@ -418,6 +415,7 @@ _PLAYED = [
     ("a MOVE that comes again, or late, moves nothing", 0, "moves", Renumbering, _old_moves),
     ("no damaged frame is carried out", 0, "frames", Forgiving, _damaged),
     ("a hostile host: all of the above", 0, "complaints", Shifted, _hostile, 20_000),
+    ("boot text and restarts, at opening and in the session: lost or left with pulses", 0, "sessions", Babbling, _boots),
     ("a fully closed hand opens by itself (chosen load model)", 300, "s", AlwaysOn, _overload),
 ]
 """Claim, limit, unit, faulty hand of the negative control, scenario and its arguments."""

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hpac_gym.bridge.errors import UnconfirmedWarning
+from hpac_gym.bridge.hands import VirtualHand, VirtualTransport
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
 from hpac_gym.bridge.transport import PortError
-from hpac_gym.bridge.virtual_hand import VirtualHand, VirtualTransport
 from hpac_gym.model import HPAC, ServoCommand, move_duration
 
 _SLACK = 0.03

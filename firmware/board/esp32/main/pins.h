@@ -15,7 +15,7 @@
 #define SUPPLY_SWITCH_PIN 26
 #define UART_TX_PIN 1
 #define UART_RX_PIN 3
-/* free for ESTOP_PIN: 27, 32, 33; for SUPPLY_ADC_CHANNEL: 6 (GPIO34); for I2C: 21, 22 if the servos are on a PCA9685 */
+/* free for ESTOP_PIN: 27, 32, 33; for SUPPLY_ADC_CHANNEL: 6 (GPIO34) */
 #elif CONFIG_IDF_TARGET_ESP32S3
 #define SERVO_PINS { 4, 5, 6, 7, 15, 16 }
 #define SUPPLY_SWITCH_PIN 17
@@ -59,15 +59,18 @@
 #ifndef SERVOS_ON_PCA9685
 #define SERVOS_ON_PCA9685 0
 #endif
-#define PCA9685_SDA_PIN 21
-#define PCA9685_SCL_PIN 22
-#define PCA9685_OE_PIN 19      /* with a pull-up of 10 kOhm to the PCA9685's supply: no pulses unless driven low */
 #define PCA9685_ADDRESS 0x40
 #define PCA9685_CLOCK_HZ 25000000 /* its oscillator is off by up to some percent: measure the period and correct this */
-#if SERVOS_ON_PCA9685 && !CONFIG_IDF_TARGET_ESP32
-#undef PCA9685_SDA_PIN
-#undef PCA9685_SCL_PIN
-#undef PCA9685_OE_PIN
+/* OE has a pull-up of 10 kOhm to the PCA9685's supply: no pulses unless driven low. */
+#if CONFIG_IDF_TARGET_ESP32
+#define PCA9685_SDA_PIN 21
+#define PCA9685_SCL_PIN 22
+#define PCA9685_OE_PIN 19
+#elif CONFIG_IDF_TARGET_ESP32C6
+#define PCA9685_SDA_PIN 18
+#define PCA9685_SCL_PIN 19
+#define PCA9685_OE_PIN 20
+#else
 #define PCA9685_SDA_PIN 5
 #define PCA9685_SCL_PIN 6
 #define PCA9685_OE_PIN 7

@@ -13,6 +13,21 @@ port() {
         ../main/*.c fake.c test_port.c ../../../test/oracle.c ../../../core/*.c -lm
     ../../../build/esp32_port
 }
+pins() {
+    target=$1
+    shift
+    for free in -1 "$@"; do
+        for pca in 0 1; do
+            ${CC:-cc} -Wall -DSTUB_TARGET="$target" -DESTOP_PIN="$free" -DSERVOS_ON_PCA9685=$pca -Istubs -I../main \
+                -o ../../../build/esp32_pins test_pins.c
+            ../../../build/esp32_pins
+        done
+    done
+}
+pins 32 27 32 33
+pins 3 18 21
+pins 6 11 2 3
+pins 13 0
 port "ESP32" -DSTUB_TARGET=32
 port "C6 with e-stop, supply measured, trims" -DSTUB_TARGET=6 -DESTOP_PIN=11 -DSUPPLY_ADC_CHANNEL=0 \
     -DSERVO_TRIMS_NS='0, -1, 1, -20000, 20000, 300' -DSERVO_DIRECTIONS='1, -1, 1, 1, -1, 1'
