@@ -80,13 +80,13 @@ class Layout:
         if spec.model is not None and not is_straight(spec.model):
             kind = spec.model if spec.model.has_hulls else "solids"
         number = 1 if spec.model is None else len(spec.model.solids)
-        boxes = 0 if setup.fixed else _number_of_boxes(setup.support or POST)
+        boxes = 0 if setup.fixed else _number_of_boxes(setup.support)
         return cls(armature, kind, number, setup.fixed, boxes, setup.target is not None and not setup.fixed)
 
 
 @cache
-def _number_of_boxes(support: Support) -> int:
-    return len(support.boxes(1.0))
+def _number_of_boxes(support: Support | None) -> int:
+    return len((support or POST).boxes(1.0))
 
 
 @cache
