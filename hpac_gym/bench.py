@@ -23,6 +23,7 @@ from typing import Any
 
 from hpac import whole_number
 from hpac_gym.errors import HpacError
+from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import ENGINES
 
 WORKER = Path(__file__).with_name("bench_worker.py")
@@ -105,7 +106,7 @@ def peers_python() -> str:
     return str(python)
 
 
-def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str], rounds: int) -> Report:
+def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str], rounds: int, physics_hz: int) -> Report:
     """Time all environments, in rounds in which all take turns.
 
     Args:
@@ -113,6 +114,7 @@ def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str
         num_envs: sizes of the vector environments; two threads are measured at the largest.
         peers: ids from `PEERS`.
         rounds: number of rounds.
+        physics_hz: physics steps per second.
 
     Raises:
         BenchError: An environment failed, or the peers cannot be installed.
@@ -124,8 +126,9 @@ def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str
             stack.callback(made.close)
             return made
 
-        hands = {(e, n): worker(kind="hands", engine=e, num_envs=n, threads=1) for e in engines for n in num_envs}
-        two = worker(kind="hands", engine="mujoco", num_envs=max(num_envs), threads=2) if "mujoco" in engines else None
+        rate = {"physics_hz": physics_hz}
+        hands = {(e, n): worker(kind="hands", engine=e, num_envs=n, threads=1, **rate) for e in engines for n in num_envs}
+        two = worker(kind="hands", engine="mujoco", num_envs=max(num_envs), threads=2, **rate) if "mujoco" in engines else None
         others = {name: worker(peers_python(), kind="peer", name=name, module=PEERS[name]) for name in peers}
         pair = [worker(kind="arithmetic") for _ in range(2)]
         found: dict[Any, list[dict[str, float]]] = {}
@@ -213,6 +216,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--num-envs", type=whole_number(1), nargs="+", default=NUM_ENVS, metavar="N",
                         help="sizes of the vector environments (default: 1 16 64)")  # fmt: skip
     parser.add_argument("--rounds", type=whole_number(1), default=9, metavar="N", help="number of rounds (default: %(default)s)")
+    parser.add_argument("--physics-hz", type=whole_number(1), default=WorldSettings().physics_hz, metavar="HZ",
+                        help="physics steps per second (default: %(default)s)")  # fmt: skip
     parser.add_argument("--no-peers", action="store_true", help="without the other libraries (they need a download)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=run)
@@ -227,6 +232,6 @@ def run(arguments: argparse.Namespace) -> int:
     engines = [engine for engine in installed if engine in (arguments.engine or installed)]
     # panda-gym needs PyBullet, which has no wheels beyond CPython 3.11.
     peers = [] if arguments.no_peers else [name for name in PEERS if "panda" not in PEERS[name] or sys.version_info < (3, 12)]
-    report = measure(engines, arguments.num_envs, peers, arguments.rounds)
+    report = measure(engines, arguments.num_envs, peers, arguments.rounds, arguments.physics_hz)
     print(json.dumps(report, indent=2) if arguments.json else "\n".join(lines(report)))
     return 0

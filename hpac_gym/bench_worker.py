@@ -11,6 +11,7 @@ import json
 import os
 import sys
 import warnings
+from dataclasses import replace
 from time import perf_counter, process_time
 from typing import Any
 
@@ -27,10 +28,12 @@ BLOCKS = 5
 class Hands:
     """n hands that hold the same can: every step is in contact."""
 
-    def __init__(self, engine: str, num_envs: int, threads: int) -> None:
+    def __init__(self, engine: str, num_envs: int, threads: int, physics_hz: int) -> None:
         from hpac_gym.body.objects import ObjectSpec
         from hpac_gym.envs import Grasp, HandVectorEnv
+        from hpac_gym.envs.episodes import Episodes
         from hpac_gym.physics.engine import SceneSetup
+        from hpac_gym.physics.settings import WorldSettings
 
         can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
         opposed = np.array([0, 0, 0, 0, 0, 1.2])
@@ -38,6 +41,10 @@ class Hands:
         if hasattr(os, "sched_setaffinity"):  # an engine uses one thread per available processor
             os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
         self.env = HandVectorEnv(Grasp(), num_envs, engine=engine)
+        if physics_hz != WorldSettings().physics_hz:
+            self.env.episodes.close()
+            options = replace(self.env.episodes.options, world=WorldSettings(physics_hz))
+            self.env._episodes = Episodes(self.env.task, num_envs, options)
         self.opened, self.closed = np.array([-1, -1, -1, -1, -1, 0.5]), np.array([0.3, 1, 1, 1, 1, 0.5])
         self.inside, self.step_of_episode = 0.0, 0
         physics = self.env.episodes.simulation.engine

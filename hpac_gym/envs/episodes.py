@@ -55,7 +55,7 @@ class Episodes:
         transmit: function applied to a command on its way to the servos, for n = 1; None is the identity.
 
     Raises:
-        ParameterError: The task does not have the requested observation.
+        ParameterError: The task does not have the requested observation, or the physics' rate is no multiple of the commands'.
 
     Attributes:
         observation_space: observation space of one world.
@@ -65,12 +65,14 @@ class Episodes:
     """
 
     def __init__(self, task: Task, num_worlds: int, options: Options, transmit: Transmit | None = None) -> None:
+        if (rate := options.world.physics_hz) % CONTROL_HZ:
+            raise ParameterError(f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands")
         kinds = ("deploy", "privileged", "image", *task.sensed_terms)
         if options.obs not in kinds:
             raise ParameterError(f"obs {options.obs!r} is not one of {', '.join(kinds)}, which this task has")
         self.task, self.options, self._transmit = task, options, transmit
         visuals = options.visuals or options.obs == "image"
-        self.simulation = Simulation(make_engine(options.engine, num_worlds, visuals=visuals))
+        self.simulation = Simulation(make_engine(options.engine, num_worlds, options.world, visuals))
         try:
             self.simulation.engine.require(BODIES[options.body])
             self._camera = task.prepare(num_worlds, options.noise)

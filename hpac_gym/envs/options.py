@@ -16,7 +16,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, Hand, load_hand
 from hpac_gym.model.checks import as_bounded_array, as_finite_vector
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.physics.settings import BODIES
+from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, default_engine
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import settings_from
@@ -113,6 +113,8 @@ class Options:
     engine: str
     body: str
     visuals: bool
+    world: WorldSettings = WorldSettings()
+    """Integration; no environment offers it, since its results would not be those of its id."""
 
 
 def checked_options(
