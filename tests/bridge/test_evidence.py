@@ -264,6 +264,7 @@ WRONG = {
     rewriting("GoesOn", heard=lambda body: body[:1] + b"\4" + body[2:] if body[1] == 6 else body): {
         "CLEAR stops motion and pulses"
     },
+    rewriting("Forgets", said=lambda body: put(body, body[1] == 0x83, 30, 0)): REPEATS - {"a MOVE from before CLEAR is refused"},
     rewriting("AnswersOnly", said=lambda body: None if body[1] == 0x83 and body[2:4] == b"\0\0" else body): {"periodic STATUS"},
 }
 
