@@ -14,7 +14,6 @@ from hpac_gym.bridge import HostBoard, VirtualHand
 from hpac_gym.bridge.evidence import judged_hand, oracle, safety, sessions
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.device import SESSION
-from hpac_gym.bridge.evidence.oracle import RULES as ORACLE_RULES
 from hpac_gym.bridge.evidence.oracle import unseal
 from hpac_gym.bridge.hands import BUILD_VARIABLE
 from tests.bridge.test_commands import run
@@ -138,34 +137,6 @@ def test_sessions_whose_last_words_are_left_out_are_found_out():
     result = sessions.run_sessions(200, release=False)
     assert result.powered > 100
     assert result.untold > 100
-
-
-# --- the oracle -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("rule", "kind", "play"),
-    [
-        ("start", judged_hand.StartsAtOnce, safety._starts),
-        ("unarmed", judged_hand.AlwaysOn, safety._unarmed),
-        ("silence", judged_hand.NoWatchdog, lambda kind: safety._silence(kind, safety.Action.detach)),
-        ("estop", judged_hand.DeafToEstop, safety._estops),
-        ("accept", judged_hand.Forgiving, safety._damaged),
-    ],
-)
-def test_each_rule_of_the_oracle_finds_the_hand_that_breaks_it(rule, kind, play):
-    """Two rules more, range and rate, are what the safety case counts in its controls."""
-    oracles = []
-
-    class Noting(kind):
-        def __init__(self, *args, **kwargs):
-            super().__init__(*args, **kwargs)
-            oracles.append(self.oracle)
-
-    play(Noting)
-    assert rule in ORACLE_RULES
-    assert sum(oracle.broken[rule] for oracle in oracles) > 0
-    assert all(complaint.text for oracle in oracles for complaint in oracle.complaints)
 
 
 # --- conformance ----------------------------------------------------------------------------------------------------
