@@ -40,42 +40,38 @@ def add_safety(parser: argparse.ArgumentParser) -> None:
 
 def add_conform(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac conform`."""
-    _add_hand(parser)
+    _add_hand(parser, _conform)
     parser.add_argument("--json", action="store_true", help="print a JSON list of rule, tried, holds, failure")
-    parser.set_defaults(run=_conform)
 
 
 def add_wiggle(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac wiggle`."""
-    _add_hand(parser)
+    _add_hand(parser, _wiggle)
     parser.add_argument("--servo", choices=SERVOS, action="append", help="only this servo; may be repeated")
     parser.add_argument("--angle", type=float, default=0.3, help="angle from rest [rad] (default: %(default)s)")
-    parser.set_defaults(run=_wiggle)
 
 
 def add_estop(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac estop`."""
-    _add_hand(parser)
-    parser.set_defaults(run=_estop)
+    _add_hand(parser, _estop)
 
 
 def add_clear(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac clear`."""
-    _add_hand(parser)
-    parser.set_defaults(run=_clear)
+    _add_hand(parser, _clear)
 
 
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac doctor`."""
-    _add_hand(parser, required=False)
+    _add_hand(parser, _doctor, required=False)
     parser.add_argument("--json", action="store_true", help="print a JSON list of port, healthy, what, advice")
-    parser.set_defaults(run=_doctor)
 
 
-def _add_hand(parser: argparse.ArgumentParser, required: bool = True) -> None:
+def _add_hand(parser: argparse.ArgumentParser, run: Callable, required: bool = True) -> None:
     """The arguments of every command that talks to a hand."""
     parser.add_argument("--port", required=required, help=PORT_HELP if required else f"check only this port: {PORT_HELP}")
     parser.add_argument("--hand", metavar="FILE", help="hand parameters (TOML) of the firmware (default: nominal)")
+    parser.set_defaults(run=run)
 
 
 def connector(port: str, hand: Hand, stack: ExitStack) -> str | Callable[[], Transport]:

@@ -9,7 +9,7 @@ from serial.tools import list_ports
 
 from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, PortError
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.frame import Frame
+from hpac_gym.bridge.frame import Frame, FrameSplitter
 from hpac_gym.bridge.protocol import VERSION, Reason, name_of
 from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
 from hpac_gym.bridge.transport import Transport, open_transport
@@ -18,7 +18,6 @@ from hpac_gym.model import HPAC, Hand
 _PATIENCE = 3.0
 """Time-out [s]; boards that reset when their port opens need up to 2 s."""
 _ATTEMPT = 0.1
-_HEARD_MAX = 4096
 _TEXT_SHARE = 0.9
 
 _FAULT_STEPS = {
@@ -45,21 +44,6 @@ class Finding:
         return f"{mark} {self.port}: {self.what}" + (f"\n      → {self.advice}" if self.advice else "")
 
 
-class _Heard:
-    """A transport that records the received bytes."""
-
-    def __init__(self, transport: Transport) -> None:
-        self._transport = transport
-        self.write, self.now, self.close = transport.write, transport.now, transport.close
-        self.data = b""
-
-    def read(self, timeout: float) -> bytes:
-        """See `Transport.read`."""
-        data = self._transport.read(timeout)
-        self.data = (self.data + data)[-_HEARD_MAX:]
-        return data
-
-
 class _Echo(Exception):
     """The device echoes its input."""
 
@@ -78,7 +62,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         hand: the hand whose limits the firmware should have.
     """
     try:
-        transport = _Heard(open_transport(port) if isinstance(port, str) else port())
+        transport = open_transport(port) if isinstance(port, str) else port()
     except PortError as error:
         what, _, advice = _without_name(error, name).partition("; ")
         return Finding(name, False, what, advice)
@@ -96,10 +80,10 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         status = HandStatus.from_frame(exchange.request("status", {"period_ms": 0}))
         return _judge(name, info, status, statistics, hand)
     except _Echo:
-        what = f"an echo: what is sent comes back ({len(transport.data)} bytes)"
+        what = f"an echo: what is sent comes back ({exchange.splitter.received_bytes} bytes)"
         return Finding(name, False, what, "take off a jumper between TX and RX, or switch the device's echo off")
     except LinkTimeout:
-        return _unanswered(name, exchange, transport.data)
+        return _unanswered(name, exchange.splitter)
     except PortError as error:
         return Finding(name, False, _without_name(error, name), "plug it in again, and look for a loose cable")
     except BridgeError as error:
@@ -125,8 +109,8 @@ def _look(exchange: Exchange) -> Frame:
                 raise
 
 
-def _unanswered(name: str, exchange: Exchange, heard: bytes) -> Finding:
-    splitter = exchange.splitter
+def _unanswered(name: str, splitter: FrameSplitter) -> Finding:
+    heard = splitter.tail
     if splitter.other_version is not None:
         step = "flash the firmware of this version of hpac_gym, or install the version that the firmware came with"
         return Finding(name, False, f"a hand that speaks protocol {splitter.other_version}, this library {VERSION}", step)

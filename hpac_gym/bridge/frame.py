@@ -26,6 +26,7 @@ from hpac_gym.bridge.protocol import (
 
 _HEADER = struct.Struct("<" + "".join(part.struct_format for part in HEADER))
 _COBS_MAX = FRAME_MAX + 1
+_TAIL_MAX = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +122,7 @@ class FrameSplitter:
 
     Attributes:
         received_bytes: number of bytes received.
+        tail: the last 4,096 of them.
         rejected_bytes: number of bytes in invalid pieces, for example boot text.
         rejected_frames: number of invalid pieces.
         other_version: protocol version of the last intact frame of another version, or None.
@@ -128,6 +130,7 @@ class FrameSplitter:
 
     def __init__(self) -> None:
         self.received_bytes = 0
+        self.tail = b""
         self.rejected_bytes = 0
         self.rejected_frames = 0
         self.other_version: int | None = None
@@ -138,6 +141,7 @@ class FrameSplitter:
         """Process received bytes; returns each complete frame, preceded by its encoded bytes."""
         frames = []
         self.received_bytes += len(data)
+        self.tail = (self.tail + data)[-_TAIL_MAX:]
         *ended, rest = data.split(b"\0")
         for piece in ended:
             self._append(piece)

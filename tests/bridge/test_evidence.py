@@ -14,7 +14,6 @@ from hpac_gym.bridge import HostBoard, VirtualHand
 from hpac_gym.bridge.evidence import judged_hand, oracle, safety, sessions
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.device import SESSION
-from hpac_gym.bridge.evidence.oracle import RULES as ORACLE_RULES
 from hpac_gym.bridge.evidence.oracle import unseal
 from hpac_gym.bridge.hands import BUILD_VARIABLE
 from tests.bridge.test_commands import run
@@ -140,34 +139,6 @@ def test_sessions_whose_last_words_are_left_out_are_found_out():
     assert result.untold > 100
 
 
-# --- the oracle -----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("rule", "kind", "play"),
-    [
-        ("start", judged_hand.StartsAtOnce, safety._starts),
-        ("unarmed", judged_hand.AlwaysOn, safety._unarmed),
-        ("silence", judged_hand.NoWatchdog, lambda kind: safety._silence(kind, safety.Action.detach)),
-        ("estop", judged_hand.DeafToEstop, safety._estops),
-        ("accept", judged_hand.Forgiving, safety._damaged),
-    ],
-)
-def test_each_rule_of_the_oracle_finds_the_hand_that_breaks_it(rule, kind, play):
-    """Two rules more, range and rate, are what the safety case counts in its controls."""
-    oracles = []
-
-    class Noting(kind):
-        def __init__(self, *args, **kwargs):
-            super().__init__(*args, **kwargs)
-            oracles.append(self.oracle)
-
-    play(Noting)
-    assert rule in ORACLE_RULES
-    assert sum(oracle.broken[rule] for oracle in oracles) > 0
-    assert all(complaint.text for oracle in oracles for complaint in oracle.complaints)
-
-
 # --- conformance ----------------------------------------------------------------------------------------------------
 
 
@@ -264,6 +235,7 @@ WRONG = {
     rewriting("GoesOn", heard=lambda body: body[:1] + b"\4" + body[2:] if body[1] == 6 else body): {
         "CLEAR stops motion and pulses"
     },
+    rewriting("Forgets", said=lambda body: put(body, body[1] == 0x83, 30, 0)): REPEATS - {"a MOVE from before CLEAR is refused"},
     rewriting("AnswersOnly", said=lambda body: None if body[1] == 0x83 and body[2:4] == b"\0\0" else body): {"periodic STATUS"},
 }
 

@@ -22,7 +22,7 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.frame import decode
+from hpac_gym.bridge.frame import FrameSplitter, decode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK
 from hpac_gym.bridge.reports import KnownState
@@ -250,9 +250,10 @@ def test_doctor_calls_more_than_ten_and_one_in_a_hundred_damaged_frames_noise(ta
         (b"short\n" + b"long" * 30, repr("long" * 15)),
     ],
 )
-def test_doctor_takes_nine_in_ten_printable_bytes_for_text(virtual_hand, heard, what):
-    exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
-    finding = _unanswered("here", exchange, heard)
+def test_doctor_takes_nine_in_ten_printable_bytes_for_text(heard, what):
+    splitter = FrameSplitter()
+    splitter.push(heard)
+    finding = _unanswered("here", splitter)
     assert what in finding.what
     assert not finding.healthy
 

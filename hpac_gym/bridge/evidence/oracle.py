@@ -212,7 +212,7 @@ class Oracle:
             return f"flags {message.flags}"
         if message.kind == STATUS:
             return None
-        session = struct.unpack_from("<I", message.payload)[0] if message.payload else 0
+        session = struct.unpack_from("<I", message.payload)[0]
         if not self.session or session != self.session:
             return f"session {session:08x} instead of {self.session:08x}"
         if message.kind == ARM:
