@@ -91,12 +91,10 @@ COLUMNS = (
 def trials(reference: Reference, count: int, seed: int) -> Part:
     """Hysteresis and repeatability of every joint."""
     joints = by_joint(points(processed(run_trials(reference, count, seed))))
-    rows = rows_of(COLUMNS, joints)
-    labelled = {label(name): row for name, row in rows.items()}
-    text = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval\n\n"
-    text += table("joint", COLUMNS, labelled) + "\n"
-    data = {column.key: {name: row[column.key] for name, row in rows.items()} for column in COLUMNS}
-    return Part(text, data, {"hysteresis": hysteresis_figure(joints)}, f"reference hand, {count} trials, seed {seed}")
+    rows = rows_of(COLUMNS, {label(name): joint for name, joint in joints.items()})
+    title = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval"
+    text, caption = f"{title}\n\n{table('joint', COLUMNS, rows)}\n", f"reference hand, {count} trials, seed {seed}"
+    return Part(text, rows, {"hysteresis": hysteresis_figure(joints)}, caption)
 
 
 def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:

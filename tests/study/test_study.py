@@ -16,7 +16,7 @@ from hpac_gym.study.processing import points, processed
 from hpac_gym.study.quasistatic import Built, Metal, hand_course
 from hpac_gym.study.record import concatenate
 from hpac_gym.study.reference import Reference
-from hpac_gym.study.results import Column, mean_of, range_of, rows_of, table
+from hpac_gym.study.results import Column, label, mean_of, range_of, rows_of, table
 from hpac_gym.study.trials import JointTrials
 from tests.study.options import parsed
 
@@ -233,7 +233,7 @@ def test_an_unknown_part_is_told(tmp_path):
 def test_the_command_runs_every_part(tmp_path, capsys):
     result = command(tmp_path, capsys, "--hands", "3")
     assert set(result) == set(study.PARTS)
-    assert set(result["trials"]["hysteresis_width_deg"]) == set(JOINTS)
+    assert set(result["trials"]) == {label(name) for name in JOINTS}
     assert {(item["profile"], item["closed"]) for item in result["tracking"]} == {
         (profile, closed) for profile in tracking.PROFILES for closed in (False, True)
     }
