@@ -28,13 +28,12 @@ _IDENTIFIED = ("d2", "alpha_deg", "servo_radius", "joint_radius", "path_length",
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("record", type=Path, metavar="sweep.csv", help="the record; columns of unmeasured joints may be absent")
-    parser.add_argument("--out", type=Path, default=OUT, metavar="TOML", help="the hand file to write (%(default)s)")
+    parser.add_argument("--out", type=Path, default=OUT, metavar="TOML", help="hand file, its report beside it (%(default)s)")
     parser.add_argument("--base", type=Path, metavar="TOML", help="the hand's design (default: the nominal hand)")
     parser.add_argument("--spread", type=float, default=SPREAD, metavar="S", help="relative spread of the design (%(default)s)")
     parser.add_argument(
         "--radii-known", action="store_true", help="joint radii have the design's ratios to 0.1 %%, making k_s L/EA identifiable"
     )
-    parser.add_argument("--report", type=Path, metavar="DIR", help="folder of report and figures (default: beside the file)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
     parser.set_defaults(run=run)
 
@@ -48,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_text(arguments.out, hand_to_toml(named(found, base, arguments.record.name)))
     written = load_hand(arguments.out)
     errors = file_errors(found, written)
-    folder = arguments.report or arguments.out.with_name(f"{arguments.out.stem}-report")
+    folder = arguments.out.with_name(f"{arguments.out.stem}-report")
     result, text = summary(found, base, errors, remarks), report(found, base, errors, remarks)
     write_text(folder / "report.md", text)
     write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")

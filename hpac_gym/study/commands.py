@@ -85,13 +85,13 @@ class MapErrors:
 
 
 COLUMNS = (
-    Column("flexion_worst", "flexion: worst of nine [°]", lambda found: range_of(found.flexion.max(axis=1))),
+    Column("flexion_worst", "flexion: worst of nine [°]", lambda found: range_of(found.flexion.max(axis=1)), "{:.2f}"),
     Column("all_within_goal", f"hands with all nine ≤ {GOAL_DEG}°", lambda found: _share(found.flexion <= GOAL_DEG), "{:.0%}"),
     Column("all_below_papers", f"< {ALL_BELOW_DEG}°", lambda found: _share(found.flexion < ALL_BELOW_DEG), "{:.0%}"),
-    Column("extension_worst", "extension: worst of nine", lambda found: range_of(found.extension.max(axis=1))),
+    Column("extension_worst", "extension: worst of nine", lambda found: range_of(found.extension.max(axis=1)), "{:.2f}"),
     Column("all_within_goal_back", f"hands with all nine ≤ {GOAL_DEG}°", lambda found: _share(found.extension <= GOAL_DEG),
            "{:.0%}"),
-    Column("off_target", "off target", lambda found: range_of(found.off_target.max(axis=1))),
+    Column("off_target", "off target", lambda found: range_of(found.off_target.max(axis=1)), "{:.2f}"),
 )  # fmt: skip
 
 

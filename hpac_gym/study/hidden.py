@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations as combinations_of
 
 import numpy as np
 
@@ -230,14 +230,15 @@ def verdict(record: Sweep) -> str:
 def verdicts(record: Sweep, rng: np.random.Generator) -> dict[str, list[str]]:
     """Verdicts on every segment by kind of exchange: all pairs of a digit, and each joint with a random one of another digit."""
     found: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    as_labelled, mcp_and_dip, of_a_digit, of_two_digits = found.values()
     for rows in record.segments():
         segment, own = record[rows], joints_of_servo(int(record.swept[rows[0]]))
         others = [joint for joint in range(len(JOINTS)) if joint not in (*own, JOINT_INDEX["thumb_cmc"])]
-        found[KINDS[0]].append(verdict(segment))
-        for joint, other in combinations_of(own, 2):
-            dip_first = JOINTS[joint].endswith("_dip") and JOINTS[other].endswith("_mcp")
-            found[KINDS[1 if dip_first else 2]].append(verdict(exchanged(segment, joint, other)))
-        found[KINDS[3]] += [verdict(exchanged(segment, joint, int(rng.choice(others)))) for joint in own]
+        as_labelled.append(verdict(segment))
+        for pair in itertools.combinations(own, 2):
+            parts = {JOINTS[joint].partition("_")[2] for joint in pair}
+            (mcp_and_dip if parts == {"mcp", "dip"} else of_a_digit).append(verdict(exchanged(segment, *pair)))
+        of_two_digits += [verdict(exchanged(segment, joint, int(rng.choice(others)))) for joint in own]
     return found
 
 

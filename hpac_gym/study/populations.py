@@ -135,10 +135,10 @@ def errors_of(built: list[Built]) -> PopulationErrors:
 
 
 COLUMNS = (
-    Column("uncompensated_index_dip", "index DIP without [°]", lambda found: range_of(found.uncompensated[:, _DIP])),
-    Column("index_dip", "index DIP with", lambda found: range_of(found.compensated[:, _DIP])),
-    Column("worst_joint", "worst of nine", lambda found: range_of(found.compensated.max(axis=1))),
-    Column("driven", "MP and MCP", lambda found: range_of(found.driven.ravel())),
+    Column("uncompensated_index_dip", "index DIP without [°]", lambda found: range_of(found.uncompensated[:, _DIP]), "{:.2f}"),
+    Column("index_dip", "index DIP with", lambda found: range_of(found.compensated[:, _DIP]), "{:.2f}"),
+    Column("worst_joint", "worst of nine", lambda found: range_of(found.compensated.max(axis=1)), "{:.2f}"),
+    Column("driven", "MP and MCP", lambda found: range_of(found.driven.ravel()), "{:.2f}"),
     Column("made_worse", "joints made worse", lambda found: float((found.compensated > found.uncompensated).mean()), "{:.0%}"),
     Column("all_below", f"hands with all nine below {ALL_BELOW_DEG}°",
            lambda found: float((found.compensated.max(axis=1) < ALL_BELOW_DEG).mean()), "{:.0%}"),

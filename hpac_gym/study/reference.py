@@ -16,7 +16,7 @@ from hpac_gym.progress import progress
 from hpac_gym.study.accuracy import ALL_BELOW_DEG, EVALUATED, PRINTED, Accuracy, accuracy, met, residuals
 from hpac_gym.study.populations import varied_hand
 from hpac_gym.study.processing import points, processed
-from hpac_gym.study.results import Column, Part, Range, range_of, rows_of, table
+from hpac_gym.study.results import Column, Interval, Part, range_of, rows_of, table
 from hpac_gym.study.rig import Rig, settings_of
 
 SEED = 1
@@ -28,7 +28,7 @@ JOINT_FRICTION = 1e-3
 """Friction of a small ball bearing and its seal [N·m]."""
 DEAD_BAND = 5e-4
 """Dead band of a fine digital servo [rad]."""
-SPEEDS = {0.75: 1.0, 1.5: 1.0, 3.0: 0.5, 6.0: 0.2}
+SPEEDS = {0.75: 1.0, 1.5: 1.0, 3.0: 0.5, 6.0: 0.1}
 """Seconds per point, and the share of the seeds swept at that speed: fewer for slow sweeps. The reference hand's is 1.5 s."""
 
 
@@ -62,16 +62,16 @@ def accuracy_of_seed(seed: int, seconds_per_point: float) -> Accuracy:
     return accuracy(residuals(points(processed(sweep))))
 
 
-def _index_dip(kind: str) -> Callable[[list[Accuracy]], Range]:
+def _index_dip(kind: str) -> Callable[[list[Accuracy]], Interval]:
     return lambda runs: range_of([run.mae_deg[kind]["index_dip"] for run in runs])
 
 
 COLUMNS = (
     Column("seeds", "seeds", len),
-    Column("uncompensated", "index DIP without [°]", _index_dip("uncompensated")),
-    Column("compensated", "with", _index_dip("compensated")),
+    Column("uncompensated", "index DIP without [°]", _index_dip("uncompensated"), "{:.2f}"),
+    Column("compensated", "with", _index_dip("compensated"), "{:.2f}"),
     Column("worst_joint", "worst of nine",
-           lambda runs: range_of([max(run.mae_deg["compensated"][name] for name in EVALUATED) for run in runs])),
+           lambda runs: range_of([max(run.mae_deg["compensated"][name] for name in EVALUATED) for run in runs]), "{:.2f}"),
     Column("met", f"nine below {ALL_BELOW_DEG}°",
            lambda runs: f"{sum(met(run)[PRINTED[3]] for run in runs)} of {len(runs)}"),
     Column("all_met", "all five printed", lambda runs: f"{sum(all(met(run).values()) for run in runs)} of {len(runs)}"),

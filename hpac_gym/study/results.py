@@ -22,44 +22,34 @@ RED, GREEN, BLUE, GREY = "#c0392b", "#1e8449", "#2471a3", "#7f8c8d"
 
 
 @dataclass(frozen=True, slots=True)
-class Mean:
-    """A mean over trials or seeds with its 95 % Student's t interval; the bounds of a single value are NaN."""
+class Interval:
+    """A middle value between two bounds. A format such as ``.2f`` applies to all three; ``str`` shows three decimals."""
 
-    mean: float
+    middle: float
     low: float
     high: float
 
+    def __format__(self, form: str) -> str:
+        return f"{self.middle:{form}} [{self.low:{form}}, {self.high:{form}}]"
+
     def __str__(self) -> str:
-        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
+        return f"{self:.3f}"
 
 
-def mean_of(values: ArrayLike) -> Mean:
-    """The mean of independent values, shape (n,)."""
+def mean_of(values: ArrayLike) -> Interval:
+    """Mean of independent values, shape (n,), with its 95 % Student's t interval; the bounds of a single value are NaN."""
     values = np.asarray(values, dtype=float)
-    centre = float(values.mean())
-    if len(values) < 2:
-        return Mean(centre, float("nan"), float("nan"))
-    from scipy import stats  # takes half a second to load
+    centre, half = float(values.mean()), float("nan")
+    if len(values) > 1:
+        from scipy import stats  # takes half a second to load
 
-    half = float(stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
-    return Mean(centre, centre - half, centre + half)
-
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """Median and the middle 95 % of a population."""
-
-    median: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.median:.2f} [{self.low:.2f}, {self.high:.2f}]"
+        half = float(stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    return Interval(centre, centre - half, centre + half)
 
 
-def range_of(values: ArrayLike) -> Range:
+def range_of(values: ArrayLike) -> Interval:
     """Median and middle 95 % of a population, shape (n,)."""
-    return Range(*np.quantile(values, (0.5, 0.025, 0.975)).tolist())
+    return Interval(*np.quantile(values, (0.5, 0.025, 0.975)).tolist())
 
 
 @dataclass(frozen=True, slots=True)

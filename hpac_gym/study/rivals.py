@@ -24,7 +24,7 @@ from hpac_gym.study.identification import identify
 from hpac_gym.study.populations import FIT_LAWS, NINE, OTHER_LAWS, SERVO, STIFFNESS, ZERO, Workshop, build, geometry
 from hpac_gym.study.quasistatic import Built, hand_course
 from hpac_gym.study.record import REST, Sweep, joints_of_servo
-from hpac_gym.study.results import Mean, Part, log_ticks, mean_of
+from hpac_gym.study.results import Interval, Part, log_ticks, mean_of
 from hpac_gym.study.rig import NEAR_STOP, rig_of
 from hpac_gym.study.samples import digit_samples
 
@@ -148,9 +148,9 @@ IDENTIFIED = {"paper's model, its numbers fitted": True, "`hpac calibrate`": Fal
 class Race:
     """Mean absolute error of the nine joints [°], by method and number of training points."""
 
-    trained: dict[str, dict[int, Mean]]
-    untrained: dict[str, Mean]
-    camera: Mean
+    trained: dict[str, dict[int, Interval]]
+    untrained: dict[str, Interval]
+    camera: Interval
     """Error caused by the camera's scale error alone."""
 
 
@@ -223,7 +223,7 @@ def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES)
     body = [(name, *table.values()) for name, table in found.trained.items()]
     body += [(f"{name}, untrained", value, *[""] * (len(samples) - 1)) for name, value in found.untrained.items()]
     lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
-    lines += [f"The camera's scale error alone, which no method can observe, leaves {found.camera}°.", ""]
+    lines += [f"The camera's scale error alone, which no method can observe, leaves {found.camera:.3f}°.", ""]
     caption = f"{count} hands, {title}, camera with common errors, seed {seed}"
     return Part("\n".join(lines), found, {stem: race_figure(found)}, caption)
 
@@ -235,11 +235,11 @@ def race_figure(race: Race) -> Figure:
     for name, table in race.trained.items():
         numbers = list(table)
         bounds = np.array([[table[n].low, table[n].high] for n in numbers])
-        (line,) = axis.plot(numbers, [table[n].mean for n in numbers], "o-", markersize=4, label=name.replace("`", ""))
+        (line,) = axis.plot(numbers, [table[n].middle for n in numbers], "o-", markersize=4, label=name.replace("`", ""))
         low, high, color = np.maximum(bounds[:, 0], 1e-3), bounds[:, 1], line.get_color()
         axis.fill_between(numbers, low, high, color=color, alpha=0.1, linewidth=0)
     for (name, value), style in zip(race.untrained.items(), (":", "--"), strict=True):
-        axis.axhline(value.mean, color="black", linestyle=style, label=f"{name}, untrained")
+        axis.axhline(value.middle, color="black", linestyle=style, label=f"{name}, untrained")
     log_ticks(axis.xaxis, numbers)
     log_ticks(axis.yaxis, (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10))
     axis.set_ylim(0.05, 10)

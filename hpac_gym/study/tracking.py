@@ -22,7 +22,7 @@ from hpac_gym.progress import progress
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.bench import THUMB_CLEAR
 from hpac_gym.study.reference import Reference
-from hpac_gym.study.results import GREEN, RED, Mean, Part, mean_of
+from hpac_gym.study.results import GREEN, RED, Interval, Part, mean_of
 from hpac_gym.study.rig import UPRIGHT, HandOnStand
 
 CONTROL_HZ = 20.0
@@ -161,9 +161,9 @@ class Tracked:
     rate_hz: float
     closed: bool
     """Whether the camera was in the loop."""
-    lag_s: Mean
-    """Lag, mean over the joints [s]."""
-    rms_deg: dict[str, Mean]
+    lag_ms: Interval
+    """Lag, mean over the joints [ms]."""
+    rms_deg: dict[str, Interval]
     """RMS error by joint, and `mean` over the joints [°]."""
 
 
@@ -179,8 +179,9 @@ def run_tracking(reference: Reference, name: str, rate_hz: float, closed: bool, 
             wanted, measured = seen.wanted[:, JOINT_INDEX[joint]], seen.measured[:, JOINT_INDEX[joint]]
             lags[i, run] = lag(seen.time, wanted, measured)
             errors[i, run] = np.degrees(np.sqrt(np.mean((measured - wanted) ** 2)))
-    by_joint = {**dict(zip(EVALUATED, errors, strict=True)), "mean": errors.mean(axis=0)}
-    return Tracked(name, rate_hz, closed, mean_of(lags.mean(axis=0)), {key: mean_of(values) for key, values in by_joint.items()})
+    table = zip((*EVALUATED, "mean"), (*errors, errors.mean(axis=0)), strict=True)
+    rms = {joint: mean_of(values) for joint, values in table}
+    return Tracked(name, rate_hz, closed, mean_of(1e3 * lags.mean(axis=0)), rms)
 
 
 def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[float] = RATES_HZ) -> Part:
@@ -189,9 +190,8 @@ def tracking(reference: Reference, count: int, seed: int, rates_hz: Sequence[flo
     found = [run_tracking(reference, *job, count, seed) for job in progress(jobs, "tracking")]
     body = []
     for item in found:
-        late, loop = item.lag_s, "camera at 20 Hz" if item.closed else "open"
-        lags = f"{1e3 * late.mean:.1f} [{1e3 * late.low:.1f}, {1e3 * late.high:.1f}]"
-        body.append((item.profile.replace("_", " "), f"{item.rate_hz:g}", loop, lags, item.rms_deg["mean"]))
+        loop = "camera at 20 Hz" if item.closed else "open"
+        body.append((item.profile.replace("_", " "), f"{item.rate_hz:g}", loop, f"{item.lag_ms:.1f}", item.rms_deg["mean"]))
     text = f"## Tracking, mean over the nine joints: {count} runs, seed {seed}; mean and 95 % interval\n\n"
     text += markdown(("command", "rate [Hz]", "loop", "lag [ms]", "RMS error [°]"), body) + "\n"
     return Part(text, found, {"tracking": tracking_figure(found)}, f"reference hand, {count} runs, seed {seed}")
@@ -206,8 +206,8 @@ def tracking_figure(found: list[Tracked]) -> Figure:
             runs = [item for item in found if item.profile == profile and item.closed == closed]
             rates = [item.rate_hz for item in runs]
             for joint in EVALUATED:
-                axis.plot(rates, [item.rms_deg[joint].mean for item in runs], "-", color=color, alpha=0.25)
-            axis.plot(rates, [item.rms_deg["mean"].mean for item in runs], "o-", color=color, linewidth=2, label=name)
+                axis.plot(rates, [item.rms_deg[joint].middle for item in runs], "-", color=color, alpha=0.25)
+            axis.plot(rates, [item.rms_deg["mean"].middle for item in runs], "o-", color=color, linewidth=2, label=name)
         axis.set_title(profile.replace("_", " "), fontsize=10)
         axis.set_xlabel("rate of the command [Hz]")
         axis.set_xscale("log", base=2)

@@ -14,7 +14,7 @@ from hpac_gym.progress import progress
 from hpac_gym.study.processing import Points, points, processed
 from hpac_gym.study.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
 from hpac_gym.study.reference import Reference
-from hpac_gym.study.results import BLUE, GREY, Column, Mean, Part, label, mean_of, rows_of, table
+from hpac_gym.study.results import BLUE, GREY, Column, Interval, Part, label, mean_of, rows_of, table
 
 DRIVEN = (0.1, 0.9)
 """Part of the servo's range over which a hysteresis is averaged, excluding the ends, where the direction reverses."""
@@ -70,12 +70,12 @@ def hysteresis_width(joint: JointTrials) -> Array:
     return (joint.extension - joint.flexion)[:, inside].mean(axis=1)
 
 
-def spread_deg(joint: JointTrials) -> Mean:
+def spread_deg(joint: JointTrials) -> Interval:
     """Root mean square over the points of the trial-to-trial standard deviation, jackknifed over trials [°]."""
     count, whole = len(joint.flexion), _rms_spread(joint.flexion)
     left = [count * whole - (count - 1) * _rms_spread(np.delete(joint.flexion, trial, axis=0)) for trial in range(count)]
     interval = mean_of(np.degrees(left))
-    return replace(interval, mean=float(np.degrees(whole)), low=max(interval.low, 0.0))
+    return replace(interval, middle=float(np.degrees(whole)), low=max(interval.low, 0.0))
 
 
 def _rms_spread(flexion: Array) -> float:
@@ -83,20 +83,18 @@ def _rms_spread(flexion: Array) -> float:
 
 
 COLUMNS = (
-    Column("hysteresis_width_deg", "hysteresis width [°]", lambda joint: mean_of(np.degrees(hysteresis_width(joint)))),
-    Column("trial_to_trial_sd_deg", "trial-to-trial standard deviation [°]", spread_deg),
+    Column("hysteresis_width_deg", "hysteresis width [°]", lambda joint: mean_of(np.degrees(hysteresis_width(joint))), "{:.3f}"),
+    Column("trial_to_trial_sd_deg", "trial-to-trial standard deviation [°]", spread_deg, "{:.3f}"),
 )
 
 
 def trials(reference: Reference, count: int, seed: int) -> Part:
     """Hysteresis and repeatability of every joint."""
     joints = by_joint(points(processed(run_trials(reference, count, seed))))
-    rows = rows_of(COLUMNS, joints)
-    labelled = {label(name): row for name, row in rows.items()}
-    text = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval\n\n"
-    text += table("joint", COLUMNS, labelled) + "\n"
-    data = {column.key: {name: row[column.key] for name, row in rows.items()} for column in COLUMNS}
-    return Part(text, data, {"hysteresis": hysteresis_figure(joints)}, f"reference hand, {count} trials, seed {seed}")
+    rows = rows_of(COLUMNS, {label(name): joint for name, joint in joints.items()})
+    title = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval"
+    text, caption = f"{title}\n\n{table('joint', COLUMNS, rows)}\n", f"reference hand, {count} trials, seed {seed}"
+    return Part(text, rows, {"hysteresis": hysteresis_figure(joints)}, caption)
 
 
 def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:

@@ -86,6 +86,7 @@ def test_other_laws_than_the_fits_are_still_met_within_the_marks():
 
 
 @pytest.mark.slow
+@pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_a_hidden_hand_in_the_physics_engine_meets_the_marks():
     found = summarised(run_hidden_in_physics(1, 3))
     assert found["refused"] == 0

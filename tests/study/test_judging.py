@@ -154,6 +154,7 @@ def test_frames_in_motion_are_judged_where_there_are_any(both_ways):
 
 
 @pytest.mark.slow
+@pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_exchanged_labels_are_refused_and_right_ones_are_not():
     """Flexion alone does not tell MCP from DIP: the negative control."""
     rows = hidden.labels(2, 7, in_physics=1).data
