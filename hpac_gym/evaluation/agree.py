@@ -39,9 +39,10 @@ VARIATIONS = {
     "no-torsion": WorldSettings(torsion=0.0),
     "wrist-200-N": WorldSettings(wrist_effort=WRIST_EFFORT),
     "60-Hz": WorldSettings(physics_hz=60),
+    "480-Hz": WorldSettings(physics_hz=480),
 }
 """Physics that shows why the engines differ: PyBullet with its iterative solver, without and with MuJoCo's torsional friction;
-MuJoCo without torsional friction, and with PyBullet's limit of the wrist's force; and half the rate of either engine."""
+MuJoCo without torsional friction, and with PyBullet's limit of the wrist's force; either engine at another rate."""
 
 
 @dataclass(frozen=True, slots=True)
