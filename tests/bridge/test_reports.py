@@ -281,6 +281,6 @@ def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unle
     add_safety(parser)
     options = parser.parse_args([])
     assert (options.frames, options.trials, options.sessions, options.seed) == (10_000_000, 20, 10_000, 1)
-    assert parser.parse_args("--frames 1 --trials 1 --sessions 1 --seed 1".split()).frames == 1
+    assert parser.parse_args(["--frames", "1", "--trials", "1", "--sessions", "1", "--seed", "1"]).frames == 1
     with pytest.raises(SystemExit):
         parser.parse_args(["--sessions", "0"])
