@@ -359,6 +359,12 @@ def test_an_unplugged_hand_neither_connects_nor_reads_nor_writes(virtual_hand):
             call()
 
 
+def test_the_virtual_clock_has_64_bits():
+    hand = VirtualHand(start_us=1 << 40)
+    hand.run(0.1)
+    assert hand.now_us == (1 << 40) + 100_000
+
+
 def test_a_reset_of_the_board_is_noticed(virtual_hand, armed):
     virtual_hand.restart(Reset.power_on, boot_count=2)
     with pytest.raises(RejectedError, match="state boot"):
