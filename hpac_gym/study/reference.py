@@ -28,7 +28,7 @@ JOINT_FRICTION = 1e-3
 """Friction of a small ball bearing and its seal [N·m]."""
 DEAD_BAND = 5e-4
 """Dead band of a fine digital servo [rad]."""
-SPEEDS = {0.75: 1.0, 1.5: 1.0, 3.0: 0.5, 6.0: 0.1}
+SPEEDS = {0.75: 1.0, 1.5: 1.0, 3.0: 0.5, 6.0: 0.2}
 """Seconds per point, and the share of the seeds swept at that speed: fewer for slow sweeps. The reference hand's is 1.5 s."""
 
 
