@@ -252,7 +252,9 @@ def test_the_host_board_conforms():
         assert run("conform", "--port", board.port) == 0
 
 
-@pytest.mark.parametrize(("kind", "rule"), [(kind, rule) for kind in WRONG for rule in sorted(WRONG[kind])] + [(Mute, r) for r in RULES])
+@pytest.mark.parametrize(
+    ("kind", "rule"), [*((kind, rule) for kind in WRONG for rule in sorted(WRONG[kind])), *((Mute, rule) for rule in RULES)]
+)
 def test_a_wrong_device_breaks_its_rule(kind, rule):
     (row,) = conform(kind().connect(), patience=0.1, rules=[rule])
     assert row.failure
