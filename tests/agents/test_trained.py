@@ -12,7 +12,12 @@ FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
 
 @pytest.mark.parametrize(
     ("name", "env_id", "trials"),
-    [("grasp", "HPAC-Grasp-v0", 60_000), ("grasp-type", "HPAC-GraspType-v0", 3_000), ("pick-place", "HPAC-PickPlace-v0", 7_671)],
+    [
+        ("grasp", "HPAC-Grasp-v0", 60_000),
+        ("grasp-any", "HPAC-GraspAny-v0", 17_255),
+        ("grasp-type", "HPAC-GraspType-v0", 3_000),
+        ("pick-place", "HPAC-PickPlace-v0", 7_671),
+    ],
 )
 def test_it_says_how_it_was_made(name, env_id, trials):
     about = read_policy(FOLDER / f"{name}.zip").about
@@ -28,6 +33,7 @@ def test_it_says_how_it_was_made(name, env_id, trials):
     [
         pytest.param("grasp", "pybullet", 7, marks=pytest.mark.pybullet),
         ("grasp", "mujoco", 9),
+        pytest.param("grasp-any", "mujoco", 5, marks=pytest.mark.slow),  # 74 % of 1,000, random actions 6 %
         pytest.param("grasp-type", "mujoco", 6, marks=pytest.mark.slow),  # a quarter of its types are held out
         pytest.param("pick-place", "mujoco", 11, marks=pytest.mark.slow),
     ],
