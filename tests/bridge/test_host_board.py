@@ -36,7 +36,7 @@ def test_streamed_commands_are_acknowledged_and_the_pulses_decode_to_them(host_b
             link.move(command)
             link.wait()
             np.testing.assert_allclose(servo_from_pulses(host_board.pulses()), servo, atol=2e-4)
-        assert link.statistics.acked == link.statistics.sent
+        assert link.statistics.acked == link.statistics.sent - link.statistics.retried  # a busy machine repeats frames
         assert link.statistics.rejected == 0
 
 
