@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from agents.command import RunError, TaskError, command_parser
-from agents.evaluate import evaluate
+from agents.evaluate import NO_PHASE, evaluate, failures_by_phase
 from agents.tasks import make_task, versions
 from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
@@ -43,8 +43,6 @@ BUDGETS = (0, 100_000, 1_000_000, 10_000_000)
 """Permitted budgets of environment steps per training; 0 means untrained."""
 RUNS, EPISODES = 5, 1_000
 """Required runs of a trained method and episodes per cell."""
-NO_PHASE = "unknown"
-"""Name in the file for failures of a task without phases."""
 _TWIN = {"engine": "mujoco", "body": "twin"}
 _REAL = _TWIN | {"objects": "real"}
 _TYPES = _TWIN | {"types": "train", "objects": "train"}
@@ -167,7 +165,7 @@ def judge(head: Results, split: str, seed: int, workers: int) -> Results:
         "seed": seed,
         "successes": won,
         "interval_95": list(wilson_interval(won, len(episodes))),
-        "failures": dict(Counter(episode.phase or NO_PHASE for episode in episodes if not episode.success)),
+        "failures": dict(failures_by_phase(episodes)),
         "holding_force": None if None in forces else float(np.mean(forces)),
     }
 

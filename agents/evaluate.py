@@ -39,6 +39,7 @@ from hpac_gym.policies.loading import load_policy
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
 BATCH, ROUNDS = 50, 4  # parallel worlds on MuJoCo, and episodes per world in a block
 LEARNED = "learned"  # name of a policy file in tables
+NO_PHASE = "unknown"  # name of the phase of failures in a task without phases
 OPTIONS = {
     "engine": "pybullet or mujoco",
     "body": "twin or light",
@@ -236,9 +237,13 @@ def _task_of(policy: str) -> str:
     return DEFAULT_TASK if policy in BASELINES else read_policy(Path(policy)).about["env_id"]
 
 
+def failures_by_phase(episodes: Sequence[Episode]) -> Counter[str]:
+    """Number of failures in each phase; `NO_PHASE` for a task without phases."""
+    return Counter(episode.phase or NO_PHASE for episode in episodes if not episode.success)
+
+
 def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     wins = sum(episode.success for episode in episodes)
-    failures = Counter(episode.phase or "unknown" for episode in episodes if not episode.success)
     returns = [episode.total_reward for episode in episodes]
     return {
         "episodes": len(episodes),
@@ -248,7 +253,7 @@ def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
         "return_mean": float(np.mean(returns)),
         "return_std": float(np.std(returns)),
         "steps_mean": float(np.mean([episode.steps for episode in episodes])),
-        "failures_by_phase": dict(failures.most_common()),
+        "failures_by_phase": dict(failures_by_phase(episodes).most_common()),
     }
 
 

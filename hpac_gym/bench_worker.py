@@ -11,7 +11,6 @@ import json
 import os
 import sys
 import warnings
-from dataclasses import replace
 from time import perf_counter, process_time
 from typing import Any
 
@@ -31,7 +30,7 @@ class Hands:
     def __init__(self, engine: str, num_envs: int, threads: int, physics_hz: int) -> None:
         from hpac_gym.body.objects import ObjectSpec
         from hpac_gym.envs import Grasp, HandVectorEnv
-        from hpac_gym.envs.episodes import Episodes
+        from hpac_gym.envs.episodes import change_physics
         from hpac_gym.physics.engine import SceneSetup
         from hpac_gym.physics.settings import WorldSettings
 
@@ -42,9 +41,7 @@ class Hands:
             os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
         self.env = HandVectorEnv(Grasp(), num_envs, engine=engine)
         if physics_hz != WorldSettings().physics_hz:
-            self.env.episodes.close()
-            options = replace(self.env.episodes.options, world=WorldSettings(physics_hz))
-            self.env._episodes = Episodes(self.env.task, num_envs, options)
+            change_physics(self.env, WorldSettings(physics_hz))
         self.opened, self.closed = np.array([-1, -1, -1, -1, -1, 0.5]), np.array([0.3, 1, 1, 1, 1, 0.5])
         self.inside, self.step_of_episode = 0.0, 0
         physics = self.env.episodes.simulation.engine

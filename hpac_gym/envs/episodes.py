@@ -29,7 +29,7 @@ from hpac_gym.model import (
 )
 from hpac_gym.model.checks import Array, as_bounded_array
 from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState, Viewpoint
-from hpac_gym.physics.settings import BODIES, HandSettings
+from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.quality import grasp_quality
 from hpac_gym.tasks.senses import POINTS, POINTS_BOUND
@@ -340,6 +340,14 @@ def open_episodes(env: Any) -> Episodes:
     if env._episodes is None:
         raise EpisodeError("this environment is closed: make a new one")
     return env._episodes
+
+
+def change_physics(env: Any, world: WorldSettings) -> None:
+    """Give an environment, before its first episode, physics with other settings. For measurements: its id has its own."""
+    episodes = open_episodes(env)
+    options = replace(episodes.options, world=world)
+    episodes.close()
+    env._episodes = Episodes(episodes.task, len(episodes.setups), options, episodes._transmit)
 
 
 def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:

@@ -71,16 +71,14 @@ class Trial:
 
 def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: str) -> list[Trial]:
     """Episodes of one policy in one variant, in an environment of their own."""
-    from hpac_gym.envs.episodes import Episodes
+    from hpac_gym.envs.episodes import change_physics
     from hpac_gym.evaluation.episode import control_steps
     from hpac_gym.policies.loading import load_policy
 
     with gymnasium.make(GRASP, engine=variant.engine, body=variant.body, randomize=randomize) as env:
         task, actor, trials = env.unwrapped.task, load_policy(policy, env), []
         if variant.variation:
-            episodes = env.unwrapped.episodes
-            episodes.close()
-            env.unwrapped._episodes = Episodes(task, 1, replace(episodes.options, world=VARIATIONS[variant.variation]))
+            change_physics(env.unwrapped, VARIATIONS[variant.variation])
         draw = task.setup
 
         def moved(rng, hand):
