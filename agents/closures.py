@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import pairwise
 from typing import Any
@@ -29,7 +29,7 @@ from agents.command import RunError
 from agents.recipes import Recipe
 from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, PickPlace, grasp_task
 from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, checked_options
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, Options, checked_options
 from hpac_gym.model import action_from_synergy
 from hpac_gym.policies import Actor, Closures
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
@@ -59,6 +59,8 @@ LOG_STD = (-4.0, 0.5)
 OBSERVATION_CLIP = 8.0
 DRAWS = 4
 """Maximal number of draws of an episode until the learner accepts it."""
+WEAK = (0.5, 1.0)
+"""Factors of the skin's friction in weak contacts (`docs/physics.md`: PyBullet's contacts hold half of the friction cone)."""
 SURE = 0.7
 """Predicted success above which a trial may be rejected."""
 MOST = 0.98
@@ -116,9 +118,11 @@ class Worlds:
         closures: ranges of the numbers of a closure.
         seed: seed of the first world; the others count upwards.
         told: numbers that are appended to the *privileged* observations, the same in all n worlds.
+        weak: whether contacts are weak, as in `Recipe`.
         options: options of the environment, such as engine, body and randomize.
 
     Attributes:
+        episodes: the running episodes.
         deployed: size of a *deploy* observation.
         phases: number of phases of the task.
         first_seen: first observations of the running episodes, *privileged* and `told`, shape (n, observed).
@@ -126,16 +130,18 @@ class Worlds:
     """
 
     def __init__(
-        self, env_id: str, count: int, closures: Closures, seed: int, told: Sequence[float] = (), **options: Any
-    ) -> None:
+        self, env_id: str, count: int, closures: Closures, seed: int, told: Sequence[float] = (), weak: bool = False,
+        **options: Any,
+    ) -> None:  # fmt: skip
         task = TASKS[env_id]()
         self.deployed, self.phases = sum(len(term.labels) for term in task.terms), len(task.phases)
         self._close = task.phases.index("close")
-        self._episodes = Episodes(task, count, checked_options(obs="privileged", **options))
+        checked = checked_options(obs="privileged", **options)
+        self.episodes = Episodes(task, count, weakened(checked) if weak else checked)
         self._generators = [np.random.default_rng(seed + world) for world in range(count)]
         self._closures = closures
         self._told = np.tile(np.float32(told), (count, 1))
-        self.first_seen = np.zeros((count, self._episodes.observation_space.shape[0] + len(told)), np.float32)
+        self.first_seen = np.zeros((count, self.episodes.observation_space.shape[0] + len(told)), np.float32)
         self._came_to = self.first_seen[:, self.deployed :].copy()
         self._decisions, self._steps = np.zeros((count, len(closures.names))), np.zeros(count, dtype=int)
         self._fresh = np.ones(count, dtype=bool)
@@ -160,32 +166,32 @@ class Worlds:
         for _ in range(DRAWS):
             if not len(worlds):
                 break
-            self._episodes.reset(worlds.tolist(), [self._generators[world] for world in worlds])
+            self.episodes.reset(worlds.tolist(), [self._generators[world] for world in worlds])
             self.first_seen[worlds], self._steps[worlds] = self._seen()[worlds], 0
             self._decisions[worlds] = learner.decide(self.first_seen[worlds])
             worlds = worlds[~learner.wanted(self.first_seen[worlds], self._decisions[worlds])]
-        phase = self._episodes.now.phase.copy()
+        phase = self.episodes.now.phase.copy()
         actions = self._closures.actions(self._decisions, self._steps).astype(np.float32)
-        physics = self._thread.submit(self._episodes.step, actions)
+        physics = self._thread.submit(self.episodes.step, actions)
         if meanwhile:
             meanwhile()
         physics.result()
         self._steps += 1
         closing = phase <= self._close
         self._came_to[closing] = self._seen()[closing, self.deployed :]
-        self._fresh = self._episodes.outcome != RUNNING
+        self._fresh = self.episodes.outcome != RUNNING
         ended = np.flatnonzero(self._fresh)
-        held = self._episodes.outcome[ended] == SUCCESS
+        held = self.episodes.outcome[ended] == SUCCESS
         survived = np.where(held, self.phases, phase[ended])
         return self.first_seen[ended], self._decisions[ended], survived, self._came_to[ended]
 
     def _seen(self) -> np.ndarray:
-        return np.hstack([self._episodes.observe(), self._told])
+        return np.hstack([self.episodes.observe(), self._told])
 
     def close(self) -> None:
         """Free the physics; may be called repeatedly."""
         self._thread.shutdown()
-        self._episodes.close()
+        self.episodes.close()
 
 
 def worlds_of(recipe: Recipe, seed: int) -> list[Worlds]:
@@ -199,8 +205,15 @@ def worlds_of(recipe: Recipe, seed: int) -> list[Worlds]:
         engine, body = set_up.split("/")
         options = {"engine": engine, "body": body, "randomize": recipe.randomize}
         told = np.eye(count)[place] if count > 1 else ()
-        made.append(Worlds(recipe.env_id, end - first, recipe.closures, seed + first, told, **options))
+        made.append(Worlds(recipe.env_id, end - first, recipe.closures, seed + first, told, recipe.contacts == "weak", **options))
     return made
+
+
+def weakened(options: Options) -> Options:
+    """Options with weak contacts: no torsional friction, and the skin's friction multiplied by `WEAK`, drawn for each episode."""
+    low, high = options.randomization.skin_friction
+    randomization = replace(options.randomization, skin_friction=(WEAK[0] * low, WEAK[1] * high))
+    return replace(options, randomization=randomization, world=replace(options.world, torsion=0.0))
 
 
 class Critics(nn.Module):

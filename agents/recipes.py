@@ -35,6 +35,8 @@ class Recipe:
         ("mujoco/twin",), "comma-separated engines and bodies, with equal shares of the worlds", SET_UPS
     )
     randomize: str = _choice("nominal", "randomization of the episodes", tuple(PRESETS))
+    contacts: str = _choice("usual", "contacts in training; weak: without torsional friction, and with half to all of the skin's "
+                            "friction, so that grasps hold in engines whose contacts hold less", ("usual", "weak"))  # fmt: skip
     episodes: int = _setting(60_000, "total number of trials", 1)
     env_steps: int = _setting(10**12, "limit of control steps over all worlds", 1)
     seed: int = _setting(0, "seed of the run", 0, 2**31 - 1)
@@ -91,6 +93,7 @@ class Recipe:
 
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
+    "grasp-robust": Recipe(set_ups=("mujoco/twin", "mujoco/light"), contacts="weak"),
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
     "grasp-type": Recipe(env_id=GRASP_TYPE, episodes=3_000, random_episodes=1_000, spread=0.1, updates_per_episode=0.6),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),

@@ -193,6 +193,20 @@ def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed():
         worlds.close()
 
 
+def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning():
+    drawn = {}
+    for contacts in ("usual", "weak"):
+        [worlds] = worlds_of(with_settings(RECIPES["grasp"], {"num_envs": "8", "contacts": contacts}), 100)
+        worlds.step(Patient())
+        friction = [setup.hand_settings.contact_friction for setup in worlds.episodes.setups]
+        drawn[contacts] = np.array(friction), worlds.episodes.options.world.torsion
+        worlds.close()
+    factors = drawn["weak"][0] / drawn["usual"][0]
+    assert np.ptp(drawn["usual"][0]) == 0
+    assert 0.5 <= factors.min() < 0.75 < factors.max() <= 1.0
+    assert (drawn["usual"][1], drawn["weak"][1]) == (None, 0.0)
+
+
 def test_what_runs_beside_the_physics_changes_no_trial():
     recipe, calls = with_settings(RECIPES["grasp"], {"num_envs": "2"}), []
     alone, beside = worlds_of(recipe, 7) + worlds_of(recipe, 7)
