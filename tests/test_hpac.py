@@ -79,6 +79,7 @@ def test_the_version_is_that_of_the_package():
         (["calibrate", "/no/such/sweep.csv"], "sweep.csv"),
         (["physics", "--engine", "pybullet", "--body", "light"], "pybullet with body light"),
         (["bench", "--rounds", "0"], "'0' is not a whole number of at least 1"),
+        (["study", "causes", "--seed", "-1"], "'-1' is not a whole number of at least 0"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(words, named, capsys):

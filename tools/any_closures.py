@@ -1,7 +1,7 @@
 """Headroom of HPAC-GraspAny-v0: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
 
 ``script`` searches better closures for the script, on training objects. ``ceiling`` counts the episodes of a split that at
-least one closure holds. ``touch`` learns a second decision from each observation once the hand is closed, with and without
+least one closure holds. ``touch`` learns from each observation of a closed hand whether to close again, with and without
 memory of the closing, and compares the observations. All on MuJoCo, with nominal hands unless ``touch`` gets ``--varied-hands``;
 an episode ends after the shake, which decides its success.
 """
@@ -28,15 +28,18 @@ from hpac_gym.evaluation.seeds import BENCHMARK_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.model import HPAC
 from hpac_gym.output import replacing
-from hpac_gym.policies import Closures
+from hpac_gym.policies import Closures, read_policy
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
 from hpac_gym.tasks.scripted import ANY_CLOSURES, THUMB_OPPOSED, AnyClosure, ScriptedGraspAny
 from hpac_gym.tasks.senses import LOAD_TERMS
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+from hpac_gym.tasks.terms import Layout
 
 Act = Callable[[int, NDArray], NDArray]
 """Function from a step and the observations, shape (n, observed), to actions, shape (n, 6)."""
+Closing = Callable[[float], NDArray]
+"""Function from the control steps since the closing began, in a closing's own time, to actions, shape (n, 6)."""
 
 
 class Player:
@@ -181,13 +184,15 @@ def script() -> Iterator[str]:
 
 # A second decision -----------------------------------------------------------------------------------------------------
 
-LOOKS = (0, 6, 11, 16, 21, 26)
+LOOKS = (0, 6, 12, 18, 24, 30)
 """Control steps whose observations a decision may use: all of them with memory, otherwise the first and the last."""
 DECIDED = LOOKS[-1]
-"""Control step of the second decision, when the script has closed the hand."""
-CHOICES = ("keep", "squeeze", "another")
-"""Keep still; close further by `SQUEEZE`; open for `OPENING` control steps and try a random closure of `drawn_closure`."""
-SQUEEZE, OPENING = 0.3, 11
+"""Control step of the second decision, when the hand has closed."""
+CHOICES = ("keep", "squeeze", "again")
+"""Keep still; close further by `SQUEEZE`; open for `OPENING` control steps, then close as the policy decides on what is seen by
+then, `HASTE` times as fast, so that the hand has closed before the lift."""
+POLICY = Path(__file__).parents[1] / "agents" / "trained" / "grasp-any.zip"
+SQUEEZE, OPENING, HASTE = 0.3, 11, 1.5
 OPEN = np.append(-np.ones(5), 2 * THUMB_OPPOSED / HPAC.synergy_max[-1] - 1).astype(np.float32)
 """Action of the open hand with its thumb opposed."""
 RUNS, TRAINING_EPISODES = 3, 320
@@ -209,15 +214,15 @@ class Trials:
     won: NDArray[np.bool_]
 
 
-def trials_of(player: Player, seeds: range, folder: Path) -> Trials:
-    """Read trials from files in the folder, one file per batch of seeds; missing ones are run and written."""
+def trials_of(player: Player, first: str, seeds: range, folder: Path) -> Trials:
+    """Read trials with a first closure of `FIRST` from files in the folder, one per batch of seeds; missing ones are run."""
     parts = []
-    for first in range(seeds.start, seeds.stop, player.count):
-        part = range(first, min(first + player.count, seeds.stop))
-        path = folder / f"{player.name}-{part.start}-{part.stop}.npz"
+    for start in range(seeds.start, seeds.stop, player.count):
+        part = range(start, min(start + player.count, seeds.stop))
+        path = folder / f"{player.name}-{first}-{part.start}-{part.stop}.npz"
         if not path.exists():
             looks: dict[int, dict[int, NDArray]] = defaultdict(dict)
-            won = np.array([player.play(part, partial(_decided, player.task, choice, part, looks)) for choice in CHOICES]).T
+            won = np.array([player.play(part, partial(_decided, player.task, first, choice, looks)) for choice in CHOICES]).T
             with replacing(path) as temporary:
                 np.savez(temporary, seen=np.array([[*looks[place].values()] for place in range(len(part))]), won=won)
         with np.load(path) as kept:
@@ -225,23 +230,48 @@ def trials_of(player: Player, seeds: range, folder: Path) -> Trials:
     return Trials(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _decided(task: GraspAny, choice: str, seeds: range, looks: dict[int, dict], first: NDArray, places: NDArray) -> Act:
-    """The script with a choice after `DECIDED` steps; `looks` gets the observations at the steps `LOOKS` of each episode."""
-    scripts = [ScriptedGraspAny(task) for _ in first]
-    others = np.array([drawn_closure(seeds[place], 0) for place in places])
+def by_policy(task: GraspAny, seen: NDArray) -> Closing:
+    """The closures that the policy decides on first observations."""
+    policy, deployed = read_policy(POLICY), Layout(task.terms, 1).space.shape[0]
+    decisions = np.array([policy.actor(row[:deployed]) for row in seen])
+    return lambda step: policy.closures.actions(decisions, np.full(len(seen), step)).astype(np.float32)
+
+
+def by_script(task: GraspAny, seen: NDArray) -> Closing:
+    """The closures that the script chooses on first observations; its steps are asked for in their order."""
+    scripts = [ScriptedGraspAny(task) for _ in seen]
     for script in scripts:
         script.reset()
+    return lambda step: np.array([script.act(row) for script, row in zip(scripts, seen, strict=True)])
+
+
+FIRST = {"policy": by_policy, "script": by_script}
+"""Who decides on the first closure."""
+
+
+def _decided(task: GraspAny, first: str, choice: str, looks: dict[int, dict], seen_first: NDArray, places: NDArray) -> Act:
+    """A first closure and a choice after `DECIDED` steps; `looks` gets the observations at the steps `LOOKS` of each episode.
+
+    The policy decides again as at the start of an episode: all but the object is as it was then.
+    """
+    slices = Layout(task.terms, 1).slices
+    columns = slice(slices["object_pos"].start, slices["object_seen"].stop)
+    closing, again = FIRST[first](task, seen_first), None
 
     def act(step: int, seen: NDArray) -> NDArray:
+        nonlocal again
         if step in LOOKS:
             for place, row in zip(places.tolist(), seen, strict=True):
                 looks[place][step] = row.copy()
-        if choice == "another" and step >= DECIDED:
-            since = step - DECIDED - OPENING
-            if since < 0:
+        if choice == "again" and step >= DECIDED:
+            if step < DECIDED + OPENING:
                 return np.tile(OPEN, (len(seen), 1))
-            return CLOSURES.actions(others, np.full(len(seen), since)).astype(np.float32)
-        actions = np.array([script.act(row) for script, row in zip(scripts, seen, strict=True)])
+            if again is None:
+                begun = seen_first.copy()
+                begun[:, columns] = seen[:, columns]
+                again = by_policy(task, begun)
+            return again(HASTE * (step - DECIDED - OPENING))
+        actions = closing(step)
         if choice == "squeeze" and step >= DECIDED:
             actions[:, :5] = np.minimum(actions[:, :5] + SQUEEZE * min((step - DECIDED + 1) / 8, 1.0), 1.0)
         return actions
@@ -300,7 +330,7 @@ def _mean(values: NDArray) -> str:
     return f"{values.mean():.3f} [{low:.3f}, {high:.3f}]"
 
 
-def touch(episodes: int, folder: Path, varied_hands: bool) -> Iterator[str]:
+def touch(episodes: int, folder: Path, first: str, varied_hands: bool) -> Iterator[str]:
     """Markdown table of the success of the second decision by its observation, on held-out and on real objects.
 
     With ``varied_hands``, the decision is learned with the training hands and evaluated with the held-out ones. The last
@@ -309,10 +339,10 @@ def touch(episodes: int, folder: Path, varied_hands: bool) -> Iterator[str]:
     """
     hands = ("train", "test") if varied_hands else ("nominal", "nominal")
     player = Player("train", hands=hands[0])
-    trained = trials_of(player, range(RUNS * TRAINING_EPISODES), folder)
+    trained = trials_of(player, first, range(RUNS * TRAINING_EPISODES), folder)
     runs = [slice(run * TRAINING_EPISODES, (run + 1) * TRAINING_EPISODES) for run in range(RUNS)]
     seeds = range(BENCHMARK_SEED, BENCHMARK_SEED + episodes)
-    parts = [trials_of(Player(objects, hands=hands[1]), seeds, folder) for objects in ("test", "real")]
+    parts = [trials_of(Player(objects, hands=hands[1]), first, seeds, folder) for objects in ("test", "real")]
     judged, places = np.concatenate([part.won for part in parts]), np.arange(2 * episodes)
     known = arms(trained.seen, player.task)
     asked = arms(np.concatenate([part.seen for part in parts]), player.task)
@@ -340,11 +370,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--episodes", type=whole_number(1), default=200, help="evaluation episodes per split")
     parser.add_argument("--seed-start", type=whole_number(0), default=BENCHMARK_SEED, help="first seed of the ceiling")
     parser.add_argument("--trials", type=Path, default=Path("runs/touch"), help="folder of the trials of touch")
+    parser.add_argument("--first", choices=FIRST, default="policy", help="touch: who decides on the first closure")
     parser.add_argument("--varied-hands", action="store_true", help="touch: hands that differ, training and held-out ones")
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)
     found = {"script": script, "ceiling": partial(ceiling, args.objects, seeds),
-             "touch": partial(touch, args.episodes, args.trials, args.varied_hands)}  # fmt: skip
+             "touch": partial(touch, args.episodes, args.trials, args.first, args.varied_hands)}  # fmt: skip
     for line in found[args.what]():
         print(line, flush=True)
     return 0

@@ -10,6 +10,7 @@ import json
 import math
 import os
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -63,22 +64,27 @@ def own_object(
     path = Path(path)
     if not path.is_file():
         raise ParameterError(f"no object file '{path}'")
-    bounds = ("mass", mass, MAX_MASS, " kg"), ("friction", friction, MAX_FRICTION, ""), ("scale", scale, MAX_SCALE, "")
-    for name, value, most, unit in bounds:
-        if value is not None and not 0 < value <= most:
-            raise ParameterError(f"{name} {value:g}{unit} of '{path}' must be greater than 0 and at most {most:g}{unit}")
-    if up not in _UP:
+    for name, value, most in (("friction", friction, MAX_FRICTION), ("scale", scale, MAX_SCALE), ("mass", mass, MAX_MASS)):
+        if name != "mass" or mass is not None:
+            _check_positive(path, name, value, most)
+    if up not in list(_UP):
         raise ParameterError(f"up {up!r} is not one of {', '.join(_UP)}")
     if path.suffix.lower() == ".urdf":
         solids, found = _of_urdf(path, scale, folder)
         mass = found if mass is None else mass
-    elif path.suffix.lower() in MESHES:
-        solids = _of_mesh(path, np.full(3, scale), folder)
     else:
-        raise ParameterError(f"'{path}' is not one of {', '.join((*MESHES, '.urdf'))}")
+        solids = _of_mesh(path, np.full(3, scale), folder)
     if mass is None:
         raise ParameterError(f"'{path}' says no mass: give one in kg")
+    _check_positive(path, "mass", mass, MAX_MASS)
     return _spec(path, [_moved(solid, _UP[up], np.zeros(3)) for solid in solids], mass, friction)
+
+
+def _check_positive(path: Path, name: str, value: Any, most: float) -> None:
+    """Refuse a value that is not a positive number of at most `most`."""
+    if not (isinstance(value, Real) and 0 < value <= most):
+        unit = " kg" if name == "mass" else ""
+        raise ParameterError(f"{name} {value!r}{unit} of '{path}' must be a number greater than 0 and at most {most:g}{unit}")
 
 
 def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> ObjectSpec:
@@ -104,14 +110,17 @@ def _moved(solid: Solid, rotation: Array, place: Array) -> Solid:
 
 
 def _of_mesh(path: Path, scale: Array, folder: str | os.PathLike[str] | None) -> list[Solid]:
-    """The convex parts of a mesh, each with its volume as its mass."""
+    """The convex parts of a mesh, each with its volume as its mass; a mirroring scale turns the faces over."""
+    if path.suffix.lower() not in MESHES:
+        raise ParameterError(f"'{path}' is not one of {', '.join(MESHES)}, nor a .urdf")
     kept = (path.parent if folder is None else Path(folder)) / f"{path.stem}.hulls.json"
     made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": _DECOMPOSITION}
     parts = _kept(kept, made_from)
     if parts is None:
         parts = _decomposed(path)
         write_text(kept, json.dumps(made_from | {"parts": parts}))
-    return [_hull(np.array(corners) * scale, np.array(faces)) for corners, faces in parts]
+    order = -1 if np.prod(scale) < 0 else 1
+    return [_hull(np.array(corners) * scale, np.array(faces)[:, ::order]) for corners, faces in parts]
 
 
 def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
@@ -121,7 +130,7 @@ def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
     except (OSError, ValueError):
         return None
     same = isinstance(found, dict) and all(found.get(key) == value for key, value in made_from.items())
-    return found["parts"] if same else None
+    return found.get("parts") if same else None
 
 
 def _decomposed(path: Path) -> list:
@@ -186,12 +195,19 @@ def _of_links(path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | N
     solids, mass = [], 0.0
     for link in robot.findall("link"):
         rotation, place, name = np.eye(3), np.zeros(3), link.get("name")
-        while name in parents:
-            name, turn, offset = parents[name]
-            rotation, place = turn @ rotation, turn @ place + offset
+        for _ in parents:
+            if name in parents:
+                name, turn, offset = parents[name]
+                rotation, place = turn @ rotation, turn @ place + offset
+        if name in parents:
+            raise ParameterError(f"joints of '{path}' form a ring through link {name!r}")
         for shape in link.findall("collision"):
             turn, offset = _origin(shape)
             found = _of_geometry(path, shape.find("geometry")[0], folder)
+            for solid in found:
+                if not np.all(np.array(solid.size) > 0):
+                    sides = " x ".join(f"{side:g}" for side in solid.size)
+                    raise ParameterError(f"a {solid.kind} of '{path}' is {sides} m: sides must be greater than 0 m")
             solids += [_moved(solid, rotation @ turn, rotation @ offset + place) for solid in found]
         mass += sum(float(entry.get("value")) for entry in link.findall("inertial/mass"))
     return solids, mass

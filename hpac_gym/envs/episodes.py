@@ -269,8 +269,7 @@ class Episodes:
         episode, setup, physics, values, now, terms = snapshot
         if episode is not self._episode:
             raise EpisodeError("a state can be restored only in the episode that it was saved in, not after another reset()")
-        if setup is not self.setups[0]:  # the wrist has been placed since then
-            self._begin([0], [setup])
+        self.setups[0] = setup  # the wrist may have been placed since then
         self.simulation.engine.restore(0, physics)
         for owner, name, value in values:
             setattr(owner, name, deepcopy(value))

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array, as_finite_vector
 from hpac_gym.model.files import HPAC
-from hpac_gym.model.guides import unchecked_servo_from_synergy
 from hpac_gym.model.joints import JOINTS, SERVOS
-from hpac_gym.model.parameters import Hand
+from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
 
 _ACTION_BOUND = np.ones(len(SERVOS))
 _ACTION_TOLERANCE = 1e-6

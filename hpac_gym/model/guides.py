@@ -1,18 +1,10 @@
-"""The cosine law of a tendon between two guides, in both directions. Eqs. (3)–(5), (7)."""
+"""The cosine law of a tendon between two guides, in both directions. Eqs. (3), (4)."""
 
 from __future__ import annotations
-
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hpac_gym.model.checks import Array
-from hpac_gym.model.joints import SERVOS
-
-if TYPE_CHECKING:
-    from hpac_gym.model.parameters import Hand
-
-_CMC = len(SERVOS) - 1
 
 
 def chord_from_included(guide_sum: Array, guide_product: Array, included: Array) -> Array:
@@ -34,15 +26,3 @@ def included_from_chord(guide_sum: Array, guide_product: Array, chord: Array) ->
     Eq. (4). An impossible chord gives the nearest angle, 0 or π; callers that must refuse it check first.
     """
     return np.arccos(np.clip((guide_sum - chord**2) / guide_product, -1.0, 1.0))
-
-
-def unchecked_servo_from_synergy(synergy: Array, hand: Hand) -> Array:
-    """Servo angles for driven-joint angles that are known to lie within Table I, shape (..., 6) [rad].
-
-    Eqs. (5), (7), (8) solved for u.
-    """
-    chord = chord_from_included(hand.guide_sum, hand.guide_product, hand.guide_alpha - synergy[..., :_CMC])
-    servo = np.empty_like(synergy)
-    servo[..., :_CMC] = (hand.rest_chord - chord) / hand.servo_radius
-    servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
-    return servo

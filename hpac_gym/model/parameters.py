@@ -16,8 +16,10 @@ import numpy as np
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.model.guides import chord_from_included, unchecked_servo_from_synergy
+from hpac_gym.model.guides import chord_from_included
 from hpac_gym.model.joints import DIGITS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
+
+_CMC = len(SERVOS) - 1
 
 
 def _read_only(array: Array) -> Array:
@@ -354,3 +356,15 @@ class Hand:
 
 def _hand_from_fields(plain: dict) -> Hand:
     return Hand(**plain)
+
+
+def unchecked_servo_from_synergy(synergy: Array, hand: Hand) -> Array:
+    """Servo angles for driven-joint angles that are known to lie within Table I, shape (..., 6) [rad].
+
+    Eqs. (5), (7), (8) solved for u.
+    """
+    chord = chord_from_included(hand.guide_sum, hand.guide_product, hand.guide_alpha - synergy[..., :_CMC])
+    servo = np.empty_like(synergy)
+    servo[..., :_CMC] = (hand.rest_chord - chord) / hand.servo_radius
+    servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
+    return servo

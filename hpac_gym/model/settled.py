@@ -6,7 +6,7 @@ root joint's angle, so the servo angle is an explicit function of it. Free space
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.guides import chord_from_included, included_from_chord
 from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
-from hpac_gym.model.parameters import Calibration, Digit, Friction, Hand
+from hpac_gym.model.parameters import Digit, Friction, Hand
 
 FLEXION, EXTENSION = 1.0, -1.0
 NO_FRICTION = Friction()
@@ -192,8 +192,3 @@ def settled_servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction
         servo[..., column] = wound / digit.servo_radius
     servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
     return np.clip(servo - hand.calibration.servo_zero, hand.servo_min, hand.servo_max)
-
-
-def with_friction(hand: Hand, friction: Friction) -> Hand:
-    """The hand with the same friction in every digit."""
-    return replace(hand, calibration=Calibration(hand.calibration.servo_zero, (friction,) * len(hand.digits)))

@@ -8,9 +8,9 @@ from numpy.typing import ArrayLike
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model.checks import Array, as_finite_array
 from hpac_gym.model.files import HPAC
-from hpac_gym.model.guides import included_from_chord, unchecked_servo_from_synergy
+from hpac_gym.model.guides import included_from_chord
 from hpac_gym.model.joints import JOINTS, SERVOS
-from hpac_gym.model.parameters import Hand
+from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
 
 _CMC = len(SERVOS) - 1
 _REST_BAND = 1e-7

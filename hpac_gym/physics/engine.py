@@ -233,7 +233,7 @@ class Engine(Protocol):
         """A snapshot of one world, which `restore` continues bit-exactly."""
 
     def restore(self, world: int, snapshot: Any) -> None:
-        """Restore a world to a snapshot of the same episode."""
+        """Restore a world to a snapshot of that world."""
 
     def close(self) -> None:
         """Release the engine's resources. Closing twice is allowed."""

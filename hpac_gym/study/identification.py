@@ -29,8 +29,8 @@ RADIUS_SPREAD = 1e-3
 """The same for radius ratios that are known to be the design's: a manufacturing tolerance."""
 ORDER_SPREAD = 1.0
 """Standard deviation of the logarithm of the frictions, of which only the order of magnitude is known."""
-DRIVE_SPREAD = 1.0
-"""Standard deviation of the drive stretch relative to the design's: servo compliance is not published."""
+DRIVE_SPREAD = 2.0
+"""Standard deviation of the drive stretch relative to the design's: no servo stiffness is published; 8 N·m/rad adds twice it."""
 ZERO_SPREAD = np.deg2rad(1.0)
 """Standard deviation of a servo's zero [rad]: a spline tooth is some 15°, trimmed to about one degree."""
 LEAST_POINTS = 8

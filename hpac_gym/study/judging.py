@@ -171,8 +171,6 @@ def lag_behind(sweep: Sweep, segment: np.ndarray, root: int, joint: int) -> tupl
     return float(solution[-1]), float(error)
 
 
-
-
 def _travel(medians: Array) -> Array:
     """Travel of each joint without its extreme points, shape (joints,) [rad]; NaN for fewer than three points."""
     seen = [column[~np.isnan(column)] for column in medians.T]

@@ -47,7 +47,7 @@ class Points:
     """Joint angles q_meas, shape (k, 15) [rad]; NaN for points without a measurement."""
 
 
-def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
+def processed(sweep: Sweep) -> Sweep:
     """The record after the paper's processing, segment by segment.
 
     Dropped frames, missing measurements and samples far from their neighbours are interpolated linearly for the filter and
@@ -55,7 +55,7 @@ def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
 
     Raises:
         RecordError: A segment is not sampled evenly, has too many missing samples, or is too short to filter.
-        WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
+        WorkspaceError: The cut-off is not below half of the sampling rate.
     """
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
@@ -75,7 +75,7 @@ def processed(sweep: Sweep, cutoff_hz: float = CUTOFF_HZ) -> Sweep:
                     f"{missing:.0%} of the samples of {JOINTS[joint]} from {sweep.time[rows[0]]:g} s to "
                     f"{sweep.time[rows[-1]]:g} s are missing or far from the others, more than {MOST_MISSING:.0%}"
                 )
-            filtered = low_pass(np.interp(frames, frame[seen], unwrapped[seen]), rate, cutoff_hz)
+            filtered = low_pass(np.interp(frames, frame[seen], unwrapped[seen]), rate, CUTOFF_HZ)
             joint_pos[rows, joint] = np.where(seen, filtered[frame], np.nan)
     return without_drift(sweep.with_joint_pos(joint_pos))
 

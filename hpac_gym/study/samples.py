@@ -15,8 +15,8 @@ from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep
 
 STOP_SLOPE = 0.3
 """A joint that turns by less than this share of its usual rate until the end of the sweep rests at a stop."""
-BEFORE_STOP = 0.7
-"""The same share for the preceding step, in which it met the stop."""
+BEFORE_STOP = 0.9
+"""The same share for the last step of a sweep, in which it may meet the stop; without one it turns by 0.93 or more."""
 TURNED = 0.1
 """Share of the servo's range after a reversal within which friction has not reversed everywhere."""
 
@@ -140,8 +140,8 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
         start = turning[-1] + 1 if turning.size else 0
         if start < len(rate):
             found[name], starts[name] = float(np.nanmean(course[start:])), start
-        if start > 0 and rate[start - 1] < BEFORE_STOP * usual:
-            start -= 1  # the step in which it may have met the stop
+        if start > 0 and (start < len(rate) or rate[-1] < BEFORE_STOP * usual):
+            start -= 1  # it met the stop within the preceding step
         if start < len(rate):
             limit = min(limit, angles[start])
     kept = samples.servo <= limit + 1e-6

@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hands", type=whole_number(2), metavar="N", help="hands per population (400; costly parts: fewer)")
     parser.add_argument("--seeds", type=whole_number(2), default=20, metavar="N", help="reference seeds (%(default)s)")
     parser.add_argument("--trials", type=whole_number(3), default=5, metavar="N", help="trials and tracking runs (%(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all parts (%(default)s)")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of all parts (%(default)s)")
     parser.add_argument("--quick", action="store_true", help="few and coarse runs, to test the command")
     parser.add_argument("--out", type=Path, default=Path("runs/study"), metavar="DIR", help="folder of the results (%(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")

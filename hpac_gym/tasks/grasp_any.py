@@ -149,6 +149,9 @@ class GraspAny(Task):
         self.config = config
         poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in object_set(objects))
         self.objects = tuple(replace(entry, poses=kept) for entry, kept in poses if kept)
+        if not self.objects:
+            ranges = f"width = {config.width} m and flattest = {config.flattest} m"
+            raise ParameterError(f"config {ranges} exclude all {objects} objects")
         self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
         self.duration = config.ends[-1]
         seen = Term("object_seen", ("seen",), "0/1", 0.0, 1.0, "whether the camera sees the object now; if not, the fields above "

@@ -107,6 +107,12 @@ def test_a_failure_leaves_no_file(ell, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["ell.stl"]
 
 
+def urdf(geometry: str, mass: str = "0.1") -> str:
+    """Text of a URDF of one link."""
+    shape = f"<collision><geometry>{geometry}</geometry></collision>"
+    return f"<robot name='x'><link name='a'><inertial><mass value='{mass}'/></inertial>{shape}</link></robot>"
+
+
 FLAT = np.array([[[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 0, 0], [0, 9, 0], [9, 0, 0]]], dtype=float)
 BAD_FILES = {
     "a hole": ("hole.stl", stl(l_faces()[1:]), "'.*hole.stl' is not watertight: every edge must belong to two triangles"),
@@ -132,7 +138,17 @@ BAD_FILES = {
         "</joint></robot>",
         "joint 'j' of '.*hinge.urdf' is revolute: all joints must be fixed",
     ),
-    "another kind": ("thing.step", "", "'.*thing.step' is not one of .stl, .obj, .ply, .off, .urdf"),
+    "another kind": ("thing.step", "", "'.*thing.step' is not one of .stl, .obj, .ply, .off, nor a .urdf"),
+    "another kind of mesh": ("dae.urdf", urdf("<mesh filename='dae.urdf'/>"), "'.*dae.urdf' is not one of .stl, .obj"),
+    "a ring of joints": (
+        "ring.urdf",
+        "<robot name='x'><link name='a'/><link name='b'/><joint type='fixed'><parent link='a'/><child link='b'/></joint>"
+        "<joint type='fixed'><parent link='b'/><child link='a'/></joint></robot>",
+        "joints of '.*ring.urdf' form a ring through link 'a'",
+    ),
+    "no size": ("zero.urdf", urdf("<sphere radius='0'/>"), "a sphere of '.*zero.urdf' is 0 x 0 x 0 m: sides must be"),
+    "a negative size": ("less.urdf", urdf("<box size='-.04 1 1'/>"), "a box of '.*less.urdf' is -0.04 x 1 x 1 m: sides must be"),
+    "a size that is not a number": ("nan.urdf", urdf("<box size='nan 1 1'/>"), "a box of '.*nan.urdf' is nan x 1 x 1 m"),
 }
 
 
@@ -150,17 +166,27 @@ def test_a_bad_file_is_one_clear_line(name, text, message, tmp_path):
     [
         ({"scale": 1.0}, r"ell.stl' is 60 x 40 x 80 m: sides must be 0.002 to 0.4 m; scale=0.001 is for a file in mm"),
         ({"scale": 1e-5}, r"sides must be 0.002 to 0.4 m"),
-        ({"scale": 0.0}, r"scale 0 of '.*ell.stl' must be greater than 0 and at most 1000"),
-        ({"mass": -0.3}, r"mass -0.3 kg of '.*ell.stl' must be greater than 0 and at most 5 kg"),
+        ({"scale": 0.0}, r"scale 0.0 of '.*ell.stl' must be a number greater than 0 and at most 1000"),
+        ({"mass": -0.3}, r"mass -0.3 kg of '.*ell.stl' must be a number greater than 0 and at most 5 kg"),
         ({"mass": float("nan")}, r"mass nan kg"),
         ({"mass": None}, r"'.*ell.stl' says no mass: give one in kg"),
-        ({"friction": -1.0}, r"friction -1 of '.*ell.stl' must be greater than 0 and at most 2"),
+        ({"friction": -1.0}, r"friction -1.0 of '.*ell.stl' must be a number greater than 0 and at most 2"),
+        ({"mass": "0.3"}, r"mass '0.3' kg of '.*ell.stl' must be a number greater than 0"),
+        ({"scale": None}, r"scale None of '.*ell.stl' must be a number greater than 0"),
         ({"up": "w"}, r"up 'w' is not one of z, y"),
     ],
 )
 def test_a_bad_argument_is_one_clear_line(ell, change, message):
     with pytest.raises(ParameterError, match=message):
         own_object(ell, **{"mass": 0.1, "scale": 0.001} | change)
+
+
+@pytest.mark.parametrize("mass", ["70", "-0.1", "nan"])
+def test_the_mass_that_a_urdf_says_is_checked_as_one_that_is_given(mass, tmp_path):
+    (tmp_path / "box.urdf").write_text(urdf("<box size='.04 .04 .1'/>", mass))
+    with pytest.raises(ParameterError, match=rf"mass {mass}\.?0? kg of '.*box.urdf' must be a number .* at most 5 kg"):
+        own_object(tmp_path / "box.urdf")
+    assert own_object(tmp_path / "box.urdf", mass=0.2).mass == 0.2
 
 
 def test_a_missing_file_is_named(tmp_path):
@@ -190,6 +216,17 @@ def test_a_urdf_is_read_with_its_fixed_joints_its_meshes_and_its_masses(ell, dec
     low, high = model.bounds
     np.testing.assert_allclose(high - low, (0.03, 0.04, 0.14), atol=1e-5)  # the L is turned: 20 mm deep along -x, 30 along y
     assert own_object(ell.parent / "mallet.urdf", mass=0.3, scale=0.5, folder=decomposed).model.size[2] == pytest.approx(0.07)
+
+
+def test_a_mirrored_mesh_is_as_heavy_as_the_mesh(ell, decomposed):
+    """A mirror image has a mass centre on the other side, and the same moments of inertia."""
+    models = []
+    for side in ("0.001", "-0.001"):
+        (ell.parent / "one.urdf").write_text(urdf(f"<mesh filename='ell.stl' scale='{side} 0.001 0.001'/>"))
+        models.append(own_object(ell.parent / "one.urdf", folder=decomposed).model)
+    assert all(solid.mass > 0 and solid.hull.moments()[0] > 0 for model in models for solid in model.solids)
+    np.testing.assert_allclose(models[1].center_of_mass, models[0].center_of_mass * [-1, 1, 1], atol=1e-9)
+    np.testing.assert_allclose(np.diag(models[1].inertia), np.diag(models[0].inertia), rtol=1e-9)
 
 
 @pytest.mark.pybullet

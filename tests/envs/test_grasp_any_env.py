@@ -222,6 +222,7 @@ def test_a_bad_action_of_a_free_wrist_says_so(action, error, match):
         ({"wrist": "loose"}, ("loose", "script, free")),
         ({"hands": "left"}, ("left", "nominal, train, test")),
         ({"obs": "touch"}, ("touch", "load, points")),
+        ({"config": {"width": [0.5, 0.6]}}, ("width = (0.5, 0.6) m", "flattest = 0.018 m", "exclude all train objects")),
     ],
 )
 def test_what_there_is_not_is_named_in_one_line(options, words):

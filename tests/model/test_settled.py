@@ -9,6 +9,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
     HPAC,
     JOINT_INDEX,
+    Hand,
     clip_to_workspace,
     elastic_joints_from_servo,
     hand_to_toml,
@@ -25,7 +26,6 @@ from hpac_gym.model.settled import (
     digit_statics,
     settled_joints_from_servo,
     settled_servo_from_joints,
-    with_friction,
 )
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 15)
@@ -77,14 +77,18 @@ def test_drive_stretch_is_tension_over_stiffness():
         assert wound == pytest.approx(p.rest_chord - chord + tension / p.drive_stiffness, abs=1e-12), name
 
 
+def with_friction(friction: Friction) -> Hand:
+    return replace(HPAC, calibration=Calibration(friction=(friction,) * 5))
+
+
 def test_friction_lags_in_both_directions():
-    middle, frictional = settled_joints_from_servo(SERVO)[3:, :-1], with_friction(HPAC, Friction(1e-3, 0.02))
+    middle, frictional = settled_joints_from_servo(SERVO)[3:, :-1], with_friction(Friction(1e-3, 0.02))
     assert (settled_joints_from_servo(SERVO, frictional)[3:, :-1] < middle).all()
     assert (settled_joints_from_servo(SERVO, frictional, EXTENSION)[3:, :-1] > middle).all()
 
 
 def test_a_joint_never_passes_its_stop_at_rest():
-    assert (settled_joints_from_servo(SERVO, with_friction(HPAC, Friction(joint=5e-3))) >= 0).all()
+    assert (settled_joints_from_servo(SERVO, with_friction(Friction(joint=5e-3))) >= 0).all()
 
 
 def test_a_servos_zero_is_an_angle_that_its_command_lacks():

@@ -12,7 +12,7 @@ from hpac_gym.model.settled import EXTENSION, settled_digit, settled_joints_from
 from hpac_gym.study import calibrate
 from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
 from hpac_gym.study.combinations import SweptDigit, combinations, digit_with, values
-from hpac_gym.study.hidden import COLUMNS, COVERAGE, HiddenHand, run_hidden, run_hidden_in_physics, swept_digit
+from hpac_gym.study.hidden import COLUMNS, COVERAGE, LAWS, HiddenHand, run_hidden, run_hidden_in_physics, swept_digit
 from hpac_gym.study.identification import IdentificationError, identify
 from hpac_gym.study.quasistatic import Built, Metal, hand_course
 from hpac_gym.study.record import JOINT_COLUMNS, PHASES, Sweep, concatenate, read_sweep, write_sweep
@@ -72,11 +72,18 @@ def test_hidden_hands_meet_the_marks_and_their_intervals_hold_the_truth():
 
 @pytest.mark.slow
 def test_95_percent_intervals_hold_the_truth_in_90_percent_of_the_digits():
-    """60 hands have 300 digits, so a share of 90 % has a standard deviation of 1.7 %; the lowest here is 89 %, of `reach`."""
     found = coverage(60, seed=12)
-    assert min(found["coverage"].values()) >= 0.9 - 2 * 0.017, found["coverage"]
+    assert min(found["coverage"].values()) >= 0.9, found["coverage"]
     assert np.mean(list(found["coverage"].values())) >= 0.95
     assert found["worst_deg"] < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stiffness", [8.0, np.inf])
+def test_the_intervals_hold_for_soft_and_for_rigid_servos(monkeypatch, stiffness):
+    """No record tells a servo's compliance from the guides' geometry, so the intervals must allow for any; 100 digits."""
+    monkeypatch.setitem(LAWS, "laws of the fit", replace(LAWS["laws of the fit"], servo_stiffness=stiffness))
+    assert min(coverage(20, seed=13)["coverage"].values()) >= 0.9
 
 
 @pytest.mark.slow
@@ -174,6 +181,18 @@ def test_a_stop_is_found_left_out_and_written_into_the_workspace(nominal_record)
     assert np.degrees(np.abs(settled_joints_from_servo(SERVO, found.hand) - reached)[np.ix_(free, INDEX)].max()) < 0.12
     assert found.hand.servo_max[1] == pytest.approx(SERVO[free, 1].max(), abs=0.12)
     assert not identify(nominal_record[nominal_record.swept == 1]).fits["index"].samples.stops
+
+
+def test_no_point_at_which_a_joint_rests_at_a_stop_is_fitted():
+    """Wherever the DIP meets its stop within a step of 2.4°, at most a tenth of the last step before it is lost."""
+    stops = np.deg2rad(np.arange(68.0, 73.0, 0.25))
+    built = [Built(HPAC, (Metal(), Metal(stop=(9.0, 9.0, stop)), Metal(), Metal(), Metal())) for stop in stops]
+    for stop, stopped in zip(stops, metal_sweeps(built, 3, servos=("index_mcp",)), strict=True):
+        samples = digit_samples(stopped, 1, HPAC.digits["index"].joints)
+        sweep = np.zeros((len(samples.servo), 6))
+        sweep[:, 1] = samples.servo
+        free = settled_joints_from_servo(sweep, HPAC)[:, JOINT_INDEX["index_dip"]]
+        assert np.degrees(free.max() - stop) < 0.25, np.degrees(stop)
 
 
 @pytest.mark.slow

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import HPAC, JOINT_INDEX, elastic_joints_from_servo, rigid_joints_from_servo, scaled_hand
-from hpac_gym.model.parameters import Friction
-from hpac_gym.model.settled import EXTENSION, settled_joints_from_servo, with_friction
+from hpac_gym.model.parameters import Calibration, Friction
+from hpac_gym.model.settled import EXTENSION, settled_joints_from_servo
 from hpac_gym.study import quasistatic
 from hpac_gym.study.quasistatic import Built, Metal, SettleError, follow, hand_course
 from hpac_gym.study.rig import rig_of
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 21)
 STIFF_DRIVE = scaled_hand(HPAC, {"drive_stiffness": 1e4})
+FRICTIONAL = replace(HPAC, calibration=Calibration(friction=(Friction(1e-3, 0.03),) * 5))
 CLOSE = 2e-6
 """What the solver leaves [rad]."""
 
@@ -39,9 +40,8 @@ def test_with_the_papers_assumptions_it_is_the_papers_model():
 
 def test_drive_stretch_and_friction_are_those_of_the_closed_form():
     assert swept(course()) == pytest.approx(swept(settled_joints_from_servo(SERVO)), abs=CLOSE)
-    frictional = with_friction(HPAC, Friction(1e-3, 0.03))
     found = course(joint_friction=1e-3, tendon_friction=0.03)
-    assert swept(found) == pytest.approx(swept(settled_joints_from_servo(SERVO, frictional)), abs=CLOSE)
+    assert swept(found) == pytest.approx(swept(settled_joints_from_servo(SERVO, FRICTIONAL)), abs=CLOSE)
 
 
 def test_friction_is_remembered_where_a_motion_turns():
@@ -49,12 +49,11 @@ def test_friction_is_remembered_where_a_motion_turns():
     turn = SERVO[-1] - np.linspace(0.0, 2e-3, 3)[1:, None]
     path = np.concatenate([SERVO, turn, SERVO[-2::-1]])
     found = course(servo=path, joint_friction=1e-3, tendon_friction=0.03)
-    frictional = with_friction(HPAC, Friction(1e-3, 0.03))
-    free = settled_joints_from_servo(turn, frictional, EXTENSION)
+    free = settled_joints_from_servo(turn, FRICTIONAL, EXTENSION)
     dip = JOINT_INDEX["index_dip"]
     assert found[22, dip] == pytest.approx(found[20, dip], abs=1e-5)
     assert free[-1, dip] - found[22, dip] > 1e-3
-    back = settled_joints_from_servo(SERVO[-2::-1], frictional, EXTENSION)
+    back = settled_joints_from_servo(SERVO[-2::-1], FRICTIONAL, EXTENSION)
     assert swept(found[28:39]) == pytest.approx(swept(back[5:16]), abs=1e-5)
 
 

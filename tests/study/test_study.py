@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import HPAC, JOINTS
-from hpac_gym.model.parameters import Friction
-from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo, with_friction
+from hpac_gym.model.parameters import Calibration, Friction
+from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 from hpac_gym.study import commands, populations, rivals, study, tracking, trials
 from hpac_gym.study.accuracy import EVALUATED
 from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
@@ -61,7 +61,7 @@ def test_tendon_friction_gives_the_hysteresis_that_the_balance_of_torques_asks_f
         servo = np.zeros((len(joint.servo), 6))
         servo[:, 1] = joint.servo
         column = JOINTS.index(name)
-        frictional = with_friction(HPAC, friction)
+        frictional = replace(HPAC, calibration=Calibration(friction=(friction,) * 5))
         branches = [settled_joints_from_servo(servo, frictional, way)[None, :, column] for way in (FLEXION, EXTENSION)]
         expected = float(trials.hysteresis_width(JointTrials(joint.servo, *branches))[0])
         assert 0.5 * expected < float(trials.hysteresis_width(joint)[0]) < 1.1 * expected

@@ -1,6 +1,5 @@
 """The paper's measurement on the reference hand, whose stiffnesses were chosen for the printed figures."""
 
-import argparse
 import json
 from dataclasses import replace
 
@@ -28,6 +27,7 @@ from hpac_gym.study.processing import points, processed
 from hpac_gym.study.record import Sweep, read_sweep, write_sweep
 from hpac_gym.study.reference import Reference
 from hpac_gym.study.rig import Rig
+from tests.study.options import parsed
 
 REFERENCE = Reference.of()
 
@@ -139,7 +139,7 @@ def test_a_separate_sweep_yields_a_table_in_the_form_of_table_1():
     """Table I: every joint from 0 to its largest angle; the driven joints reach its bound, the others stay inside of it."""
     rig = REFERENCE.rig.with_protocol(points=5, rest=1.0)
     sweep = rig.sweep(np.random.default_rng(0), servos=("thumb_mp", "ring_mcp", "thumb_cmc"))
-    table = workspace(points(processed(sweep, cutoff_hz=4.0)))
+    table = workspace(points(processed(sweep)))
     assert tuple(table) == tuple(name for name in JOINTS if name.startswith(("thumb", "ring")))
     for name, (low, high) in table.items():
         assert low == pytest.approx(0.0, abs=0.01)
@@ -166,16 +166,10 @@ def test_same_seed_same_record_other_stream_other_noise():
     assert (once.joint_pos != other.joint_pos).all()
 
 
-def options(*words: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    command.add_arguments(parser)
-    return parser.parse_args(list(words))
-
-
 def test_the_command_evaluates_a_record_and_prints_one_object(evaluation, errors, tmp_path, capsys):
     write_sweep(tmp_path / "sweep.csv", evaluation)
     out = tmp_path / "out"
-    assert command.run(options("--record", str(tmp_path / "sweep.csv"), "--out", str(out), "--json")) == 0
+    assert command.run(parsed(command, "--record", tmp_path / "sweep.csv", "--out", out, "--json")) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["mae_deg"]["uncompensated"] == pytest.approx(errors.mae_deg["uncompensated"], abs=1e-4)
     assert set(printed["max_residual_deg"]) == {"uncompensated", "compensated"}
@@ -220,7 +214,7 @@ def test_the_residual_figure_shows_every_point_or_says_how_many_it_does_not(eval
 
 @pytest.mark.slow
 def test_the_command_sweeps_the_reference_hand(tmp_path, capsys):
-    assert command.run(options("--out", str(tmp_path))) == 0
+    assert command.run(parsed(command, "--out", tmp_path)) == 0
     text = capsys.readouterr().out
     assert "| Index DIP | 1.1" in text
     assert "short of Table I" in text

@@ -1,5 +1,6 @@
 """The searches of HPAC-GraspAny-v0: what they count is what was played."""
 
+from collections import defaultdict
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,11 +11,17 @@ from hpac_gym.tasks.scripted import ANY_CLOSURES
 from tools.any_closures import (
     CHOICES,
     CLOSURES,
+    DECIDED,
+    HASTE,
     HIGHEST,
     LOOKS,
     LOWEST,
+    OPEN,
+    OPENING,
     Player,
+    _decided,
     arms,
+    by_policy,
     chances,
     drawn_closure,
     first_winners,
@@ -70,15 +77,30 @@ def test_chances_are_learned_where_something_tells_them_and_nowhere_else():
     assert 0.3 < guessed.mean() < 0.7
 
 
+def test_the_policy_closes_again_as_at_the_start_of_an_episode_on_what_it_sees_then():
+    """Opened in between; the second closure is the first one of an episode whose object is seen where it is now."""
+    task, rng = GraspAny(), np.random.default_rng(0)
+    first, now = rng.uniform(0, 0.5, (2, 3, 155))
+    act = _decided(task, "policy", "again", defaultdict(dict), first, np.arange(3))
+    np.testing.assert_array_equal(act(5, now), by_policy(task, first)(5))
+    np.testing.assert_array_equal(act(DECIDED, now), np.tile(OPEN, (3, 1)))
+    moved = first.copy()
+    moved[:, 21:40] = now[:, 21:40]  # object_pos to object_seen
+    wanted = by_policy(task, moved)
+    for step in range(4):
+        np.testing.assert_array_equal(act(DECIDED + OPENING + step, now + step), wanted(HASTE * step))
+    assert np.abs(wanted(20) - by_policy(task, first)(20)).max() > 0.01
+
+
 @pytest.mark.slow
 def test_trials_are_the_same_until_the_decision_and_are_kept(tmp_path):
     player = Player("train", 4)
-    trials = trials_of(player, range(6), tmp_path)
+    trials = trials_of(player, "script", range(6), tmp_path)
     assert trials.won.shape == (6, len(CHOICES))
     assert trials.seen.shape[:2] == (6, len(LOOKS))
     assert np.abs(trials.seen[:, 0] - trials.seen[:, -1]).max() > 0.1
     np.testing.assert_array_equal(play_script(player, range(6), ANY_CLOSURES.__getitem__)[1], trials.won[:, 0])
     player.play = None  # what is kept is not played again
-    again = trials_of(player, range(6), tmp_path)
+    again = trials_of(player, "script", range(6), tmp_path)
     np.testing.assert_array_equal(again.won, trials.won)
     np.testing.assert_array_equal(again.seen, trials.seen)

@@ -182,14 +182,9 @@ class MuJoCoEngine(Engine):
         return self._setups[world], int(self._steps[world]), self._felt[world].copy(), state
 
     def restore(self, world: int, snapshot: Any) -> None:
-        """As `Engine.restore`.
-
-        Raises:
-            PhysicsError: The world is in another episode than the snapshot.
-        """
         setup, steps, felt, state = snapshot
         if setup is not self._setups[world]:
-            raise PhysicsError(f"world {world}: a snapshot can be restored only in the episode that it was taken in")
+            self.reset([world], [setup])
         self._steps[world], self._felt[world] = steps, felt
         self._group_of[world].batch.state[world] = state
 
