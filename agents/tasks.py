@@ -1,5 +1,6 @@
 """Environments by id, with a check of the spaces that the agents support; what a policy file says about its origin."""
 
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import Any
@@ -55,3 +56,9 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+def other_versions(told: Mapping[str, str]) -> str:
+    """The entries of `told` that differ from `versions` here, in words; empty if there are none."""
+    here = versions()
+    return ", ".join(f"{name} {told.get(name)}, not {here[name]} as here" for name in here if told.get(name) != here[name])
