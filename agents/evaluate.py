@@ -197,7 +197,7 @@ def table(summary: dict[str, Any]) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
-    env_id = args.env or _task_of(args.policy)
+    env_id = args.env or task_of(args.policy)
     names = [args.policy]
     if not args.no_baselines and args.policy not in BASELINES:
         names += reversed(BASELINES)
@@ -233,7 +233,12 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _task_of(policy: str) -> str:
+def task_of(policy: str) -> str:
+    """The environment that a policy file was made for; `DEFAULT_TASK` for a baseline.
+
+    Raises:
+        PolicyError: The file is missing or damaged.
+    """
     return DEFAULT_TASK if policy in BASELINES else read_policy(Path(policy)).about["env_id"]
 
 

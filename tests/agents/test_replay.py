@@ -17,12 +17,17 @@ def replayed(out, *arguments: str) -> dict:
     return json.loads((out / "replay.json").read_text())
 
 
-def film_the_beginning(env_id, options, episodes, *rest) -> None:
+def film_the_beginning(policy, env_id, options, commands, *rest) -> None:
     """Instead of the whole film, which takes seconds; the test of the demo makes one."""
-    film(env_id, options, [replace(episode, commands=episode.commands[:3]) for episode in episodes], *rest)
+    film(policy, env_id, options, {seed: received[:3] for seed, received in commands.items()}, *rest)
 
 
-@pytest.mark.parametrize("arguments", [(), ("--virtual",)], ids=["host process on a pty", "in process"])
+FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
+
+
+@pytest.mark.parametrize(
+    "arguments", [(), ("--virtual",), FREE_WRIST], ids=["host process on a pty", "in process", "from a preshape, in process"]
+)
 def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, monkeypatch, arguments):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     report = replayed(tmp_path, *arguments)
