@@ -94,11 +94,12 @@ def main(argv: list[str] | None = None) -> int:
 
 def _page(results: dict[str, Any]) -> str:
     text = f"# {results['env_id'].rpartition(':')[2]}\n\n{table(results)}\n"
-    policy = results.get("policy")
-    if policy:
-        effort = f"{policy['episodes']:,} trials in {policy['seconds'] / 60:.1f} minutes"
-        text += f"\nLearned: {policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
-        text += f"weights SHA-256 `{policy['sha256'][:16]}…`.\n"
+    if policy := results.get("policy"):
+        text += f"\nLearned: {policy['file']}, "
+        if "seconds" in policy:
+            effort = f"{policy['episodes']:,} trials in {policy['seconds'] / 60:.1f} minutes"
+            text += f"{policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
+        text += f"weights SHA-256 `{policy.get('sha256', policy.get('weights_sha256'))[:16]}…`.\n"
     return text + f"\nAll policies were run on the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
 
 

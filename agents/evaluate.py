@@ -32,9 +32,9 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
 from hpac_gym.evaluation.workers import worker_pool
 from hpac_gym.output import markdown, writable_folder, write_text
-from hpac_gym.policies import Policy, read_policy
+from hpac_gym.policies import Policy
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import about, load_policy
 
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
 BATCH, ROUNDS = 50, 4  # parallel worlds on MuJoCo, and episodes per world in a block
@@ -207,8 +207,8 @@ def main(argv: list[str] | None = None) -> int:
     limits = {"options": options, "workers": args.workers, "time_limit": 60 * args.time_limit}
     result = evaluate(names, env_id, args.episodes, seed_start=args.seed_start, **limits)
     summary = result.summary() | {"options": options}
-    if args.policy not in BASELINES:
-        summary["policy"] = {"file": args.policy, **read_policy(Path(args.policy)).about}
+    if told := about(args.policy):
+        summary["policy"] = {"file": args.policy, **told}
     text = json.dumps(summary, indent=2)
     if args.out:
         write_text(args.out, text + "\n")
@@ -234,12 +234,12 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def task_of(policy: str) -> str:
-    """The environment that a policy file was made for; `DEFAULT_TASK` for a baseline.
+    """The environment that a policy was made for; `DEFAULT_TASK` for one without a file.
 
     Raises:
-        PolicyError: The file is missing or damaged.
+        PolicyError: The file is damaged.
     """
-    return DEFAULT_TASK if policy in BASELINES else read_policy(Path(policy)).about["env_id"]
+    return about(policy).get("env_id", DEFAULT_TASK)
 
 
 def failures_by_phase(episodes: Sequence[Episode]) -> Counter[str]:
