@@ -29,7 +29,8 @@ def make_task(env_id: str, **options) -> gymnasium.Env:
     except (gymnasium.error.Error, ModuleNotFoundError) as error:
         raise TaskError(f"no environment '{env_id}': {error}") from None
     except TypeError as error:
-        raise TaskError(f"no environment '{env_id}' with {', '.join(options)}: {error}") from None
+        reason = f"{error}".partition(" was raised from")[0]
+        raise TaskError(f"no environment '{env_id}' with {', '.join(options)}: {reason}") from None
     done = env.action_space
     if not (isinstance(done, Box) and len(done.shape) == 1 and np.all(done.low == -1) and np.all(done.high == 1)):
         raise TaskError(f"environment '{env_id}' acts in {done}: the agents need one flat box of -1…1")
