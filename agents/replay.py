@@ -24,6 +24,7 @@ from agents.evaluate import task_of
 from agents.video import Sheet, Video
 from hpac import run, whole_number
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
@@ -180,22 +181,27 @@ def main(argv: list[str] | None = None) -> int:
     env_id = task_of(args.policy)
     options = {name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None}
     report = Report(args.policy, env_id, args.seed_start)
-    with ExitStack() as stack:
-        hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
-        log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
-        link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
-        wire = Wire(hand, link)
-        env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command), **options))
-        policy = load_policy(args.policy, env)
-        commands = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
-        link.clear()
-        _take_statistics(report, wire, link)
+    try:
+        with ExitStack() as stack:
+            hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
+            log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
+            link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
+            wire = Wire(hand, link)
+            env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command), **options))
+            policy = load_policy(args.policy, env)
+            commands = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
+            link.clear()
+            _take_statistics(report, wire, link)
+    except OSError as error:
+        if isinstance(error, HpacError) or error.filename:
+            raise
+        raise RunError(f"cannot write '{args.out / 'wire.jsonl'}': {error.strerror or error}") from None
+    text = json.dumps(asdict(report), indent=2)
+    write_text(args.out / "replay.json", text + "\n")
     sheet = Sheet()
     with Video(args.out / "grasps.mp4", CONTROL_HZ) as video:
         film(args.policy, env_id, options, commands, video, sheet)
     sheet.write(args.out / "grasps.png")
-    text = json.dumps(asdict(report), indent=2)
-    write_text(args.out / "replay.json", text + "\n")
     print(text if args.json else _summary(report))
     if report.faults:
         raise RunError(f"the wire check failed: {'; '.join(report.faults)}")

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -55,6 +56,14 @@ def test_a_wrong_port_is_one_line_and_status_2(tmp_path, capfd):
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
     assert "/dev/no-such-port" in said[0]
+
+
+@pytest.mark.filterwarnings("ignore:the wire log cannot be written")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, capfd):
+    (tmp_path / "wire.jsonl").symlink_to("/dev/full")
+    assert run(lambda: main(["--policy", "scripted", "--out", str(tmp_path), "--virtual", "--episodes", "1"])) == 2
+    assert capfd.readouterr().err.splitlines()[-1] == f"error: cannot write '{tmp_path}/wire.jsonl': No space left on device"
 
 
 def test_a_wire_that_breaks_its_promise_is_reported():

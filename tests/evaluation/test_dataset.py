@@ -1,5 +1,7 @@
 """What `hpac record` writes is what happened, and can be learned from."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from agents.command import RunError
 from hpac import main
 from hpac_gym.evaluation import dataset as module
 from hpac_gym.evaluation.dataset import DatasetError, read_dataset, record
+from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 
 EPISODES = 12
@@ -56,6 +59,13 @@ def test_a_recording_that_fails_or_is_interrupted_leaves_nothing_half(tmp_path, 
     monkeypatch.setattr(module, "_episode", stop)
     with pytest.raises(KeyboardInterrupt):
         record("scripted", "HPAC-Grasp-v0", 2, tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=60_000))
+    with pytest.raises(OutputError, match=r"cannot write 1 episodes to '.*': they need [56]\d,\d{3} bytes, 60,000 are free"):
+        record("random", "HPAC-Grasp-v0", 1, tmp_path / "new", options={"engine": "mujoco"})
     assert list(tmp_path.iterdir()) == []
 
 
