@@ -135,6 +135,7 @@ def test_no_pickle_is_loaded_from_a_policy_file_nor_named_anywhere(path, tmp_pat
     with pytest.raises(PolicyError, match="is not a policy file: Object arrays cannot be loaded"):
         read_policy(path)
     assert not (tmp_path / "sprung").exists()
+    packed.seek(0)
     np.load(packed, allow_pickle=True)["observation_mean"]
     assert (tmp_path / "sprung").exists(), "the trap works"
     unsafe = re.compile(r"import pickle|pickle\.load|torch\.load|allow_pickle=True|joblib")
