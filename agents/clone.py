@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from gymnasium.spaces import Box
 
 from agents.command import RunError, command_parser
 from agents.tasks import POLICY, target_of, versions
@@ -75,6 +76,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the weights and of the order")
     args = parser.parse_args(argv)
     dataset = read_dataset(args.dataset)
+    if not isinstance(dataset.observation_space, Box):
+        raise RunError(f"'{args.dataset}' observes {dataset.observation_space}: cloning needs one flat box")
     writable_folder(args.out)
     episodes = [episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]]
     if not episodes:
@@ -89,7 +92,8 @@ def main(argv: list[str] | None = None) -> int:
         "versions": versions(),
     }
     write_policy(args.out / POLICY, PolicyFile(actor, about))
-    print(f"{len(episodes)} successful episodes, error on those kept back {error:.3f}: {args.out / POLICY}")
+    kept = f"the last {int(KEPT * len(episodes))} kept back, error {error:.3f}" if np.isfinite(error) else "none kept back"
+    print(f"{len(episodes)} successful episodes, {kept}: {args.out / POLICY}")
     return 0
 
 

@@ -414,7 +414,7 @@ class Learner:
         self.critics.load_state_dict(saved["critics"])
         self.actor.load_state_dict(saved["actor"])
         for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict(saved["of " + name])
+            optimizer.load_state_dict(optimizer.state_dict() | saved.get("of " + name, {}))
         with torch.no_grad():
             self.log_weight.copy_(saved["log_weight"])
 

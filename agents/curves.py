@@ -1,7 +1,7 @@
 """Pictures and tables of a run: ``python -m agents.curves runs/NAME``.
 
-Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_curve.png``, ``results.md`` and
-``results.png`` to it. Missing input is skipped.
+Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_curve.png`` and ``results.md`` to it. Missing
+input is skipped.
 """
 
 import json
@@ -48,21 +48,6 @@ def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None 
     return figure
 
 
-def result_chart(results: dict[str, Any]) -> Figure:
-    """Bar chart of the success of every policy with its 95 % interval."""
-    figure = Figure(figsize=(6, 0.9 + 0.6 * len(results["policies"])), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    for place, (name, numbers) in enumerate(reversed(results["policies"].items())):
-        rate, (low, high) = numbers["success_rate"], numbers["interval_95"]
-        axes.barh(place, 100 * rate, color=COLOURS.get(name), height=0.6)
-        axes.errorbar(100 * rate, place, xerr=[[100 * (rate - low)], [100 * (high - rate)]], color="black", capsize=4)
-        axes.text(100 * high + 1.5, place, f"{rate:.0%}", va="center")
-    axes.set_yticks(range(len(results["policies"])), list(reversed(results["policies"])))
-    axes.set(xlim=(0, 108), xlabel="success on held-out episodes (%), Wilson 95 % interval")
-    return figure
-
-
 def report(folder: Path) -> list[Path]:
     """Write the pictures and tables of a run and return the files.
 
@@ -74,8 +59,7 @@ def report(folder: Path) -> list[Path]:
     written = []
     if results is not None:
         write_text(folder / "results.md", _page(results))
-        _save(result_chart(results), folder / "results.png")
-        written += [folder / "results.md", folder / "results.png"]
+        written.append(folder / "results.md")
     if (folder / CURVE).exists():
         _save(learning_curve(read_curve(folder / CURVE), results), folder / "learning_curve.png")
         written.append(folder / "learning_curve.png")
@@ -94,11 +78,12 @@ def main(argv: list[str] | None = None) -> int:
 
 def _page(results: dict[str, Any]) -> str:
     text = f"# {results['env_id'].rpartition(':')[2]}\n\n{table(results)}\n"
-    policy = results.get("policy")
-    if policy:
-        effort = f"{policy['episodes']:,} trials in {policy['seconds'] / 60:.1f} minutes"
-        text += f"\nLearned: {policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
-        text += f"weights SHA-256 `{policy['sha256'][:16]}…`.\n"
+    if policy := results.get("policy"):
+        text += f"\nLearned: {policy['file']}, "
+        if "seconds" in policy:
+            effort = f"{policy['episodes']:,} trials in {policy['seconds'] / 60:.1f} minutes"
+            text += f"{policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
+        text += f"weights SHA-256 `{policy.get('sha256', policy.get('weights_sha256'))[:16]}…`.\n"
     return text + f"\nAll policies were run on the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
 
 

@@ -11,8 +11,8 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,14 +30,15 @@ from hpac_gym.evaluation.closures import scale_of
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
-from hpac_gym.evaluation.workers import worker_pool
+from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
-from hpac_gym.policies import Policy, read_policy
+from hpac_gym.policies import Policy
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import about, load_policy
 
 DEFAULT_TASK = "hpac_gym:HPAC-Grasp-v0"
-BATCH, ROUNDS = 50, 4  # parallel worlds on MuJoCo, and episodes per world in a block
+BATCH = 50  # parallel worlds on MuJoCo
+BLOCK, BATCH_BLOCK = 10, 200  # episodes per job of a worker, with single worlds and in a batch
 LEARNED = "learned"  # name of a policy file in tables
 NO_PHASE = "unknown"  # name of the phase of failures in a task without phases
 OPTIONS = {
@@ -131,10 +132,28 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
     return [episodes[seed] for seed in seeds]
 
 
+def run_block(names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[tuple[Episode, ...]]:
+    """Run an episode of each policy for each seed, in an environment of their own, on MuJoCo in a batch."""
+    with make_task(env_id, **options) as env, ExitStack() as stack:
+        if _has_batch(env) and len(seeds) > 1:
+            size = min(BATCH, len(seeds))
+            envs = stack.enter_context(closing(gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)))
+            columns = [run_batch(envs, [load_policy(name, env) for _ in range(size)], seeds) for name in names]
+        else:
+            policies = [load_policy(name, env) for name in names]
+            columns = [[run_episode(env, policy, seed) for seed in seeds] for policy in policies]
+    return list(zip(*columns, strict=True))
+
+
 def _episode(seed: int, rewards: Sequence[float], told: Mapping[str, Any]) -> Episode:
     phase, success, force = told.get("phase"), bool(told["is_success"]), told.get("holding_force")
     force = None if force is None else float(force)
     return Episode(seed, success, sum(rewards), len(rewards), None if phase is None else _phase_name(phase), force)
+
+
+def _has_batch(env: gymnasium.Env) -> bool:
+    """Whether an environment can run as a batch: those of this package on MuJoCo."""
+    return isinstance(env.unwrapped, HandEnv) and env.unwrapped.episodes.options.engine == "mujoco"
 
 
 def evaluate(
@@ -152,23 +171,23 @@ def evaluate(
         PolicyError: A policy cannot be loaded, or was made for another environment.
     """
     options = dict(options or {})
-    env = make_task(env_id, **options)
-    for name in names:
-        load_policy(name, env)  # errors are raised here, not in a worker
-    size = min(BATCH, episodes) if _has_batch(env) else 1
-    env.close()
+    with make_task(env_id, **options) as env:
+        for name in names:
+            load_policy(name, env)  # errors are raised here, not in a worker
+        block = BATCH_BLOCK if _has_batch(env) else BLOCK
     labels = [name if name in BASELINES else LEARNED for name in names]
     deadline = time.monotonic() + time_limit
     seeds = range(seed_start, seed_start + episodes)
-    rows = []
-    with _results(names, env_id, options, seeds, size, workers) as results, tqdm(
+    jobs = [(names, env_id, options, seeds[start : start + block]) for start in range(0, episodes, block)]
+    rows: list[tuple[Episode, ...]] = []
+    with closing(shared(run_block, jobs, workers)) as blocks, tqdm(
         total=episodes, desc="evaluating", unit="seed", disable=not sys.stderr.isatty(), dynamic_ncols=True
     ) as bar:  # fmt: skip
-        for block in results:
-            rows += block
-            rates = (np.mean([done[number].success for done in rows]) for number in range(len(names)))
+        for done in blocks:
+            rows += done
+            rates = (np.mean([row[number].success for row in rows]) for number in range(len(names)))
             bar.set_postfix_str(", ".join(f"{label} {rate:.0%}" for label, rate in zip(labels, rates, strict=True)))
-            bar.update(len(block))
+            bar.update(len(done))
             if time.monotonic() > deadline:
                 break
     return Evaluation(env_id, {label: tuple(row[number] for row in rows) for number, label in enumerate(labels)})
@@ -197,7 +216,7 @@ def table(summary: dict[str, Any]) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
-    env_id = args.env or _task_of(args.policy)
+    env_id = args.env or task_of(args.policy)
     names = [args.policy]
     if not args.no_baselines and args.policy not in BASELINES:
         names += reversed(BASELINES)
@@ -207,8 +226,8 @@ def main(argv: list[str] | None = None) -> int:
     limits = {"options": options, "workers": args.workers, "time_limit": 60 * args.time_limit}
     result = evaluate(names, env_id, args.episodes, seed_start=args.seed_start, **limits)
     summary = result.summary() | {"options": options}
-    if args.policy not in BASELINES:
-        summary["policy"] = {"file": args.policy, **read_policy(Path(args.policy)).about}
+    if told := about(args.policy):
+        summary["policy"] = {"file": args.policy, **told}
     text = json.dumps(summary, indent=2)
     if args.out:
         write_text(args.out, text + "\n")
@@ -233,8 +252,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _task_of(policy: str) -> str:
-    return DEFAULT_TASK if policy in BASELINES else read_policy(Path(policy)).about["env_id"]
+def task_of(policy: str) -> str:
+    """The environment that a policy was made for; `DEFAULT_TASK` for one without a file.
+
+    Raises:
+        PolicyError: The file is damaged.
+    """
+    return about(policy).get("env_id", DEFAULT_TASK)
 
 
 def failures_by_phase(episodes: Sequence[Episode]) -> Counter[str]:
@@ -259,64 +283,6 @@ def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
 
 def _phase_name(phase: Any) -> str:
     return str(getattr(phase, "name", phase)).lower()
-
-
-Block = list[tuple[Episode, ...]]
-"""Consecutive seeds, with one episode of each policy per seed."""
-
-
-@contextmanager
-def _results(
-    names: Sequence[str], env_id: str, options: dict[str, Any], seeds: Sequence[int], size: int, workers: int
-) -> Iterator[Iterator[Block]]:
-    """Yield blocks of episodes, run in `size` parallel worlds, in the order of their seeds, as they are completed."""
-    block = size * (ROUNDS if size > 1 else 1)
-    blocks = [seeds[start : start + block] for start in range(0, len(seeds), block)]
-    if workers == 1:
-        bench = _Bench(names, env_id, options, size)
-        yield map(bench.episodes, blocks)
-        bench.close()
-        return
-    with worker_pool(workers, _prepare_worker, (names, env_id, options, size)) as work:
-        yield work(_work, zip(blocks, strict=True))
-
-
-def _has_batch(env: gymnasium.Env) -> bool:
-    """Whether an environment can run as a batch: those of this package on MuJoCo."""
-    return isinstance(env.unwrapped, HandEnv) and env.unwrapped.episodes.options.engine == "mujoco"
-
-
-class _Bench:
-    """An environment, or a batch of `size` worlds, with one instance of each policy per world."""
-
-    def __init__(self, names: Sequence[str], env_id: str, options: dict[str, Any], size: int) -> None:
-        self._env = make_task(env_id, **options)
-        self._batch = gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options) if size > 1 else None
-        self._policies = [[load_policy(name, self._env) for _ in range(size)] for name in names]
-
-    def episodes(self, seeds: Sequence[int]) -> Block:
-        """Run an episode of each policy for each seed."""
-        if self._batch is None:
-            return [tuple(run_episode(self._env, policy, seed) for (policy,) in self._policies) for seed in seeds]
-        columns = [run_batch(self._batch, policies, seeds) for policies in self._policies]
-        return list(zip(*columns, strict=True))
-
-    def close(self) -> None:
-        self._env.close()
-        if self._batch is not None:
-            self._batch.close()
-
-
-_bench: _Bench
-
-
-def _prepare_worker(names: Sequence[str], env_id: str, options: dict[str, Any], size: int) -> None:
-    global _bench
-    _bench = _Bench(names, env_id, options, size)
-
-
-def _work(seeds: Sequence[int]) -> Block:
-    return _bench.episodes(seeds)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from agents.closures import Learner, Trials, worlds_of
 from agents.command import RunError, command_parser
 from agents.recipes import Recipe, recipe_named
-from agents.tasks import versions
+from agents.tasks import other_versions, versions
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
@@ -114,9 +114,8 @@ class Collector:
     """
 
     def __init__(self, recipe: Recipe, seed: int, expected: dict[str, str]) -> None:
-        other = [f"{name} {found}, not {expected.get(name)}" for name, found in versions().items() if found != expected.get(name)]
-        if other:
-            raise RunError(f"node '{platform.node()}' has {', '.join(other)} as the learner has")
+        if others := other_versions(expected):
+            raise RunError(f"the learner has {others}, on node '{platform.node()}'")
         torch.set_num_threads(1)
         self._all_worlds = worlds_of(recipe, seed)
         first = self._all_worlds[0]

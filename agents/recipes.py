@@ -139,10 +139,9 @@ def settings_of(saved: Mapping[str, Any]) -> Recipe:
     """Reconstruct the recipe of a run from JSON.
 
     Raises:
-        TypeError: A setting is missing or unknown.
+        TypeError: A setting is missing or unknown, as in a file of another version.
         RecipeError: A setting is out of bounds.
     """
-    missing = {entry.name for entry in fields(Recipe)} - set(saved)
-    if missing:
-        raise TypeError(f"it lacks {', '.join(sorted(missing))}")
+    if differing := {entry.name for entry in fields(Recipe)} ^ set(saved):
+        raise TypeError(f"it is of another version, whose settings differ in {', '.join(sorted(differing))}")
     return Recipe(**{name: tuple(value) if isinstance(value, list) else value for name, value in saved.items()})

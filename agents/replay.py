@@ -20,15 +20,16 @@ import numpy as np
 from tqdm import tqdm
 
 from agents.command import RunError, command_parser
-from agents.evaluate import DEFAULT_TASK
+from agents.evaluate import task_of
 from agents.video import Sheet, Video
 from hpac import run, whole_number
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.errors import HpacError
+from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
 from hpac_gym.output import writable_folder, write_text
-from hpac_gym.policies import Policy, read_policy
-from hpac_gym.policies.baselines import BASELINES
+from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -91,15 +92,21 @@ class Wire:
         """Re-arm, which moves the servos to rest, and move to the start of an episode."""
         self._link.clear()
         self._link.arm(watchdog=WATCHDOG)
-        duration = move_duration(np.zeros(len(SERVOS)), servo)
-        if duration > 0:
-            # 10 % slower than the limit: the firmware rounds to milliseconds and refuses moves that are too fast.
-            self.transmit(ServoCommand(servo, 1.1 * duration + 0.01))
+        self._servo, self.arrived = np.zeros(len(SERVOS)), []
+        self.transmit(ServoCommand(servo, 1 / CONTROL_HZ))
         self.arrived = []
 
     def transmit(self, command: ServoCommand) -> ServoCommand:
-        """Send a command and return it as received by the servos."""
-        self._link.move(command)
+        """Send a command and return it as received by the servos.
+
+        The first one takes as long as it needs: with a free wrist, it is the preshape of a hand that is out of reach.
+        """
+        duration = command.duration
+        if not self.arrived and (least := move_duration(self._servo, command.servo)) > duration:
+            # 10 % slower than the limit: the firmware rounds to milliseconds and refuses moves that are too fast.
+            duration = 1.1 * least + 0.01
+        self._servo = command.servo
+        self._link.move(ServoCommand(command.servo, duration))
         self._link.wait()
         self.moves += 1
         if self._hand is not None:
@@ -110,41 +117,32 @@ class Wire:
         return command
 
 
-@dataclass
-class Episode:
-    """The commands of one episode, as received by the servos."""
-
-    seed: int
-    commands: list[ServoCommand]
-    success: bool
-
-
-def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report: Report) -> list[Episode]:
-    """Run the episodes of these seeds with the wire between policy and simulated hand.
+def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report: Report) -> dict[int, list[ServoCommand]]:
+    """Run the episodes of these seeds with the wire between policy and simulated hand; returns the received commands of each.
 
     If the machine is too busy to feed the hand's watchdog, the episode is repeated, at most twice, and counted.
 
     Raises:
         FaultError: The watchdog tripped three times in one episode.
     """
-    episodes = []
+    commands = {}
     bar = tqdm(seeds, desc="replaying", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
     for seed in bar:
         for attempt in range(ATTEMPTS):
             try:
-                episodes.append(_run_episode(policy, env, wire, seed))
+                report.successes += _run_episode(policy, env, wire, seed)
                 break
             except FaultError:
                 if attempt == ATTEMPTS - 1:
                     raise
                 report.watchdog_stops += 1
+        commands[seed] = wire.arrived
         report.episodes += 1
-        report.successes += episodes[-1].success
         bar.set_postfix_str(f"{report.successes} of {report.episodes} held")
-    return episodes
+    return commands
 
 
-def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> Episode:
+def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> bool:
     observation, _ = env.reset(seed=seed)
     policy.reset(seed)
     wire.begin(env.unwrapped.command.servo)
@@ -152,54 +150,58 @@ def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> E
     while not done:
         observation, _, terminated, truncated, info = env.step(policy.act(observation))
         done = terminated or truncated
-    return Episode(seed, list(wire.arrived), bool(info["is_success"]))  # copied: the next episode refills the list
+    return bool(info["is_success"])
 
 
-def film(env_id: str, options: dict[str, str], episodes: list[Episode], video: Video, sheet: Sheet) -> None:
+def film(
+    policy: str, env_id: str, options: dict[str, str], commands: dict[int, list[ServoCommand]], video: Video, sheet: Sheet
+) -> None:
     """Render the episodes without the wire: the same commands and seed give a bit-identical motion."""
     rest: Iterator[ServoCommand] = iter(())
     env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options)
-    still = np.zeros(env.action_space.shape)
-    for episode in tqdm(episodes, desc="filming", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True):
-        _, info = env.reset(seed=episode.seed)
+    actor = load_policy(policy, env)
+    shown = tqdm(commands.items(), desc="filming", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
+    for seed, received in shown:
         sheet.begin_row()
-        phase, picture = info["phase"], env.render()
-        sheet.add(picture)
-        rest = iter(episode.commands)
-        for _ in episode.commands:
-            *_, info = env.step(still)
+        rest, phase, picture = iter(received), None, None
+        for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
+            last, picture = picture, env.render()
             if info["phase"] != phase:
-                sheet.add(picture)
+                sheet.add(picture if last is None else last)
                 phase = info["phase"]
-            picture = env.render()
-            video.add(picture, f"seed {episode.seed}   {phase}")
+            video.add(picture, f"seed {seed}   {phase}")
         sheet.add(picture)
-        video.hold(picture, f"seed {episode.seed}   {info['outcome']}")
+        video.hold(picture, f"seed {seed}   {info['outcome']}")
     env.close()
 
 
 def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     writable_folder(args.out)
-    env_id = DEFAULT_TASK if args.policy in BASELINES else read_policy(Path(args.policy)).about["env_id"]
+    env_id = task_of(args.policy)
     options = {name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None}
     report = Report(args.policy, env_id, args.seed_start)
-    with ExitStack() as stack:
-        hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
-        log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
-        link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
-        wire = Wire(hand, link)
-        env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command), **options))
-        policy = load_policy(args.policy, env)
-        episodes = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
-        link.clear()
-        _take_statistics(report, wire, link)
-    sheet = Sheet()
-    with Video(args.out / "grasps.mp4", CONTROL_HZ) as video:
-        film(env_id, options, episodes, video, sheet)
-    sheet.write(args.out / "grasps.png")
+    try:
+        with ExitStack() as stack:
+            hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
+            log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
+            link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
+            wire = Wire(hand, link)
+            env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command), **options))
+            policy = load_policy(args.policy, env)
+            commands = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
+            link.clear()
+            _take_statistics(report, wire, link)
+    except OSError as error:
+        if isinstance(error, HpacError) or error.filename:
+            raise
+        raise RunError(f"cannot write '{args.out / 'wire.jsonl'}': {error.strerror or error}") from None
     text = json.dumps(asdict(report), indent=2)
     write_text(args.out / "replay.json", text + "\n")
+    sheet = Sheet()
+    with Video(args.out / "grasps.mp4", CONTROL_HZ) as video:
+        film(args.policy, env_id, options, commands, video, sheet)
+    sheet.write(args.out / "grasps.png")
     print(text if args.json else _summary(report))
     if report.faults:
         raise RunError(f"the wire check failed: {'; '.join(report.faults)}")

@@ -1,5 +1,6 @@
 """Environments by id, with a check of the spaces that the agents support; what a policy file says about its origin."""
 
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
 from typing import Any
@@ -28,7 +29,8 @@ def make_task(env_id: str, **options) -> gymnasium.Env:
     except (gymnasium.error.Error, ModuleNotFoundError) as error:
         raise TaskError(f"no environment '{env_id}': {error}") from None
     except TypeError as error:
-        raise TaskError(f"no environment '{env_id}' with {', '.join(options)}: {error}") from None
+        reason = f"{error}".partition(" was raised from")[0]
+        raise TaskError(f"no environment '{env_id}' with {', '.join(options)}: {reason}") from None
     done = env.action_space
     if not (isinstance(done, Box) and len(done.shape) == 1 and np.all(done.low == -1) and np.all(done.high == 1)):
         raise TaskError(f"environment '{env_id}' acts in {done}: the agents need one flat box of -1…1")
@@ -55,3 +57,9 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed"
     return found
+
+
+def other_versions(told: Mapping[str, str]) -> str:
+    """The entries of `told` that differ from `versions` here, in words; empty if there are none."""
+    here = versions()
+    return ", ".join(f"{name} {told.get(name)}, not {here[name]} as here" for name in here if told.get(name) != here[name])

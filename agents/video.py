@@ -9,6 +9,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from agents.command import RunError
+from hpac_gym.output import replacing
 
 _TEXT_SIZE = 15
 
@@ -64,13 +65,11 @@ class Sheet:
         """Write the sheet as an image of a given width [px]; short rows are padded with white.
 
         Raises:
-            RunError: The file cannot be written.
+            OutputError: The file cannot be written.
         """
         columns = max(len(row) for row in self._rows)
         blank = np.full_like(self._rows[0][0], 255)
         sheet = np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in self._rows])
         image = Image.fromarray(sheet)
-        try:
-            image.resize((width, round(width * image.height / image.width)), Image.Resampling.LANCZOS).save(path)
-        except OSError as error:
-            raise RunError(f"cannot write '{path}': {error.strerror or error}") from error
+        with replacing(path) as temporary:
+            image.resize((width, round(width * image.height / image.width)), Image.Resampling.LANCZOS).save(temporary)

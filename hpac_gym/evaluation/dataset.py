@@ -16,7 +16,7 @@ import numpy as np
 from hpac import whole_number
 from hpac_gym.envs.options import GRASP, IDS, OPTIONS
 from hpac_gym.errors import HpacError
-from hpac_gym.output import writable_folder
+from hpac_gym.output import OutputError, writable_folder
 from hpac_gym.progress import progress
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 PASSED_ON = ("engine", "body", "obs", "reward", "randomize")
 """Options of the environment that the command offers, with their named values."""
 CHUNK = 100  # episodes per write
+EPISODE_BYTES = 50_000
+"""Disk space for an episode beside its observations, generously [byte]."""
 _ABOUT = """\
 Runs a policy and writes observations, actions and rewards as a Minari dataset, with the seed and success of every episode.
 `minari.MinariDataset(DIR / "data")` opens it, `python -m agents.clone DIR` learns from it. The folder appears when all
@@ -99,6 +101,7 @@ def record(
             for seed in progress(range(seed_start, seed_start + episodes), "episodes"):
                 buffers.append(_episode(env, actor, seed))
                 if len(buffers) == CHUNK or seed == seed_start + episodes - 1:
+                    _check_room(folder, buffers)
                     if dataset is None:
                         with warnings.catch_warnings(action="ignore"):  # Minari warns about missing author data
                             dataset = create_dataset_from_buffers(
@@ -111,6 +114,15 @@ def record(
     finally:
         env.close()
     return read_dataset(out)
+
+
+def _check_room(folder: Path, buffers: list[EpisodeBuffer]) -> None:
+    """Raise `OutputError` unless the disk has room for episodes: HDF5 ends the whole process where it has none."""
+    seen = [each.observations for each in buffers]
+    arrays = [part for one in seen for part in (one.values() if isinstance(one, dict) else [one])]
+    needed, free = 2 * sum(array.nbytes for array in arrays) + len(buffers) * EPISODE_BYTES, shutil.disk_usage(folder).free
+    if needed > free:
+        raise OutputError(f"cannot write {len(buffers)} episodes to '{folder}': they need {needed:,} bytes, {free:,} are free")
 
 
 def _episode(env: gymnasium.Env, policy: Policy, seed: int) -> EpisodeBuffer:

@@ -23,9 +23,8 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
-from hpac_gym.policies import Policy, read_policy
-from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies import Policy
+from hpac_gym.policies.loading import about, load_policy
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_data import named_grasp
 
@@ -167,8 +166,8 @@ def run(options: argparse.Namespace) -> int:
         policies, names, options.episodes, variant=variant, seed_start=options.seed_start, workers=options.workers
     )  # fmt: skip
     result = {"task": GRASP, "variant": variant, "first_seed": options.seed_start, "grasps": [row.summary() for row in rows]}
-    if options.policy not in BASELINES:
-        result["policy"] = {"file": options.policy, **read_policy(options.policy).about}
+    if told := about(options.policy):
+        result["policy"] = {"file": options.policy, **told}
     trials = {f"{row.grasp}/{row.policy}": [asdict(trial) for trial in row.trials] for row in rows}
     write_text(options.out / "grasps.json", json.dumps({**result, "trials": trials}, indent=2) + "\n")
     write_text(options.out / "grasps.md", table(rows) + "\n")

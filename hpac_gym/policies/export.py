@@ -1,7 +1,7 @@
 """`hpac export`: a policy file as ONNX with a card, in the layout that Hugging Face's hub expects.
 
 The folder gets ``model.onnx`` (the scaling of the observation is inside), ``card.json`` (inputs, outputs and
-provenance) and ``README.md`` (the same in readable form, with the hub's header).
+provenance), ``README.md`` (the same in readable form, with the hub's header) and ``replay.mp4``, which the hub shows.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hpac_gym.output import replacing, writable_folder, write_text
+from hpac_gym.output import replacing, writable_folder
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.errors import PolicyError
-from hpac_gym.policies.made_for import difference, made_for
+from hpac_gym.policies.made_for import misfit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
@@ -25,6 +25,7 @@ OPSET, IR_VERSION = 17, 8
 """ONNX versions, old enough for current and older runtimes."""
 CARD = "card.json"
 MODEL = "model.onnx"
+FILM = "replay.mp4"
 
 
 def onnx_model(policy: PolicyFile) -> Any:
@@ -101,16 +102,32 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
     }
 
 
+def read_card(folder: Path) -> dict[str, Any]:
+    """The card of an exported policy.
+
+    Raises:
+        PolicyError: It is missing or damaged.
+    """
+    try:
+        told = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        str.rpartition(told["env_id"], ":")
+        return told
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise PolicyError(f"'{folder}' is not an exported policy: {error}") from None
+
+
 def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
     """Load an exported policy for an environment.
 
     Raises:
         PolicyError: A file is missing or damaged, or the policy was made for another layout, rate or hand.
     """
-    import onnxruntime
-
     try:
-        told = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        import onnxruntime
+    except ImportError:
+        raise PolicyError(f"exported policy '{folder}' needs ONNX's runtime: pip install 'hpac_gym[onnx]'") from None
+    told = read_card(folder)
+    try:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
         session = onnxruntime.InferenceSession((folder / MODEL).read_bytes(), options, providers=["CPUExecutionProvider"])
@@ -119,8 +136,8 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
         closures = None if decision["closure"] is None else Closures.of(decision["closure"])
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}") from None
-    if (differs := difference(made, made_for(env))) is not None:
-        raise PolicyError(f"exported policy '{folder}' does not fit {env.spec.id}: {differs}")
+    if (differs := misfit(told["env_id"], made, env)) is not None:
+        raise PolicyError(f"exported policy '{folder}' {differs}")
 
     def decide(observation: np.ndarray) -> np.ndarray:
         return session.run(None, {"observation": np.asarray(observation, np.float32)[None]})[0][0]
@@ -128,59 +145,87 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
     return LearnedPolicy(decide, 1 if closures else decision["control_steps"], closures)
 
 
-def export(path: Path, out: Path, evaluation: Path | None = None) -> list[Path]:
+def export(path: Path, out: Path, evaluation: Path | None = None, film: Path | None = None) -> list[Path]:
     """Export a policy file into a folder and return the written files.
 
     Args:
         path: the policy file.
         out: the folder.
         evaluation: output of `agents.evaluate --out` for this policy, copied into the card.
+        film: video of the policy (MP4), such as ``grasps.mp4`` of `agents.replay`, copied into the folder.
 
     Raises:
-        PolicyError: `path` is not a policy file, or `evaluation` is not an evaluation.
+        PolicyError: `path` is not a policy file, `evaluation` is not an evaluation of this policy, or `film` is not an MP4 file.
         OutputError: The folder cannot be written.
     """
     policy = read_policy(path)
-    judged = None
-    if evaluation is not None:
-        try:
-            judged = json.loads(evaluation.read_text(encoding="utf-8"))
-            judged["policies"], judged["first_seed"], judged["last_seed"]
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise PolicyError(f"'{evaluation}' is not a result of agents.evaluate: {error!r}") from None
+    judged = None if evaluation is None else _evaluation(evaluation, policy.about["sha256"])
     told = card(policy, judged)
+    video = b"" if film is None else _film(film)
+    files = {MODEL: onnx_model(policy).SerializeToString(), CARD: f"{json.dumps(told, indent=2)}\n".encode()}
+    files |= {"README.md": _page(told, bool(video)).encode()} | ({FILM: video} if video else {})
     writable_folder(out)
-    with replacing(out / MODEL) as temporary:
-        temporary.write_bytes(onnx_model(policy).SerializeToString())
-    write_text(out / CARD, json.dumps(told, indent=2) + "\n")
-    write_text(out / "README.md", _page(told))
-    return [out / name for name in (MODEL, CARD, "README.md")]
+    for name, data in files.items():
+        with replacing(out / name) as temporary:
+            temporary.write_bytes(data)
+    return [out / name for name in files]
 
 
-def _page(told: dict[str, Any]) -> str:
+def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
+    try:
+        judged = json.loads(path.read_text(encoding="utf-8"))
+        judged["policies"]["learned"], judged["first_seed"], judged["last_seed"]
+        weights = judged["policy"]["sha256"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise PolicyError(f"'{path}' is not a result of agents.evaluate: {error!r}") from None
+    if weights != sha256:
+        raise PolicyError(f"'{path}' evaluates other weights, {weights[:12]}…, than those of the policy, {sha256[:12]}…")
+    return judged
+
+
+def _film(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise PolicyError(f"cannot read film '{path}': {error.strerror}") from None
+    if data[4:8] != b"ftyp":
+        raise PolicyError(f"film '{path}' is not an MP4 file")
+    return data
+
+
+def _page(told: dict[str, Any], film: bool) -> str:
     """Model card for the hub: a YAML header, then text."""
-    env_id = told["env_id"].rpartition(":")[2]
+    env_id, decision, judged = told["env_id"].rpartition(":")[2], told["decision"], told["evaluation"]
     lines = [
         "---", "library_name: hpac_gym", "pipeline_tag: reinforcement-learning",
-        "tags:", "- reinforcement-learning", "- robotics", "- onnx", f"- {env_id}",
-        "license: mit", "---", "", f"# A policy for {env_id}", "",
-        f"`{MODEL}` maps `observation`, float32 (n, {len(told['observation'])}), to `decision`, −1…1; the scaling is inside.",
-        f"`{CARD}` contains the same information in machine-readable form.", "",
+        "tags:", "- reinforcement-learning", "- robotics", "- onnx", f"- {env_id}", "license: mit",
     ]  # fmt: skip
-    if told["decision"]["closure"]:
+    if judged:
+        lines += [
+            "model-index:", f"- name: {told['training'].get('algorithm', 'policy')}", "  results:", "  - task:",
+            "      type: reinforcement-learning", "    dataset:", f"      name: {env_id}", f"      type: {env_id}",
+            "    metrics:", "    - type: success_rate", f"      value: {judged['policies']['learned']['success_rate']:.4f}",
+        ]  # fmt: skip
+    lines += [
+        "---", "", f"# A policy for {env_id}", "",
+        f"`{MODEL}` maps `observation`, float32 (n, {len(told['observation'])}), to `decision`, −1…1; the scaling is inside.",
+        f"`{CARD}` contains the same information in machine-readable form.{f' `{FILM}` shows the policy.' * film}", "",
+    ]  # fmt: skip
+    if decision["closure"]:
         lines += [
             "One decision per episode, on its first observation: the numbers of a closure, each scaled to its range.",
             f"`hpac_gym.policies.Closures` converts it to the action of every step, {told['control_hz']} per second.", "",
             "| number | −1 | 1 |", "| --- | --- | --- |",
-            *(f"| {entry['name']} | {entry['low']:g} | {entry['high']:g} |" for entry in told["decision"]["numbers"]), "",
+            *(f"| {entry['name']} | {entry['low']:g} | {entry['high']:g} |" for entry in decision["numbers"]), "",
         ]  # fmt: skip
+    else:
+        lines += [f"A decision is an action, held for {decision['control_steps']} steps of {told['control_hz']} per second.", ""]
     lines += ["| # | observation | | unit | low | high |", "| --- | --- | --- | --- | --- | --- |"]
     for place, entry in enumerate(told["observation"]):
         cells = place, entry["name"], entry["label"], entry["unit"], f"{entry['low']:g}", f"{entry['high']:g}"
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += ["", f"Actions, in order: {', '.join(told['action'])}; −1 open, 1 closed.", ""]
-    if told["evaluation"]:
-        judged = told["evaluation"]
+    if judged:
         lines += [f"Held-out seeds {judged['first_seed']} to {judged['last_seed']}, options {judged.get('options', {})}:", "",
                   "| policy | episodes | success | 95 % interval |", "| --- | --- | --- | --- |"]  # fmt: skip
         for name, numbers in judged["policies"].items():
@@ -188,8 +233,8 @@ def _page(told: dict[str, Any]) -> str:
             rate = numbers["success_rate"]
             lines.append(f"| {name} | {numbers['episodes']} | {100 * rate:.1f} % | {100 * low:.1f} … {100 * high:.1f} |")
         lines.append("")
-    hashes = [f"{name} `{told[name]}`" for name in ("weights_sha256", "hand_sha256", "task_sha256") if told[name]]
-    return "\n".join([*lines, *(f"* {text}" for text in hashes), ""])
+    facts = {name: told[name] for name in ("weights_sha256", "hand_sha256", "task_sha256") if told[name]}
+    return "\n".join([*lines, *(f"* {name} `{value}`" for name, value in (facts | told["versions"]).items()), ""])
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -197,12 +242,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("policy", type=Path, help="a policy file")
     parser.add_argument("--out", type=Path, required=True, help="folder of the exported policy")
     parser.add_argument("--evaluation", type=Path, help="output of agents.evaluate --out for this policy")
+    parser.add_argument("--film", type=Path, help="MP4 file that shows the policy, such as grasps.mp4 of agents.replay")
     parser.set_defaults(run=_export)
 
 
 def _export(options: argparse.Namespace) -> int:
     import onnx  # noqa: F401  fails before anything is written
 
-    for path in export(options.policy, options.out, options.evaluation):
+    for path in export(options.policy, options.out, options.evaluation, options.film):
         print(path)
     return 0

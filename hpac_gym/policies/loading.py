@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 from gymnasium.spaces import Box
 
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.errors import PolicyError
-from hpac_gym.policies.made_for import difference, made_for
+from hpac_gym.policies.export import read_card, read_onnx
+from hpac_gym.policies.made_for import misfit
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
@@ -19,8 +21,9 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     """Load a policy for this environment.
 
     Args:
-        name: ``random``, ``scripted``, a policy file, or ``module:function``, which takes the environment and returns a policy;
-            ``module:function:text`` passes it the text as well, for example the path of a weights file.
+        name: ``random``, ``scripted``, a policy file, the folder of an exported policy, or ``module:function``, which takes the
+            environment and returns a policy; ``module:function:text`` passes it the text as well, for example the path of a
+            weights file.
         env: the environment in which the policy acts.
 
     Raises:
@@ -28,6 +31,8 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     """
     if name in BASELINES:
         return BASELINES[name](env)
+    if Path(name).is_dir():
+        return read_onnx(Path(name), env)
     if Path(name).exists():
         return LearnedPolicy.of(policy_file_for(name, env))
     module, *rest = name.split(":", 2)
@@ -40,6 +45,17 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     return make(env, *rest[1:])
 
 
+def about(name: str) -> dict[str, Any]:
+    """Description of a policy file, or the card of an exported policy; both have `env_id`. Empty for policies without a file.
+
+    Raises:
+        PolicyError: The file is damaged.
+    """
+    if not Path(name).exists():
+        return {}
+    return read_card(Path(name)) if Path(name).is_dir() else read_policy(name).about
+
+
 def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
     """Read a policy file and check it against the environment.
 
@@ -47,19 +63,12 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
         PolicyError: The file is missing, damaged, or made for another environment.
     """
     policy = read_policy(name)
-    trained_on, env_id = policy.about["env_id"], env.spec.id
-    if not _same_task(trained_on, env_id):
-        raise PolicyError(f"policy file '{name}' was trained on {trained_on}, not on {env_id}")
-    if (told := difference(policy.about.get("made_for", {}), made_for(env))) is not None:
-        raise PolicyError(f"policy file '{name}' does not fit {env_id}: {told}")
+    env_id = env.spec.id
+    if (told := misfit(policy.about["env_id"], policy.about.get("made_for", {}), env)) is not None:
+        raise PolicyError(f"policy file '{name}' {told}")
     if not isinstance(env.observation_space, Box):
         raise PolicyError(f"policy file '{name}' takes one flat box, {env_id} observes {env.observation_space}")
     wanted = env.observation_space.shape[0], env.action_space.shape[0]
     if policy.sizes != wanted:
         raise PolicyError(f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}")
     return policy
-
-
-def _same_task(first: str, second: str) -> bool:
-    """Whether two ids name the same environment and version, wherever it is imported from."""
-    return first.rpartition(":")[2] == second.rpartition(":")[2]

@@ -53,6 +53,17 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
     return None
 
 
+def misfit(env_id: str, file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
+    """Why a policy made for the environment `env_id`, described by `file`, does not fit another one; None if it does.
+
+    An id may be given with or without the module that registers it.
+    """
+    if env_id.rpartition(":")[2] != env.spec.id.rpartition(":")[2]:
+        return f"was trained on {env_id}, not on {env.spec.id}"
+    differs = difference(file, made_for(env))
+    return differs and f"does not fit {env.spec.id}: {differs}"
+
+
 def _told(entry: list[Any] | None) -> str:
     if entry is None:
         return "none"

@@ -49,6 +49,13 @@ def test_what_a_run_saves_of_its_settings_makes_the_same_recipe(recipe):
     assert settings_of(json.loads(json.dumps(asdict(recipe)))) == recipe
 
 
+@pytest.mark.parametrize("change", [{"depth": 3}, {"doubt": None}])
+def test_settings_of_another_version_are_refused_by_their_names(change):
+    saved = {name: value for name, value in (asdict(GRASP) | change).items() if value is not None}
+    with pytest.raises(TypeError, match=f"of another version, whose settings differ in {next(iter(change))}"):
+        settings_of(saved)
+
+
 @pytest.mark.parametrize("steps", [0, 1, 123_456, 10_000_000])
 def test_training_never_starts_from_a_held_out_seed(steps):
     for run_seed in range(50):

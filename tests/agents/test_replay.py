@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -17,12 +18,17 @@ def replayed(out, *arguments: str) -> dict:
     return json.loads((out / "replay.json").read_text())
 
 
-def film_the_beginning(env_id, options, episodes, *rest) -> None:
+def film_the_beginning(policy, env_id, options, commands, *rest) -> None:
     """Instead of the whole film, which takes seconds; the test of the demo makes one."""
-    film(env_id, options, [replace(episode, commands=episode.commands[:3]) for episode in episodes], *rest)
+    film(policy, env_id, options, {seed: received[:3] for seed, received in commands.items()}, *rest)
 
 
-@pytest.mark.parametrize("arguments", [(), ("--virtual",)], ids=["host process on a pty", "in process"])
+FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
+
+
+@pytest.mark.parametrize(
+    "arguments", [(), ("--virtual",), FREE_WRIST], ids=["host process on a pty", "in process", "from a preshape, in process"]
+)
 def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, monkeypatch, arguments):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     report = replayed(tmp_path, *arguments)
@@ -50,6 +56,14 @@ def test_a_wrong_port_is_one_line_and_status_2(tmp_path, capfd):
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
     assert "/dev/no-such-port" in said[0]
+
+
+@pytest.mark.filterwarnings("ignore:the wire log cannot be written")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, capfd):
+    (tmp_path / "wire.jsonl").symlink_to("/dev/full")
+    assert run(lambda: main(["--policy", "scripted", "--out", str(tmp_path), "--virtual", "--episodes", "1"])) == 2
+    assert capfd.readouterr().err.splitlines()[-1] == f"error: cannot write '{tmp_path}/wire.jsonl': No space left on device"
 
 
 def test_a_wire_that_breaks_its_promise_is_reported():

@@ -1,5 +1,7 @@
 """What `hpac record` writes is what happened, and can be learned from."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from agents.command import RunError
 from hpac import main
 from hpac_gym.evaluation import dataset as module
 from hpac_gym.evaluation.dataset import DatasetError, read_dataset, record
+from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 
 EPISODES = 12
@@ -39,12 +42,14 @@ def test_the_recorded_environment_seeds_and_actions_give_the_recorded_episodes_a
     env.close()
 
 
-def test_dictionaries_are_recorded_too(tmp_path):
+def test_dictionaries_are_recorded_too_but_not_cloned(tmp_path):
     dataset = record("random", "HPAC-Posture-v1", 1, tmp_path / "posture", options={"engine": "mujoco"})
     (episode,) = dataset.iterate_episodes()
     assert {name: len(values) for name, values in episode.observations.items()} == dict.fromkeys(
         ("observation", "achieved_goal", "desired_goal"), len(episode.actions) + 1
     )
+    with pytest.raises(RunError, match=r"posture' observes Dict\(.*\): cloning needs one flat box"):
+        clone.main([str(tmp_path / "posture"), "--out", str(tmp_path / "policy")])
 
 
 def test_a_recording_that_fails_or_is_interrupted_leaves_nothing_half(tmp_path, monkeypatch):
@@ -54,6 +59,13 @@ def test_a_recording_that_fails_or_is_interrupted_leaves_nothing_half(tmp_path, 
     monkeypatch.setattr(module, "_episode", stop)
     with pytest.raises(KeyboardInterrupt):
         record("scripted", "HPAC-Grasp-v0", 2, tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=60_000))
+    with pytest.raises(OutputError, match=r"cannot write 1 episodes to '.*': they need [56]\d,\d{3} bytes, 60,000 are free"):
+        record("random", "HPAC-Grasp-v0", 1, tmp_path / "new", options={"engine": "mujoco"})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -86,7 +98,7 @@ def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
     assert wrong.mean() < 0.05
     assert np.abs(np.diff(episode.actions, axis=0)).sum() > 5, "there was something to learn"
     assert policy.about["algorithm"] == "behaviour cloning"
-    assert "successful episodes" in capsys.readouterr().out
+    assert "successful episodes, none kept back: " in capsys.readouterr().out
 
 
 def test_nothing_is_cloned_from_failures_or_from_no_dataset(tmp_path):

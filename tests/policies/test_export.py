@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
+from agents import evaluate
+from hpac import main
 from hpac_gym.envs.randomization import changed_hand
 from hpac_gym.model import HPAC
-from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, write_policy
+from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, read_policy, write_policy
 from hpac_gym.policies.export import export, read_onnx
 from hpac_gym.policies.made_for import made_for
 
@@ -41,17 +43,26 @@ def folder(policy, tmp_path) -> Path:
     return tmp_path / "out"
 
 
-def test_onnxruntime_decides_as_the_numpy_reader_does_on_1e5_observations(policy, folder):
-    session = onnxruntime.InferenceSession((folder / "model.onnx").read_bytes(), providers=["CPUExecutionProvider"])
-    seen = np.random.default_rng(1).uniform(-4, 4, (100_000, 44)).astype(np.float32)
+SHIPPED = sorted((Path(__file__).resolve().parents[2] / "agents" / "trained").glob("*.zip"))
+
+
+@pytest.mark.parametrize("path", [None, *(pytest.param(path, marks=pytest.mark.slow, id=path.stem) for path in SHIPPED)])
+def test_onnxruntime_decides_as_the_numpy_reader_does_on_1e5_observations(path, policy, tmp_path):
+    policy = policy if path is None else read_policy(path)
+    write_policy(tmp_path / "policy.zip", policy)
+    export(tmp_path / "policy.zip", tmp_path / "out")
+    session = onnxruntime.InferenceSession((tmp_path / "out" / "model.onnx").read_bytes(), providers=["CPUExecutionProvider"])
+    actor, rng = policy.actor, np.random.default_rng(1)
+    scaled = rng.uniform(-1.2, 1.2, (100_000, actor.sizes[0])) * rng.uniform(0, actor.observation_clip, (100_000, 1))
+    seen = (actor.observation_mean + scaled * np.minimum(actor.observation_scale, 4.0)).astype(np.float32)
     decided = np.concatenate([session.run(None, {"observation": rows})[0] for rows in np.split(seen, 50)])
-    assert np.std(decided) > 0.3, "the decisions differ"
-    actor = policy.actor
-    value = np.clip((seen.astype(float) - actor.observation_mean) / actor.observation_scale, -8, 8)
+    assert np.std(decided, axis=0).mean() > 0.1, "the decisions differ"
+    bound = actor.observation_clip
+    value = np.clip((seen.astype(float) - actor.observation_mean) / actor.observation_scale, -bound, bound)
     *hidden, (weight, bias) = [(weight.astype(float), bias) for weight, bias in actor.layers]
     for inner, offset in hidden:
         value = np.maximum(value @ inner.T + offset, 0)
-    expected = np.tanh(np.clip(value @ weight.T + bias, -4, 4))
+    expected = np.tanh(np.clip(value @ weight.T + bias, -actor.mean_clip, actor.mean_clip))
     np.testing.assert_allclose([actor(row) for row in seen[:200]], expected[:200], rtol=0, atol=1e-6)
     np.testing.assert_allclose(decided, expected, rtol=0, atol=1e-6)
 
@@ -83,6 +94,9 @@ def test_it_is_refused_where_layout_or_hand_differ(folder, env):
     (folder / "card.json").write_text(json.dumps(card | {"control_hz": 50}))
     with pytest.raises(PolicyError, match="control_hz was 50, and is 20"):
         read_onnx(folder, env)
+    (folder / "card.json").write_text(json.dumps(card | {"env_id": "HPAC-PickPlace-v0"}))
+    with pytest.raises(PolicyError, match="was trained on HPAC-PickPlace-v0, not on HPAC-Grasp-v0"):
+        read_onnx(folder, env)
     card["observation"].pop(0)
     (folder / "card.json").write_text(json.dumps(card))
     with pytest.raises(PolicyError, match="observation entry 0 was servo index_mcp"):
@@ -96,3 +110,43 @@ def test_a_damaged_export_ends_in_one_line(folder, env, name):
     with pytest.raises(PolicyError, match="is not an exported policy") as caught:
         read_onnx(folder, env)
     assert "\n" not in str(caught.value)
+
+
+def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tmp_path):
+    """The hub reads the YAML header, shows the result of the model index, and plays ``replay.mp4``."""
+    yaml = pytest.importorskip("yaml")
+    write_policy(tmp_path / "policy.zip", policy)
+    words = ["--policy", f"{tmp_path}/policy.zip", "--engine", "mujoco", "--episodes", "4", "--out", f"{tmp_path}/results.json"]
+    assert evaluate.main([*words, "--workers", "1", "--no-baselines"]) == 0
+    (tmp_path / "film.mp4").write_bytes(b"\0\0\0\x1cftypisom")
+    given = ["--evaluation", f"{tmp_path}/results.json", "--film", f"{tmp_path}/film.mp4"]
+    assert main(["export", f"{tmp_path}/policy.zip", "--out", f"{tmp_path}/out", *given]) == 0
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"README.md", "card.json", "model.onnx", "replay.mp4"}
+    _, header, page = (tmp_path / "out" / "README.md").read_text().split("---\n", 2)
+    told, judged = yaml.safe_load(header), json.loads((tmp_path / "results.json").read_text())
+    assert (told["library_name"], told["pipeline_tag"], told["license"]) == ("hpac_gym", "reinforcement-learning", "mit")
+    (result,) = told["model-index"][0]["results"]
+    assert result["dataset"]["name"] == "HPAC-Grasp-v0"
+    assert result["metrics"] == [{"type": "success_rate", "value": judged["policies"]["learned"]["success_rate"]}]
+    assert "| learned | 4 |" in page
+    words[1], words[-1] = f"{tmp_path}/out", f"{tmp_path}/again.json"
+    assert evaluate.main([*words, "--workers", "1", "--no-baselines"]) == 0
+    assert json.loads((tmp_path / "again.json").read_text())["policies"] == judged["policies"]
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("{trained} --evaluation {folder}/results.json", "evaluates other weights, 12ab…, than those of the policy, "),
+        ("{trained} --evaluation {trained}", "is not a result of agents.evaluate"),
+        ("{trained} --film {folder}/results.json", "is not an MP4 file"),
+        ("{trained} --film {folder}/none.mp4", "cannot read film"),
+    ],
+)
+def test_what_does_not_belong_to_the_policy_is_refused_before_anything_is_written(words, line, tmp_path, capsys):
+    results = {"policies": {"learned": {}}, "first_seed": 1, "last_seed": 2, "policy": {"sha256": "12ab"}}
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert main(["export", *words.format(trained=SHIPPED[0], folder=tmp_path).split(), "--out", f"{tmp_path}/out"]) == 2
+    assert line in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()

@@ -1,6 +1,10 @@
+import hashlib
+import io
 import json
+import re
 import zipfile
 from itertools import pairwise
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -9,6 +13,7 @@ import pytest
 from hpac_gym.policies import Actor, PolicyError, PolicyFile, read_policy, write_policy
 from hpac_gym.policies.loading import load_policy
 
+ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
 
 
@@ -110,3 +115,30 @@ def test_an_actor_with_a_hole_in_it_is_refused(policy, tmp_path):
     write_policy(tmp_path / "nan.zip", policy)
     with pytest.raises(PolicyError, match="arrays"):
         read_policy(tmp_path / "nan.zip")
+
+
+class Trap:
+    """Creates a file where it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def test_no_pickle_is_loaded_from_a_policy_file_nor_named_anywhere(path, tmp_path):
+    packed = io.BytesIO()
+    np.savez(packed, observation_mean=np.array([Trap(tmp_path / "sprung")], dtype=object))
+    sha256 = hashlib.sha256(packed.getvalue()).hexdigest()
+    rewrite(path, actor=lambda data: packed.getvalue(), policy=edit(sha256=sha256))
+    with pytest.raises(PolicyError, match="is not a policy file: Object arrays cannot be loaded"):
+        read_policy(path)
+    assert not (tmp_path / "sprung").exists()
+    packed.seek(0)
+    np.load(packed, allow_pickle=True)["observation_mean"]
+    assert (tmp_path / "sprung").exists(), "the trap works"
+    unsafe = re.compile(r"import pickle|pickle\.load|torch\.load|allow_pickle=True|joblib")
+    sources = [file for name in ("agents", "hpac_gym", "tools") for file in (ROOT / name).rglob("*.py")]
+    assert len(sources) > 100
+    assert [file for file in sources if unsafe.search(file.read_text(encoding="utf-8"))] == []
