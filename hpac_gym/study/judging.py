@@ -6,7 +6,7 @@ import numpy as np
 
 from hpac_gym.model import JOINTS, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
-from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
+from hpac_gym.study.processing import FAR, group_means, noise_of, without_drift
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, RecordError, Sweep, joints_of_servo
 
 LEAST_REST = 5
@@ -84,12 +84,6 @@ def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
     seen = (~np.isnan(values)).sum(axis=1)[:, None]
     medians = (np.take_along_axis(values, (seen - 1) // 2, 1) + np.take_along_axis(values, seen // 2, 1))[:, 0] / 2
     return group_means(sweep.servo[rows], place)[0], medians, measured - medians[place]
-
-
-def noise_of(deviations: Array) -> float:
-    """Robust standard deviation of samples about their point's median, ignoring NaN [rad]."""
-    seen = deviations[~np.isnan(deviations)]
-    return max(1.4826 * float(np.median(np.abs(seen))), LEAST_NOISE) if seen.size else LEAST_NOISE
 
 
 def _judged_joints(
