@@ -180,11 +180,11 @@ def _identified_hand(base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate,
             continue
         fit = fits[name]
         digits[name], friction[column], zero[column] = fit.swept.digit, fit.swept.friction, fit.swept.servo_zero
-        bounds, stops, root = dict(fit.samples.stops), fit.samples.stops, digits[name].joints[0]
+        bounds, joints = dict(fit.samples.stops), digits[name].joints
         statics = digit_statics(fit.swept.digit, fit.swept.friction)
-        for joint, slope, offset in zip(digits[name].joints, statics.slope, statics.offset, strict=True):
-            if joint in stops:  # the driven joint's range ends where any joint of its digit meets a stop
-                bounds[root] = min(bounds.get(root, np.inf), float((stops[joint] - offset) / slope))
+        met = [(bounds[joint] - statics.offset[i]) / statics.slope[i] for i, joint in enumerate(joints) if joint in bounds]
+        if met:  # the driven joint's range ends where any joint of its digit meets a stop
+            bounds[joints[0]] = float(min(met))
         for joint, angle in bounds.items():
             low, high = workspace[joint]
             if low < angle < high:

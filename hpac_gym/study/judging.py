@@ -123,10 +123,10 @@ def _judged_joints(
         from scipy import stats  # takes half a second to load
 
         ratio, wanted = max(float(stats.theilslopes(pair[:, 1], pair[:, 0]).slope), 1e-3), base.elastic_ratio[joint]
-        turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, the design's {wanted:.3f}"
+        turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, by design {wanted:.3f}"
         lag, error = lag_behind(sweep, segment, root, joint)
         if abs(np.log(ratio / wanted)) > np.log1p(RATIO_TOLERANCE):
-            faults.append(f"{where}: {turns} within {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?")
+            faults.append(f"{where}: {turns} ± {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?")
         elif lag < -CERTAIN * error:
             faults.append(
                 f"{where}: {SERVOS[swept]}, which the tendon pulls, lags behind {JOINTS[joint]} by {np.degrees(-lag):.2f} ± "
