@@ -17,9 +17,10 @@ from hpac_gym.errors import HpacError, ParameterError
 from hpac_gym.model import HPAC, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.parameters import Calibration
-from hpac_gym.model.settled import EXTENSION, FLEXION, settled_digit
+from hpac_gym.model.settled import EXTENSION, FLEXION, digit_statics, settled_digit
 from hpac_gym.progress import progress
 from hpac_gym.study.combinations import Combination, SweptDigit, combinations, digit_with, values
+from hpac_gym.study.processing import robust_deviation
 from hpac_gym.study.record import Sweep
 from hpac_gym.study.samples import DigitSamples, digit_samples
 
@@ -179,10 +180,11 @@ def _identified_hand(base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate,
             continue
         fit = fits[name]
         digits[name], friction[column], zero[column] = fit.swept.digit, fit.swept.friction, fit.swept.servo_zero
-        bounds = dict(fit.samples.stops)
-        if bounds:  # the driven joint's range ends when any joint of its digit meets a stop
-            reached = float(np.nanmax(fit.samples.joint_pos[:, 0])) if fit.samples.joint_pos.size else np.inf
-            bounds[digits[name].joints[0]] = min(bounds.get(digits[name].joints[0], np.inf), reached)
+        bounds, joints = dict(fit.samples.stops), digits[name].joints
+        statics = digit_statics(fit.swept.digit, fit.swept.friction)
+        met = [(bounds[joint] - statics.offset[i]) / statics.slope[i] for i, joint in enumerate(joints) if joint in bounds]
+        if met:  # the driven joint's range ends where any joint of its digit meets a stop
+            bounds[joints[0]] = float(min(met))
         for joint, angle in bounds.items():
             low, high = workspace[joint]
             if low < angle < high:
@@ -307,10 +309,9 @@ def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool
     count = len(prior.centre)
     start = np.concatenate([prior.centre, np.zeros(2 * fitted.joint_pos.shape[1])])
     first = problem.solve(start, 1.0).x
-    scatter = problem.misfit(first) / fitted.deviation[problem.seen]
-    scale = max(1.4826 * float(np.median(np.abs(scatter))), 1.0)
+    scale = max(robust_deviation(problem.misfit(first) / fitted.deviation[problem.seen]), 1.0)
     result = problem.solve(first, scale)
-    worst = 1.4826 * float(np.median(np.abs(problem.misfit(result.x))))
+    worst = robust_deviation(problem.misfit(result.x))
     if worst > WORST_FIT:
         raise IdentificationError(
             f"the model misses the points by {np.degrees(worst):.2g}°, more than {np.degrees(WORST_FIT):.2g}°"

@@ -6,7 +6,7 @@ import numpy as np
 
 from hpac_gym.model import JOINTS, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
-from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
+from hpac_gym.study.processing import FAR, group_means, noise_of, without_drift
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, RecordError, Sweep, joints_of_servo
 
 LEAST_REST = 5
@@ -86,12 +86,6 @@ def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
     return group_means(sweep.servo[rows], place)[0], medians, measured - medians[place]
 
 
-def noise_of(deviations: Array) -> float:
-    """Robust standard deviation of samples about their point's median, ignoring NaN [rad]."""
-    seen = deviations[~np.isnan(deviations)]
-    return max(1.4826 * float(np.median(np.abs(seen))), LEAST_NOISE) if seen.size else LEAST_NOISE
-
-
 def _judged_joints(
     sweep: Sweep, segment: np.ndarray, flexed: np.ndarray, swept: int, base: Hand
 ) -> tuple[list[str], list[str]]:
@@ -129,10 +123,10 @@ def _judged_joints(
         from scipy import stats  # takes half a second to load
 
         ratio, wanted = max(float(stats.theilslopes(pair[:, 1], pair[:, 0]).slope), 1e-3), base.elastic_ratio[joint]
-        turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, the design's {wanted:.3f}"
+        turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, by design {wanted:.3f}"
         lag, error = lag_behind(sweep, segment, root, joint)
         if abs(np.log(ratio / wanted)) > np.log1p(RATIO_TOLERANCE):
-            faults.append(f"{where}: {turns} within {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?")
+            faults.append(f"{where}: {turns} ± {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?")
         elif lag < -CERTAIN * error:
             faults.append(
                 f"{where}: {SERVOS[swept]}, which the tendon pulls, lags behind {JOINTS[joint]} by {np.degrees(-lag):.2f} ± "

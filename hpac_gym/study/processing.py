@@ -85,7 +85,7 @@ def near_neighbours(values: Array) -> np.ndarray:
     from scipy import ndimage
 
     off = np.abs(values - ndimage.median_filter(values, NEIGHBOURS, mode="nearest"))
-    return off <= max(FAR * 1.4826 * float(np.median(off)), LEAST_FAR)
+    return off <= max(FAR * robust_deviation(off), LEAST_FAR)
 
 
 def sampling_rate(time: Array) -> float:
@@ -151,10 +151,20 @@ def without_drift(sweep: Sweep) -> Sweep:
 
 def near_median(values: Array) -> np.ndarray:
     """Mask of the samples of a joint at rest within `FAR` robust standard deviations of their median; False for NaN."""
-    if np.isnan(values).all():
-        return np.zeros(len(values), dtype=bool)
-    off = np.abs(values - np.nanmedian(values))
-    return off <= FAR * max(1.4826 * float(np.nanmedian(off)), LEAST_NOISE)
+    seen = values[~np.isnan(values)]
+    off = values - np.median(seen) if seen.size else values
+    return np.abs(off) <= FAR * noise_of(off)
+
+
+def robust_deviation(values: Array) -> float:
+    """Standard deviation of normal values about zero from their median magnitude, without NaN; outliers hardly change it."""
+    seen = values[~np.isnan(values)]
+    return 1.4826 * float(np.median(np.abs(seen))) if seen.size else 0.0
+
+
+def noise_of(deviations: Array) -> float:
+    """Robust standard deviation of samples about their point's median [rad], at least `LEAST_NOISE`."""
+    return max(robust_deviation(deviations), LEAST_NOISE)
 
 
 def points(sweep: Sweep) -> Points:

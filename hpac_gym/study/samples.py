@@ -9,8 +9,8 @@ import numpy as np
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION
-from hpac_gym.study.judging import noise_of, point_medians
-from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, without_drift
+from hpac_gym.study.judging import point_medians
+from hpac_gym.study.processing import FAR, LEAST_NOISE, group_means, noise_of, without_drift
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep
 
 STOP_SLOPE = 0.3
