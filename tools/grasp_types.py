@@ -16,12 +16,14 @@ from typing import Any
 
 import numpy as np
 
+from hpac_gym.evaluation.agree import VARIATIONS
 from hpac_gym.evaluation.grasp_types import run_types
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import POSTURES
 from hpac_gym.output import markdown
 from hpac_gym.physics.engine import PARTS
+from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, data_text
@@ -41,11 +43,13 @@ def fingerprint(name: str) -> str:
 
 def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
     """Run episodes of one type in one set-up; returns successes, holds, failed clauses and contacting parts."""
-    engine, body = set_up.split("/")
+    engine, body, *variation = set_up.split("/")
+    world = VARIATIONS[variation[0]] if variation else WorldSettings()
     seeds = [HELD_OUT_SEED + index for index in range(episodes)]
     worlds = WORLDS if engine == "mujoco" else 1
     types = [GRASP_TYPES[name]] * episodes
-    trials = [trial for _, trial in run_types(types, seeds, engine=engine, body=body, randomize=hand, num_worlds=worlds)]
+    options = {"engine": engine, "body": body, "randomize": hand, "num_worlds": worlds, "world": world}
+    trials = [trial for _, trial in run_types(types, seeds, **options)]
     wins = [trial for trial in trials if trial.success]
     failed = Counter(clause for trial in trials if trial.held for clause, kept in trial.clauses.items() if kept < 1)
 
@@ -132,18 +136,24 @@ def main() -> None:
     parser.add_argument("-n", "--episodes", type=int, default=20, help="per type on the nominal hand (default: %(default)s)")
     parser.add_argument("-m", "--randomized", type=int, default=10, help="per type with randomization (default: %(default)s)")
     parser.add_argument("--hands", nargs="+", default=list(HANDS), choices=HANDS)
+    parser.add_argument("--set-ups", nargs="+", default=list(SET_UPS), metavar="ENGINE/BODY",
+                        choices=[*SET_UPS, *(f"{set_up}/{name}" for set_up in SET_UPS for name in VARIATIONS)],
+                        help="engines and bodies; ENGINE/BODY/VARIATION, physics as of hpac agree, is printed alone")
     parser.add_argument("--out", type=Path, default=RESULTS, help="file to update (default: %(default)s)")
     options = parser.parse_args()
     found = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
-    cells = [(name, set_up, hand) for name in options.types for hand in options.hands for set_up in SET_UPS]
+    cells = [(name, set_up, hand) for name in options.types for hand in options.hands for set_up in options.set_ups]
     for name, set_up, hand in progress(cells, "types"):
         entry, count = found.setdefault(name, {}), options.episodes if hand == "nominal" else options.randomized
         if entry.get("data") != fingerprint(name):
             entry.clear()
             entry["data"] = fingerprint(name)  # results for other data are invalid
-        entry.setdefault(hand, {})[set_up] = row = judge(name, set_up, hand, count)
+        row = judge(name, set_up, hand, count)
         print(f"{name} {hand} {set_up}: {row['successes']} of {row['episodes']}, held {row['held']}, "
               f"in touch {row['in_touch_at_the_start']} {row['failed_clauses_of_held']}", flush=True)  # fmt: skip
+        if set_up not in SET_UPS:
+            continue
+        entry.setdefault(hand, {})[set_up] = row
         ordered = {name: found[name] for name in GRASP_TYPES if name in found}
         options.out.write_text(text_of(ordered), encoding="utf-8")
 

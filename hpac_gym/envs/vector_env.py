@@ -19,7 +19,7 @@ from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceE
 from hpac_gym.model.checks import as_array
 from hpac_gym.tasks.task import RUNNING, Task
 
-ATTRIBUTES = ("action_space", "dt", "hand", "obs", "observation_space", "randomization", "render_mode", "spec", "task")
+ATTRIBUTES = ("action_space", "dt", "hand", "obs", "observation_space", "randomization", "render_mode", "slices", "spec", "task")
 """Attributes that `HandVectorEnv.get_attr` returns."""
 
 
@@ -73,6 +73,11 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._everywhere, self._running = np.ones(num_envs, dtype=bool), False
 
     episodes = property(open_episodes)
+
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Slices of an observation vector, by field name."""
+        return self.episodes.slices
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
 from hpac_gym.model import HPAC, action_from_synergy
+from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.tasks.grasp_types import GraspByType, GraspType
 from hpac_gym.tasks.scripted import CLOSE_TIME
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
@@ -52,6 +53,7 @@ class _Queue(GraspByType):
 def run_types(
     types: Sequence[GraspType], seeds: Sequence[int], *,
     engine: str = "pybullet", body: str = "twin", randomize: str = "nominal", num_worlds: int = 1,
+    world: WorldSettings = WorldSettings(),
 ) -> Iterator[tuple[int, TypeTrial]]:  # fmt: skip
     """Run one episode per type and seed, with a closure that moves straight to the type's posture.
 
@@ -61,7 +63,8 @@ def run_types(
         Index of the episode in `types`, and its result, in the order in which the episodes end.
     """
     task, worlds = _Queue(types), min(num_worlds, len(types))
-    episodes = Episodes(task, worlds, checked_options(engine=engine, body=body, randomize=randomize))
+    options = replace(checked_options(engine=engine, body=body, randomize=randomize), world=world)
+    episodes = Episodes(task, worlds, options)
     close_end = round(task.timetable.ends[0] * CONTROL_HZ)
     jobs, job = iter(range(len(types))), np.full(worlds, -1)
     steps, start, way = np.zeros(worlds, int), np.zeros((worlds, 6)), np.zeros((worlds, 6))

@@ -24,6 +24,7 @@ from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import Timetable, phase_at, wrist_table
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses
 from hpac_gym.tasks.task import (
+    CONTROL_HZ,
     FAILURE,
     RUNNING,
     SUCCESS,
@@ -110,6 +111,8 @@ class GraspAnyConfig:
 
     def __post_init__(self) -> None:
         check_bounds(self, "config")
+        if round(self.side_time * CONTROL_HZ, 6) % 1:  # sides are counted at the end of control steps
+            raise ParameterError(f"config side_time = {self.side_time} s must be a multiple of {1 / CONTROL_HZ:g} s")
 
     @property
     def ends(self) -> tuple[float, ...]:

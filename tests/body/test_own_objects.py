@@ -18,6 +18,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.simulation import ENGINES, make_engine
+from tests.envs.episodes import run
 
 L_SHAPE = [(0, 0), (60, 0), (60, 20), (20, 20), (20, 80), (0, 80)]
 """Corners of an L in the xz-plane [mm]: a foot and a shaft, both 20 thick."""
@@ -268,17 +269,7 @@ def test_the_hand_grasps_it_with_the_scripted_closure(engine, ell, decomposed):
     spec = own_object(ell, mass=0.08, friction=0.9, scale=0.001, folder=decomposed)
     assert isinstance(spec, ObjectSpec)
     with gymnasium.make("HPAC-Grasp-v0", object=spec, engine=engine) as env:
-        assert any(_is_won(env, seed) for seed in range(6))
-
-
-def _is_won(env: gymnasium.Env, seed: int) -> bool:
-    env.reset(seed=seed)
-    closure, over = ScriptedClosure(), False
-    closure.reset()
-    while not over:
-        _, _, terminated, truncated, info = env.step(closure.act(None))
-        over = terminated or truncated
-    return info["is_success"]
+        assert any(run(env, ScriptedClosure(), seed=seed)[0][-1]["is_success"] for seed in range(6))
 
 
 def test_a_dictionary_makes_the_same_environment_and_survives_json(ell, decomposed):

@@ -15,6 +15,19 @@ EASY = SceneSetup(
 """A cylinder in a good place."""
 
 
+OPEN = np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
+"""Action of the open hand, its thumb opposed."""
+
+
+class Still:
+    """Keeps the hand open."""
+
+    def reset(self) -> None: ...
+
+    def act(self, observation):
+        return OPEN
+
+
 def a_setup(**change) -> SceneSetup:
     """An easy cylinder, with some of its properties changed."""
     return replace(EASY, object=replace(EASY.object, **change))

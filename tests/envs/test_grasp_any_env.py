@@ -8,12 +8,16 @@ import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.hands import hand_set
+from hpac_gym.body.object_sets import SPLITS
+from hpac_gym.envs.episodes import Episodes
+from hpac_gym.envs.options import checked_options
 from hpac_gym.errors import HpacError, ShapeError, WorkspaceError
+from hpac_gym.evaluation.seeds import BENCHMARK_SEED
 from hpac_gym.model import HPAC, action_from_synergy
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.tasks import placing
-from hpac_gym.tasks.grasp_any import PHASES, RAMP, SIDE_DIRECTIONS, SIDES, GraspAny, GraspAnyConfig
+from hpac_gym.tasks.grasp_any import HANDS, PHASES, RAMP, SIDE_DIRECTIONS, SIDES, GraspAny, GraspAnyConfig
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.tasks.terms import GRASP_CENTRE
 from tests.envs.episodes import a_setup
@@ -168,6 +172,40 @@ def test_no_hand_starts_inside_of_anything():
                 assert np.linalg.norm(state.object_pos - place) < 2e-3, f"{split} {seed}"
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("objects", SPLITS)
+@pytest.mark.parametrize("hands", HANDS)
+def test_where_a_hand_starts_in_something(objects, hands):
+    """The wrist is placed for the nominal hand, which is free; of longer ones the thumb may start in the board, and then knock
+    the object while the hand rests for 0.4 s. Prints a row."""
+    count, deep = 256, {"object": [], "support": []}
+    episodes = Episodes(GraspAny(objects, hands=hands), count, checked_options(engine="mujoco"))
+    episodes.reset(range(count), [np.random.default_rng(BENCHMARK_SEED + world) for world in range(count)])
+    for world in range(count):
+        model, data = episodes.simulation.engine.single(world)
+        found = dict.fromkeys(deep, 0.0)
+        for contact in data.contact:
+            names = {model.body(model.geom_bodyid[geom]).name for geom in contact.geom}
+            if names & set(deep) and names - set(deep):
+                other = (names & set(deep)).pop()
+                found[other] = max(found[other], -1e3 * contact.dist)
+        for name, depth in found.items():
+            deep[name].append(depth)
+    start, rest = episodes.now.state.object_pos, action_from_synergy(episodes.setups[0].synergy)
+    for _ in range(8):
+        episodes.step(np.tile(rest, (count, 1)))
+    knocked = np.linalg.norm(episodes.now.state.object_pos - start, axis=1) > 2e-3
+    episodes.close()
+    within, touching = (np.array(deep[name]) > 0 for name in ("support", "object"))
+    shares = [within.mean(), knocked[within].sum() / max(within.sum(), 1), knocked[~within].mean(), touching.mean()]
+    depths = [f"{max(deep[name]):.1f} mm" for name in deep]
+    print("", objects, hands, *(f"{share:.1%}" for share in shares), *depths, "", sep=" | ")
+    assert max(deep["object"]) < 5.0
+    assert touching.mean() <= 0.02
+    assert knocked[~within].mean() <= 0.02
+    assert not within.any() if hands == "nominal" else 0.1 < within.mean() < 0.35
+
+
 def test_the_first_action_moves_a_free_wrist_and_later_ones_do_not():
     with make(wrist="free", obs="privileged") as env:
         assert env.action_space.shape == (10,)
@@ -222,6 +260,7 @@ def test_a_bad_action_of_a_free_wrist_says_so(action, error, match):
         ({"wrist": "loose"}, ("loose", "script, free")),
         ({"hands": "left"}, ("left", "nominal, train, test")),
         ({"obs": "touch"}, ("touch", "load, points")),
+        ({"config": {"side_time": 0.07}}, ("side_time = 0.07 s must be a multiple of 0.05 s",)),
         ({"config": {"width": [0.5, 0.6]}}, ("width = (0.5, 0.6) m", "flattest = 0.018 m", "exclude all train objects")),
     ],
 )

@@ -10,7 +10,7 @@ from hpac_gym.errors import EpisodeError
 from hpac_gym.model import HPAC
 from hpac_gym.tasks.grip import MAX_SLIP
 from hpac_gym.tasks.phases import PHASES, Timetable, wrist_table
-from tests.envs.episodes import a_setup, run
+from tests.envs.episodes import Still, a_setup, run
 
 ID = "HPAC-Grasp-v0"
 
@@ -19,15 +19,6 @@ ID = "HPAC-Grasp-v0"
 def env():
     with gymnasium.make(ID) as made:
         yield made
-
-
-class Still:
-    """Keeps the hand open."""
-
-    def reset(self) -> None: ...
-
-    def act(self, observation):
-        return np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
 
 
 class Opens(ScriptedClosure):

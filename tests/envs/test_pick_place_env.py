@@ -11,23 +11,15 @@ from hpac_gym.envs import HandEnv, PickPlace, ScriptedClosure, ScriptedPickPlace
 from hpac_gym.errors import ParameterError
 from hpac_gym.tasks.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
-from tests.envs.episodes import part, run
+from tests.envs.episodes import OPEN, Still, part, run
 
 ID = "HPAC-PickPlace-v0"
-OPEN = np.array([-1, -1, -1, -1, -1, 0.5], np.float32)
 
 
 @pytest.fixture(scope="module")
 def env():
     with gymnasium.make(ID) as made:
         yield made
-
-
-class Still:
-    def reset(self) -> None: ...
-
-    def act(self, observation):
-        return OPEN
 
 
 class NeverOpens(ScriptedPickPlace):

@@ -80,6 +80,8 @@ def _plain(value):
 def test_attributes_and_methods_reach_the_environments_that_are_named():
     envs = HandVecEnv(GRASP, 3, engine="mujoco")
     assert envs.get_attr("obs") == ["deploy"] * 3
+    with gymnasium.make(GRASP, engine="mujoco") as env:
+        assert envs.get_attr("slices") == [env.unwrapped.slices] * 3
     assert envs.has_attr("task")
     assert not envs.has_attr("nonsense")
     envs.set_attr("randomization", "full", indices=[0, 2])
