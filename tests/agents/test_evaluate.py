@@ -78,8 +78,8 @@ def test_json_is_one_object_on_standard_output(capsys, tmp_path):
 
 
 def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
-    words = ["--policy", "hpac_gym.evaluation.closures:Blind", "--engine", "mujoco", "--episodes", "2", "--workers", "1", "--json"]
-    assert main([*words, "--no-baselines"]) == 0
+    words = ["--policy", "hpac_gym.evaluation.closures:Blind", "--engine", "mujoco", "--episodes", "2", "--workers", "1"]
+    assert main([*words, "--no-baselines", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert (printed["policies"]["learned"]["episodes"], "policy" in printed) == (2, False)
 
