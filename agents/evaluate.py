@@ -29,7 +29,7 @@ from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.closures import scale_of
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
+from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import Policy
@@ -269,11 +269,7 @@ def failures_by_phase(episodes: Sequence[Episode]) -> Counter[str]:
 def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     wins = sum(episode.success for episode in episodes)
     returns = [episode.total_reward for episode in episodes]
-    return {
-        "episodes": len(episodes),
-        "successes": wins,
-        "success_rate": wins / len(episodes),
-        "interval_95": list(wilson_interval(wins, len(episodes))),
+    return success_counts(wins, len(episodes)) | {
         "return_mean": float(np.mean(returns)),
         "return_std": float(np.std(returns)),
         "steps_mean": float(np.mean([episode.steps for episode in episodes])),

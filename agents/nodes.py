@@ -39,6 +39,11 @@ WAIT_S = 1.0
 """Longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training."""
 SILENCE_S = 60.0
 """Time without a chunk after which a message is printed [s]."""
+QUIET = {
+    "RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
+}  # fmt: skip
+"""Settings of Ray, read at its import: no usage reports, and no messages of its own, such as fifty lines about a lost node."""
 
 
 def connected() -> Any:
@@ -47,9 +52,8 @@ def connected() -> Any:
     Raises:
         RunError: Ray is not installed, or the cluster does not answer.
     """
-    # Disable usage reports, and messages about metrics and accelerators.
-    for name, value in {"USAGE_STATS_ENABLED": "0", "BACKEND_LOG_LEVEL": "fatal", "ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}.items():
-        os.environ.setdefault(f"RAY_{name}", value)
+    for name, value in QUIET.items():
+        os.environ.setdefault(name, value)
     try:
         import ray
     except ImportError:

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import gymnasium
 import numpy as np
-from tqdm import tqdm
 
 from agents.command import RunError, command_parser
 from agents.evaluate import task_of
@@ -31,6 +30,7 @@ from hpac_gym.model import SERVOS, ServoCommand, move_duration
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.progress import progress
 from hpac_gym.tasks.task import CONTROL_HZ
 
 PULSE_TOLERANCE = 2e-4
@@ -126,8 +126,7 @@ def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report:
         FaultError: The watchdog tripped three times in one episode.
     """
     commands = {}
-    bar = tqdm(seeds, desc="replaying", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
-    for seed in bar:
+    for seed in progress(seeds, "replaying"):
         for attempt in range(ATTEMPTS):
             try:
                 report.successes += _run_episode(policy, env, wire, seed)
@@ -138,7 +137,6 @@ def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report:
                 report.watchdog_stops += 1
         commands[seed] = wire.arrived
         report.episodes += 1
-        bar.set_postfix_str(f"{report.successes} of {report.episodes} held")
     return commands
 
 
@@ -160,8 +158,7 @@ def film(
     rest: Iterator[ServoCommand] = iter(())
     env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options)
     actor = load_policy(policy, env)
-    shown = tqdm(commands.items(), desc="filming", unit="episode", disable=not sys.stderr.isatty(), dynamic_ncols=True)
-    for seed, received in shown:
+    for seed, received in progress(commands.items(), "filming"):
         sheet.begin_row()
         rest, phase, picture = iter(received), None, None
         for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):

@@ -21,7 +21,7 @@ from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.envs.options import GRASP
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import paired_difference, wilson_interval
+from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown
 from hpac_gym.physics.mjcf import TORSION
@@ -170,8 +170,7 @@ def _variant(name: str) -> Variant:
 
 
 def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
-    wins = sum(trial.success for trial in trials)
-    return {"successes": wins, "episodes": len(trials), "interval_95": list(wilson_interval(wins, len(trials)))}
+    return success_counts(sum(trial.success for trial in trials), len(trials))
 
 
 def table(result: dict[str, Any]) -> str:
@@ -181,7 +180,7 @@ def table(result: dict[str, Any]) -> str:
     rows, by_shape = [], []
     for row in result["set_ups"]:
         rate, (low, high) = row["success"], row["success"]["interval_95"]
-        cells = [row["set_up"], f"{rate['successes'] / rate['episodes']:.1%}", f"{low:.1%} … {high:.1%}"]
+        cells = [row["set_up"], f"{rate['success_rate']:.1%}", f"{low:.1%} … {high:.1%}"]
         if "difference" in row:
             low, high = row["interval_95"]
             cells += [f"{100 * row['difference']:+.1f}", f"{100 * low:+.1f} … {100 * high:+.1f}", f"{row['agree']:.1%}"]

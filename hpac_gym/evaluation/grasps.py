@@ -20,7 +20,7 @@ from hpac_gym.envs import GRASPS, NOMINAL
 from hpac_gym.envs.options import GRASP
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import Policy
@@ -71,10 +71,7 @@ class Row:
             "family": grasp.family,
             "object": (grasp.variant(self.variant).object or grasp.object).about,
             "policy": self.policy,
-            "episodes": len(self.trials),
-            "successes": len(wins),
-            "success_rate": len(wins) / len(self.trials),
-            "interval_95": list(wilson_interval(len(wins), len(self.trials))),
+            **success_counts(len(wins), len(self.trials)),
             "hold_force_newton": float(np.mean(forces)) if forces else None,
             "drops_by_phase": dict(Counter(trial.phase for trial in self.trials if not trial.success).most_common()),
         }

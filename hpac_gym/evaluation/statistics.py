@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from math import sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +27,12 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     half = z / scale * sqrt(rate * (1 - rate) / trials + z**2 / (4 * trials**2))
     # At the ends the exact bound is 0 or 1; rounding would leave it 1e-17 away.
     return (0.0 if successes == 0 else centre - half, 1.0 if successes == trials else centre + half)
+
+
+def success_counts(successes: int, episodes: int) -> dict[str, Any]:
+    """Counts, rate and Wilson interval, by the names that they have in the JSON of every evaluation."""
+    interval = list(wilson_interval(successes, episodes))
+    return {"episodes": episodes, "successes": successes, "success_rate": successes / episodes, "interval_95": interval}
 
 
 def rate_text(successes: int, trials: int) -> str:

@@ -77,6 +77,13 @@ def test_json_is_one_object_on_standard_output(capsys, tmp_path):
     assert (printed["env_id"], printed["first_seed"]) == (TINY, HELD_OUT_SEED)
 
 
+def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
+    words = ["--policy", "hpac_gym.evaluation.closures:Blind", "--engine", "mujoco", "--episodes", "2", "--workers", "1"]
+    assert main([*words, "--no-baselines", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["policies"]["learned"]["episodes"], "policy" in printed) == (2, False)
+
+
 def test_the_options_of_an_environment_are_passed_on_and_one_that_it_lacks_is_told():
     with pytest.raises(TaskError, match="with objects, types: Tiny"):
         main(["--policy", "random", "--env", TINY, "--objects", "real", "--types", "hook"])
