@@ -1,7 +1,8 @@
 """Collect trials on other machines with Ray Core: collectors on its nodes try closures for one learner.
 
 A collector has its own worlds and seeds. It gets the learner's networks and scaling as plain arrays, tries closures until a
-chunk of trials is complete, and returns the numbered chunk. A chunk whose collector or node fails is never added.
+chunk of trials is complete, and returns the chunk. Each call has one result, which is added once; that of a collector or node
+that fails is never added.
 
 ``python -m agents.nodes grasp --seeds 5 --out runs/sweep`` trains complete runs on the nodes instead, one per seed.
 """
@@ -17,7 +18,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -72,39 +72,6 @@ def knowledge(learner: Learner) -> dict[str, Any]:
     return arrays | {"mean": learner.mean, "scale": learner.scale, "updates": learner.updates}
 
 
-class Ledger:
-    """Record of the requested chunks, by number; each chunk counts once.
-
-    Attributes:
-        added: number of trials of each added chunk, by chunk number.
-    """
-
-    def __init__(self) -> None:
-        self.added: dict[int, int] = {}
-        self._numbers, self._open = count(), set[int]()
-
-    def ask(self) -> int:
-        """Register a new chunk and return its number."""
-        number = next(self._numbers)
-        self._open.add(number)
-        return number
-
-    def add(self, number: int, trials: int) -> None:
-        """Record a received chunk.
-
-        Raises:
-            RunError: The chunk was added or given up before, or never requested.
-        """
-        if number not in self._open:
-            raise RunError(f"chunk {number} was added or given up before, or never asked for: its {trials} trials are not added")
-        self._open.remove(number)
-        self.added[number] = trials
-
-    def lose(self, number: int) -> None:
-        """Give up a chunk that was lost."""
-        self._open.remove(number)
-
-
 class Collector:
     """The worlds of a node with a copy of the learner that decides in them. Ray runs it in a separate process.
 
@@ -127,8 +94,8 @@ class Collector:
         self._learner.reseed(seed)
         self._least = recipe.num_envs
 
-    def collect(self, number: int, known: dict[str, Any]) -> tuple[int, tuple[np.ndarray, ...], int, float]:
-        """Collect a chunk: its number, its trials as arguments of `Trials.add`, its control steps and its processor time [s]."""
+    def collect(self, known: dict[str, Any]) -> tuple[tuple[np.ndarray, ...], int, float]:
+        """Collect a chunk: its trials as arguments of `Trials.add`, its control steps and its processor time [s]."""
         learner, begun = self._learner, time.process_time()
         for network, arrays in ((learner.actor, known["actor"]), (learner.critics, known["critics"])):
             network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
@@ -140,7 +107,7 @@ class Collector:
                 parts.append(worlds.step(learner))
                 steps += worlds.steps
         trials = tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-        return number, trials, steps, time.process_time() - begun
+        return trials, steps, time.process_time() - begun
 
 
 class Collectors:
@@ -157,7 +124,7 @@ class Collectors:
     Attributes:
         observed, deployed, phases: as in `Worlds`.
         steps: control steps of the chunk that the last `step` received.
-        ledger: record of the chunks.
+        trials: number of added trials of each collector.
     """
 
     def __init__(self, recipe: Recipe, count: int, done: int = 0) -> None:
@@ -170,10 +137,9 @@ class Collectors:
         self._recipe, self._done, self._begun = recipe, done, 0
         self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)
         self._idle = [self._start() for _ in range(count)]
-        self._running: dict[Any, tuple[int, int, Any]] = {}
+        self._running: dict[Any, tuple[int, Any]] = {}
         self._heard = self._started = time.monotonic()
-        self._trials, self._seconds, self.steps = Counter[int](), Counter[int](), 0
-        self.ledger = Ledger()
+        self.trials, self._seconds, self.steps = Counter[int](), Counter[int](), 0
 
     def _start(self) -> tuple[int, Any]:
         place = self._begun
@@ -197,8 +163,7 @@ class Collectors:
         if self._idle:
             known = self._ray.put(knowledge(learner))
             for place, collector in self._idle:
-                number = self.ledger.ask()
-                self._running[collector.collect.remote(number, known)] = number, place, collector
+                self._running[collector.collect.remote(known)] = place, collector
             self._idle.clear()
         if meanwhile:
             meanwhile()
@@ -211,21 +176,19 @@ class Collectors:
 
     def _received(self, reference: Any) -> tuple[np.ndarray, ...]:
         errors = self._ray.exceptions
-        number, place, collector = self._running.pop(reference)
+        place, collector = self._running.pop(reference)
         self._heard = time.monotonic()
         try:
-            number, trials, self.steps, seconds = self._ray.get(reference)
+            trials, self.steps, seconds = self._ray.get(reference)
         except errors.RayError as error:
             if isinstance(error, errors.RayTaskError) or getattr(error, "actor_init_failed", False):
                 raise RunError(f"collector {place} failed: {f'{error}'.strip().splitlines()[-1]}") from error
-            self.ledger.lose(number)
             self._ray.kill(collector)
             self._idle.append(self._start())
-            _say(f"collector {place} is lost, and chunk {number} with it ({type(error).__name__}): collector "
-                 f"{self._begun - 1} takes its place where a processor is free")  # fmt: skip
+            _say(f"collector {place} is lost, and its chunk with it ({type(error).__name__}): collector {self._begun - 1} "
+                 "takes its place where a processor is free")  # fmt: skip
             return self._none
-        self.ledger.add(number, len(trials[0]))
-        self._trials[place] += len(trials[0])
+        self.trials[place] += len(trials[0])
         self._seconds[place] += seconds
         self._idle.append((place, collector))
         return trials
@@ -233,7 +196,7 @@ class Collectors:
     def close(self) -> None:
         """End the collectors, and print the number of trials of each."""
         passed = time.monotonic() - self._started
-        for place, trials in sorted(self._trials.items()):
+        for place, trials in sorted(self.trials.items()):
             _say(f"collector {place}: {trials:,} trials, {trials / passed:.1f}/s, "
                  f"{trials / self._seconds[place]:.1f} per second of processor time")  # fmt: skip
         self._ray.shutdown()
