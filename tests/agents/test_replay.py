@@ -25,9 +25,7 @@ def film_the_beginning(policy, env_id, options, commands, *rest) -> None:
 FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
 
 
-@pytest.mark.parametrize(
-    "arguments", [(), ("--virtual",), FREE_WRIST], ids=["host process on a pty", "in process", "from a preshape, in process"]
-)
+@pytest.mark.parametrize("arguments", [(), FREE_WRIST], ids=["host process on a pty", "in process, from a preshape"])
 def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, monkeypatch, arguments):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     report = replayed(tmp_path, *arguments)

@@ -71,7 +71,7 @@ def folder(tmp_path_factory) -> Path:
         ("--policy best", "no policy file 'best', and not one of the baselines random, scripted"),
         ("--policy {folder}/file", "is damaged"),
         ("--policy {folder}/cut.zip", "is damaged"),
-        ("--policy {folder}", "cannot read policy file"),
+        ("--policy {folder}", "is not an exported policy"),
         ("--grasps rods", "no grasp 'rods'; there are 16, among them rod"),
         ("--grasps rod --variant huge", "has no variant 'huge'"),
         ("--episodes 0", "'0' is not a whole number of at least 1 (see hpac grasps --help)"),
