@@ -203,7 +203,7 @@ UPDATES = 80
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Episodes in which the script closes the hand, run with each of the choices.
+    """Episodes in which the hand has closed, run with each of the choices.
 
     Attributes:
         seen: observations at the steps `LOOKS`, shape (n, len(LOOKS), observed).
@@ -347,7 +347,8 @@ def touch(episodes: int, folder: Path, first: str, varied_hands: bool) -> Iterat
     known = arms(trained.seen, player.task)
     asked = arms(np.concatenate([part.seen for part in parts]), player.task)
     best = [int(trained.won[run].mean(0).argmax()) for run in runs]
-    won = {"nothing: keep": np.tile(judged[:, 0], (RUNS, 1)), "nothing: what was best in training": judged[:, best].T}
+    won = {f"nothing: {choice}": np.tile(held, (RUNS, 1)) for choice, held in zip(CHOICES, judged.T, strict=True)}
+    won["nothing: what was best in training"] = judged[:, best].T
     loss = {}
     for name in known:
         odds = np.array([chances(known[name][run], trained.won[run], asked[name], seed) for seed, run in enumerate(runs)])
