@@ -90,6 +90,12 @@ def latest_checkpoint(folder: Path) -> Path | None:
     return max(found, default=None)
 
 
+def saved_trials(folder: Path) -> int:
+    """Number of trials in the latest complete checkpoint in a folder; 0 without one."""
+    path = latest_checkpoint(folder)
+    return int(path.name.removeprefix(_PREFIX)) if path else 0
+
+
 def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
     """Load a checkpoint into a learner of the same recipe; returns the state saved with it.
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from agents.command import command_parser, minutes
-from agents.evaluate import DEFAULT_TASK, LEARNED, evaluate
+from agents.evaluate import DEFAULT_TASK, LEARNED, evaluate, task_of
 from agents.tasks import POLICY
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -34,7 +34,7 @@ RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '
 def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: int) -> Iterator[dict[str, Any]]:
     """The cells of the table, as they are completed."""
     for policy in policies:
-        env_id = DEFAULT_TASK if policy in BASELINES else read_policy(policy).about["env_id"]
+        env_id = task_of(policy)
         for engine, body in (set_up.split("/") for set_up in SET_UPS):
             if engine == "pybullet" and default_engine() != "pybullet":
                 continue  # not installed; the command reports it

@@ -46,13 +46,13 @@ def train(
     # Imported here: loading PyTorch takes seconds, which a mistyped argument should not cost.
     import torch
 
-    from agents.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint
+    from agents.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint, saved_trials
     from agents.closures import Learner, worlds_of
     from agents.curves import report
 
     torch.set_num_threads(1)
     checkpoint = latest_checkpoint(out) if resume else None
-    done = int(checkpoint.name.rpartition("-")[2]) if checkpoint else 0
+    done = saved_trials(out) if resume else 0
     if nodes:
         from agents.nodes import Collectors
 

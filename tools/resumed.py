@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from agents import reproduce
-from agents.checkpoints import latest_checkpoint
+from agents.checkpoints import saved_trials
 from agents.command import RunError, command_parser
 from agents.tasks import POLICY
 from hpac import run, whole_number
@@ -36,19 +36,13 @@ def train(out: Path, seed: int, trials: int, kills: int) -> None:
     for part in range(kills + 1):
         words = [*(["--resume"] if part else fresh), "--out", out]
         process = subprocess.Popen([sys.executable, "-m", "agents.train", *map(str, words)], stderr=subprocess.DEVNULL)
-        while part < kills and saved(out) * (kills + 1) < trials * (part + 1) and process.poll() is None:
+        while part < kills and saved_trials(out) * (kills + 1) < trials * (part + 1) and process.poll() is None:
             time.sleep(0.1)
         if part < kills and process.poll() is None:
             time.sleep(LATER_S)
             process.kill()
         if process.wait() != (-9 if part < kills else 0):
-            raise RunError(f"the training in '{out}' ended with status {process.returncode} after {saved(out):,} trials")
-
-
-def saved(out: Path) -> int:
-    """Number of trials in the last checkpoint."""
-    path = latest_checkpoint(out)
-    return int(path.name.rpartition("-")[2]) if path else 0
+            raise RunError(f"the training in '{out}' ended with status {process.returncode} after {saved_trials(out):,} trials")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -63,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     for seed in range(args.seeds):
         for name, done in cells.items():
             out = args.out / f"{name}-{seed}"
-            if saved(out) < args.trials:
+            if saved_trials(out) < args.trials:
                 train(out, seed, args.trials, kills=2 if name == "resumed" else 0)
             done.append(reproduce.judged_run(name, seed, str(out / POLICY), args.episodes, HELD_OUT_SEED, 1))
             print(reproduce.race_row(done[-1]), flush=True)

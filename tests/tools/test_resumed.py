@@ -2,6 +2,7 @@
 
 import pytest
 
+from agents.checkpoints import saved_trials
 from agents.command import RunError
 from agents.progress import read_curve
 from tools import resumed
@@ -13,7 +14,7 @@ def test_a_training_is_killed_and_ends_with_all_its_trials(tmp_path, monkeypatch
     monkeypatch.setattr(resumed, "SETTINGS", small)
     monkeypatch.setattr(resumed, "LATER_S", 0.5)
     resumed.train(tmp_path / "killed", seed=0, trials=200, kills=1)
-    assert resumed.saved(tmp_path / "killed") == 200
+    assert saved_trials(tmp_path / "killed") == 200
     assert (read_curve(tmp_path / "killed" / "progress.csv")["episodes"] == 200).sum() == 1
     monkeypatch.setattr(resumed, "LATER_S", 20.0)
     with pytest.raises(RunError, match="ended with status 0 after 20 trials"):
