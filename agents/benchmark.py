@@ -1,4 +1,4 @@
-"""The benchmark's protocol: ``python -m agents.benchmark HPAC-GraspAny-v0 --policy NAME --out FILE``.
+"""The benchmark's protocol: ``python -m agents.benchmark HPAC-GraspAny-v1 --policy NAME --out FILE``.
 
 Evaluates a policy on every split of an environment, with fixed seeds, and writes a results file. A trained method needs five
 runs of one budget: ``{seed}`` in the name of its policy stands for 0 to 4. An untrained policy has one run. An interrupted call

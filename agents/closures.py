@@ -41,10 +41,12 @@ from hpac_gym.tasks.terms import Layout
 SHORT = GraspAnyConfig(
     timetable=Timetable(close_time=1.6, clearance=Timetable().lift_height), side_time=1 / CONTROL_HZ, ramp_time=1 / CONTROL_HZ
 )
-"""HPAC-GraspAny-v0 without the time that a single closure does not use, and without the phases after success."""
+"""HPAC-GraspAny-v1 without the time that a single closure does not use, and without the phases after success."""
+SIZES = (0.6, 1.6)
+"""Factors of the objects' sizes in the training for HPAC-GraspAny-v1, so that a policy learns more than its 200 objects."""
 TASKS = {
     GRASP: grasp_task,
-    GRASP_ANY: partial(GraspAny, config=SHORT),
+    GRASP_ANY: partial(GraspAny, config=replace(SHORT, size=SIZES)),
     GRASP_TYPE: partial(GraspByType, types="train"),
     PICK_PLACE: PickPlace,
 }

@@ -45,8 +45,8 @@ OPTIONS = {
     "engine": "pybullet or mujoco",
     "body": "twin or light",
     "randomize": "nominal, hand, link or full",
-    "objects": "HPAC-GraspAny-v0: train, test or real; HPAC-GraspType-v0: train or test",
-    "hands": "HPAC-GraspAny-v0: nominal, train or test",
+    "objects": "HPAC-GraspAny-v1: train, test or real; HPAC-GraspType-v0: train or test",
+    "hands": "HPAC-GraspAny-v1: nominal, train or test",
     "types": "HPAC-GraspType-v0: all, train, test or the name of a type",
 }
 """Options of the environment that the command offers, and their values."""

@@ -20,6 +20,13 @@ else:
         entry_point="hpac_gym.envs:grasp_any",
         vector_entry_point="hpac_gym.envs:grasp_any_vector",
         max_episode_steps=145,
+        kwargs={"clear": False},
+    )
+    register(
+        id="HPAC-GraspAny-v1",
+        entry_point="hpac_gym.envs:grasp_any",
+        vector_entry_point="hpac_gym.envs:grasp_any_vector",
+        max_episode_steps=145,
     )
     register(
         id="HPAC-GraspType-v0",

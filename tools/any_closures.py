@@ -1,4 +1,4 @@
-"""Headroom of HPAC-GraspAny-v0: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
+"""Headroom of HPAC-GraspAny-v1: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
 
 ``script`` searches better closures for the script, on training objects. ``ceiling`` counts the episodes of a split that at
 least one closure holds. ``touch`` learns from each observation of a closed hand whether to close again, with and without
@@ -12,7 +12,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple, dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -230,9 +230,9 @@ def trials_of(player: Player, first: str, seeds: range, folder: Path) -> Trials:
     return Trials(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def by_policy(task: GraspAny, seen: NDArray) -> Closing:
-    """The closures that the policy decides on first observations."""
-    policy, deployed = read_policy(POLICY), Layout(task.terms, 1).space.shape[0]
+def by_policy(task: GraspAny, seen: NDArray, file: Path = POLICY) -> Closing:
+    """The closures that a policy decides on first observations."""
+    policy, deployed = cached_policy(file), Layout(task.terms, 1).space.shape[0]
     decisions = np.array([policy.actor(row[:deployed]) for row in seen])
     return lambda step: policy.closures.actions(decisions, np.full(len(seen), step)).astype(np.float32)
 
@@ -245,6 +245,7 @@ def by_script(task: GraspAny, seen: NDArray) -> Closing:
     return lambda step: np.array([script.act(row) for script, row in zip(scripts, seen, strict=True)])
 
 
+cached_policy = cache(read_policy)
 FIRST = {"policy": by_policy, "script": by_script}
 """Who decides on the first closure."""
 

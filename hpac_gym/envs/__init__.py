@@ -118,10 +118,11 @@ def pick_place_task(config: PickPlaceConfig | Mapping | None = None) -> Task:
 
 
 def grasp_any_task(
-    objects: str = "train", wrist: str = "script", hands: str = "nominal", config: GraspAnyConfig | Mapping | None = None
-) -> Task:
-    """The task of `HPAC-GraspAny-v0`; the first three as for `GraspAny`, `config` and errors as for `grasp_task`."""
-    return _fitting(GraspAny(objects, wrist, hands, settings_from(GraspAnyConfig(), config, "config")), GRASP_ANY)
+    objects: str = "train", wrist: str = "script", hands: str = "nominal", config: GraspAnyConfig | Mapping | None = None,
+    clear: bool = True,
+) -> Task:  # fmt: skip
+    """The task of `HPAC-GraspAny-v1`; `config` and errors as for `grasp_task`, the others as for `GraspAny`."""
+    return _fitting(GraspAny(objects, wrist, hands, settings_from(GraspAnyConfig(), config, "config"), clear), GRASP_ANY)
 
 
 def grasp_type_task(

@@ -27,9 +27,11 @@ from hpac_gym.tasks.grasp_types import WRISTS as TYPE_WRISTS
 from hpac_gym.tasks.task import Task
 
 RENDER_MODES = ["human", "rgb_array"]
-GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
-    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
+GRASP, GRASP_ANY_V0, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
+    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspAny-v1", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0",
+    "HPAC-Posture-v1",
 )  # fmt: skip
+_ANY = GRASP_ANY_V0, GRASP_ANY
 _SETUP_ARRAYS = {"position": 3, "synergy": 6, "hand_quaternion": 4, "object_quaternion": 4, "target": 3}
 
 
@@ -54,12 +56,12 @@ OPTIONS = (
     Option("variant", (NOMINAL, "large", "small", "heavy", "slippery", "shape"), NOMINAL, "variant of a named grasp's object",
            ids=(GRASP,)),
     Option("objects", SPLITS, "train", "split from which objects are drawn; the other two must not be used in training",
-           ids=(GRASP_ANY,)),
+           ids=_ANY),
     Option("hands", HANDS, "nominal", "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
            "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
-           ids=(GRASP_ANY,)),
+           ids=_ANY),
     Option("wrist", WRISTS, "script", "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
-           "episode move it, by four numbers more", ids=(GRASP_ANY,)),
+           "episode move it, by four numbers more", ids=_ANY),
     Option("types", (*TYPE_SPLITS, *GRASP_TYPES), "all", "the types that an episode may ask for: all sixteen, those to train on, "
            "those held out, one, or several", others="list of names", ids=(GRASP_TYPE,)),
     Option("objects", OBJECTS, "train", "*train* has the types' own objects, *test* draws one of their held-out variants, on "
@@ -75,22 +77,23 @@ OPTIONS = (
            ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE)),
     Option("obs", ("deploy", "load", "points", "privileged", "image"), "deploy", "observation: that of a hand and a "
            "camera; with the servos' feedback, with visible points of the object's surface, with terms known only in simulation, "
-           "or with an image", ids=(GRASP_ANY,)),
+           "or with an image", ids=_ANY),
     Option("reward", ("dense", "sparse"), "dense", "sum of the task's reward terms, or success only"),
     *(
         Option("randomize", (None, *PRESETS), default, "domain randomization of episodes: a preset, or ranges by name; None is "
                '"nominal", which changes nothing', others="`hpac_gym.envs.Randomization`, dictionary of ranges", ids=ids)
-        for default, ids in (("hand", (POSTURE,)), (None, (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0)))
+        for default, ids in (("hand", (POSTURE,)), (None, (GRASP, *_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0)))
     ),
     Option("noise", (None,), None, "standard deviations of the object camera's noise: `position`, of each coordinate "
            "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
            + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
-           others="`hpac_gym.envs.CameraNoise`, dictionary of its fields", ids=(GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE)),
+           others="`hpac_gym.envs.CameraNoise`, dictionary of its fields", ids=(GRASP, *_ANY, GRASP_TYPE, PICK_PLACE)),
     *(
         Option("config", (None,), None, "sampling ranges, success criteria and reward weights; None is as on "
                "this page", others=f"`hpac_gym.envs.{kind}`, dictionary of its fields", ids=(env_id,))
-        for env_id, kind in ((GRASP, "GraspConfig"), (GRASP_ANY, "GraspAnyConfig"), (GRASP_TYPE, "GraspTypeConfig"),
-                             (PICK_PLACE, "PickPlaceConfig"), (POSTURE_V0, "PostureConfig"), (POSTURE, "PostureConfig"))
+        for env_id, kind in ((GRASP, "GraspConfig"), *((name, "GraspAnyConfig") for name in _ANY),
+                             (GRASP_TYPE, "GraspTypeConfig"), (PICK_PLACE, "PickPlaceConfig"),
+                             (POSTURE_V0, "PostureConfig"), (POSTURE, "PostureConfig"))
     ),
     Option("engine", (None, *ENGINES), None, "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere"),
     Option("body", tuple(BODIES), "twin", "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "

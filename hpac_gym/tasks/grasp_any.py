@@ -1,4 +1,4 @@
-"""HPAC-GraspAny-v0: any object in any of its stable poses. Unobserved properties make feedback useful."""
+"""HPAC-GraspAny: any object in any of its stable poses. Unobserved properties make feedback useful."""
 
 from __future__ import annotations
 
@@ -96,6 +96,9 @@ class GraspAnyConfig:
         bounds=(-0.1, 0.1),
     )  # fmt: skip
     yaw_error: tuple[float, float] = setting((-0.2, 0.2), "yaw error of the wrist [rad]", bounds=(-np.pi, np.pi))
+    size: tuple[float, float] = setting(
+        (1.0, 1.0), "factor of the object's size, within `width` and `flattest`; its mass grows with the cube", bounds=(0.5, 2.0)
+    )  # fmt: skip
     mass: tuple[float, float] = setting((0.7, 1.3), "factor of the object's mass", bounds=(0.1, 10.0))
     friction: tuple[float, float] = setting((0.8, 1.2), "factor of the friction of the object's surface", bounds=(0.1, 5.0))
     thumb_preshape: float = setting(1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57))
@@ -129,6 +132,7 @@ class GraspAny(Task):
         wrist: "script" keeps the wrist where the sampler puts it; "free" lets an episode's first action move it.
         hands: "nominal" keeps the given hand; "train" and "test" draw one from that set of hands, without telling the policy.
         config: sampling ranges, success criteria and reward weights.
+        clear: place the wrist so that the drawn hand starts clear of everything; if False, for the nominal hand, as in v0.
 
     Raises:
         ParameterError: Unknown split, wrist or set of hands.
@@ -144,12 +148,15 @@ class GraspAny(Task):
         wrist: str = "script",
         hands: str = "nominal",
         config: GraspAnyConfig = GraspAnyConfig(),
+        clear: bool = True,
     ) -> None:
         for name, given, known in (("objects", objects, SPLITS), ("wrist", wrist, WRISTS), ("hands", hands, HANDS)):
             if given not in known:
                 raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
         self._hands = () if hands == "nominal" else hand_set(hands)
         self.config = config
+        preshape = open_hand(config.thumb_preshape)
+        self._reach = {variant.geometry: placing.reach_of(variant, preshape) for variant in self._hands if clear}
         poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in object_set(objects))
         self.objects = tuple(replace(entry, poses=kept) for entry, kept in poses if kept)
         if not self.objects:
@@ -234,7 +241,10 @@ class GraspAny(Task):
         entry = self.objects[rng.integers(len(self.objects))]
         pose, model = entry.poses[rng.integers(len(entry.poses))], entry.model
         mass, friction = rng.uniform(*config.mass) * model.mass, rng.uniform(*config.friction) * entry.friction
-        spec = ObjectSpec(model.shape, model.half_extents, mass, friction, model)
+        scale = self._scale(pose, rng)
+        pose = replace(pose, size=tuple(scale * side for side in pose.size), height=scale * pose.height)
+        extents = tuple(scale * extent for extent in model.half_extents)
+        spec = ObjectSpec(model.shape, extents, scale**3 * mass, friction, model, scale)
         turn = placing.best_turn(pose.size) + np.pi * rng.integers(2)
         pull = rng.standard_normal(3)
         setup = SceneSetup(
@@ -243,16 +253,29 @@ class GraspAny(Task):
             pull=pull / np.linalg.norm(pull),
         )  # fmt: skip
         error = rng.uniform(*config.place_error, 3) * [1.0, 1.0, setup.hand_quaternion == placing.SIDE]
-        setup = placing.moved(placing.placed(setup, rng.uniform(*config.gap), entry.stand), error, rng.uniform(*config.yaw_error))
-        if not self._hands:
-            return setup
-        variant = self._hands[rng.integers(len(self._hands))]
-        return replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=variant.over(setup.hand_settings))
+        gap, yaw = rng.uniform(*config.gap), rng.uniform(*config.yaw_error)
+        if self._hands:
+            variant = self._hands[rng.integers(len(self._hands))]
+            setup = replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=variant.over(setup.hand_settings))
+        reach = self._reach_of(setup)
+        return placing.moved(placing.placed(setup, gap, entry.stand, reach), error, yaw, reach)
+
+    def _scale(self, pose: RestingPose, rng: np.random.Generator) -> float:
+        """Factor of an object's size, with which its pose is still one that the task includes."""
+        low, high = self.config.size
+        if low == high == 1.0:
+            return 1.0  # without a draw, so that episodes are the same as without this range
+        (narrowest, widest), flattest = self.config.width, self.config.flattest
+        low, high = max(low, narrowest / pose.width, flattest / pose.size[2]), min(high, widest / pose.width)
+        return float(rng.uniform(min(low, 1.0), max(high, 1.0)))
+
+    def _reach_of(self, setup: SceneSetup) -> placing.Reach:
+        return self._reach.get(setup.geometry, placing.NOMINAL_REACH)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup with the wrist moved by the last four numbers of an episode's first action."""
         way = WRIST_REACH * action[-len(WRIST_REACH) :]
-        return placing.moved(setup, way[:3], float(way[3])) if way.any() else setup
+        return placing.moved(setup, way[:3], float(way[3]), self._reach_of(setup)) if way.any() else setup
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin to judge episodes in some worlds."""

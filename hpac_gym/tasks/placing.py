@@ -6,11 +6,14 @@ rotation of the wrist about the vertical becomes the opposite rotation of the ob
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry, link_poses
+from hpac_gym.body.hands import HandVariant
 from hpac_gym.body.objects import Support
+from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, HAND_QUATERNION, SceneSetup, matrix_from_quaternion
 from hpac_gym.tasks.grasp import PALM_SURFACE, quaternion_from_rpy
@@ -43,6 +46,48 @@ CENTRE_SIDE, CENTRE_ABOVE = 0.1125, 0.088
 """Best object position for closing, along the fingers, as horizontal distance from the wrist [m]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """By how much the open hand reaches farther than the nominal one [m]; never negative."""
+
+    forward: float = 0.0
+    """Of the thumb, horizontally along the fingers, beside or above an object."""
+    down: float = 0.0
+    """Of the thumb, below the wrist of a hand above an object."""
+    fingers: float = 0.0
+    """Radius of the fingers."""
+
+
+NOMINAL_REACH = Reach()
+
+
+def reach_of(variant: HandVariant, synergy: Array) -> Reach:
+    """The reach of a hand that starts in a posture, shape (6,) [rad], and whose servos then move it to their own zeros."""
+    forward, down = np.zeros((2, 2))
+    for row, quaternion in enumerate((SIDE, ABOVE)):
+        rotation = matrix_from_quaternion(quaternion)
+        nominal = _thumb(HPAC_GEOMETRY, HPAC, synergy, rotation)
+        for true in (synergy, synergy + variant.servo_zero):
+            more = np.maximum(_thumb(variant.geometry, variant.hand, true, rotation) - nominal, 0.0)
+            forward[row], down[row] = np.maximum((forward[row], down[row]), more)
+    thicker = [
+        phalanx.capsule.radius - usual.capsule.radius
+        for name in FINGERS
+        for phalanx, usual in zip(variant.geometry.digit(name).phalanges, HPAC_GEOMETRY.digit(name).phalanges, strict=True)
+    ]
+    return Reach(float(forward.max()), float(down[1]), max(*thicker, 0.0))
+
+
+def _thumb(geometry: Geometry, hand: Hand, synergy: Array, rotation: Array) -> Array:
+    """How far forward and down the thumb reaches from the wrist, shape (2,) [m]."""
+    joints, digit = joints_from_synergy(synergy, hand), geometry.digit("thumb")
+    poses = link_poses(digit, [joints[JOINT_INDEX[phalanx.joint]] for phalanx in digit.phalanges])
+    capsules = [phalanx.capsule for phalanx in digit.phalanges]
+    ends = np.array([rotation @ (place + turn @ capsule.end) for (place, turn), capsule in zip(poses, capsules, strict=True)])
+    radii = np.array([capsule.radius for capsule in capsules])
+    return np.array([(ends[:, 0] + radii).max(), (radii - ends[:, 2]).max()])
+
+
 def extents(setup: SceneSetup) -> Array:
     """Extents of the object's bounding box along the world's axes, shape (3,) [m]."""
     return 2 * np.abs(matrix_from_quaternion(setup.object_turn[0])) @ setup.object.half_extents
@@ -67,20 +112,21 @@ def best_turn(size: Array) -> float:
     return 0.0 if size[1] >= size[0] else np.pi / 2
 
 
-def placed(setup: SceneSetup, gap: float, stand: bool) -> SceneSetup:
+def placed(setup: SceneSetup, gap: float, stand: bool, reach: Reach = NOMINAL_REACH) -> SceneSetup:
     """The setup with the object at its nominal place relative to the palm, and with its support.
 
     Args:
         setup: setup with the object and the orientations of object and hand.
         gap: distance from the palm to an object beside it; below the palm, a quarter of it is added to the least clearance [m].
         stand: whether the object stands on a post.
+        reach: reach of the hand.
     """
     around, low = extents(setup), setup.stand_height
     if setup.hand_quaternion == SIDE:
         height = low if stand else max(low, SIDE_HEIGHT)
         centre = [CENTRE_SIDE, PALM_SURFACE + around[1] / 2 + gap, low - height]
     else:
-        centre = [CENTRE_ABOVE, 0.0, _highest(CENTRE_ABOVE, around, low, stand) - gap / 4]
+        centre = [CENTRE_ABOVE, 0.0, _highest(CENTRE_ABOVE, around, low, stand, reach) - gap / 4]
     return on_something(replace(setup, position=setup.hand_rotation.T @ np.array(centre)), stand)
 
 
@@ -93,13 +139,14 @@ def on_something(setup: SceneSetup, stand: bool) -> SceneSetup:
     return replace(setup, support=Support(BOARD_HALF_WIDTH, table_height=floor - BOARD))
 
 
-def moved(setup: SceneSetup, way: Array, turn: float) -> SceneSetup:
+def moved(setup: SceneSetup, way: Array, turn: float, reach: Reach = NOMINAL_REACH) -> SceneSetup:
     """The setup with the wrist moved, limited to places where the open hand does not collide.
 
     Args:
         setup: setup from `placed`, in which the hand is open.
         way: displacement of the wrist along the world's axes, shape (3,) [m].
         turn: subsequent rotation of the wrist about the vertical [rad].
+        reach: reach of the hand.
     """
     sine, cosine = np.sin(-turn), np.cos(-turn)
     x, y, z = setup.hand_rotation @ setup.position - way
@@ -108,17 +155,17 @@ def moved(setup: SceneSetup, way: Array, turn: float) -> SceneSetup:
     around, low = extents(turned), setup.stand_height
     forward, aside, up = cosine * x - sine * y, sine * x + cosine * y, z
     if setup.hand_quaternion == SIDE:
-        forward = max(forward, THUMB + around[0] / 2)
+        forward = max(forward, THUMB + reach.forward + around[0] / 2)
         aside = max(aside, PALM_SURFACE + 0.002 + around[1] / 2)
         up = up if stand else min(up, low - SIDE_HEIGHT)
     else:
-        forward = max(forward, THUMB_ABOVE + around[0] / 2)
-        up = min(up, _highest(forward, around, low, stand))
+        forward = max(forward, THUMB_ABOVE + reach.forward + around[0] / 2)
+        up = min(up, _highest(forward, around, low, stand, reach))
     return on_something(replace(turned, position=setup.hand_rotation.T @ np.array([forward, aside, up])), stand)
 
 
-def _highest(forward: float, around: Array, low: float, stand: bool) -> float:
+def _highest(forward: float, around: Array, low: float, stand: bool, reach: Reach) -> float:
     """Highest z of an object's centre relative to the wrist [m], limited by the hand on the object or its digits on the table."""
-    below_fingers = FINGER_RADIUS / np.cos(TILT) + np.tan(TILT) * min(forward + around[0] / 2, FINGER_END)
+    below_fingers = (FINGER_RADIUS + reach.fingers) / np.cos(TILT) + np.tan(TILT) * min(forward + around[0] / 2, FINGER_END)
     beneath_hand = -around[2] / 2 - max(PALM_DEPTH, below_fingers)
-    return beneath_hand if stand else min(beneath_hand, low - DIGIT_DEPTH)
+    return beneath_hand if stand else min(beneath_hand, low - DIGIT_DEPTH - reach.down)

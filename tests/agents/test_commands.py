@@ -21,7 +21,7 @@ MISTAKES = [
     ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…inf"),
     ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
     ("train", GRASP + " --dropout 2", "dropout is 2.0: it must lie in 0…0.9"),
-    ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v0, "
+    ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v1, "
      "HPAC-GraspType-v0, HPAC-PickPlace-v0"),
     ("train", GRASP + " --gamma 0.9", "unrecognized arguments: --gamma"),
     ("train", "grasp --out {folder}/file/run", "cannot write to folder"),

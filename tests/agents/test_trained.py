@@ -15,7 +15,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
     [
         ("grasp", "HPAC-Grasp-v0", 60_000),
         ("grasp-robust", "HPAC-Grasp-v0", 60_000),
-        ("grasp-any", "HPAC-GraspAny-v0", 17_255),
+        ("grasp-any", "HPAC-GraspAny-v1", 17_857),
         ("grasp-type", "HPAC-GraspType-v0", 3_000),
         ("pick-place", "HPAC-PickPlace-v0", 7_671),
     ],

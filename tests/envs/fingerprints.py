@@ -44,8 +44,9 @@ from tests.envs.stories import Story
 
 FILE = Path(__file__).with_name("fingerprints.json")
 IDS = sorted(name for name in gymnasium.registry if name.startswith("HPAC-"))
-GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V1 = (
-    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0", "HPAC-Posture-v1",
+GRASP, GRASP_ANY_V0, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V1 = (
+    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspAny-v1", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0",
+    "HPAC-Posture-v1",
 )  # fmt: skip
 TIGHT, LOOSE = (1e-6, 1e-6), (1e-4, 1e-5)
 """Relative and absolute tolerances of means: of what does not touch anything, and of what does or is a picture."""
@@ -305,6 +306,8 @@ CASES = (
       for name, policy in (USUAL | {POSTURE: reaching, POSTURE_V1: reaching}).items()),
     *(Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2)) for name, policy in USUAL.items() for preset in PRESETS),
     *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in USUAL),
+    Case(GRASP_ANY_V0, {}, closing(), range(4)),
+    *(Case(name, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(4)) for name in (GRASP_ANY_V0, GRASP_ANY)),
     *(Case(GRASP_TYPE, PLACED_BY_SCRIPT | options, own, range(2))
       for options in ({}, {"reward": "sparse"}, {"objects": "test", "randomize": "full"} | PRIVILEGED)),
     Case(GRASP_TYPE, PLACED_BY_SCRIPT | PRIVILEGED, restless, about="restless"),
@@ -419,7 +422,7 @@ def most_flips(episodes: int) -> int:
 
 BATCHES = {
     "HPAC-Grasp-v0": (Case(GRASP, {}, closing(0), range(40)),),
-    "HPAC-GraspAny-v0": (Case(GRASP_ANY, {}, closing(0), range(8)),),
+    "HPAC-GraspAny-v1": (Case(GRASP_ANY, {}, closing(0), range(8)),),
     "HPAC-GraspType-v0": (Case(GRASP_TYPE, {}, own, range(6)),),
     "HPAC-GraspType-v0 on MuJoCo": (Case(GRASP_TYPE, {"engine": "mujoco"}, own, range(10)),),
     "HPAC-PickPlace-v0": (Case(PICK_PLACE, {}, closing(12, 74), range(20)),),

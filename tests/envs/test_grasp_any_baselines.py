@@ -1,4 +1,4 @@
-"""What HPAC-GraspAny-v0 pays, and what it leaves to learn: `pytest -m slow -s tests/envs/test_grasp_any_baselines.py` prints it.
+"""What HPAC-GraspAny-v1 pays, and what it leaves to learn: `pytest -m slow -s tests/envs/test_grasp_any_baselines.py` prints it.
 
 Nothing that is no grasp is paid as well as an honest closure; the script holds some of the real objects, and closures that are
 drawn at random for an episode until one holds, most of them.

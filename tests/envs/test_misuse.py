@@ -230,7 +230,7 @@ TIMES = {"timetable": {"close_time": 1.0}, "weights": {"success": 3.0}}
         ("HPAC-Grasp-v0", {"noise": {"position": 0.0}, "config": {"radius": [0.02, 0.025], **TIMES}}),
         ("HPAC-Grasp-v0", {"config": GraspConfig(mass=(0.1, 0.1), timetable=Timetable(close_time=1.1))}),
         ("HPAC-GraspType-v0", {"types": ["rod", "hook"], "objects": "test", "config": {"spread": 2.0, "drop_distance": 0.05}}),
-        ("HPAC-GraspAny-v0", {"objects": "real", "hands": "train", "wrist": "free", "config": {"gap": [0.01, 0.01], **TIMES}}),
+        ("HPAC-GraspAny-v1", {"objects": "real", "hands": "train", "wrist": "free", "config": {"gap": [0.01, 0.01], **TIMES}}),
         ("HPAC-PickPlace-v0", {"noise": {"size": 0}, "config": {"mass": (0.1, 0.1), **TIMES}}),
     ],
     ids=str,

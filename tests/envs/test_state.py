@@ -35,7 +35,7 @@ def told(env: gymnasium.Env, actions: np.ndarray) -> list:
 @pytest.mark.parametrize(
     ("name", "options", "steps"),
     [(GRASP, {"obs": "privileged", "randomize": "full"}, 48),
-     ("HPAC-GraspAny-v0", {"obs": "load", "wrist": "free", "hands": "train"}, 14),
+     ("HPAC-GraspAny-v1", {"obs": "load", "wrist": "free", "hands": "train"}, 14),
      ("HPAC-GraspType-v0", {"types": "large_cylinder"}, 48),
      (PICK_PLACE, {"randomize": "link"}, 40), (POSTURE, {}, 12)],
     ids=str,

@@ -1,4 +1,4 @@
-"""The searches of HPAC-GraspAny-v0: what they count is what was played."""
+"""The searches of HPAC-GraspAny-v1: what they count is what was played."""
 
 from collections import defaultdict
 from types import SimpleNamespace

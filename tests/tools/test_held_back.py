@@ -1,0 +1,40 @@
+"""Choosing settings on training objects: none that is held back is trained on."""
+
+from pathlib import Path
+
+from agents import closures, train
+from agents.tasks import POLICY
+from hpac_gym.body.object_sets import object_set
+from hpac_gym.envs import GraspAny
+from hpac_gym.envs.options import GRASP_ANY
+from tools import held_back
+
+TRAINED = Path(train.__file__).parent / "trained" / "grasp-any.zip"
+
+
+def test_the_objects_are_split_by_families():
+    back, rest = ({entry.name for entry in held_back.keep(GraspAny(), part).objects} for part in (True, False))
+    assert len(back) == 40
+    assert not back & rest
+    assert back | rest == {entry.name for entry in object_set("train")}
+
+
+def test_it_trains_without_them(tmp_path, monkeypatch):
+    def trained(words):
+        task = closures.TASKS[GRASP_ANY]()
+        assert not {entry.name for entry in task.objects} & held_back.HELD_BACK
+        assert task.config.size == (0.9, 1.1)
+        assert words == ["grasp-any", "--out", str(tmp_path), "--seed", "7"]
+        return 5
+
+    monkeypatch.setattr(train, "main", trained)
+    monkeypatch.setitem(closures.TASKS, GRASP_ANY, None)
+    assert held_back.main(["--sizes", "0.9", "1.1", "--out", str(tmp_path), "--seed", "7"]) == 5
+
+
+def test_it_evaluates_what_is_trained(tmp_path, capsys):
+    (tmp_path / POLICY).symlink_to(TRAINED)
+    assert held_back.main(["--out", str(tmp_path), "--episodes", "24"]) == 0
+    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines()[2:]]
+    assert [row[:2] for row in rows] == [["| trained on", "nominal"], ["| held back", "nominal"], ["| held back", "train"]]
+    assert all(20 < float(row[2].split()[0]) < 95 for row in rows)

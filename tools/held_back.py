@@ -1,0 +1,66 @@
+"""Choose settings of the recipe grasp-any on training objects alone: ``python -m tools.held_back --out runs/NAME``.
+
+Trains on 160 of the 200 training objects and evaluates on the other 40, four whole families. Further arguments are those of
+``agents.train``. A folder that already holds a policy is only evaluated.
+"""
+
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from agents import closures, train
+from agents.command import command_parser
+from agents.tasks import POLICY
+from hpac import run, whole_number
+from hpac_gym.envs import GraspAny, GraspAnyConfig
+from hpac_gym.envs.options import GRASP_ANY
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import wilson_interval
+from tools.any_closures import Player, by_policy
+
+OF_EACH, FAMILIES = 10, (1, 6, 11, 16)
+"""Objects of a family, and the families that are held back, in the order of the set."""
+HELD_BACK = {f"train_{OF_EACH * family + number:03}" for family in FAMILIES for number in range(OF_EACH)}
+"""Names of the objects that are held back."""
+
+
+def keep(task: GraspAny, back: bool) -> GraspAny:
+    """The task, left with the training objects that are held back, or with all others."""
+    task.objects = tuple(entry for entry in task.objects if (entry.name in HELD_BACK) == back)
+    return task
+
+
+def trained_task(config: GraspAnyConfig) -> GraspAny:
+    """The task with the objects to train on."""
+    return keep(GraspAny(config=config), back=False)
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("tools.held_back", __doc__)
+    parser.add_argument("--sizes", type=float, nargs=2, default=closures.SIZES, metavar=("LOW", "HIGH"),
+                        help="factors of the objects' sizes in training")  # fmt: skip
+    parser.add_argument("--episodes", type=whole_number(1), default=1_500, help="episodes of each evaluation")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the training")
+    args, settings = parser.parse_known_args(argv)
+    if not (args.out / POLICY).exists():
+        closures.TASKS[GRASP_ANY] = partial(trained_task, replace(closures.SHORT, size=tuple(args.sizes)))
+        if status := train.main(["grasp-any", "--out", str(args.out), *settings]):
+            return status
+    print("| objects | hands | success [%] |\n| --- | --- | --- |")
+    for title, back, hands in (("trained on", False, "nominal"), ("held back", True, "nominal"), ("held back", True, "train")):
+        player = Player("train", hands=hands)
+        keep(player.task, back)
+
+        def begin(seen, places, task=player.task):
+            closing = by_policy(task, seen, args.out / POLICY)
+            return lambda step, _: closing(step)
+
+        won = player.play(range(HELD_OUT_SEED, HELD_OUT_SEED + args.episodes), begin)
+        low, high = wilson_interval(int(won.sum()), len(won))
+        print(f"| {title} | {hands} | {100 * won.mean():.1f} [{100 * low:.1f}, {100 * high:.1f}] |", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))
