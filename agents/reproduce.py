@@ -10,6 +10,7 @@ intervals; rows are printed when complete.
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,7 @@ def race(runs: Path, seed: int, limit: float, episodes: int, seed_start: int, wo
         if not (out / POLICY).exists() and name == "grasp":
             train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
         elif not (out / POLICY).exists():
-            race.race(name, out, seed, 60 * limit)
+            race.race(replace(race.CONTENDERS[name], seed=seed), out, 60 * limit)
         yield judged_run(name, seed, str(out / POLICY), episodes, seed_start, workers)
 
 

@@ -10,14 +10,14 @@ import shutil
 import signal
 import sys
 import time
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from agents.command import RecipeError, RunError, command_parser, minutes
 from agents.progress import CURVE, Progress, drop_rows_after
-from agents.recipes import RECIPES, Recipe, recipe_named, settings_of, with_settings
+from agents.recipes import RECIPES, Recipe, add_settings, given_settings, recipe_named, settings_of, with_settings
 from agents.tasks import POLICY, target_of, versions
 from hpac import INTERRUPTED, run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
@@ -114,26 +114,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", action="store_true", help="continue the run in the folder; only --episodes can change")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that is already in the folder")
     parser.add_argument("--nodes", type=whole_number(0), default=0, metavar="N", help="number of collectors on a Ray cluster")
-    group = parser.add_argument_group("settings of the recipe, with the defaults of 'grasp'")
-    for entry in fields(Recipe):
-        default = getattr(RECIPES["grasp"], entry.name)
-        shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
-        choices = entry.metadata.get("choices")
-        text = entry.metadata["meaning"] + (f": {', '.join(choices)}" if choices else "") + f" (default: {shown})"
-        option = f"--{entry.name.replace('_', '-')}"
-        group.add_argument(option, metavar="VALUE", default=argparse.SUPPRESS, help=text.replace("%", "%%"))
+    add_settings(parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]})
     return parser
-
-
-def _given(args: Any) -> dict[str, str]:
-    """Settings given on the command line, as text."""
-    return {entry.name: getattr(args, entry.name) for entry in fields(Recipe) if hasattr(args, entry.name)}
 
 
 def _fresh_recipe(args: Any) -> Recipe:
     if args.recipe is None:
         raise RecipeError(f"no recipe given: it must be one of {', '.join(sorted(RECIPES))}")
-    recipe = with_settings(recipe_named(args.recipe), _given(args))
+    recipe = with_settings(recipe_named(args.recipe), given_settings(args, Recipe))
     if (args.out / RUN).exists() and not args.overwrite:
         raise RunError(f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it")
     writable_folder(args.out)
@@ -146,7 +134,7 @@ def _fresh_recipe(args: Any) -> Recipe:
 
 
 def _resumed_recipe(args: Any) -> Recipe:
-    given = _given(args)
+    given = given_settings(args, Recipe)
     if args.recipe is not None or args.overwrite or set(given) - {"episodes"}:
         raise RecipeError("a resumed run keeps its settings: only --episodes can change")
     path = args.out / RUN
