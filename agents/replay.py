@@ -16,18 +16,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import gymnasium
+import imageio.v2 as imageio
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
 from agents.command import RunError, command_parser
 from agents.evaluate import task_of
-from agents.video import Sheet, Video
 from hpac import run, whole_number
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
-from hpac_gym.output import writable_folder, write_text
+from hpac_gym.output import replacing, writable_folder, write_text
+from hpac_gym.physics.engine import PhysicsError
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
@@ -39,6 +41,10 @@ WATCHDOG = 0.5
 """Watchdog period: longest time between two commands before the hand executes its safe action [s]."""
 ATTEMPTS = 3
 """Attempts at an episode before a watchdog stop becomes an error."""
+HELD_PICTURES = CONTROL_HZ // 2
+"""Pictures for which the film shows the end of an episode."""
+SHEET_WIDTH = 1200
+"""Width of the sheet of stills [px]."""
 
 
 @dataclass
@@ -151,25 +157,49 @@ def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> b
     return bool(info["is_success"])
 
 
-def film(
-    policy: str, env_id: str, options: dict[str, str], commands: dict[int, list[ServoCommand]], video: Video, sheet: Sheet
-) -> None:
-    """Render the episodes without the wire: the same commands and seed give a bit-identical motion."""
+def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, list[ServoCommand]], out: Path) -> None:
+    """Render the episodes without the wire: the same commands and seed give a bit-identical motion.
+
+    Raises:
+        PhysicsError: The engine cannot draw.
+        RunError: The film cannot be written.
+    """
     rest: Iterator[ServoCommand] = iter(())
-    env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options)
-    actor = load_policy(policy, env)
-    for seed, received in progress(commands.items(), "filming"):
-        sheet.begin_row()
-        rest, phase, picture = iter(received), None, None
-        for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
-            last, picture = picture, env.render()
-            if info["phase"] != phase:
-                sheet.add(picture if last is None else last)
-                phase = info["phase"]
-            video.add(picture, f"seed {seed}   {phase}")
-        sheet.add(picture)
-        video.hold(picture, f"seed {seed}   {info['outcome']}")
-    env.close()
+    font, sheet = ImageFont.load_default(15), []
+
+    def add(picture: np.ndarray, text: str, count: int = 1) -> None:
+        image = Image.fromarray(picture)
+        ImageDraw.Draw(image).text((10, 8), text, fill=(40, 40, 40), font=font)
+        for _ in range(count):
+            video.append_data(np.asarray(image))
+
+    try:
+        video = imageio.get_writer(out / "grasps.mp4", fps=CONTROL_HZ, macro_block_size=None, quality=7)
+    except OSError as error:
+        raise RunError(f"cannot write '{out / 'grasps.mp4'}': {error.strerror or error}") from error
+    with video, gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options) as env:
+        actor = load_policy(policy, env)
+        for seed, received in progress(commands.items(), "filming"):
+            rest, phase, picture, stills = iter(received), None, None, []
+            for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
+                last, picture = picture, env.render()
+                if info["phase"] != phase:
+                    stills.append(picture if last is None else last)
+                    phase = info["phase"]
+                add(picture, f"seed {seed}   {phase}")
+            stills.append(picture)
+            sheet.append(stills)
+            add(picture, f"seed {seed}   {info['outcome']}", HELD_PICTURES)
+    write_sheet(out / "grasps.png", sheet)
+
+
+def write_sheet(path: Path, rows: list[list[np.ndarray]]) -> None:
+    """Write an image with one row of pictures, shape (height, width, 3), per episode; short rows are padded with white."""
+    columns, blank = max(map(len, rows)), np.full_like(rows[0][0], 255)
+    image = Image.fromarray(np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in rows]))
+    with replacing(path) as temporary:
+        size = SHEET_WIDTH, round(SHEET_WIDTH * image.height / image.width)
+        image.resize(size, Image.Resampling.LANCZOS).save(temporary)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -195,10 +225,10 @@ def main(argv: list[str] | None = None) -> int:
         raise RunError(f"cannot write '{args.out / 'wire.jsonl'}': {error.strerror or error}") from None
     text = json.dumps(asdict(report), indent=2)
     write_text(args.out / "replay.json", text + "\n")
-    sheet = Sheet()
-    with Video(args.out / "grasps.mp4", CONTROL_HZ) as video:
-        film(args.policy, env_id, options, commands, video, sheet)
-    sheet.write(args.out / "grasps.png")
+    try:
+        film(args.policy, env_id, options, commands, args.out)
+    except PhysicsError as error:
+        print(f"no film: {error}", file=sys.stderr)
     print(text if args.json else _summary(report))
     if report.faults:
         raise RunError(f"the wire check failed: {'; '.join(report.faults)}")
