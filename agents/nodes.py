@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import os
 import platform
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -27,14 +26,14 @@ import torch
 from tqdm import tqdm
 
 from agents.closures import Learner, Trials, worlds_of
-from agents.command import RunError, command_parser
-from agents.recipes import Recipe, recipe_named
+from agents.command import RunError, command_parser, minutes
+from agents.recipes import RECIPES, Recipe, add_settings, given_settings, recipe_named, with_settings
 from agents.tasks import other_versions, versions
+from agents.train import train
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 
-ROOT = Path(__file__).resolve().parents[1]
 WAIT_S = 1.0
 """Longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training."""
 SILENCE_S = 60.0
@@ -206,32 +205,34 @@ def _say(text: str) -> None:
     tqdm.write(text, file=sys.stderr)
 
 
-def train_seed(words: list[str]) -> dict[str, bytes]:
-    """Run ``agents.train`` with these arguments on this node; returns the files of its folder.
+def train_seed(recipe: Recipe, time_limit: float) -> dict[str, bytes]:
+    """Train a complete run in this process, so that it ends with the process; returns the files of its folder.
 
     Raises:
-        RunError: The training failed.
+        RunError: The training failed or was interrupted.
     """
     with TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "agents.train", *words, "--out", folder]
-        done = subprocess.run(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-        if done.returncode:
-            raise RunError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit status {done.returncode}")
+        if train(recipe, Path(folder), time_limit=time_limit):
+            raise RunError("the training was interrupted")
         return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Train complete runs on the nodes of a Ray cluster, one per seed."""
     parser = command_parser("agents.nodes", main.__doc__)
-    parser.add_argument("recipe", help="recipe of agents.train; further options are passed on to it")
+    parser.add_argument("recipe", help=f"one of {', '.join(sorted(RECIPES))}")
     parser.add_argument("--seeds", type=whole_number(1), required=True, metavar="N", help="train with the seeds 0 to N - 1")
     parser.add_argument("--out", type=Path, required=True, help="folder, in which each run gets a folder seed-N")
-    args, settings = parser.parse_known_args(argv)
-    recipe_named(args.recipe)
+    parser.add_argument(
+        "--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end each run after this time"
+    )
+    add_settings(parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]})
+    args = parser.parse_args(argv)
+    recipe = with_settings(recipe_named(args.recipe), given_settings(args, Recipe))
     writable_folder(args.out)
     ray = connected()
-    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(train_seed)
-    running = {task.remote([args.recipe, *settings, "--seed", f"{seed}"]): seed for seed in range(args.seeds)}
+    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)  # a process per run
+    running = {task.remote(replace(recipe, seed=seed), 60 * args.time_limit): seed for seed in range(args.seeds)}
     failed = 0
     while running:
         (reference, *_), _ = ray.wait(list(running))

@@ -10,7 +10,7 @@ import shutil
 import signal
 import sys
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,7 @@ def train(
     from agents.curves import report
 
     torch.set_num_threads(1)
+    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     checkpoint = latest_checkpoint(out) if resume else None
     done = saved_trials(out) if resume else 0
     if nodes:
@@ -129,7 +130,6 @@ def _fresh_recipe(args: Any) -> Recipe:
         old.unlink(missing_ok=True)
     for old in args.out.glob("checkpoint-*"):
         shutil.rmtree(old, ignore_errors=True)
-    _write_run(args.out, recipe)
     return recipe
 
 
@@ -145,14 +145,7 @@ def _resumed_recipe(args: Any) -> Recipe:
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise RunError(f"cannot resume '{path}': {error}") from None
     writable_folder(args.out)
-    if given:
-        recipe = replace(recipe, episodes=with_settings(recipe, given).episodes)
-        _write_run(args.out, recipe)
-    return recipe
-
-
-def _write_run(out: Path, recipe: Recipe) -> None:
-    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
+    return with_settings(recipe, given)
 
 
 def _stop_on_signal(progress: Progress) -> None:
