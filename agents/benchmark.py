@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.command import RunError, TaskError, command_parser
+from agents import RunError, TaskError, command_parser, make_task, versions
 from agents.evaluate import NO_PHASE, evaluate, failures_by_phase
-from agents.tasks import make_task, versions
 from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE

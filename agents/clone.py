@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from gymnasium.spaces import Box
 
-from agents.command import RunError, command_parser
-from agents.tasks import POLICY, target_of, versions
+from agents import POLICY, RunError, command_parser, target_of, versions
 from hpac import run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
 from hpac_gym.output import writable_folder

@@ -13,7 +13,7 @@ likelihood of the trials that succeeded instead; the critics then only choose th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -25,7 +25,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from agents.command import RunError
+from agents import RunError
 from agents.recipes import Recipe
 from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, PickPlace, grasp_task
 from hpac_gym.envs.episodes import Episodes
@@ -67,6 +67,8 @@ MOST = 0.98
 """Bound of the first decisions about a script, where the actor's tanh can imitate them."""
 UNSEEN = 1e9
 """Scale of an entry that the networks do not see."""
+TRIALS = ("seen", "decisions", "survived", "came_to")
+SCALES = ("mean", "scale", "mean_came_to", "scale_came_to")
 SMALLEST_SCALE = 0.05
 """Lower bound of the scale of an observation entry; in their units, entries are of order one."""
 
@@ -97,8 +99,8 @@ class Trials:
 
     @property
     def columns(self) -> tuple[np.ndarray, ...]:
-        """`seen`, `decisions`, `survived` and `came_to`."""
-        return self.seen, self.decisions, self.survived, self.came_to
+        """The arrays named in `TRIALS`."""
+        return tuple(getattr(self, name) for name in TRIALS)
 
     def add(self, *trials: np.ndarray) -> None:
         """Append the `columns` of trials; those beyond the room of the table are dropped."""
@@ -404,19 +406,34 @@ class Learner:
     def _scaled(self, seen: np.ndarray) -> Tensor:
         return torch.from_numpy(scaled(seen, self.mean, self.scale))
 
-    def weights(self) -> dict[str, Any]:
-        """State for a checkpoint: networks, optimisers and the entropy weight; `load_weights` restores it."""
-        saved = {"critics": self.critics.state_dict(), "actor": self.actor.state_dict(), "log_weight": self.log_weight.detach()}
-        return saved | {f"of {name}": optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+    def arrays(self) -> dict[str, np.ndarray]:
+        """State for a checkpoint by name: scaling, networks, optimisers, entropy weight and trials; `restore` restores it."""
+        weights = {"critics": self.critics.state_dict(), "actor": self.actor.state_dict(), "log_weight": self.log_weight.detach()}
+        weights |= {f"of {name}": optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+        scales = {name: getattr(self, name) for name in SCALES}
+        trials = {name: getattr(self.trials, name)[: self.trials.count] for name in TRIALS}
+        return scales | _flattened(weights) | trials
 
-    def load_weights(self, saved: dict[str, Any]) -> None:
-        """Restore the state returned by `weights`."""
-        self.critics.load_state_dict(saved["critics"])
-        self.actor.load_state_dict(saved["actor"])
+    def restore(self, arrays: dict[str, np.ndarray], updates: int) -> None:
+        """Restore the state returned by `arrays` after a number of updates.
+
+        Raises:
+            ValueError: There is no room for so many trials.
+        """
+        count, room = len(arrays["survived"]), len(self.trials.survived)
+        if count > room:
+            raise ValueError(f"{count} trials, where there is room for {room}")
+        self.trials.count, self.updates = 0, updates
+        self.trials.add(*(arrays.pop(name) for name in TRIALS))
+        for name in SCALES:
+            setattr(self, name, arrays.pop(name))
+        weights = _nested(arrays)
+        self.critics.load_state_dict(weights["critics"])
+        self.actor.load_state_dict(weights["actor"])
         for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict(optimizer.state_dict() | saved.get("of " + name, {}))
+            optimizer.load_state_dict(optimizer.state_dict() | weights.get("of " + name, {}))
         with torch.no_grad():
-            self.log_weight.copy_(saved["log_weight"])
+            self.log_weight.copy_(weights["log_weight"])
 
     def policy(self) -> Actor:
         """The deterministic actor as plain arrays, with the scaling of its observations."""
@@ -453,3 +470,25 @@ def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Scale and clip values for a network, as in `Actor`."""
     return np.clip((values - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP)
+
+
+def _flattened(tree: Mapping[str, Any], place: str = "") -> dict[str, np.ndarray]:
+    """The tensors in nested dictionaries as arrays, by path; optimisers' settings are left out, since the recipe has them."""
+    arrays = {}
+    for name, value in tree.items():
+        if isinstance(value, torch.Tensor):
+            arrays[f"{place}{name}"] = value.numpy()
+        elif isinstance(value, Mapping):
+            arrays |= _flattened(value, f"{place}{name}/")
+    return arrays
+
+
+def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for place, array in arrays.items():
+        *path, name = place.split("/")
+        within = tree
+        for part in path:
+            within = within.setdefault(int(part) if part.isdigit() else part, {})
+        within[name] = torch.from_numpy(array)
+    return tree

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from agents.command import command_parser, minutes
+from agents import command_parser, minutes
 from agents.recipes import RECIPES
 from hpac import run, whole_number
 from hpac_gym.output import writable_folder

@@ -22,8 +22,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from tqdm import tqdm
 
-from agents.command import command_parser, minutes
-from agents.tasks import make_task
+from agents import command_parser, make_task, minutes
 from hpac import run, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.closures import scale_of

@@ -25,10 +25,9 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from agents import RunError, command_parser, minutes, other_versions, versions
 from agents.closures import Learner, Trials, worlds_of
-from agents.command import RunError, command_parser, minutes
 from agents.recipes import RECIPES, Recipe, add_settings, given_settings, recipe_named, with_settings
-from agents.tasks import other_versions, versions
 from agents.train import train
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed

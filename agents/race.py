@@ -23,10 +23,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
-from agents.command import RecipeError, RunError, command_parser, minutes
-from agents.progress import Progress
+from agents import POLICY, RecipeError, RunError, command_parser, minutes, target_of, versions
+from agents.curves import Progress
 from agents.recipes import add_settings, applies, check, given_settings, setting, with_settings
-from agents.tasks import POLICY, target_of, versions
 from hpac import run
 from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv

@@ -8,7 +8,7 @@ from dataclasses import Field, dataclass, field, fields, replace
 from math import inf
 from typing import Any, TypeVar, get_type_hints
 
-from agents.command import RecipeError
+from agents import RecipeError
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.physics.simulation import SET_UPS

@@ -20,7 +20,7 @@ import imageio.v2 as imageio
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from agents.command import RunError, command_parser
+from agents import RunError, command_parser
 from agents.evaluate import task_of
 from hpac import run, whole_number
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses

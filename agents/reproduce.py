@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.command import command_parser, minutes
+from agents import POLICY, command_parser, minutes
 from agents.evaluate import DEFAULT_TASK, LEARNED, evaluate, task_of
-from agents.tasks import POLICY
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap

@@ -3,8 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from agents.curves import report
-from agents.progress import COLUMNS, append_row, drop_rows_after, read_curve
+from agents.curves import COLUMNS, append_row, drop_rows_after, read_curve, report
 
 
 def row(trials: int) -> dict[str, float]:

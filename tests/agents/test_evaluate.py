@@ -9,10 +9,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from agents import reproduce
-from agents.command import TaskError
+from agents import TaskError, make_task, reproduce
 from agents.evaluate import BLOCK, evaluate, main, run_batch, run_episode, table
-from agents.tasks import make_task
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies.baselines import RandomPolicy

@@ -12,11 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import checkpoints, nodes, train
+from agents import RunError, nodes, train, versions
 from agents.closures import Learner
-from agents.command import RunError
 from agents.recipes import RECIPES, with_settings
-from agents.tasks import versions
 from hpac_gym.policies import read_policy
 from tests.processes import wait_for
 
@@ -130,7 +128,7 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
 
 
 def assert_no_trial_twice(folder, count):
-    path = checkpoints.latest_checkpoint(folder)
+    path = train.latest_checkpoint(folder)
     assert json.loads((path / "state.json").read_text())["episodes"] == count
     assert len(np.unique(np.load(path / "arrays.npz")["seen"], axis=0)) == count
 
@@ -150,4 +148,4 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     assert trained == [0, 1]
     words = ["grasp-type", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "6", *SMALL, "--spread", "1"]
     assert nodes.main(words) == 1
-    assert "seed-0 failed: agents.command.RunError: none of the first 4 trials held" in capsys.readouterr().err
+    assert "seed-0 failed: agents.RunError: none of the first 4 trials held" in capsys.readouterr().err

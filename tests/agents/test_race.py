@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import race, reproduce
-from agents.command import RecipeError, RunError
+from agents import RecipeError, RunError, race, reproduce
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 

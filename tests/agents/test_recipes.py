@@ -3,7 +3,7 @@ from dataclasses import FrozenInstanceError, asdict, replace
 
 import pytest
 
-from agents.command import RecipeError
+from agents import RecipeError
 from agents.recipes import RECIPES, recipe_named, settings_of, with_settings
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED, training_seed
 
