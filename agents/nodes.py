@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from agents import RunError, command_parser, minutes, other_versions, versions
 from agents.closures import Learner, Trials, worlds_of
-from agents.recipes import RECIPES, Recipe, add_settings, given_settings, recipe_named, with_settings
+from agents.recipes import RECIPES, Recipe, add_recipe, recipe_of
 from agents.train import train
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
@@ -222,12 +222,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("recipe", help=f"one of {', '.join(sorted(RECIPES))}")
     parser.add_argument("--seeds", type=whole_number(1), required=True, metavar="N", help="train with the seeds 0 to N - 1")
     parser.add_argument("--out", type=Path, required=True, help="folder, in which each run gets a folder seed-N")
-    parser.add_argument(
-        "--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end each run after this time"
-    )
-    add_settings(parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]})
+    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end each run after so long")
+    add_recipe(parser)
     args = parser.parse_args(argv)
-    recipe = with_settings(recipe_named(args.recipe), given_settings(args, Recipe))
+    recipe = recipe_of(args)
     writable_folder(args.out)
     ray = connected()
     task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)  # a process per run

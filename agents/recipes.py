@@ -21,7 +21,7 @@ _KINDS = {int: "a whole number", float: "a number", tuple[int, ...]: "comma-sepa
 
 def setting(default: Any, meaning: str, low: float = 0.0, high: float = inf, of: tuple[str, ...] = ()) -> Any:
     """Field with a number or a tuple of numbers in `low`…`high`; `of`: the names to which it applies, if not to all."""
-    return field(default=default, metadata={"meaning": meaning, "bounds": (low, high), "of": of})
+    return field(default=default, metadata={"meaning": meaning, "low": low, "high": high, "of": of})
 
 
 def choice(default: Any, meaning: str, choices: tuple[str, ...]) -> Any:
@@ -36,13 +36,12 @@ def check(settings: Any) -> None:
         RecipeError: A setting is out of bounds or not one of its choices.
     """
     for entry in fields(settings):
-        value = getattr(settings, entry.name)
+        value, told = getattr(settings, entry.name), entry.metadata
         for part in value if isinstance(value, tuple) else (value,):
-            if "choices" in entry.metadata and part not in entry.metadata["choices"]:
-                raise RecipeError(f"{entry.name} is '{part}': it must be one of {', '.join(entry.metadata['choices'])}")
-            low, high = entry.metadata.get("bounds", (-inf, inf))
-            if "bounds" in entry.metadata and not low <= part <= high:
-                raise RecipeError(f"{entry.name} is {part}: it must lie in {low:g}…{high:g}")
+            if "choices" in told and part not in told["choices"]:
+                raise RecipeError(f"{entry.name} is '{part}': it must be one of {', '.join(told['choices'])}")
+            if "low" in told and not told["low"] <= part <= told["high"]:
+                raise RecipeError(f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}")
 
 
 def applies(entry: Field, name: str) -> bool:
@@ -168,15 +167,20 @@ RECIPES: Mapping[str, Recipe] = {
 }
 
 
-def recipe_named(name: str) -> Recipe:
-    """Look up a recipe by name.
+def add_recipe(parser: ArgumentParser) -> None:
+    """Add an option for each setting of a recipe, for `recipe_of`."""
+    add_settings(parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]})
+
+
+def recipe_of(args: Namespace) -> Recipe:
+    """The recipe named on the command line, with the settings given there.
 
     Raises:
-        RecipeError: The name is unknown.
+        RecipeError: The name is unknown, or a setting is invalid.
     """
-    if name not in RECIPES:
-        raise RecipeError(f"unknown recipe '{name}': known are {', '.join(sorted(RECIPES))}")
-    return RECIPES[name]
+    if args.recipe not in RECIPES:
+        raise RecipeError(f"unknown recipe '{args.recipe}': known are {', '.join(sorted(RECIPES))}")
+    return with_settings(RECIPES[args.recipe], given_settings(args, Recipe))
 
 
 def settings_of(saved: Mapping[str, Any]) -> Recipe:

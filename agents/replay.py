@@ -7,7 +7,6 @@ servos: the simulated hand executes the pulses, not the policy's commands. The f
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator
@@ -23,7 +22,7 @@ from PIL import Image, ImageDraw, ImageFont
 from agents import RunError, command_parser
 from agents.evaluate import task_of
 from hpac import run, whole_number
-from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.bridge import FaultError, HandLink, HostBoard, LinkStatistics, VirtualHand, WireLog, servo_from_pulses
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -66,6 +65,13 @@ class Report:
     round_trip_p50_ms: float = 0.0
     round_trip_p99_ms: float = 0.0
 
+    def count(self, wire: Wire, statistics: LinkStatistics) -> None:
+        """Take over the counts of the wire and of its link."""
+        self.moves, self.worst_pulse_error_rad = wire.moves, wire.worst_error
+        self.frames_sent, self.frames_acked = statistics.sent, statistics.acked
+        self.frames_rejected, self.frames_retried = statistics.rejected, statistics.retried
+        self.round_trip_p50_ms, self.round_trip_p99_ms = (1e3 * statistics.round_trip(share) for share in (50, 99))
+
     @property
     def faults(self) -> list[str]:
         """Violated requirements, one line each; a frame that was repeated on a busy machine is acknowledged once."""
@@ -81,6 +87,13 @@ class Report:
         """What became of the frames."""
         repeated = f" ({self.frames_retried} repeated)" if self.frames_retried else ""
         return f"{self.frames_acked} of {self.frames_sent} frames{repeated} acknowledged, {self.frames_rejected} rejected"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.successes} of {self.episodes} grasps held over the wire; {self.moves} moves, pulses at most "
+            f"{self.worst_pulse_error_rad:.1e} rad from the command\n"
+            f"{self.frames}, round trip p50 {self.round_trip_p50_ms:.2f} ms, p99 {self.round_trip_p99_ms:.2f} ms"
+        )
 
 
 class Wire:
@@ -203,7 +216,18 @@ def write_sheet(path: Path, rows: list[list[np.ndarray]]) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    args = _parser().parse_args(argv)
+    parser = command_parser("agents.replay", __doc__)
+    parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
+    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
+    parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
+    parser.add_argument("--body", help="twin or light (default: the environment's own)")
+    hands = parser.add_mutually_exclusive_group()
+    hands.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
+    hands.add_argument("--port", help="serial port of a hand, which then moves like the simulated one")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args(argv)
     writable_folder(args.out)
     env_id = task_of(args.policy)
     options = {name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None}
@@ -218,7 +242,7 @@ def main(argv: list[str] | None = None) -> int:
             policy = load_policy(args.policy, env)
             commands = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
             link.clear()
-            _take_statistics(report, wire, link)
+            report.count(wire, link.statistics)
     except OSError as error:
         if isinstance(error, HpacError) or error.filename:
             raise
@@ -229,42 +253,10 @@ def main(argv: list[str] | None = None) -> int:
         film(args.policy, env_id, options, commands, args.out)
     except PhysicsError as error:
         print(f"no film: {error}", file=sys.stderr)
-    print(text if args.json else _summary(report))
+    print(text if args.json else report)
     if report.faults:
         raise RunError(f"the wire check failed: {'; '.join(report.faults)}")
     return 0
-
-
-def _take_statistics(report: Report, wire: Wire, link: HandLink) -> None:
-    statistics = link.statistics
-    report.moves, report.worst_pulse_error_rad = wire.moves, wire.worst_error
-    report.frames_sent, report.frames_acked = statistics.sent, statistics.acked
-    report.frames_rejected, report.frames_retried = statistics.rejected, statistics.retried
-    report.round_trip_p50_ms = 1e3 * statistics.round_trip(50)
-    report.round_trip_p99_ms = 1e3 * statistics.round_trip(99)
-
-
-def _summary(report: Report) -> str:
-    return (
-        f"{report.successes} of {report.episodes} grasps held over the wire; {report.moves} moves, pulses at most "
-        f"{report.worst_pulse_error_rad:.1e} rad from the command\n"
-        f"{report.frames}, round trip p50 {report.round_trip_p50_ms:.2f} ms, p99 {report.round_trip_p99_ms:.2f} ms"
-    )
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("agents.replay", __doc__)
-    parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
-    parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
-    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
-    parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
-    parser.add_argument("--body", help="twin or light (default: the environment's own)")
-    hand = parser.add_mutually_exclusive_group()
-    hand.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
-    hand.add_argument("--port", help="serial port of a hand, which then moves like the simulated one")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    return parser
 
 
 if __name__ == "__main__":

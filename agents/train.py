@@ -26,7 +26,7 @@ import numpy as np
 
 from agents import POLICY, RecipeError, RunError, command_parser, minutes, other_versions, target_of, versions
 from agents.curves import CURVE, Progress, drop_rows_after, report
-from agents.recipes import RECIPES, Recipe, add_settings, given_settings, recipe_named, settings_of, with_settings
+from agents.recipes import RECIPES, Recipe, add_recipe, given_settings, recipe_of, settings_of, with_settings
 from hpac import INTERRUPTED, run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
@@ -200,7 +200,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--resume", action="store_true", help="continue the run in the folder; only --episodes can change")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that is already in the folder")
     parser.add_argument("--nodes", type=whole_number(0), default=0, metavar="N", help="number of collectors on a Ray cluster")
-    add_settings(parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]})
+    add_recipe(parser)
     args = parser.parse_args(argv)
     recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
     return train(recipe, args.out, resume=args.resume, time_limit=60 * args.time_limit, started=started, nodes=args.nodes)
@@ -210,7 +210,7 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     """The recipe of a new run, whose folder is then empty."""
     if args.recipe is None:
         raise RecipeError(f"no recipe given: it must be one of {', '.join(sorted(RECIPES))}")
-    recipe = with_settings(recipe_named(args.recipe), given_settings(args, Recipe))
+    recipe = recipe_of(args)
     if (args.out / RUN).exists() and not args.overwrite:
         raise RunError(f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it")
     writable_folder(args.out)
