@@ -131,7 +131,7 @@ class Collectors:
         self.observed, self.deployed, self.phases = samples[0].observed, samples[0].deployed, samples[0].phases
         for sample in samples:
             sample.close()
-        self._none = Trials.empty(0, self.observed, self.deployed, len(recipe.closures.names)).columns
+        self._none = tuple(Trials(0, self.observed, self.deployed, len(recipe.closures.names)).columns.values())
         self._recipe, self._done, self._begun = recipe, done, 0
         self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)
         self._idle = [self._start() for _ in range(count)]
