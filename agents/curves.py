@@ -37,27 +37,23 @@ class Progress:
 
     Args:
         folder: folder of the run.
-        episodes: total number of trials.
-        env_steps: limit of control steps over all worlds.
-        done, steps_done: trials and control steps of the run before it was resumed.
-        seconds_before: time that these took [s].
+        episodes, most_steps: limits of the trials and of the control steps over all worlds.
+        done, env_steps, seconds_before: trials, control steps and time [s] of the run before it was resumed.
         time_limit: latest end of the training, relative to `started` [s].
         started: start of the training on the clock [s]; None means now.
         clock: function that returns the time [s].
 
     Attributes:
-        done: trials so far.
-        env_steps: control steps so far, over all worlds.
+        done, env_steps: trials and control steps so far, over all worlds.
         stopped_by: why the training was stopped; None if it was not.
     """
 
     def __init__(
-        self, folder: Path, episodes: int, env_steps: int, done: int = 0, steps_done: int = 0, seconds_before: float = 0.0,
+        self, folder: Path, episodes: int, most_steps: int, done: int = 0, env_steps: int = 0, seconds_before: float = 0.0,
         time_limit: float = float("inf"), started: float | None = None, clock: Callable[[], float] = time.monotonic,
     ) -> None:  # fmt: skip
-        self.stopped_by: str | None = None
-        self.done, self.env_steps = done, steps_done
-        self._curve, self._first, self._most, self._most_steps = folder / CURVE, done, episodes, env_steps
+        self.done, self.env_steps, self.stopped_by = done, env_steps, None
+        self._curve, self._first, self._most, self._most_steps = folder / CURVE, done, episodes, most_steps
         self._seconds_before, self._time_limit = seconds_before, time_limit
         self._clock, self._started = clock, clock() if started is None else started
         self._held: deque[bool] = deque(maxlen=WINDOW)
@@ -104,12 +100,20 @@ class Progress:
         self._bar.close()
 
     def write_row(self, entropy: float) -> None:
-        """Write a row of the learning curve, unless there was no trial since the last one."""
+        """Write a row of the learning curve, unless there was no trial since the last one.
+
+        Raises:
+            RunError: The file cannot be written, or the disk is full.
+        """
         if self.done and self.done == self._written:
             return
         self._written = self.done
-        row = {"episodes": self.done, "seconds": round(self.seconds, 1), "success_rate": round(self.success_rate, 4)}
-        append_row(self._curve, row | {"window": len(self._held), "entropy": round(entropy, 3)})
+        row = (self.done, round(self.seconds, 1), round(self.success_rate, 4), len(self._held), round(entropy, 3))
+        try:
+            with self._curve.open("a", newline="") as file:
+                csv.writer(file).writerows([row] if file.tell() else [COLUMNS, row])
+        except OSError as error:
+            raise RunError(f"cannot write '{self._curve}': {error.strerror or error}") from error
 
     def _show(self) -> None:
         elapsed = self._clock() - self._started
@@ -123,22 +127,6 @@ class Progress:
         else:
             self._bar.set_postfix_str(text, refresh=False)
             self._bar.update(100 * self.share - self._bar.n)
-
-
-def append_row(path: Path, row: dict[str, float | int]) -> None:
-    """Append a row, with the header if the file is new.
-
-    Raises:
-        RunError: The file cannot be written, or the disk is full.
-    """
-    try:
-        with path.open("a", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS)
-            if file.tell() == 0:
-                writer.writeheader()
-            writer.writerow(row)
-    except OSError as error:
-        raise RunError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def drop_rows_after(path: Path, episodes: int) -> None:
@@ -200,10 +188,14 @@ def report(folder: Path) -> list[Path]:
         RunError: The folder has no results, or they cannot be read.
         OutputError: The folder cannot be written.
     """
-    results = _read_results(folder / RESULTS)
-    written = []
-    if results is not None:
-        write_text(folder / "results.md", _page(results))
+    results, written = None, []
+    if (folder / RESULTS).exists():
+        try:
+            results = json.loads((folder / RESULTS).read_text())
+            page = _page(results)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise RunError(f"cannot read '{folder / RESULTS}': {error!r}") from None
+        write_text(folder / "results.md", page)
         written.append(folder / "results.md")
     if (folder / CURVE).exists():
         draw(folder / "learning_curve.png", read_curve(folder / CURVE), results)
@@ -211,14 +203,6 @@ def report(folder: Path) -> list[Path]:
     if not written:
         raise RunError(f"nothing to show in '{folder}': it has neither {CURVE} nor {RESULTS}")
     return written
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = command_parser("agents.curves", __doc__)
-    parser.add_argument("folder", type=Path, help="folder of a run")
-    for path in report(parser.parse_args(argv).folder):
-        print(path)
-    return 0
 
 
 def _page(results: dict[str, Any]) -> str:
@@ -232,15 +216,12 @@ def _page(results: dict[str, Any]) -> str:
     return text + f"\nAll policies were run on the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
 
 
-def _read_results(path: Path) -> dict[str, Any] | None:
-    try:
-        results = json.loads(path.read_text())
-        results["policies"], results["differences"], results["env_id"]
-        return results
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"cannot read '{path}': {error!r}") from None
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("agents.curves", __doc__)
+    parser.add_argument("folder", type=Path, help="folder of a run")
+    for path in report(parser.parse_args(argv).folder):
+        print(path)
+    return 0
 
 
 if __name__ == "__main__":
