@@ -18,14 +18,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import SyncVectorEnv, VectorEnv
 from tqdm import tqdm
 
 from agents import command_parser, make_task, minutes
 from hpac import run, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.closures import scale_of
-from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
@@ -81,12 +80,6 @@ class Evaluation:
         }
 
 
-def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
-    """Run one episode to its end."""
-    rewards, infos = zip(*control_steps(env, policy, seed), strict=True)
-    return _episode(seed, rewards, infos[-1])
-
-
 def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int]) -> list[Episode]:
     """Run one episode per seed in parallel; a world whose episode has ended takes the next seed.
 
@@ -117,28 +110,28 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
                 continue
             rewards[place].append(float(gained[place]))
             if over[place]:
-                told = {name: infos[name][place] for name in ("is_success", "phase", "holding_force") if name in infos}
-                episodes[seed] = _episode(seed, rewards[place], told)
+                phase, force = (infos[name][place] if name in infos else None for name in ("phase", "holding_force"))
+                episodes[seed] = Episode(
+                    seed=seed,
+                    success=bool(infos["is_success"][place]),
+                    total_reward=sum(rewards[place]),
+                    steps=len(rewards[place]),
+                    phase=None if phase is None else str(getattr(phase, "name", phase)).lower(),
+                    holding_force=None if force is None else float(force),
+                )
     return [episodes[seed] for seed in seeds]
 
 
 def run_block(names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[tuple[Episode, ...]]:
     """Run an episode of each policy for each seed, in an environment of their own, on MuJoCo in a batch."""
     with make_task(env_id, **options) as env, ExitStack() as stack:
-        if _has_batch(env) and len(seeds) > 1:
-            size = min(BATCH, len(seeds))
+        size = min(BATCH, len(seeds)) if _has_batch(env) else 1
+        if size > 1:
             envs = stack.enter_context(closing(gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)))
-            columns = [run_batch(envs, [load_policy(name, env) for _ in range(size)], seeds) for name in names]
         else:
-            policies = [load_policy(name, env) for name in names]
-            columns = [[run_episode(env, policy, seed) for seed in seeds] for policy in policies]
+            envs = SyncVectorEnv([lambda: env], autoreset_mode="Disabled")
+        columns = [run_batch(envs, [load_policy(name, env) for _ in range(size)], seeds) for name in names]
     return list(zip(*columns, strict=True))
-
-
-def _episode(seed: int, rewards: Sequence[float], told: Mapping[str, Any]) -> Episode:
-    phase, force = told.get("phase"), told.get("holding_force")
-    name = None if phase is None else str(getattr(phase, "name", phase)).lower()
-    return Episode(seed, bool(told["is_success"]), sum(rewards), len(rewards), name, None if force is None else float(force))
 
 
 def _has_batch(env: gymnasium.Env) -> bool:
