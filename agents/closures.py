@@ -191,10 +191,7 @@ def weakened(options: Options) -> Options:
 class Critics(nn.Module):
     """An ensemble of networks that predict the log-odds of surviving each phase, evaluated as batched matrix products.
 
-    Args:
-        count: number of networks.
-        sizes: widths of the layers, including input and output.
-        dropout: dropout rate of the hidden layers.
+    The networks, `count` of them, have layers of `sizes`, including input and output.
     """
 
     def __init__(self, count: int, sizes: Sequence[int], dropout: float) -> None:
@@ -216,19 +213,12 @@ class Critics(nn.Module):
 
 
 class Spread(nn.Module):
-    """The actor: a tanh-squashed normal distribution of the numbers of a closure.
-
-    Args:
-        observed: number of inputs.
-        hidden: widths of the hidden layers.
-        decided: number of outputs.
-    """
+    """The actor: a tanh-squashed normal distribution of the `decided` numbers of a closure, from `observed` inputs."""
 
     def __init__(self, observed: int, hidden: Sequence[int], decided: int) -> None:
         super().__init__()
         widths = [observed, *hidden]
-        layers = [part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU())]
-        self.body = nn.Sequential(*layers)
+        self.body = nn.Sequential(*(part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU())))
         self.mean, self.log_std = nn.Linear(widths[-1], decided), nn.Linear(widths[-1], decided)
         with torch.no_grad():
             for head in (self.mean, self.log_std):
@@ -293,8 +283,7 @@ class Learner:
     def predicted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
         """Success probability of trials predicted by the critics, shape (n,)."""
         with torch.no_grad():
-            success = self._success(self._scaled(seen), torch.from_numpy(decisions.astype(np.float32)))
-        return success.mean(0).exp().numpy()
+            return self._success(self._scaled(seen), torch.from_numpy(decisions.astype(np.float32))).mean(0).exp().numpy()
 
     def wanted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
         """Which trials to run, shape (n,), at random: only part of those whose predicted success is high."""
@@ -426,7 +415,7 @@ def _scripted_values() -> np.ndarray:
     values = []
     for start in (kind.start for kind in GRASP_TYPES.values()):
         goals, preshape = map(action_from_synergy, (start.closed, start.preshape))
-        values.append(np.concatenate([goals, (CLOSE_TIME * CONTROL_HZ, 0.0), wrist_choice(start), preshape]))
+        values.append([*goals, CLOSE_TIME * CONTROL_HZ, 0.0, *wrist_choice(start), *preshape])
     return np.array(values)
 
 
@@ -443,11 +432,9 @@ def scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarra
 
 def _flattened(tree: Mapping[str, Any], place: str = "") -> dict[str, np.ndarray]:
     """The tensors in nested dictionaries as arrays, by path; optimisers' settings are left out, since the recipe has them."""
-    arrays = {}
+    arrays = {f"{place}{name}": value.numpy() for name, value in tree.items() if isinstance(value, torch.Tensor)}
     for name, value in tree.items():
-        if isinstance(value, torch.Tensor):
-            arrays[f"{place}{name}"] = value.numpy()
-        elif isinstance(value, Mapping):
+        if isinstance(value, Mapping):
             arrays |= _flattened(value, f"{place}{name}/")
     return arrays
 

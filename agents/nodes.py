@@ -74,7 +74,7 @@ class Collector:
     """The worlds of a node with a copy of the learner that decides in them. Ray runs it in a separate process.
 
     Args:
-        recipe: the settings of the run; it makes `num_envs` worlds, and a chunk has at least as many trials.
+        recipe: the settings of the run, among them the number of worlds; a chunk has at least as many trials.
         seed: seed of the first world and of the decisions.
         expected: the learner's `versions`.
 
@@ -90,7 +90,7 @@ class Collector:
         first = self._all_worlds[0]
         self._learner = Learner(replace(recipe, episodes=1), first.observed, first.deployed, first.phases)
         self._learner.reseed(seed)
-        self._least = recipe.num_envs
+        self._num_envs = recipe.num_envs
 
     def collect(self, known: dict[str, Any]) -> tuple[tuple[np.ndarray, ...], int, float]:
         """Collect a chunk: its trials as arguments of `Trials.add`, its control steps and its processor time [s]."""
@@ -99,11 +99,9 @@ class Collector:
             network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
         learner.mean, learner.scale, learner.updates = known["mean"], known["scale"], known["updates"]
         parts: list[tuple[np.ndarray, ...]] = []
-        steps = 0
-        while sum(len(part[0]) for part in parts) < self._least:
-            for worlds in self._all_worlds:
-                parts.append(worlds.step(learner))
-                steps += worlds.steps
+        while sum(len(part[0]) for part in parts) < self._num_envs:
+            parts += [worlds.step(learner) for worlds in self._all_worlds]
+        steps = self._num_envs * len(parts) // len(self._all_worlds)
         trials = tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return trials, steps, time.process_time() - begun
 
@@ -140,17 +138,12 @@ class Collectors:
         self.trials, self._seconds, self.steps = Counter[int](), Counter[int](), 0
 
     def _start(self) -> tuple[int, Any]:
-        place = self._begun
-        self._begun += 1
+        place, self._begun = self._begun, self._begun + 1
         seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
         return place, self._make.remote(self._recipe, seed, versions())
 
     def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
-        """Request chunks from idle collectors, and wait briefly for one.
-
-        Args:
-            learner: the learner whose networks the collectors use.
-            meanwhile: called while the collectors work.
+        """Request chunks from idle collectors, call `meanwhile`, and wait briefly for a chunk.
 
         Returns:
             The trials of a received chunk, as arguments of `Trials.add`; no trials without a chunk.

@@ -203,14 +203,9 @@ def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, 
             stills.append(picture)
             sheet.append(stills)
             add(picture, f"seed {seed}   {info['outcome']}", HELD_PICTURES)
-    write_sheet(out / "grasps.png", sheet)
-
-
-def write_sheet(path: Path, rows: list[list[np.ndarray]]) -> None:
-    """Write an image with one row of pictures, shape (height, width, 3), per episode; short rows are padded with white."""
-    columns, blank = max(map(len, rows)), np.full_like(rows[0][0], 255)
-    image = Image.fromarray(np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in rows]))
-    with replacing(path) as temporary:
+    columns, blank = max(map(len, sheet)), np.full_like(sheet[0][0], 255)
+    image = Image.fromarray(np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in sheet]))
+    with replacing(out / "grasps.png") as temporary:
         size = SHEET_WIDTH, round(SHEET_WIDTH * image.height / image.width)
         image.resize(size, Image.Resampling.LANCZOS).save(temporary)
 
