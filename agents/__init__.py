@@ -18,8 +18,7 @@ from hpac import Parser
 from hpac_gym.errors import HpacError
 from hpac_gym.policies.made_for import made_for
 
-POLICY = "policy.zip"
-"""Name of the policy file in the folder of a run."""
+POLICY = "policy.zip"  # name of the policy file in the folder of a run
 LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
 

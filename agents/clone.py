@@ -20,8 +20,7 @@ from hpac_gym.progress import progress
 
 HIDDEN = (256, 256)
 BATCH = 256
-KEPT = 0.1
-"""Share of the episodes, the last ones, that is held out for evaluation."""
+KEPT = 0.1  # share of the episodes, the last ones, that is held out for evaluation
 
 
 def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int, seed: int) -> tuple[Actor, float]:

@@ -52,24 +52,17 @@ TASKS = {
 TYPE = Layout(GraspByType().terms, 1).slices["type"]
 """Entries of an observation of HPAC-GraspType-v0 with the type's name. The networks do not see them: the rest of the observation
 contains the type's rule, which also describes unseen types."""
-MEAN_CLIP = 4.0
-"""Bound of the actor's output before tanh."""
-LOG_STD = (-4.0, 0.5)
-"""Bounds of the logarithm of the actor's standard deviation, before tanh."""
+MEAN_CLIP = 4.0  # bound of the actor's output before tanh
+LOG_STD = (-4.0, 0.5)  # bounds of the logarithm of the actor's standard deviation, before tanh
 OBSERVATION_CLIP = 8.0
-DRAWS = 4
-"""Maximal number of draws of an episode until the learner accepts it."""
+DRAWS = 4  # maximal number of draws of an episode until the learner accepts it
 WEAK = (0.5, 1.0)
 """Factors of the skin's friction in weak contacts (`docs/physics.md`: PyBullet's contacts hold half of the friction cone)."""
-SURE = 0.7
-"""Predicted success above which a trial may be rejected."""
-MOST = 0.98
-"""Bound of the first decisions about a script, where the actor's tanh can imitate them."""
-UNSEEN = 1e9
-"""Scale of an entry that the networks do not see."""
+SURE = 0.7  # predicted success above which a trial may be rejected
+MOST = 0.98  # bound of the first decisions about a script, where the actor's tanh can imitate them
+UNSEEN = 1e9  # scale of an entry that the networks do not see
 SCALES = ("mean", "scale", "mean_came_to", "scale_came_to")
-SMALLEST_SCALE = 0.05
-"""Lower bound of the scale of an observation entry; in their units, entries are of order one."""
+SMALLEST_SCALE = 0.05  # lower bound of the scale of an observation entry; in their units, entries are of order one
 
 
 class Trials:
@@ -248,13 +241,12 @@ class Learner:
     def __init__(self, recipe: Recipe, observed: int, deployed: int, phases: int) -> None:
         self._recipe, self._deployed, self._phases = recipe, deployed, torch.arange(phases)
         decided = len(recipe.closures.names)
-        torch.manual_seed(recipe.seed)
-        self._rng = np.random.default_rng(recipe.seed)
+        self.reseed(recipe.seed)
         self.trials = Trials(recipe.episodes, observed, deployed, decided)
         self.mean, self.scale = np.zeros(observed, np.float32), np.ones(observed, np.float32)
         self.mean_came_to, self.scale_came_to = self.mean[deployed:], self.scale[deployed:]
-        predicted = phases + observed - deployed
-        self.critics = Critics(recipe.critics, [observed + decided, *recipe.hidden, predicted], recipe.dropout)
+        sizes = [observed + decided, *recipe.hidden, phases + observed - deployed]
+        self.critics = Critics(recipe.critics, sizes, recipe.dropout)
         self.actor = Spread(deployed, recipe.hidden, decided)
         self.log_weight = torch.tensor(-3.0, requires_grad=True)
         self.optimizers = {
@@ -265,7 +257,7 @@ class Learner:
         self.updates, self.entropy = 0, float("nan")
 
     def reseed(self, seed: int) -> None:
-        """Reseed all random numbers, as needed for a resumed training."""
+        """Seed all random numbers; a resumed training needs others than its beginning."""
         torch.manual_seed(seed)
         self._rng = np.random.default_rng(seed)
 

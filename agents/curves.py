@@ -24,12 +24,9 @@ from hpac_gym.output import replacing, write_text
 RESULTS, CURVE = "results.json", "progress.csv"
 COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
 COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
-ROW_EVERY = 500
-"""Trials per row of the learning curve."""
-WINDOW = 1_000
-"""Trials over which the success rate is averaged."""
-LINE_EVERY_S = 30.0
-"""Interval of progress lines if standard error is not a terminal [s]."""
+ROW_EVERY = 500  # trials per row of the learning curve
+WINDOW = 1_000  # trials over which the success rate is averaged
+LINE_EVERY_S = 30.0  # interval of progress lines if standard error is not a terminal [s]
 
 
 class Progress:

@@ -33,10 +33,8 @@ from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 
-WAIT_S = 1.0
-"""Longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training."""
-SILENCE_S = 60.0
-"""Time without a chunk after which a message is printed [s]."""
+WAIT_S = 1.0  # longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training
+SILENCE_S = 60.0  # time without a chunk after which a message is printed [s]
 QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",

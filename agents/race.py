@@ -35,10 +35,8 @@ from hpac_gym.policies import Actor, PolicyFile, write_policy
 
 ENGINE = "mujoco"
 SAVE_EVERY_S = 60.0
-BOUND = 3.0
-"""Bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh."""
-SATURATED = 20.0
-"""Value beyond which tanh is 1 in single precision."""
+BOUND = 3.0  # bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh
+SATURATED = 20.0  # value beyond which tanh is 1 in single precision
 
 
 ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "crossq": CrossQ}

@@ -36,14 +36,10 @@ from hpac_gym.tasks.task import CONTROL_HZ
 
 PULSE_TOLERANCE = 2e-4
 """Tolerance between the pulses at the end of a move and the commanded angles [rad]: two steps of the wire."""
-WATCHDOG = 0.5
-"""Watchdog period: longest time between two commands before the hand executes its safe action [s]."""
-ATTEMPTS = 3
-"""Attempts at an episode before a watchdog stop becomes an error."""
-HELD_PICTURES = CONTROL_HZ // 2
-"""Pictures for which the film shows the end of an episode."""
-SHEET_WIDTH = 1200
-"""Width of the sheet of stills [px]."""
+WATCHDOG = 0.5  # watchdog period: longest time between two commands before the hand executes its safe action [s]
+ATTEMPTS = 3  # attempts at an episode before a watchdog stop becomes an error
+HELD_PICTURES = CONTROL_HZ // 2  # pictures for which the film shows the end of an episode
+SHEET_WIDTH = 1200  # width of the sheet of stills [px]
 
 
 @dataclass
