@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from agents.command import RunError, TaskError, command_parser
+from agents import RunError, TaskError, command_parser, make_task, versions
 from agents.evaluate import NO_PHASE, evaluate, failures_by_phase
-from agents.tasks import make_task, versions
 from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
@@ -172,16 +171,15 @@ def judge(head: Results, split: str, seed: int, workers: int) -> Results:
 
 def summary(results: Results) -> list[Results]:
     """Interquartile mean of the success over the runs, with its bootstrap interval, for each split and for all splits."""
-    names = list(splits_of(results["env_id"]))
     scores = _scores(results)
-    tables = [(name, scores[:, place : place + 1]) for place, name in enumerate(names)] + [("all splits", scores)]
+    names, tables = [*splits_of(results["env_id"]), "all splits"], [*np.split(scores, scores.shape[1], axis=1), scores]
     return [
         {
             "split": name,
             "iqm": float(interquartile_mean(table)),
             "interval_95": list(stratified_bootstrap(interquartile_mean, table)),
         }
-        for name, table in tables
+        for name, table in zip(names, tables, strict=True)
     ]
 
 
@@ -220,23 +218,22 @@ def faults(results: Results, here: str | None = None) -> Iterator[str]:
 
 
 def _header_faults(results: Results, here: str) -> Iterator[str]:
+    first, episodes, budget = results["first_seed"], results["episodes"], results["budget"]
     if results["env_sha256"] != here:
         yield f"env_sha256 {results['env_sha256'][:12]}… is not that of this version of {results['env_id']}, {here[:12]}…"
-    if results["budget"] not in BUDGETS:
-        yield f"budget is {results['budget']}: it must be one of {', '.join(f'{budget:,}' for budget in BUDGETS)} steps"
-    if results["seeds"] != list(range(RUNS if results["budget"] else 1)):
+    if budget not in BUDGETS:
+        yield f"budget is {budget}: it must be one of {', '.join(f'{budget:,}' for budget in BUDGETS)} steps"
+    if results["seeds"] != list(range(RUNS if budget else 1)):
         yield f"seeds are {results['seeds']}: a trained policy has {RUNS} from 0 on, an untrained one only 0"
-    if results["episodes"] < EPISODES:
-        yield f"episodes are {results['episodes']}: a submission has at least {EPISODES:,} in each cell"
-    if results["first_seed"] != BENCHMARK_SEED:
-        yield f"first_seed is {results['first_seed']}, not {BENCHMARK_SEED}"
-    if results["budget"]:
-        low, high = results["training_seeds"]
-        if low <= results["first_seed"] + results["episodes"] - 1 and high >= results["first_seed"]:
-            yield f"training seeds {low} to {high} overlap the evaluation seeds, from {results['first_seed']} on"
-    for file in results["files"]:
-        if file.get("env_steps", 0) > results["budget"]:
-            yield f"a policy file was trained for {file['env_steps']:,} steps, over the budget of {results['budget']:,}"
+    if episodes < EPISODES:
+        yield f"episodes are {episodes}: a submission has at least {EPISODES:,} in each cell"
+    if first != BENCHMARK_SEED:
+        yield f"first_seed is {first}, not {BENCHMARK_SEED}"
+    low, high = results["training_seeds"] if budget else (0, -1)
+    if low <= first + episodes - 1 and high >= first:
+        yield f"training seeds {low} to {high} overlap the evaluation seeds, from {first} on"
+    steps = [file.get("env_steps", 0) for file in results["files"]]
+    yield from (f"a policy file was trained for {n:,} steps, over the budget of {budget:,}" for n in steps if n > budget)
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
         yield "two runs have the same policy file"
     missing = [name for name in ("hpac_gym", "python", "mujoco-core") if name not in results["versions"]]
@@ -345,18 +342,6 @@ def judge_all(args: argparse.Namespace) -> Results:
 
 
 def main(argv: list[str] | None = None) -> int:
-    words = sys.argv[1:] if argv is None else argv
-    args = _parser().parse_args(words)
-    if args.check:
-        return check(args.check)
-    if not (args.env and args.policy and args.out):
-        raise RunError("an environment, --policy and --out are needed, or --check")
-    args.words = words
-    print(table(judge_all(args)))
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("agents.benchmark", __doc__)
     parser.add_argument("env", nargs="?", help=f"one of {', '.join(SPLITS)}")
     parser.add_argument("--policy", help=f"{', '.join(BASELINES)}, a policy file, module:function or module:function:text; "
@@ -370,7 +355,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="results file; an existing one is continued")
     parser.add_argument("--check", type=Path, nargs="+", metavar="FILE", help="check results files instead")
-    return parser
+    args = parser.parse_args(argv)
+    if args.check:
+        return check(args.check)
+    if not (args.env and args.policy and args.out):
+        raise RunError("an environment, --policy and --out are needed, or --check")
+    args.words = sys.argv[1:] if argv is None else argv
+    print(table(judge_all(args)))
+    return 0
 
 
 if __name__ == "__main__":

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 from gymnasium.spaces import Box
 
-from agents.command import RunError, command_parser
-from agents.tasks import POLICY, target_of, versions
+from agents import POLICY, RunError, command_parser, target_of, versions
 from hpac import run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
 from hpac_gym.output import writable_folder
@@ -21,8 +20,7 @@ from hpac_gym.progress import progress
 
 HIDDEN = (256, 256)
 BATCH = 256
-KEPT = 0.1
-"""Share of the episodes, the last ones, that is held out for evaluation."""
+KEPT = 0.1  # share of the episodes, the last ones, that is held out for evaluation
 
 
 def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int, seed: int) -> tuple[Actor, float]:

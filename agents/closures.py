@@ -13,9 +13,9 @@ likelihood of the trials that succeeded instead; the critics then only choose th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from itertools import pairwise
 from typing import Any
@@ -25,7 +25,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from agents.command import RunError
+from agents import RunError
 from agents.recipes import Recipe
 from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, PickPlace, grasp_task
 from hpac_gym.envs.episodes import Episodes
@@ -54,59 +54,42 @@ TASKS = {
 TYPE = Layout(GraspByType().terms, 1).slices["type"]
 """Entries of an observation of HPAC-GraspType-v0 with the type's name. The networks do not see them: the rest of the observation
 contains the type's rule, which also describes unseen types."""
-MEAN_CLIP = 4.0
-"""Bound of the actor's output before tanh."""
-LOG_STD = (-4.0, 0.5)
-"""Bounds of the logarithm of the actor's standard deviation, before tanh."""
+MEAN_CLIP = 4.0  # bound of the actor's output before tanh
+LOG_STD = (-4.0, 0.5)  # bounds of the logarithm of the actor's standard deviation, before tanh
 OBSERVATION_CLIP = 8.0
-DRAWS = 4
-"""Maximal number of draws of an episode until the learner accepts it."""
+DRAWS = 4  # maximal number of draws of an episode until the learner accepts it
 WEAK = (0.5, 1.0)
 """Factors of the skin's friction in weak contacts (`docs/physics.md`: PyBullet's contacts hold half of the friction cone)."""
-SURE = 0.7
-"""Predicted success above which a trial may be rejected."""
-MOST = 0.98
-"""Bound of the first decisions about a script, where the actor's tanh can imitate them."""
-UNSEEN = 1e9
-"""Scale of an entry that the networks do not see."""
-SMALLEST_SCALE = 0.05
-"""Lower bound of the scale of an observation entry; in their units, entries are of order one."""
+SURE = 0.7  # predicted success above which a trial may be rejected
+MOST = 0.98  # bound of the first decisions about a script, where the actor's tanh can imitate them
+UNSEEN = 1e9  # scale of an entry that the networks do not see
+SCALES = ("mean", "scale", "mean_came_to", "scale_came_to")
+SMALLEST_SCALE = 0.05  # lower bound of the scale of an observation entry; in their units, entries are of order one
 
 
-@dataclass(slots=True)
 class Trials:
-    """Trials of closures, one per row.
+    """Trials of closures, one per row: a table with room for `size` of them.
 
     Attributes:
-        seen: first observation of the episode, *privileged*, shape (n, k).
-        decisions: decision for a closure, −1…1, shape (n, m).
-        survived: number of phases that the closure survived, shape (n,).
-        came_to: privileged entries at the end of the closing, or of the trial if earlier, shape (n, k − deployed).
+        seen: first observation of the episode, *privileged*, shape (size, observed).
+        decisions: decision for a closure, −1…1, shape (size, decided).
+        survived: number of phases that the closure survived, shape (size,).
+        came_to: privileged entries at the end of the closing, or of the trial if earlier, shape (size, observed − deployed).
+        columns: these arrays by name.
         count: number of rows in use.
     """
 
-    seen: np.ndarray
-    decisions: np.ndarray
-    survived: np.ndarray
-    came_to: np.ndarray
-    count: int = 0
-
-    @classmethod
-    def empty(cls, size: int, observed: int, deployed: int, decided: int) -> Trials:
-        """An empty table with room for ``size`` trials."""
-        seen, decisions, came_to = (np.zeros((size, width), np.float32) for width in (observed, decided, observed - deployed))
-        return cls(seen, decisions, np.zeros(size, np.int64), came_to)
-
-    @property
-    def columns(self) -> tuple[np.ndarray, ...]:
-        """`seen`, `decisions`, `survived` and `came_to`."""
-        return self.seen, self.decisions, self.survived, self.came_to
+    def __init__(self, size: int, observed: int, deployed: int, decided: int) -> None:
+        self.seen, self.decisions = np.zeros((size, observed), np.float32), np.zeros((size, decided), np.float32)
+        self.survived, self.came_to = np.zeros(size, np.int64), np.zeros((size, observed - deployed), np.float32)
+        self.columns = {name: getattr(self, name) for name in ("seen", "decisions", "survived", "came_to")}
+        self.count = 0
 
     def add(self, *trials: np.ndarray) -> None:
         """Append the `columns` of trials; those beyond the room of the table are dropped."""
         rows = slice(self.count, self.count + len(trials[0]))
         room = len(self.survived[rows])
-        for kept, given in zip(self.columns, trials, strict=True):
+        for kept, given in zip(self.columns.values(), trials, strict=True):
             kept[rows] = given[:room]
         self.count += room
 
@@ -115,44 +98,36 @@ class Worlds:
     """n worlds of a task in which closures are tried; each starts a new episode as soon as its last one has ended.
 
     Args:
-        env_id: one of `TASKS`.
-        count: number of worlds n.
-        closures: ranges of the numbers of a closure.
-        seed: seed of the first world; the others count upwards.
-        told: numbers that are appended to the *privileged* observations, the same in all n worlds.
-        weak: whether contacts are weak, as in `Recipe`.
-        options: options of the environment, such as engine, body and randomize.
+        recipe: the settings. Its set-ups share its worlds equally; with several, the critics are told by one number each which of
+            them a trial had, and the actor is not.
+        place: index of the set-up.
+        seed: seed of the first world of the recipe; the others count upwards.
 
     Attributes:
         episodes: the running episodes.
-        deployed: size of a *deploy* observation.
+        observed: size of a first observation: *privileged*, and the numbers of the set-ups.
+        deployed: number of its first entries, the *deploy* observation.
         phases: number of phases of the task.
-        first_seen: first observations of the running episodes, *privileged* and `told`, shape (n, observed).
+        first_seen: first observations of the running episodes, shape (n, observed).
         steps: control steps of all its worlds in a call of `step`.
     """
 
-    def __init__(
-        self, env_id: str, count: int, closures: Closures, seed: int, told: Sequence[float] = (), weak: bool = False,
-        **options: Any,
-    ) -> None:  # fmt: skip
-        task = TASKS[env_id]()
+    def __init__(self, recipe: Recipe, place: int, seed: int) -> None:
+        task, set_ups = TASKS[recipe.env_id](), len(recipe.set_ups)
+        first, end = (recipe.num_envs * bound // set_ups for bound in (place, place + 1))
+        engine, body = recipe.set_ups[place].split("/")
+        options = checked_options(obs="privileged", engine=engine, body=body, randomize=recipe.randomize)
+        count = self.steps = end - first
+        self.episodes = Episodes(task, count, weakened(options) if recipe.contacts == "weak" else options)
+        self._generators = [np.random.default_rng(seed + world) for world in range(first, end)]
+        self._told = np.tile(np.eye(set_ups, dtype=np.float32)[place, : set_ups if set_ups > 1 else 0], (count, 1))
         self.deployed, self.phases = sum(len(term.labels) for term in task.terms), len(task.phases)
-        self._close = task.phases.index("close")
-        checked = checked_options(obs="privileged", **options)
-        self.episodes = Episodes(task, count, weakened(checked) if weak else checked)
-        self._generators = [np.random.default_rng(seed + world) for world in range(count)]
-        self._closures = closures
-        self._told = np.tile(np.float32(told), (count, 1))
-        self.first_seen = np.zeros((count, self.episodes.observation_space.shape[0] + len(told)), np.float32)
+        self.observed = self.episodes.observation_space.shape[0] + self._told.shape[1]
+        self.first_seen = np.zeros((count, self.observed), np.float32)
         self._came_to = self.first_seen[:, self.deployed :].copy()
-        self._decisions, self._steps = np.zeros((count, len(closures.names))), np.zeros(count, dtype=int)
-        self._fresh = np.ones(count, dtype=bool)
-        self.steps, self._thread = count, ThreadPoolExecutor(1)
-
-    @property
-    def observed(self) -> int:
-        """Size of a first observation, whose first `deployed` entries are the *deploy* observation."""
-        return self.first_seen.shape[1]
+        self._close, self._closures = task.phases.index("close"), recipe.closures
+        self._decisions, self._steps = np.zeros((count, len(self._closures.names))), np.zeros(count, dtype=int)
+        self._fresh, self._thread = np.ones(count, dtype=bool), ThreadPoolExecutor(1)
 
     def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
         """Advance all worlds by one control period.
@@ -197,18 +172,8 @@ class Worlds:
 
 
 def worlds_of(recipe: Recipe, seed: int) -> list[Worlds]:
-    """The worlds of a recipe, shared equally by its set-ups, with seeds from `seed` upwards.
-
-    With several set-ups, the critics are told by one number each which of them a trial had; the actor is not.
-    """
-    count, made = len(recipe.set_ups), []
-    for place, set_up in enumerate(recipe.set_ups):
-        first, end = (recipe.num_envs * bound // count for bound in (place, place + 1))
-        engine, body = set_up.split("/")
-        options = {"engine": engine, "body": body, "randomize": recipe.randomize}
-        told = np.eye(count)[place] if count > 1 else ()
-        made.append(Worlds(recipe.env_id, end - first, recipe.closures, seed + first, told, recipe.contacts == "weak", **options))
-    return made
+    """The worlds of each set-up of a recipe, with seeds from `seed` upwards."""
+    return [Worlds(recipe, place, seed) for place in range(len(recipe.set_ups))]
 
 
 def weakened(options: Options) -> Options:
@@ -221,10 +186,7 @@ def weakened(options: Options) -> Options:
 class Critics(nn.Module):
     """An ensemble of networks that predict the log-odds of surviving each phase, evaluated as batched matrix products.
 
-    Args:
-        count: number of networks.
-        sizes: widths of the layers, including input and output.
-        dropout: dropout rate of the hidden layers.
+    The networks, `count` of them, have layers of `sizes`, including input and output.
     """
 
     def __init__(self, count: int, sizes: Sequence[int], dropout: float) -> None:
@@ -246,19 +208,12 @@ class Critics(nn.Module):
 
 
 class Spread(nn.Module):
-    """The actor: a tanh-squashed normal distribution of the numbers of a closure.
-
-    Args:
-        observed: number of inputs.
-        hidden: widths of the hidden layers.
-        decided: number of outputs.
-    """
+    """The actor: a tanh-squashed normal distribution of the `decided` numbers of a closure, from `observed` inputs."""
 
     def __init__(self, observed: int, hidden: Sequence[int], decided: int) -> None:
         super().__init__()
         widths = [observed, *hidden]
-        layers = [part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU())]
-        self.body = nn.Sequential(*layers)
+        self.body = nn.Sequential(*(part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU())))
         self.mean, self.log_std = nn.Linear(widths[-1], decided), nn.Linear(widths[-1], decided)
         with torch.no_grad():
             for head in (self.mean, self.log_std):
@@ -288,25 +243,23 @@ class Learner:
     def __init__(self, recipe: Recipe, observed: int, deployed: int, phases: int) -> None:
         self._recipe, self._deployed, self._phases = recipe, deployed, torch.arange(phases)
         decided = len(recipe.closures.names)
-        torch.manual_seed(recipe.seed)
-        self._rng = np.random.default_rng(recipe.seed)
-        self.trials = Trials.empty(recipe.episodes, observed, deployed, decided)
+        self.reseed(recipe.seed)
+        self.trials = Trials(recipe.episodes, observed, deployed, decided)
         self.mean, self.scale = np.zeros(observed, np.float32), np.ones(observed, np.float32)
         self.mean_came_to, self.scale_came_to = self.mean[deployed:], self.scale[deployed:]
-        predicted = phases + observed - deployed
-        self.critics = Critics(recipe.critics, [observed + decided, *recipe.hidden, predicted], recipe.dropout)
+        sizes = [observed + decided, *recipe.hidden, phases + observed - deployed]
+        self.critics = Critics(recipe.critics, sizes, recipe.dropout)
         self.actor = Spread(deployed, recipe.hidden, decided)
         self.log_weight = torch.tensor(-3.0, requires_grad=True)
-        fused = {"fused": True}
         self.optimizers = {
-            "critics": torch.optim.AdamW(self.critics.parameters(), weight_decay=recipe.weight_decay, **fused),
-            "actor": torch.optim.Adam(self.actor.parameters(), **fused),
+            "critics": torch.optim.AdamW(self.critics.parameters(), weight_decay=recipe.weight_decay, fused=True),
+            "actor": torch.optim.Adam(self.actor.parameters(), fused=True),
             "weight": torch.optim.Adam([self.log_weight], lr=1e-2),
         }
         self.updates, self.entropy = 0, float("nan")
 
     def reseed(self, seed: int) -> None:
-        """Reseed all random numbers, as needed for a resumed training."""
+        """Seed all random numbers; a resumed training needs others than its beginning."""
         torch.manual_seed(seed)
         self._rng = np.random.default_rng(seed)
 
@@ -324,8 +277,7 @@ class Learner:
     def predicted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
         """Success probability of trials predicted by the critics, shape (n,)."""
         with torch.no_grad():
-            success = self._success(self._scaled(seen), torch.from_numpy(decisions.astype(np.float32)))
-        return success.mean(0).exp().numpy()
+            return self._success(self._scaled(seen), torch.from_numpy(decisions.astype(np.float32))).mean(0).exp().numpy()
 
     def wanted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
         """Which trials to run, shape (n,), at random: only part of those whose predicted success is high."""
@@ -406,19 +358,34 @@ class Learner:
     def _scaled(self, seen: np.ndarray) -> Tensor:
         return torch.from_numpy(scaled(seen, self.mean, self.scale))
 
-    def weights(self) -> dict[str, Any]:
-        """State for a checkpoint: networks, optimisers and the entropy weight; `load_weights` restores it."""
-        saved = {"critics": self.critics.state_dict(), "actor": self.actor.state_dict(), "log_weight": self.log_weight.detach()}
-        return saved | {f"of {name}": optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+    def arrays(self) -> dict[str, np.ndarray]:
+        """State for a checkpoint by name: scaling, networks, optimisers, entropy weight and trials; `restore` restores it."""
+        weights = {"critics": self.critics.state_dict(), "actor": self.actor.state_dict(), "log_weight": self.log_weight.detach()}
+        weights |= {f"of {name}": optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+        scales = {name: getattr(self, name) for name in SCALES}
+        trials = {name: column[: self.trials.count] for name, column in self.trials.columns.items()}
+        return scales | _flattened(weights) | trials
 
-    def load_weights(self, saved: dict[str, Any]) -> None:
-        """Restore the state returned by `weights`."""
-        self.critics.load_state_dict(saved["critics"])
-        self.actor.load_state_dict(saved["actor"])
+    def restore(self, arrays: dict[str, np.ndarray], updates: int) -> None:
+        """Restore the state returned by `arrays` after a number of updates.
+
+        Raises:
+            ValueError: There is no room for so many trials.
+        """
+        count, room = len(arrays["survived"]), len(self.trials.survived)
+        if count > room:
+            raise ValueError(f"{count} trials, where there is room for {room}")
+        self.trials.count, self.updates = 0, updates
+        self.trials.add(*(arrays.pop(name) for name in self.trials.columns))
+        for name in SCALES:
+            setattr(self, name, arrays.pop(name))
+        weights = _nested(arrays)
+        self.critics.load_state_dict(weights["critics"])
+        self.actor.load_state_dict(weights["actor"])
         for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict(optimizer.state_dict() | saved.get("of " + name, {}))
+            optimizer.load_state_dict(optimizer.state_dict() | weights.get("of " + name, {}))
         with torch.no_grad():
-            self.log_weight.copy_(saved["log_weight"])
+            self.log_weight.copy_(weights["log_weight"])
 
     def policy(self) -> Actor:
         """The deterministic actor as plain arrays, with the scaling of its observations."""
@@ -442,7 +409,7 @@ def _scripted_values() -> np.ndarray:
     values = []
     for start in (kind.start for kind in GRASP_TYPES.values()):
         goals, preshape = map(action_from_synergy, (start.closed, start.preshape))
-        values.append(np.concatenate([goals, (CLOSE_TIME * CONTROL_HZ, 0.0), wrist_choice(start), preshape]))
+        values.append([*goals, CLOSE_TIME * CONTROL_HZ, 0.0, *wrist_choice(start), *preshape])
     return np.array(values)
 
 
@@ -455,3 +422,23 @@ def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Scale and clip values for a network, as in `Actor`."""
     return np.clip((values - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP)
+
+
+def _flattened(tree: Mapping[str, Any], place: str = "") -> dict[str, np.ndarray]:
+    """The tensors in nested dictionaries as arrays, by path; optimisers' settings are left out, since the recipe has them."""
+    arrays = {f"{place}{name}": value.numpy() for name, value in tree.items() if isinstance(value, torch.Tensor)}
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            arrays |= _flattened(value, f"{place}{name}/")
+    return arrays
+
+
+def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for place, array in arrays.items():
+        *path, name = place.split("/")
+        within = tree
+        for part in path:
+            within = within.setdefault(int(part) if part.isdigit() else part, {})
+        within[name] = torch.from_numpy(array)
+    return tree

@@ -1,33 +1,162 @@
 """Pictures and tables of a run: ``python -m agents.curves runs/NAME``.
 
 Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_curve.png`` and ``results.md`` to it. Missing
-input is skipped.
+input is skipped. A training writes its learning curve, a row every five hundred trials, and its progress bar with `Progress`.
 """
 
+import csv
 import json
 import sys
+import time
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from tqdm import tqdm
 
-from agents.command import RunError, command_parser
+from agents import RunError, command_parser
 from agents.evaluate import table
-from agents.progress import CURVE, read_curve
 from hpac import run
 from hpac_gym.output import replacing, write_text
 
-RESULTS = "results.json"
+RESULTS, CURVE = "results.json", "progress.csv"
 COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
+COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
+ROW_EVERY = 500  # trials per row of the learning curve
+WINDOW = 1_000  # trials over which the success rate is averaged
+LINE_EVERY_S = 30.0  # interval of progress lines if standard error is not a terminal [s]
 
 
-def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None = None) -> Figure:
-    """Success in training over trials, with the held-out results of every policy."""
+class Progress:
+    """Shows the progress of a training and writes its learning curve.
+
+    Args:
+        folder: folder of the run.
+        episodes, most_steps: limits of the trials and of the control steps over all worlds.
+        done, env_steps, seconds_before: trials, control steps and time [s] of the run before it was resumed.
+        time_limit: latest end of the training, relative to `started` [s].
+        started: start of the training on the clock [s]; None means now.
+        clock: function that returns the time [s].
+
+    Attributes:
+        done, env_steps: trials and control steps so far, over all worlds.
+        stopped_by: why the training was stopped; None if it was not.
+    """
+
+    def __init__(
+        self, folder: Path, episodes: int, most_steps: int, done: int = 0, env_steps: int = 0, seconds_before: float = 0.0,
+        time_limit: float = float("inf"), started: float | None = None, clock: Callable[[], float] = time.monotonic,
+    ) -> None:  # fmt: skip
+        self.done, self.env_steps, self.stopped_by = done, env_steps, None
+        self._curve, self._first, self._most, self._most_steps = folder / CURVE, done, episodes, most_steps
+        self._seconds_before, self._time_limit = seconds_before, time_limit
+        self._clock, self._started = clock, clock() if started is None else started
+        self._held: deque[bool] = deque(maxlen=WINDOW)
+        self._written, self._next_line = done, LINE_EVERY_S / 3
+        self._bar = tqdm(
+            total=100, desc="training", disable=not sys.stderr.isatty(), dynamic_ncols=True,
+            bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed} of {remaining} more{postfix}",
+        )  # fmt: skip
+
+    @property
+    def seconds(self) -> float:
+        """Training time of this run so far, including earlier parts [s]."""
+        return self._seconds_before + self._clock() - self._started
+
+    @property
+    def share(self) -> float:
+        """Completed share of the training, 0…1, by trials, steps or time limit."""
+        spent = self.seconds / (self._seconds_before + self._time_limit)
+        return min(1.0, max(self.done / self._most, self.env_steps / self._most_steps, spent))
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the last trials that held; NaN before the first one has ended."""
+        return sum(self._held) / len(self._held) if self._held else float("nan")
+
+    def stop(self, reason: str) -> None:
+        """End the training after the current step."""
+        self.stopped_by = reason
+
+    def add(self, held: list[bool], steps: int, entropy: float) -> bool:
+        """Record trials, control steps and the actor's entropy [nats per number]; returns whether the training continues."""
+        self._held.extend(held)
+        self.done += len(held)
+        self.env_steps += steps
+        if self.done >= self._written + ROW_EVERY:
+            self.write_row(entropy)
+        if self._clock() - self._started > self._time_limit:
+            self.stop("time limit")
+        self._show()
+        return self.stopped_by is None and self.done < self._most
+
+    def close(self) -> None:
+        """Close the progress bar."""
+        self._bar.close()
+
+    def write_row(self, entropy: float) -> None:
+        """Write a row of the learning curve, unless there was no trial since the last one.
+
+        Raises:
+            RunError: The file cannot be written, or the disk is full.
+        """
+        if self.done and self.done == self._written:
+            return
+        self._written = self.done
+        row = (self.done, round(self.seconds, 1), round(self.success_rate, 4), len(self._held), round(entropy, 3))
+        try:
+            with self._curve.open("a", newline="") as file:
+                csv.writer(file).writerows([row] if file.tell() else [COLUMNS, row])
+        except OSError as error:
+            raise RunError(f"cannot write '{self._curve}': {error.strerror or error}") from error
+
+    def _show(self) -> None:
+        elapsed = self._clock() - self._started
+        if self._bar.disable and elapsed < self._next_line:
+            return
+        self._next_line = elapsed + LINE_EVERY_S
+        success = f"{self.success_rate:.0%} of the last {len(self._held)} held" if self._held else "none ended"
+        text = f"{self.done:,} trials, {(self.done - self._first) / max(elapsed, 1e-9):.0f}/s, {success}"
+        if self._bar.disable:
+            print(f"training {self.share:4.0%} {elapsed / 60:5.1f} min, {text}", file=sys.stderr, flush=True)
+        else:
+            self._bar.set_postfix_str(text, refresh=False)
+            self._bar.update(100 * self.share - self._bar.n)
+
+
+def drop_rows_after(path: Path, episodes: int) -> None:
+    """Remove rows that an interrupted training wrote after its last checkpoint, including an incomplete one."""
+    if not path.exists():
+        return
+    header, *rows = path.read_text().splitlines(keepends=True) or [""]
+    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= episodes]
+    path.write_text("".join([header, *kept]))
+
+
+def read_curve(path: Path) -> dict[str, np.ndarray]:
+    """Read the columns by name.
+
+    Raises:
+        RunError: The file is missing or not a learning curve.
+    """
+    try:
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        return {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
+    except OSError as error:
+        raise RunError(f"cannot read '{path}': {error.strerror or error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunError(f"'{path}' is not a learning curve: {error!r}") from None
+
+
+def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | None) -> None:
+    """Draw the success in training over trials, with the held-out results of every policy."""
+    from matplotlib.figure import Figure  # imported here, since a command that only parses its arguments does not need it
+    from matplotlib.ticker import MaxNLocator
+
     figure = Figure(figsize=(8, 4.5), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.plot(curve["episodes"] / 1000, 100 * curve["success_rate"], color=COLOURS["learned"], label="learning, with exploration")
     for name, numbers in (results or {}).get("policies", {}).items():
@@ -45,7 +174,8 @@ def learning_curve(curve: dict[str, np.ndarray], results: dict[str, Any] | None 
         axis.set_xlabel("training time (minutes)")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
-    return figure
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
 
 
 def report(folder: Path) -> list[Path]:
@@ -55,25 +185,21 @@ def report(folder: Path) -> list[Path]:
         RunError: The folder has no results, or they cannot be read.
         OutputError: The folder cannot be written.
     """
-    results = _read_results(folder / RESULTS)
-    written = []
-    if results is not None:
-        write_text(folder / "results.md", _page(results))
+    results, written = None, []
+    if (folder / RESULTS).exists():
+        try:
+            results = json.loads((folder / RESULTS).read_text())
+            page = _page(results)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise RunError(f"cannot read '{folder / RESULTS}': {error!r}") from None
+        write_text(folder / "results.md", page)
         written.append(folder / "results.md")
     if (folder / CURVE).exists():
-        _save(learning_curve(read_curve(folder / CURVE), results), folder / "learning_curve.png")
+        draw(folder / "learning_curve.png", read_curve(folder / CURVE), results)
         written.append(folder / "learning_curve.png")
     if not written:
         raise RunError(f"nothing to show in '{folder}': it has neither {CURVE} nor {RESULTS}")
     return written
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = command_parser("agents.curves", __doc__)
-    parser.add_argument("folder", type=Path, help="folder of a run")
-    for path in report(parser.parse_args(argv).folder):
-        print(path)
-    return 0
 
 
 def _page(results: dict[str, Any]) -> str:
@@ -87,20 +213,12 @@ def _page(results: dict[str, Any]) -> str:
     return text + f"\nAll policies were run on the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
 
 
-def _read_results(path: Path) -> dict[str, Any] | None:
-    try:
-        results = json.loads(path.read_text())
-        results["policies"], results["differences"], results["env_id"]
-        return results
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"cannot read '{path}': {error!r}") from None
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120, format="png")
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("agents.curves", __doc__)
+    parser.add_argument("folder", type=Path, help="folder of a run")
+    for path in report(parser.parse_args(argv).folder):
+        print(path)
+    return 0
 
 
 if __name__ == "__main__":

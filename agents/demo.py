@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from agents.command import command_parser, minutes
+from agents import command_parser, minutes
 from agents.recipes import RECIPES
 from hpac import run, whole_number
 from hpac_gym.output import writable_folder
@@ -20,13 +20,15 @@ RESULTS = ("learning_curve.png", "results.md", "results.json", "grasps.mp4", "wi
 def steps(recipe: str, out: Path, training_minutes: float, episodes: int, seed: int) -> list[tuple[str, list[str]]]:
     """Title, and module with arguments, of every step."""
     policy, results = str(out / "policy.zip"), str(out / "results.json")
+    engine, body = RECIPES[recipe].set_ups[0].split("/")
+    trained = ["--policy", policy, "--engine", engine, "--body", body]
     train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed)]
-    judge = ["agents.evaluate", "--policy", policy, "--engine", "mujoco", "--episodes", str(episodes), "--workers", "2"]
+    judge = ["agents.evaluate", *trained, "--episodes", str(episodes), "--workers", "2"]
     return [
         ("Train from random weights", [*train, "--time-limit", f"{training_minutes:g}", "--overwrite"]),
         ("Judge it and the baselines", [*judge, "--time-limit", f"{EVALUATION_MINUTES:g}", "--out", results]),
         ("Draw the learning curve", ["agents.curves", str(out)]),
-        ("Replay it over the wire", ["agents.replay", "--policy", policy, "--out", str(out)]),
+        ("Replay it over the wire", ["agents.replay", *trained, "--out", str(out)]),
     ]
 
 

@@ -5,7 +5,6 @@ An episode depends only on its seed, so the results do not depend on the number 
 or, as on MuJoCo, one of a batch.
 """
 
-import argparse
 import json
 import os
 import sys
@@ -19,15 +18,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import SyncVectorEnv, VectorEnv
 from tqdm import tqdm
 
-from agents.command import command_parser, minutes
-from agents.tasks import make_task
+from agents import command_parser, make_task, minutes
 from hpac import run, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.closures import scale_of
-from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
@@ -73,28 +70,14 @@ class Evaluation:
 
     def summary(self) -> dict[str, Any]:
         """Success with its interval, return, failures by phase, and differences over paired episodes."""
-        names = list(self.episodes)
-        first = self.episodes[names[0]]
+        (name, first), *others = self.episodes.items()
         return {
             "env_id": self.env_id,
             "first_seed": first[0].seed,
             "last_seed": first[-1].seed,
             "policies": {name: _summary(episodes) for name, episodes in self.episodes.items()},
-            "differences": [self._difference(names[0], other) for other in names[1:]],
+            "differences": [{"of": name, "over": other, **_difference(first, episodes)} for other, episodes in others],
         }
-
-    def _difference(self, first: str, second: str) -> dict[str, Any]:
-        pairs = list(zip(self.episodes[first], self.episodes[second], strict=True))
-        only_first = sum(a.success and not b.success for a, b in pairs)
-        only_second = sum(b.success and not a.success for a, b in pairs)
-        difference, low, high = paired_difference(only_first, only_second, len(pairs))
-        return {"of": first, "over": second, "success": difference, "interval_95": [low, high]}
-
-
-def run_episode(env: gymnasium.Env, policy: Policy, seed: int) -> Episode:
-    """Run one episode to its end."""
-    rewards, infos = zip(*control_steps(env, policy, seed), strict=True)
-    return _episode(seed, rewards, infos[-1])
 
 
 def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int]) -> list[Episode]:
@@ -127,28 +110,28 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
                 continue
             rewards[place].append(float(gained[place]))
             if over[place]:
-                told = {name: infos[name][place] for name in ("is_success", "phase", "holding_force") if name in infos}
-                episodes[seed] = _episode(seed, rewards[place], told)
+                phase, force = (infos[name][place] if name in infos else None for name in ("phase", "holding_force"))
+                episodes[seed] = Episode(
+                    seed=seed,
+                    success=bool(infos["is_success"][place]),
+                    total_reward=sum(rewards[place]),
+                    steps=len(rewards[place]),
+                    phase=None if phase is None else str(getattr(phase, "name", phase)).lower(),
+                    holding_force=None if force is None else float(force),
+                )
     return [episodes[seed] for seed in seeds]
 
 
 def run_block(names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[tuple[Episode, ...]]:
     """Run an episode of each policy for each seed, in an environment of their own, on MuJoCo in a batch."""
     with make_task(env_id, **options) as env, ExitStack() as stack:
-        if _has_batch(env) and len(seeds) > 1:
-            size = min(BATCH, len(seeds))
+        size = min(BATCH, len(seeds)) if _has_batch(env) else 1
+        if size > 1:
             envs = stack.enter_context(closing(gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)))
-            columns = [run_batch(envs, [load_policy(name, env) for _ in range(size)], seeds) for name in names]
         else:
-            policies = [load_policy(name, env) for name in names]
-            columns = [[run_episode(env, policy, seed) for seed in seeds] for policy in policies]
+            envs = SyncVectorEnv([lambda: env], autoreset_mode="Disabled")
+        columns = [run_batch(envs, [load_policy(name, env) for _ in range(size)], seeds) for name in names]
     return list(zip(*columns, strict=True))
-
-
-def _episode(seed: int, rewards: Sequence[float], told: Mapping[str, Any]) -> Episode:
-    phase, success, force = told.get("phase"), bool(told["is_success"]), told.get("holding_force")
-    force = None if force is None else float(force)
-    return Episode(seed, success, sum(rewards), len(rewards), None if phase is None else _phase_name(phase), force)
 
 
 def _has_batch(env: gymnasium.Env) -> bool:
@@ -215,27 +198,6 @@ def table(summary: dict[str, Any]) -> str:
 
 
 def main(argv: list[str] | None = None) -> int:
-    args = _parser().parse_args(argv)
-    env_id = args.env or task_of(args.policy)
-    names = [args.policy]
-    if not args.no_baselines and args.policy not in BASELINES:
-        names += reversed(BASELINES)
-    if args.out:
-        writable_folder(args.out.parent)
-    options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
-    limits = {"options": options, "workers": args.workers, "time_limit": 60 * args.time_limit}
-    result = evaluate(names, env_id, args.episodes, seed_start=args.seed_start, **limits)
-    summary = result.summary() | {"options": options}
-    if told := about(args.policy):
-        summary["policy"] = {"file": args.policy, **told}
-    text = json.dumps(summary, indent=2)
-    if args.out:
-        write_text(args.out, text + "\n")
-    print(text if args.json else table(summary))
-    return 0
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("agents.evaluate", __doc__)
     parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
     parser.add_argument("--env", help="environment id; default for a policy file: its own")
@@ -249,7 +211,22 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--no-baselines", action="store_true", help="do not compare a policy file with random and scripted")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--out", type=Path, help="also write the JSON object to this file")
-    return parser
+    args = parser.parse_args(argv)
+    alone = args.no_baselines or args.policy in BASELINES
+    names = [args.policy] if alone else [args.policy, *reversed(BASELINES)]
+    if args.out:
+        writable_folder(args.out.parent)
+    options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
+    how = {"seed_start": args.seed_start, "workers": args.workers, "time_limit": 60 * args.time_limit}
+    summary = evaluate(names, args.env or task_of(args.policy), args.episodes, options=options, **how).summary()
+    summary["options"] = options
+    if told := about(args.policy):
+        summary["policy"] = {"file": args.policy, **told}
+    text = json.dumps(summary, indent=2)
+    if args.out:
+        write_text(args.out, text + "\n")
+    print(text if args.json else table(summary))
+    return 0
 
 
 def task_of(policy: str) -> str:
@@ -277,8 +254,10 @@ def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
     }
 
 
-def _phase_name(phase: Any) -> str:
-    return str(getattr(phase, "name", phase)).lower()
+def _difference(first: Sequence[Episode], second: Sequence[Episode]) -> dict[str, Any]:
+    more = [a.success - b.success for a, b in zip(first, second, strict=True)]
+    difference, *interval = paired_difference(more.count(1), more.count(-1), len(more))
+    return {"success": difference, "interval_95": interval}
 
 
 if __name__ == "__main__":

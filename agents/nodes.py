@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 import os
 import platform
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -26,19 +25,16 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from agents import RunError, command_parser, minutes, other_versions, versions
 from agents.closures import Learner, Trials, worlds_of
-from agents.command import RunError, command_parser
-from agents.recipes import Recipe, recipe_named
-from agents.tasks import other_versions, versions
+from agents.recipes import RECIPES, Recipe, add_recipe, recipe_of
+from agents.train import train
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 
-ROOT = Path(__file__).resolve().parents[1]
-WAIT_S = 1.0
-"""Longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training."""
-SILENCE_S = 60.0
-"""Time without a chunk after which a message is printed [s]."""
+WAIT_S = 1.0  # longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training
+SILENCE_S = 60.0  # time without a chunk after which a message is printed [s]
 QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
@@ -76,7 +72,7 @@ class Collector:
     """The worlds of a node with a copy of the learner that decides in them. Ray runs it in a separate process.
 
     Args:
-        recipe: the settings of the run; it makes `num_envs` worlds, and a chunk has at least as many trials.
+        recipe: the settings of the run, among them the number of worlds; a chunk has at least as many trials.
         seed: seed of the first world and of the decisions.
         expected: the learner's `versions`.
 
@@ -92,7 +88,7 @@ class Collector:
         first = self._all_worlds[0]
         self._learner = Learner(replace(recipe, episodes=1), first.observed, first.deployed, first.phases)
         self._learner.reseed(seed)
-        self._least = recipe.num_envs
+        self._num_envs = recipe.num_envs
 
     def collect(self, known: dict[str, Any]) -> tuple[tuple[np.ndarray, ...], int, float]:
         """Collect a chunk: its trials as arguments of `Trials.add`, its control steps and its processor time [s]."""
@@ -101,11 +97,9 @@ class Collector:
             network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
         learner.mean, learner.scale, learner.updates = known["mean"], known["scale"], known["updates"]
         parts: list[tuple[np.ndarray, ...]] = []
-        steps = 0
-        while sum(len(part[0]) for part in parts) < self._least:
-            for worlds in self._all_worlds:
-                parts.append(worlds.step(learner))
-                steps += worlds.steps
+        while sum(len(part[0]) for part in parts) < self._num_envs:
+            parts += [worlds.step(learner) for worlds in self._all_worlds]
+        steps = self._num_envs * len(parts) // len(self._all_worlds)
         trials = tuple(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return trials, steps, time.process_time() - begun
 
@@ -133,7 +127,7 @@ class Collectors:
         self.observed, self.deployed, self.phases = samples[0].observed, samples[0].deployed, samples[0].phases
         for sample in samples:
             sample.close()
-        self._none = Trials.empty(0, self.observed, self.deployed, len(recipe.closures.names)).columns
+        self._none = tuple(Trials(0, self.observed, self.deployed, len(recipe.closures.names)).columns.values())
         self._recipe, self._done, self._begun = recipe, done, 0
         self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)
         self._idle = [self._start() for _ in range(count)]
@@ -142,17 +136,12 @@ class Collectors:
         self.trials, self._seconds, self.steps = Counter[int](), Counter[int](), 0
 
     def _start(self) -> tuple[int, Any]:
-        place = self._begun
-        self._begun += 1
+        place, self._begun = self._begun, self._begun + 1
         seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
         return place, self._make.remote(self._recipe, seed, versions())
 
     def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
-        """Request chunks from idle collectors, and wait briefly for one.
-
-        Args:
-            learner: the learner whose networks the collectors use.
-            meanwhile: called while the collectors work.
+        """Request chunks from idle collectors, call `meanwhile`, and wait briefly for a chunk.
 
         Returns:
             The trials of a received chunk, as arguments of `Trials.add`; no trials without a chunk.
@@ -206,32 +195,32 @@ def _say(text: str) -> None:
     tqdm.write(text, file=sys.stderr)
 
 
-def train_seed(words: list[str]) -> dict[str, bytes]:
-    """Run ``agents.train`` with these arguments on this node; returns the files of its folder.
+def train_seed(recipe: Recipe, time_limit: float) -> dict[str, bytes]:
+    """Train a complete run in this process, so that it ends with the process; returns the files of its folder.
 
     Raises:
-        RunError: The training failed.
+        RunError: The training failed or was interrupted.
     """
     with TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "agents.train", *words, "--out", folder]
-        done = subprocess.run(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-        if done.returncode:
-            raise RunError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit status {done.returncode}")
+        if train(recipe, Path(folder), time_limit=time_limit):
+            raise RunError("the training was interrupted")
         return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
 
 
 def main(argv: list[str] | None = None) -> int:
     """Train complete runs on the nodes of a Ray cluster, one per seed."""
     parser = command_parser("agents.nodes", main.__doc__)
-    parser.add_argument("recipe", help="recipe of agents.train; further options are passed on to it")
+    parser.add_argument("recipe", help=f"one of {', '.join(sorted(RECIPES))}")
     parser.add_argument("--seeds", type=whole_number(1), required=True, metavar="N", help="train with the seeds 0 to N - 1")
     parser.add_argument("--out", type=Path, required=True, help="folder, in which each run gets a folder seed-N")
-    args, settings = parser.parse_known_args(argv)
-    recipe_named(args.recipe)
+    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end each run after so long")
+    add_recipe(parser)
+    args = parser.parse_args(argv)
+    recipe = recipe_of(args)
     writable_folder(args.out)
     ray = connected()
-    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(train_seed)
-    running = {task.remote([args.recipe, *settings, "--seed", f"{seed}"]): seed for seed in range(args.seeds)}
+    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)  # a process per run
+    running = {task.remote(replace(recipe, seed=seed), 60 * args.time_limit): seed for seed in range(args.seeds)}
     failed = 0
     while running:
         (reference, *_), _ = ray.wait(list(running))

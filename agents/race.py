@@ -8,8 +8,9 @@ import copy
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from importlib.metadata import version
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
-from agents.command import RunError, command_parser, minutes
-from agents.progress import Progress
-from agents.tasks import POLICY, target_of, versions
-from hpac import run, whole_number
+from agents import POLICY, RecipeError, RunError, command_parser, minutes, target_of, versions
+from agents.curves import Progress
+from agents.recipes import add_settings, applies, check, given_settings, setting, with_settings
+from hpac import run
 from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.evaluation.seeds import training_seed
@@ -33,43 +34,69 @@ from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
 
 ENGINE = "mujoco"
-HIDDEN = (128, 128)
 SAVE_EVERY_S = 60.0
-BOUND = 3.0
-"""Bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh."""
-SATURATED = 20.0
-"""Value beyond which tanh is 1 in single precision."""
+BOUND = 3.0  # bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh
+SATURATED = 20.0  # value beyond which tanh is 1 in single precision
+
+
+ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "crossq": CrossQ}
+_REPLAY, _AVERAGED = ("sac", "tqc", "crossq"), ("sac", "tqc")
 
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """An algorithm and its settings.
+    """Settings of one training with an algorithm of `ALGORITHMS`; those with Stable-Baselines3's names are its arguments.
 
-    Attributes:
-        algorithm: class of Stable-Baselines3.
-        settings: its arguments; `learning_rate` is the initial value, which falls linearly to a twentieth.
-        num_envs: number of parallel worlds.
-        action_repeat: number of control steps for which an action is held.
+    Raises:
+        RecipeError: A setting is out of bounds, or its algorithm has no such setting.
     """
 
-    algorithm: type[BaseAlgorithm]
-    settings: Mapping[str, Any]
-    num_envs: int = 32
-    action_repeat: int = 4
+    algorithm: str
+    seed: int = setting(0, "seed of the run", 0, 2**31 - 1)
+    num_envs: int = setting(32, "number of parallel worlds", 1, 65_536)
+    action_repeat: int = setting(4, "control steps for which an action is held: one decision", 1, 64)
+    hidden: tuple[int, ...] = setting((128, 128), "widths of the layers", 1, 4_096)
+    learning_rate: float = setting(5e-4, "initial learning rate; it falls linearly to a twentieth", 1e-8, 1)
+    gamma: float = setting(0.95, "discount of a decision", 0, 1)
+    batch_size: int = setting(256, "batch size of an update, in decisions", 2, 65_536)
+    n_steps: int = setting(4, "ppo: decisions in each world between updates; others: decisions of an n-step return", 1, 65_536)
+    n_epochs: int = setting(10, "passes over the decisions of an update", 1, 1_000, of=("ppo",))
+    gae_lambda: float = setting(0.9, "lambda of the generalized advantage estimate", 0, 1, of=("ppo",))
+    clip_range: float = setting(0.2, "largest change of a probability ratio in an update", 1e-6, 10, of=("ppo",))
+    ent_coef: float = setting(0.0, "weight of the entropy in the loss", 0, 10, of=("ppo",))
+    vf_coef: float = setting(0.5, "weight of the value function in the loss", 0, 100, of=("ppo",))
+    max_grad_norm: float = setting(0.5, "largest norm of a gradient", 1e-6, 1e6, of=("ppo",))
+    log_std_init: float = setting(-0.5, "initial logarithm of the actor's standard deviation", -10, 2, of=("ppo",))
+    buffer_size: int = setting(1_000_000, "capacity of the replay buffer, in decisions", 1, 10**9, of=_REPLAY)
+    learning_starts: int = setting(4_000, "random decisions before the first update", 1, 10**9, of=_REPLAY)
+    train_freq: int = setting(1, "decisions in each world between updates", 1, 65_536, of=_REPLAY)
+    gradient_steps: int = setting(8, "gradient steps of an update", 1, 65_536, of=_REPLAY)
+    target_entropy: float = setting(-6.0, "target entropy of the actor [nats]", -100, 100, of=_REPLAY)
+    tau: float = setting(0.01, "step of the target networks towards the critics", 1e-6, 1, of=_AVERAGED)
+    target_update_interval: int = setting(1, "gradient steps between two steps of the target networks", 1, 10**6, of=_AVERAGED)
+    top_quantiles_to_drop_per_net: int = setting(2, "highest of a critic's 25 quantiles that are left out", 0, 24, of=("tqc",))
+    policy_delay: int = setting(3, "updates of the critics for each update of the actor", 1, 1_000, of=("crossq",))
+
+    def __post_init__(self) -> None:
+        check(self)
+        for entry in fields(self):
+            if not applies(entry, self.algorithm) and getattr(self, entry.name) != entry.default:
+                raise RecipeError(f"{entry.name} is a setting of {', '.join(entry.metadata['of'])}, not of {self.algorithm}")
+        if self.algorithm == "ppo" and self.num_envs * self.n_steps < 2:
+            raise RecipeError("num_envs and n_steps are 1: an update of ppo needs at least 2 decisions")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that its algorithm has, by name."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self) if applies(entry, self.algorithm)}
 
 
-_REPLAY = {
-    "gamma": 0.95, "n_steps": 4, "learning_rate": 5e-4, "batch_size": 256, "learning_starts": 4_000, "gradient_steps": 8,
-}  # fmt: skip
 CONTENDERS: Mapping[str, Contender] = {
-    "ppo": Contender(PPO, {
-        "gamma": 0.95, "gae_lambda": 0.9, "learning_rate": 5e-4, "batch_size": 512, "n_steps": 16,
-        "policy_kwargs": {"log_std_init": -0.5},
-    }, num_envs=128),
-    "sac": Contender(SAC, _REPLAY | {"tau": 0.01}),
-    "tqc": Contender(TQC, _REPLAY | {"tau": 0.01}),
-    "crossq": Contender(CrossQ, _REPLAY | {"learning_rate": 1e-3}),
-}  # fmt: skip
+    "ppo": Contender("ppo", num_envs=128, batch_size=512, n_steps=16),
+    "sac": Contender("sac"),
+    "tqc": Contender("tqc"),
+    "crossq": Contender("crossq", learning_rate=1e-3),
+}
 
 
 class Decisions(VecEnvWrapper):
@@ -121,18 +148,20 @@ class _Watch(BaseCallback):
         return self._progress.add(held, 0, float("nan"))  # no budget of control steps
 
 
-def learner_of(contender: Contender, seed: int, share: Callable[[], float]) -> BaseAlgorithm:
+def learner_of(contender: Contender, share: Callable[[], float]) -> BaseAlgorithm:
     """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1."""
-    squashed = contender.algorithm is not PPO
+    algorithm, squashed = ALGORITHMS[contender.algorithm], contender.algorithm != "ppo"
     worlds = HandVecEnv(GRASP, contender.num_envs, engine=ENGINE)
     decisions = Decisions(worlds, contender.action_repeat, None if squashed else BOUND)
-    settings = dict(contender.settings)
-    rate = settings.pop("learning_rate")
-    network = {"net_arch": list(HIDDEN), "activation_fn": nn.ReLU, **settings.pop("policy_kwargs", {})}
-    return contender.algorithm(
-        "MlpPolicy", VecNormalize(decisions, norm_reward=not squashed, gamma=settings["gamma"], epsilon=1e-4), **settings,
-        learning_rate=lambda _: rate * max(0.05, 1.0 - share()), seed=training_seed(seed, 0, contender.num_envs), device="cpu",
-        policy_kwargs=network,
+    own = {name: value for name, value in contender.settings.items() if name in signature(algorithm).parameters}
+    network = {"net_arch": list(contender.hidden), "activation_fn": nn.ReLU}
+    return algorithm(
+        "MlpPolicy", VecNormalize(decisions, norm_reward=not squashed, gamma=contender.gamma, epsilon=1e-4),
+        **own | {
+            "learning_rate": lambda _: contender.learning_rate * max(0.05, 1.0 - share()),
+            "seed": training_seed(contender.seed, 0, contender.num_envs),
+        },
+        policy_kwargs=network if squashed else network | {"log_std_init": contender.log_std_init}, device="cpu",
     )  # fmt: skip
 
 
@@ -154,22 +183,19 @@ def actor_of(model: BaseAlgorithm) -> Actor:
     return Actor(mean, scale, scaling.clip_obs, tuple(layers), BOUND if ppo else SATURATED)
 
 
-def race(name: str, out: Path, seed: int, time_limit: float) -> None:
+def race(contender: Contender, out: Path, time_limit: float) -> None:
     """Train a contender in the folder `out` for `time_limit` seconds of processor time.
 
     Raises:
         RunError: The folder already holds a run, or the training diverged.
     """
-    contender = CONTENDERS[name]
     if (out / POLICY).exists():
         raise RunError(f"folder '{out}' already holds a run: name another one")
     writable_folder(out)
     torch.set_num_threads(1)
     target = target_of(GRASP, engine=ENGINE)
     progress = Progress(out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time)
-    model = learner_of(contender, seed, lambda: progress.share)
-    settings = {"engine": ENGINE, "hidden": HIDDEN, "seed": seed}
-    libraries = {library: version(library) for library in ("stable-baselines3", "sb3-contrib")}
+    model = learner_of(contender, lambda: progress.share)
 
     def save() -> None:
         actor = actor_of(model)
@@ -177,13 +203,13 @@ def race(name: str, out: Path, seed: int, time_limit: float) -> None:
             raise ValueError("its weights are not finite")
         about = {
             **target,
-            "algorithm": name,
+            "algorithm": contender.algorithm,
             "action_repeat": contender.action_repeat,
-            "settings": asdict(contender) | settings | {"algorithm": contender.algorithm.__name__},
+            "settings": contender.settings | {"engine": ENGINE},
             "episodes": progress.done,
             "decisions": model.num_timesteps,
             "processor_seconds": round(progress.seconds, 1),
-            "versions": versions() | libraries,
+            "versions": versions() | {library: version(library) for library in ("stable-baselines3", "sb3-contrib")},
         }
         write_policy(out / POLICY, PolicyFile(actor, about))
 
@@ -201,9 +227,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("contender", choices=tuple(CONTENDERS), help="which algorithm")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
     parser.add_argument("--minutes", type=minutes, default=15.0, help="processor time of the training")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the run")
+    add_settings(parser, "settings of the algorithm", CONTENDERS)
     args = parser.parse_args(argv)
-    race(args.contender, args.out, args.seed, 60 * args.minutes)
+    race(with_settings(CONTENDERS[args.contender], given_settings(args, Contender)), args.out, 60 * args.minutes)
     return 0
 
 

@@ -1,25 +1,99 @@
-"""Training recipes: one frozen set of settings per name. The options of ``agents.train`` are generated from them."""
+"""Settings of trainings: frozen dataclasses, from whose fields commands make their options; the recipes of ``agents.train``."""
 
 from __future__ import annotations
 
+from argparse import SUPPRESS, ArgumentParser, Namespace
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import Field, dataclass, field, fields, replace
 from math import inf
-from typing import Any, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
-from agents.command import RecipeError
+from agents import RecipeError
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
 
+Settings = TypeVar("Settings")
+_KINDS = {int: "a whole number", float: "a number", tuple[int, ...]: "comma-separated whole numbers",
+          tuple[float, ...]: "comma-separated numbers"}  # fmt: skip
 
-def _setting(default: Any, meaning: str, low: float = 0.0, high: float = inf) -> Any:
-    return field(default=default, metadata={"meaning": meaning, "bounds": (low, high)})
+
+def setting(default: Any, meaning: str, low: float = 0.0, high: float = inf, of: tuple[str, ...] = ()) -> Any:
+    """Field with a number or a tuple of numbers in `low`…`high`; `of`: the names to which it applies, if not to all."""
+    return field(default=default, metadata={"meaning": meaning, "low": low, "high": high, "of": of})
 
 
-def _choice(default: Any, meaning: str, choices: tuple[str, ...]) -> Any:
+def choice(default: Any, meaning: str, choices: tuple[str, ...]) -> Any:
+    """Field with one of `choices`, or a tuple of them."""
     return field(default=default, metadata={"meaning": meaning, "choices": choices})
+
+
+def check(settings: Any) -> None:
+    """Compare settings with their bounds and choices.
+
+    Raises:
+        RecipeError: A setting is out of bounds or not one of its choices.
+    """
+    for entry in fields(settings):
+        value, told = getattr(settings, entry.name), entry.metadata
+        for part in value if isinstance(value, tuple) else (value,):
+            if "choices" in told and part not in told["choices"]:
+                raise RecipeError(f"{entry.name} is '{part}': it must be one of {', '.join(told['choices'])}")
+            if "low" in told and not told["low"] <= part <= told["high"]:
+                raise RecipeError(f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}")
+
+
+def applies(entry: Field, name: str) -> bool:
+    """Whether a field of settings applies to the settings with this name."""
+    of = entry.metadata.get("of")
+    return not of or name in of
+
+
+def add_settings(parser: ArgumentParser, title: str, named: Mapping[str, Any]) -> None:
+    """Add an option for each setting, with its meaning and its default in each of the `named` settings."""
+    group = parser.add_argument_group(title)
+    for entry in fields(next(iter(named.values()))):
+        shown = {name: _text(getattr(settings, entry.name)) for name, settings in named.items() if applies(entry, name)}
+        if not entry.metadata or not shown:
+            continue
+        choices = entry.metadata.get("choices")
+        text = entry.metadata["meaning"] + (f": {', '.join(choices)}" if choices else "")
+        text = text if len(shown) == len(named) else f"{', '.join(shown)}: {text}"
+        default = next(iter(shown.values())) if len(set(shown.values())) == 1 else ", ".join(map(" ".join, shown.items()))
+        option = f"--{entry.name.replace('_', '-')}"
+        group.add_argument(option, metavar="VALUE", default=SUPPRESS, help=f"{text} (default: {default})".replace("%", "%%"))
+
+
+def _text(value: Any) -> str:
+    return ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
+
+
+def given_settings(args: Namespace, kind: type) -> dict[str, str]:
+    """The settings given on the command line, as text."""
+    return {entry.name: getattr(args, entry.name) for entry in fields(kind) if entry.metadata and hasattr(args, entry.name)}
+
+
+def with_settings(settings: Settings, texts: Mapping[str, str]) -> Settings:
+    """The settings with some replaced by values given as text.
+
+    Raises:
+        RecipeError: A text is not a valid value of its setting.
+    """
+    types = get_type_hints(type(settings))
+    changes = {}
+    for name, text in texts.items():
+        kind = types[name]
+        try:
+            if kind in (str, float):
+                changes[name] = kind(text)
+            elif kind is int:
+                changes[name] = int(text.replace("_", ""))
+            else:
+                changes[name] = tuple(kind.__args__[0](word.strip()) for word in text.split(",") if word.strip())
+        except ValueError:
+            raise RecipeError(f"{name} is '{text}': it must be {_KINDS[kind]}") from None
+    return replace(settings, **changes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,46 +104,39 @@ class Recipe:
         RecipeError: A setting is out of bounds or not one of its choices.
     """
 
-    env_id: str = _choice(GRASP, "environment", (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE))
-    set_ups: tuple[str, ...] = _choice(
+    env_id: str = choice(GRASP, "environment", (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE))
+    set_ups: tuple[str, ...] = choice(
         ("mujoco/twin",), "comma-separated engines and bodies, with equal shares of the worlds", SET_UPS
     )
-    randomize: str = _choice("nominal", "randomization of the episodes", tuple(PRESETS))
-    contacts: str = _choice("usual", "contacts in training; weak: without torsional friction, and with half to all of the skin's "
+    randomize: str = choice("nominal", "randomization of the episodes", tuple(PRESETS))
+    contacts: str = choice("usual", "contacts in training; weak: without torsional friction, and with half to all of the skin's "
                             "friction, so that grasps hold in engines whose contacts hold less", ("usual", "weak"))  # fmt: skip
-    episodes: int = _setting(60_000, "total number of trials", 1)
-    env_steps: int = _setting(10**12, "limit of control steps over all worlds", 1)
-    seed: int = _setting(0, "seed of the run", 0, 2**31 - 1)
-    num_envs: int = _setting(128, "number of parallel worlds", 1, 65_536)
-    random_episodes: int = _setting(2_500, "trials of random closures before the first update", 1)
-    spread: float = _setting(0.0, "largest standard deviation of the first trials about the script, whose successes the actor "
+    episodes: int = setting(60_000, "total number of trials", 1)
+    env_steps: int = setting(10**12, "limit of control steps over all worlds", 1)
+    seed: int = setting(0, "seed of the run", 0, 2**31 - 1)
+    num_envs: int = setting(128, "number of parallel worlds", 1, 65_536)
+    random_episodes: int = setting(2_500, "trials of random closures before the first update", 1)
+    spread: float = setting(0.0, "largest standard deviation of the first trials about the script, whose successes the actor "
                              "imitates; 0: uniformly random closures, and critics instead of imitation", 0, 1)  # fmt: skip
-    updates_per_episode: float = _setting(0.15, "updates per trial", 1e-4, 100)
-    batch_size: int = _setting(256, "batch size of each critic's update, in trials", 1, 65_536)
-    actor_batch_size: int = _setting(128, "batch size of the actor's update, at most that of the critics", 1, 65_536)
-    learning_rate: float = _setting(1e-3, "initial learning rate; it falls to a twentieth", 1e-8, 1)
-    weight_decay: float = _setting(0.03, "weight decay of the critics", 0, 10)
-    dropout: float = _setting(0.1, "dropout rate of the critics", 0, 0.9)
-    hidden: tuple[int, ...] = _setting((256, 256, 256), "widths of the layers", 1, 4_096)
-    critics: int = _setting(2, "number of critics", 1, 64)
-    doubt: float = _setting(0.5, "standard deviations over the critics that are subtracted from their mean prediction", 0, 10)
-    aftermath: float = _setting(4.0, "weight of the loss on the predicted state at the end of the closing", 0, 1e3)
-    easy_share: float = _setting(0.3, "least probability with which a trial of near-certain success is run", 0.01, 1)
-    entropy_first: float = _setting(0.1, "target entropy of the actor at the beginning, in nats per number", -10, 0.69)
-    entropy_last: float = _setting(-1.0, "target entropy of the actor at the end", -10, 0.69)
-    begin: tuple[float, ...] = _setting((), "range of the control step at which a closure begins; empty: immediately", 0, 1e6)
-    release: tuple[float, ...] = _setting((), "range of the control step at which the hand opens again; empty: never", 0, 1e6)
-    checkpoint_every: int = _setting(5_000, "trials between two checkpoints", 1)
+    updates_per_episode: float = setting(0.15, "updates per trial", 1e-4, 100)
+    batch_size: int = setting(256, "batch size of each critic's update, in trials", 1, 65_536)
+    actor_batch_size: int = setting(128, "batch size of the actor's update, at most that of the critics", 1, 65_536)
+    learning_rate: float = setting(1e-3, "initial learning rate; it falls to a twentieth", 1e-8, 1)
+    weight_decay: float = setting(0.03, "weight decay of the critics", 0, 10)
+    dropout: float = setting(0.1, "dropout rate of the critics", 0, 0.9)
+    hidden: tuple[int, ...] = setting((256, 256, 256), "widths of the layers", 1, 4_096)
+    critics: int = setting(2, "number of critics", 1, 64)
+    doubt: float = setting(0.5, "standard deviations over the critics that are subtracted from their mean prediction", 0, 10)
+    aftermath: float = setting(4.0, "weight of the loss on the predicted state at the end of the closing", 0, 1e3)
+    easy_share: float = setting(0.3, "least probability with which a trial of near-certain success is run", 0.01, 1)
+    entropy_first: float = setting(0.1, "target entropy of the actor at the beginning, in nats per number", -10, 0.69)
+    entropy_last: float = setting(-1.0, "target entropy of the actor at the end", -10, 0.69)
+    begin: tuple[float, ...] = setting((), "range of the control step at which a closure begins; empty: immediately", 0, 1e6)
+    release: tuple[float, ...] = setting((), "range of the control step at which the hand opens again; empty: never", 0, 1e6)
+    checkpoint_every: int = setting(5_000, "trials between two checkpoints", 1)
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            for part in value if isinstance(value, tuple) else (value,):
-                if "choices" in entry.metadata and part not in entry.metadata["choices"]:
-                    raise RecipeError(f"{entry.name} is '{part}': it must be one of {', '.join(entry.metadata['choices'])}")
-                low, high = entry.metadata.get("bounds", (-inf, inf))
-                if "bounds" in entry.metadata and not low <= part <= high:
-                    raise RecipeError(f"{entry.name} is {part}: it must lie in {low:g}…{high:g}")
+        check(self)
         if self.spread and self.env_id != GRASP_TYPE:
             raise RecipeError(f"spread is {self.spread:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}")
         if not self.hidden or not self.set_ups:
@@ -98,41 +165,22 @@ RECIPES: Mapping[str, Recipe] = {
     "grasp-type": Recipe(env_id=GRASP_TYPE, episodes=3_000, random_episodes=1_000, spread=0.1, updates_per_episode=0.6),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
 }
-_KINDS = {"int": "a whole number", "float": "a number", "tuple[int, ...]": "comma-separated whole numbers",
-          "tuple[float, ...]": "comma-separated numbers"}  # fmt: skip
 
 
-def recipe_named(name: str) -> Recipe:
-    """Look up a recipe by name.
-
-    Raises:
-        RecipeError: The name is unknown.
-    """
-    if name not in RECIPES:
-        raise RecipeError(f"unknown recipe '{name}': known are {', '.join(sorted(RECIPES))}")
-    return RECIPES[name]
+def add_recipe(parser: ArgumentParser) -> None:
+    """Add an option for each setting of a recipe, for `recipe_of`."""
+    add_settings(parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]})
 
 
-def with_settings(recipe: Recipe, texts: Mapping[str, str]) -> Recipe:
-    """The recipe with some settings replaced by values given as text.
+def recipe_of(args: Namespace) -> Recipe:
+    """The recipe named on the command line, with the settings given there.
 
     Raises:
-        RecipeError: A text is not a valid value of its setting.
+        RecipeError: The name is unknown, or a setting is invalid.
     """
-    types = get_type_hints(Recipe)
-    changes = {}
-    for name, text in texts.items():
-        kind = types[name]
-        try:
-            if kind in (str, float):
-                changes[name] = kind(text)
-            elif kind is int:
-                changes[name] = int(text.replace("_", ""))
-            else:
-                changes[name] = tuple(kind.__args__[0](word.strip()) for word in text.split(",") if word.strip())
-        except ValueError:
-            raise RecipeError(f"{name} is '{text}': it must be {_KINDS[Recipe.__annotations__[name]]}") from None
-    return replace(recipe, **changes)
+    if args.recipe not in RECIPES:
+        raise RecipeError(f"unknown recipe '{args.recipe}': known are {', '.join(sorted(RECIPES))}")
+    return with_settings(RECIPES[args.recipe], given_settings(args, Recipe))
 
 
 def settings_of(saved: Mapping[str, Any]) -> Recipe:

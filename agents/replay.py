@@ -7,7 +7,6 @@ servos: the simulated hand executes the pulses, not the policy's commands. The f
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Iterator
@@ -16,18 +15,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import gymnasium
+import imageio.v2 as imageio
 import numpy as np
+from PIL import Image, ImageDraw, ImageFont
 
-from agents.command import RunError, command_parser
+from agents import RunError, command_parser
 from agents.evaluate import task_of
-from agents.video import Sheet, Video
 from hpac import run, whole_number
-from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.bridge import FaultError, HandLink, HostBoard, LinkStatistics, VirtualHand, WireLog, servo_from_pulses
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
-from hpac_gym.output import writable_folder, write_text
+from hpac_gym.output import replacing, writable_folder, write_text
+from hpac_gym.physics.engine import PhysicsError
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
@@ -35,10 +36,10 @@ from hpac_gym.tasks.task import CONTROL_HZ
 
 PULSE_TOLERANCE = 2e-4
 """Tolerance between the pulses at the end of a move and the commanded angles [rad]: two steps of the wire."""
-WATCHDOG = 0.5
-"""Watchdog period: longest time between two commands before the hand executes its safe action [s]."""
-ATTEMPTS = 3
-"""Attempts at an episode before a watchdog stop becomes an error."""
+WATCHDOG = 0.5  # watchdog period: longest time between two commands before the hand executes its safe action [s]
+ATTEMPTS = 3  # attempts at an episode before a watchdog stop becomes an error
+HELD_PICTURES = CONTROL_HZ // 2  # pictures for which the film shows the end of an episode
+SHEET_WIDTH = 1200  # width of the sheet of stills [px]
 
 
 @dataclass
@@ -60,6 +61,13 @@ class Report:
     round_trip_p50_ms: float = 0.0
     round_trip_p99_ms: float = 0.0
 
+    def count(self, wire: Wire, statistics: LinkStatistics) -> None:
+        """Take over the counts of the wire and of its link."""
+        self.moves, self.worst_pulse_error_rad = wire.moves, wire.worst_error
+        self.frames_sent, self.frames_acked = statistics.sent, statistics.acked
+        self.frames_rejected, self.frames_retried = statistics.rejected, statistics.retried
+        self.round_trip_p50_ms, self.round_trip_p99_ms = (1e3 * statistics.round_trip(share) for share in (50, 99))
+
     @property
     def faults(self) -> list[str]:
         """Violated requirements, one line each; a frame that was repeated on a busy machine is acknowledged once."""
@@ -75,6 +83,13 @@ class Report:
         """What became of the frames."""
         repeated = f" ({self.frames_retried} repeated)" if self.frames_retried else ""
         return f"{self.frames_acked} of {self.frames_sent} frames{repeated} acknowledged, {self.frames_rejected} rejected"
+
+    def __str__(self) -> str:
+        return (
+            f"{self.successes} of {self.episodes} grasps held over the wire; {self.moves} moves, pulses at most "
+            f"{self.worst_pulse_error_rad:.1e} rad from the command\n"
+            f"{self.frames}, round trip p50 {self.round_trip_p50_ms:.2f} ms, p99 {self.round_trip_p99_ms:.2f} ms"
+        )
 
 
 class Wire:
@@ -151,29 +166,59 @@ def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> b
     return bool(info["is_success"])
 
 
-def film(
-    policy: str, env_id: str, options: dict[str, str], commands: dict[int, list[ServoCommand]], video: Video, sheet: Sheet
-) -> None:
-    """Render the episodes without the wire: the same commands and seed give a bit-identical motion."""
+def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, list[ServoCommand]], out: Path) -> None:
+    """Render the episodes without the wire: the same commands and seed give a bit-identical motion.
+
+    Raises:
+        PhysicsError: The engine cannot draw.
+        RunError: The film cannot be written.
+    """
     rest: Iterator[ServoCommand] = iter(())
-    env = gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options)
-    actor = load_policy(policy, env)
-    for seed, received in progress(commands.items(), "filming"):
-        sheet.begin_row()
-        rest, phase, picture = iter(received), None, None
-        for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
-            last, picture = picture, env.render()
-            if info["phase"] != phase:
-                sheet.add(picture if last is None else last)
-                phase = info["phase"]
-            video.add(picture, f"seed {seed}   {phase}")
-        sheet.add(picture)
-        video.hold(picture, f"seed {seed}   {info['outcome']}")
-    env.close()
+    font, sheet = ImageFont.load_default(15), []
+
+    def add(picture: np.ndarray, text: str, count: int = 1) -> None:
+        image = Image.fromarray(picture)
+        ImageDraw.Draw(image).text((10, 8), text, fill=(40, 40, 40), font=font)
+        for _ in range(count):
+            video.append_data(np.asarray(image))
+
+    try:
+        video = imageio.get_writer(out / "grasps.mp4", fps=CONTROL_HZ, macro_block_size=None, quality=7)
+    except OSError as error:
+        raise RunError(f"cannot write '{out / 'grasps.mp4'}': {error.strerror or error}") from error
+    with video, gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options) as env:
+        actor = load_policy(policy, env)
+        for seed, received in progress(commands.items(), "filming"):
+            rest, phase, picture, stills = iter(received), None, None, []
+            for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
+                last, picture = picture, env.render()
+                if info["phase"] != phase:
+                    stills.append(picture if last is None else last)
+                    phase = info["phase"]
+                add(picture, f"seed {seed}   {phase}")
+            stills.append(picture)
+            sheet.append(stills)
+            add(picture, f"seed {seed}   {info['outcome']}", HELD_PICTURES)
+    columns, blank = max(map(len, sheet)), np.full_like(sheet[0][0], 255)
+    image = Image.fromarray(np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in sheet]))
+    with replacing(out / "grasps.png") as temporary:
+        size = SHEET_WIDTH, round(SHEET_WIDTH * image.height / image.width)
+        image.resize(size, Image.Resampling.LANCZOS).save(temporary)
 
 
 def main(argv: list[str] | None = None) -> int:
-    args = _parser().parse_args(argv)
+    parser = command_parser("agents.replay", __doc__)
+    parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
+    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
+    parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
+    parser.add_argument("--body", help="twin or light (default: the environment's own)")
+    hands = parser.add_mutually_exclusive_group()
+    hands.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
+    hands.add_argument("--port", help="serial port of a hand, which then moves like the simulated one")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    args = parser.parse_args(argv)
     writable_folder(args.out)
     env_id = task_of(args.policy)
     options = {name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None}
@@ -188,53 +233,21 @@ def main(argv: list[str] | None = None) -> int:
             policy = load_policy(args.policy, env)
             commands = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
             link.clear()
-            _take_statistics(report, wire, link)
+            report.count(wire, link.statistics)
     except OSError as error:
         if isinstance(error, HpacError) or error.filename:
             raise
         raise RunError(f"cannot write '{args.out / 'wire.jsonl'}': {error.strerror or error}") from None
     text = json.dumps(asdict(report), indent=2)
     write_text(args.out / "replay.json", text + "\n")
-    sheet = Sheet()
-    with Video(args.out / "grasps.mp4", CONTROL_HZ) as video:
-        film(args.policy, env_id, options, commands, video, sheet)
-    sheet.write(args.out / "grasps.png")
-    print(text if args.json else _summary(report))
+    try:
+        film(args.policy, env_id, options, commands, args.out)
+    except PhysicsError as error:
+        print(f"no film: {error}", file=sys.stderr)
+    print(text if args.json else report)
     if report.faults:
         raise RunError(f"the wire check failed: {'; '.join(report.faults)}")
     return 0
-
-
-def _take_statistics(report: Report, wire: Wire, link: HandLink) -> None:
-    statistics = link.statistics
-    report.moves, report.worst_pulse_error_rad = wire.moves, wire.worst_error
-    report.frames_sent, report.frames_acked = statistics.sent, statistics.acked
-    report.frames_rejected, report.frames_retried = statistics.rejected, statistics.retried
-    report.round_trip_p50_ms = 1e3 * statistics.round_trip(50)
-    report.round_trip_p99_ms = 1e3 * statistics.round_trip(99)
-
-
-def _summary(report: Report) -> str:
-    return (
-        f"{report.successes} of {report.episodes} grasps held over the wire; {report.moves} moves, pulses at most "
-        f"{report.worst_pulse_error_rad:.1e} rad from the command\n"
-        f"{report.frames}, round trip p50 {report.round_trip_p50_ms:.2f} ms, p99 {report.round_trip_p99_ms:.2f} ms"
-    )
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("agents.replay", __doc__)
-    parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
-    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
-    parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
-    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
-    parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
-    parser.add_argument("--body", help="twin or light (default: the environment's own)")
-    hand = parser.add_mutually_exclusive_group()
-    hand.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
-    hand.add_argument("--port", help="serial port of a hand, which then moves like the simulated one")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    return parser
 
 
 if __name__ == "__main__":

@@ -10,39 +10,38 @@ intervals; rows are printed when complete.
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from agents.command import command_parser, minutes
-from agents.evaluate import DEFAULT_TASK, LEARNED, evaluate, task_of
-from agents.tasks import POLICY
+from agents import POLICY, command_parser, minutes
+from agents.evaluate import DEFAULT_TASK, evaluate, task_of
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.physics.simulation import SET_UPS, default_engine
 from hpac_gym.policies import read_policy
-from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.tasks.phases import PHASES
 
 RANDOMIZED = ("nominal", "hand", "full")
 RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '.join(PHASES)}")
 
 
-def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: int) -> Iterator[dict[str, Any]]:
-    """The cells of the table, as they are completed."""
+def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: int) -> Iterator[list[dict[str, Any]]]:
+    """The cells of each row of the table, as it is completed."""
     for policy in policies:
-        env_id = task_of(policy)
         for engine, body in (set_up.split("/") for set_up in SET_UPS):
             if engine == "pybullet" and default_engine() != "pybullet":
                 continue  # not installed; the command reports it
+            row = []
             for randomize in RANDOMIZED:
                 options = {"engine": engine, "body": body, "randomize": randomize}
-                judged = evaluate([policy], env_id, episodes, seed_start=seed_start, workers=workers, options=options)
-                numbers = judged.summary()["policies"][policy if policy in BASELINES else LEARNED]
-                yield {"policy": policy, **options, **numbers}
+                judged = evaluate([policy], task_of(policy), episodes, seed_start=seed_start, workers=workers, options=options)
+                row.append({"policy": policy, **options, **next(iter(judged.summary()["policies"].values()))})
+            yield row
 
 
 def judged_run(name: str, seed: int, policy: str, *how: int) -> dict[str, Any]:
@@ -50,13 +49,7 @@ def judged_run(name: str, seed: int, policy: str, *how: int) -> dict[str, Any]:
     episodes, seed_start, workers = how
     judged = evaluate([policy], DEFAULT_TASK, episodes, seed_start=seed_start, workers=workers, options={"engine": "mujoco"})
     about = {key: read_policy(policy).about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
-    return {"learner": name, "seed": seed, "trained": about, **judged.summary()["policies"][LEARNED]}
-
-
-def seeds(policies: Sequence[str], *how: int) -> Iterator[dict[str, Any]]:
-    """The rows of several runs of a recipe, as they are completed."""
-    for policy in policies:
-        yield judged_run("grasp", read_policy(policy).about["settings"]["seed"], policy, *how)
+    return {"learner": name, "seed": seed, "trained": about, **next(iter(judged.summary()["policies"].values()))}
 
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
@@ -67,8 +60,8 @@ def over_runs(cells: Sequence[dict[str, Any]]) -> str:
     return f"{len(cells)} runs: median {100 * np.median(rates):.1f}, lowest {100 * rates.min():.1f}, interquartile mean {middle}"
 
 
-def race(runs: Path, seed: int, limit: float, episodes: int, seed_start: int, workers: int) -> Iterator[dict[str, Any]]:
-    """The rows of the comparison of algorithms, as they are completed."""
+def race(runs: Path, seed: int, limit: float) -> Iterator[tuple[str, int, str]]:
+    """The learners of the comparison of algorithms with their seed and policy, trained where it is missing."""
     from agents import race, train  # imported here, since they load PyTorch
 
     for name in (*race.CONTENDERS, "grasp"):
@@ -76,8 +69,8 @@ def race(runs: Path, seed: int, limit: float, episodes: int, seed_start: int, wo
         if not (out / POLICY).exists() and name == "grasp":
             train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
         elif not (out / POLICY).exists():
-            race.race(name, out, seed, 60 * limit)
-        yield judged_run(name, seed, str(out / POLICY), episodes, seed_start, workers)
+            race.race(replace(race.CONTENDERS[name], seed=seed), out, 60 * limit)
+        yield name, seed, str(out / POLICY)
 
 
 def race_row(cell: dict[str, Any]) -> str:
@@ -116,21 +109,20 @@ def main(argv: list[str] | None = None) -> int:
     if args.out:
         writable_folder(args.out.parent)
     how = args.episodes, args.seed_start, args.workers
-    if args.table != "elsewhere":
-        columns, group, line = RACED, 1, lambda done: race_row(done[0])
-        found = race(args.runs, args.seed, args.minutes, *how) if args.table == "race" else seeds(args.policy, *how)
-    else:
-        columns, group, line = ("policy", "judged on", *RANDOMIZED), len(RANDOMIZED), row
-        found = elsewhere(args.policy, *how)
+    if args.table == "elsewhere":
+        columns, line, rows = ("policy", "judged on", *RANDOMIZED), row, elsewhere(args.policy, *how)
         if default_engine() != "pybullet":
             print("PyBullet is not installed: its rows are left out", file=sys.stderr)
+    else:
+        given = (("grasp", read_policy(policy).about["settings"]["seed"], policy) for policy in args.policy or ())
+        found = race(args.runs, args.seed, args.minutes) if args.table == "race" else given
+        columns, line, rows = RACED, lambda row: race_row(*row), ([judged_run(*trained, *how)] for trained in found)
     print(f"| {' | '.join(columns)} |")
     print("| --- " * len(columns) + "|")
     cells: list[dict[str, Any]] = []
-    for cell in found:
-        cells.append(cell)
-        if len(cells) % group == 0:
-            print(line(cells[-group:]), flush=True)
+    for done in rows:
+        cells += done
+        print(line(done), flush=True)
         if args.out:
             write_text(args.out, json.dumps(cells, indent=2) + "\n")
     if args.table == "seeds":

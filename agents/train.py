@@ -2,36 +2,42 @@
 
 The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, both updated at every checkpoint, ``progress.csv``,
 ``run.json`` (the settings) and the last checkpoint, from which ``--resume`` continues.
+
+A checkpoint is a folder ``checkpoint-EPISODES`` that is renamed to this name once its contents are on disk; only then is the
+previous one removed. It holds JSON and plain arrays: reading it executes no foreign code.
 """
 
-import argparse
+from __future__ import annotations
+
+import errno
 import json
+import os
 import shutil
 import signal
 import sys
 import time
-from dataclasses import asdict, fields, replace
+from argparse import Namespace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from agents.command import RecipeError, RunError, command_parser, minutes
-from agents.progress import CURVE, Progress, drop_rows_after
-from agents.recipes import RECIPES, Recipe, recipe_named, settings_of, with_settings
-from agents.tasks import POLICY, target_of, versions
+import numpy as np
+
+from agents import POLICY, RecipeError, RunError, command_parser, minutes, other_versions, target_of, versions
+from agents.curves import CURVE, Progress, drop_rows_after, report
+from agents.recipes import RECIPES, Recipe, add_recipe, given_settings, recipe_of, settings_of, with_settings
 from hpac import INTERRUPTED, run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 
+if TYPE_CHECKING:
+    from agents.closures import Learner
+
 RUN = "run.json"
-
-
-def main(argv: list[str] | None = None) -> int:
-    started = time.monotonic()
-    args = _parser().parse_args(argv)
-    recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
-    return train(recipe, args.out, resume=args.resume, time_limit=60 * args.time_limit, started=started, nodes=args.nodes)
+_PREFIX = "checkpoint-"
+_UNFINISHED = ".unfinished"
 
 
 def train(
@@ -42,15 +48,17 @@ def train(
 
     ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock. If ``nodes`` is
     positive, that many collectors of `agents.nodes` try the closures.
+
+    Raises:
+        RunError: The training diverged, or its folder cannot be read or written.
     """
     # Imported here: loading PyTorch takes seconds, which a mistyped argument should not cost.
     import torch
 
-    from agents.checkpoints import latest_checkpoint, load_checkpoint, save_checkpoint, saved_trials
     from agents.closures import Learner, worlds_of
-    from agents.curves import report
 
     torch.set_num_threads(1)
+    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     checkpoint = latest_checkpoint(out) if resume else None
     done = saved_trials(out) if resume else 0
     if nodes:
@@ -88,7 +96,7 @@ def train(
         progress.write_row(learner.entropy)
         report(out)
 
-    going, saved = learner.trials.count < recipe.episodes, done
+    going, saved = done < recipe.episodes, done
     while going:
         for worlds in all_worlds:
             trials = worlds.step(learner, partial(learner.learn, progress.share))
@@ -106,7 +114,85 @@ def train(
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
 
 
-def _parser() -> argparse.ArgumentParser:
+def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Path:
+    """Write a checkpoint of the learner, its optimisers, its trials and the scaling; returns its folder.
+
+    Raises:
+        RunError: The training has diverged, the disk is full or the folder cannot be written; the previous checkpoint is kept.
+    """
+    final = folder / f"{_PREFIX}{learner.trials.count:09d}"
+    unfinished = final.with_suffix(_UNFINISHED)
+    arrays = learner.arrays()
+    try:
+        if bad := next((name for name, array in arrays.items() if not np.isfinite(array).all()), None):
+            raise ValueError(f"the training has diverged, {bad} is not finite")
+        shutil.rmtree(unfinished, ignore_errors=True)
+        unfinished.mkdir(parents=True)
+        np.savez(unfinished / "arrays.npz", **arrays)
+        state = {"episodes": learner.trials.count, "updates": learner.updates, "versions": versions(), **state}
+        (unfinished / "state.json").write_text(json.dumps(state, indent=2) + "\n")
+        for path in (*unfinished.iterdir(), unfinished):
+            _to_disk(path)
+        shutil.rmtree(final, ignore_errors=True)
+        os.rename(unfinished, final)
+        _to_disk(folder)
+    except (OSError, ValueError) as error:
+        shutil.rmtree(unfinished, ignore_errors=True)
+        kept = latest_checkpoint(folder)
+        reason = getattr(error, "strerror", None) or error
+        which = f"'{kept.name}' is kept" if kept else "there is no earlier one"
+        raise RunError(f"cannot write checkpoint '{final}': {reason}; {which}") from error
+    for old in folder.glob(f"{_PREFIX}*"):
+        if old != final:
+            shutil.rmtree(old, ignore_errors=True)
+    return final
+
+
+def latest_checkpoint(folder: Path) -> Path | None:
+    """The latest complete checkpoint in a folder; None without one."""
+    found = [path for path in folder.glob(f"{_PREFIX}*") if path.suffix != _UNFINISHED]
+    return max(found, default=None)
+
+
+def saved_trials(folder: Path) -> int:
+    """Number of trials in the latest complete checkpoint in a folder; 0 without one."""
+    path = latest_checkpoint(folder)
+    return int(path.name.removeprefix(_PREFIX)) if path else 0
+
+
+def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
+    """Load a checkpoint into a learner of the same recipe; returns the state saved with it.
+
+    Raises:
+        RunError: A file is missing or damaged, or the checkpoint is of another recipe or of other versions.
+    """
+    try:
+        state = json.loads((path / "state.json").read_text())
+        with np.load(path / "arrays.npz", allow_pickle=False) as file:
+            arrays = dict(file)
+        if len(arrays["survived"]) != state["episodes"]:
+            raise ValueError(f"{len(arrays['survived'])} trials, not {state['episodes']}")
+        if others := other_versions(state["versions"]):
+            raise ValueError(f"it was written with {others}")
+        learner.restore(arrays, state["updates"])
+    except Exception as error:  # a damaged file can make its reader raise anything
+        raise RunError(f"checkpoint '{path}' is damaged, of another recipe or of other versions: {error}") from error
+    return state
+
+
+def _to_disk(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a file system without fsync of folders
+            raise
+    finally:
+        os.close(handle)
+
+
+def main(argv: list[str] | None = None) -> int:
+    started = time.monotonic()
     parser = command_parser("agents.train", __doc__)
     parser.add_argument("recipe", nargs="?", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
@@ -114,39 +200,29 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", action="store_true", help="continue the run in the folder; only --episodes can change")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that is already in the folder")
     parser.add_argument("--nodes", type=whole_number(0), default=0, metavar="N", help="number of collectors on a Ray cluster")
-    group = parser.add_argument_group("settings of the recipe, with the defaults of 'grasp'")
-    for entry in fields(Recipe):
-        default = getattr(RECIPES["grasp"], entry.name)
-        shown = ",".join(map(str, default)) if isinstance(default, tuple) else default
-        choices = entry.metadata.get("choices")
-        text = entry.metadata["meaning"] + (f": {', '.join(choices)}" if choices else "") + f" (default: {shown})"
-        option = f"--{entry.name.replace('_', '-')}"
-        group.add_argument(option, metavar="VALUE", default=argparse.SUPPRESS, help=text.replace("%", "%%"))
-    return parser
+    add_recipe(parser)
+    args = parser.parse_args(argv)
+    recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
+    return train(recipe, args.out, resume=args.resume, time_limit=60 * args.time_limit, started=started, nodes=args.nodes)
 
 
-def _given(args: Any) -> dict[str, str]:
-    """Settings given on the command line, as text."""
-    return {entry.name: getattr(args, entry.name) for entry in fields(Recipe) if hasattr(args, entry.name)}
-
-
-def _fresh_recipe(args: Any) -> Recipe:
+def _fresh_recipe(args: Namespace) -> Recipe:
+    """The recipe of a new run, whose folder is then empty."""
     if args.recipe is None:
         raise RecipeError(f"no recipe given: it must be one of {', '.join(sorted(RECIPES))}")
-    recipe = with_settings(recipe_named(args.recipe), _given(args))
+    recipe = recipe_of(args)
     if (args.out / RUN).exists() and not args.overwrite:
         raise RunError(f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it")
     writable_folder(args.out)
     for old in (args.out / RUN, args.out / POLICY, args.out / CURVE):
         old.unlink(missing_ok=True)
-    for old in args.out.glob("checkpoint-*"):
+    for old in args.out.glob(f"{_PREFIX}*"):
         shutil.rmtree(old, ignore_errors=True)
-    _write_run(args.out, recipe)
     return recipe
 
 
-def _resumed_recipe(args: Any) -> Recipe:
-    given = _given(args)
+def _resumed_recipe(args: Namespace) -> Recipe:
+    given = given_settings(args, Recipe)
     if args.recipe is not None or args.overwrite or set(given) - {"episodes"}:
         raise RecipeError("a resumed run keeps its settings: only --episodes can change")
     path = args.out / RUN
@@ -157,14 +233,7 @@ def _resumed_recipe(args: Any) -> Recipe:
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise RunError(f"cannot resume '{path}': {error}") from None
     writable_folder(args.out)
-    if given:
-        recipe = replace(recipe, episodes=with_settings(recipe, given).episodes)
-        _write_run(args.out, recipe)
-    return recipe
-
-
-def _write_run(out: Path, recipe: Recipe) -> None:
-    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
+    return with_settings(recipe, given)
 
 
 def _stop_on_signal(progress: Progress) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from agents.command import command_parser
+from agents import command_parser
 from hpac import run, whole_number
 from hpac_gym.body.object_sets import SPLITS
 from hpac_gym.envs.episodes import Episodes

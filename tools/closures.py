@@ -14,7 +14,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from agents.command import command_parser
+from agents import command_parser
 from hpac import run, whole_number
 from hpac_gym.evaluation import closures
 from hpac_gym.evaluation.closures import COLUMNS, FILE, Closure, Try, share_found

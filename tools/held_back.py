@@ -9,9 +9,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from agents import closures, train
-from agents.command import command_parser
-from agents.tasks import POLICY
+from agents import POLICY, closures, command_parser, train
 from hpac import run, whole_number
 from hpac_gym.envs import GraspAny, GraspAnyConfig
 from hpac_gym.envs.options import GRASP_ANY

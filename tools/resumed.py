@@ -11,10 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from agents import reproduce
-from agents.checkpoints import saved_trials
-from agents.command import RunError, command_parser
-from agents.tasks import POLICY
+from agents import POLICY, RunError, command_parser, reproduce
+from agents.train import saved_trials
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import stratified_bootstrap

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import benchmark
+from agents import RunError, TaskError, benchmark
 from agents.benchmark import comparison, env_hash, faults, main, splits_of, table
 from agents.closures import SHORT
-from agents.command import RunError, TaskError
 from agents.evaluate import evaluate
 from hpac_gym.envs import GraspAny
 from hpac_gym.envs.episodes import Episodes

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
+from agents import RunError
 from agents.closures import TYPE, Learner, scripted_decisions
-from agents.command import RunError
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.envs import GraspByType
 from hpac_gym.tasks.scripted import ScriptedGraspType

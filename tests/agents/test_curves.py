@@ -3,20 +3,21 @@ import json
 import numpy as np
 import pytest
 
-from agents.curves import report
-from agents.progress import COLUMNS, append_row, drop_rows_after, read_curve
+from agents.curves import Progress, drop_rows_after, read_curve, report
 
 
-def row(trials: int) -> dict[str, float]:
-    return dict(zip(COLUMNS, (trials, trials / 200, trials / 10_000, 100, -0.5), strict=True))
+def go_on(folder, done: int, end: int) -> None:
+    """Train from one number of trials to another, a thousand at a time, of which half hold."""
+    progress = Progress(folder, 10_000, 10**9, done)
+    while progress.done < end:
+        progress.add([True, False] * 500, 20_000, -0.5)
+    progress.close()
 
 
 @pytest.fixture
 def curve(tmp_path):
-    path = tmp_path / "progress.csv"
-    for trials in range(1000, 6000, 1000):
-        append_row(path, row(trials))
-    return path
+    go_on(tmp_path, 0, 5000)
+    return tmp_path / "progress.csv"
 
 
 def test_a_curve_reads_back_as_it_was_written(curve):
@@ -29,7 +30,7 @@ def test_rows_after_a_checkpoint_and_half_rows_are_taken_back(curve):
     with curve.open("a") as file:
         file.write("30")
     drop_rows_after(curve, 3000)
-    append_row(curve, row(4000))
+    go_on(curve.parent, 3000, 4000)
     assert np.array_equal(read_curve(curve)["episodes"], [1000, 2000, 3000, 4000])
 
 

@@ -1,13 +1,24 @@
 import json
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from agents.demo import RESULTS
+from agents.demo import RESULTS, steps
+from agents.recipes import RECIPES
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("recipe", RECIPES)
+def test_a_policy_is_judged_and_replayed_on_the_engine_and_body_of_its_training(recipe):
+    engine, body = RECIPES[recipe].set_ups[0].split("/")
+    commands = {words[0]: words for _, words in steps(recipe, Path("runs/demo"), 10.0, 400, 0)}
+    for name in ("agents.evaluate", "agents.replay"):
+        given = dict(pairwise(commands[name]))
+        assert (given.get("--engine"), given.get("--body")) == (engine, body), name
 
 
 @pytest.mark.slow

@@ -1,18 +1,22 @@
 """Collecting on the nodes of a Ray cluster: what a chunk is, and that a run outlives a node and counts each trial once."""
 
 import json
+import os
 import re
+import signal
+import subprocess
 import sys
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agents import checkpoints, nodes, train
+from agents import RunError, nodes, train, versions
 from agents.closures import Learner
-from agents.command import RunError
 from agents.recipes import RECIPES, with_settings
-from agents.tasks import versions
 from hpac_gym.policies import read_policy
+from tests.processes import wait_for
 
 SETTINGS = {"num_envs": "2", "hidden": "16", "batch_size": "16", "random_episodes": "4", "checkpoint_every": "30"}
 SMALL = [word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)]
@@ -48,6 +52,33 @@ def test_without_ray_one_line_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(RunError, match=r"needs Ray, which is not installed: pip install 'hpac_gym\[nodes\]'"):
         nodes.Collectors(RECIPES["grasp"], 2)
+
+
+def test_the_training_of_a_killed_worker_ends(tmp_path):
+    script = f"""
+from agents.nodes import train_seed
+from agents.recipes import RECIPES, with_settings
+train_seed(with_settings(RECIPES["grasp"], {SETTINGS | {"checkpoint_every": "8"}}), float("inf"))
+"""
+    worker = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"TMPDIR": f"{tmp_path}"}, start_new_session=True)
+    try:
+        wait_for(lambda: list(tmp_path.glob("*/checkpoint-*")) or worker.poll() is not None)
+        worker.kill()
+        worker.wait()
+        wait_for(lambda: not processes_of(worker.pid), 10)
+    finally:
+        os.killpg(worker.pid, signal.SIGKILL) if processes_of(worker.pid) else None
+    assert list(tmp_path.glob("*/checkpoint-*")), "it trained"
+
+
+def processes_of(session: int) -> list[Path]:
+    """The running processes of a session."""
+    running = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, _, its_session = path.read_text().rpartition(")")[2].split()[:4]
+            running += [path] * (int(its_session) == session and state != "Z")
+    return running
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +128,7 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
 
 
 def assert_no_trial_twice(folder, count):
-    path = checkpoints.latest_checkpoint(folder)
+    path = train.latest_checkpoint(folder)
     assert json.loads((path / "state.json").read_text())["episodes"] == count
     assert len(np.unique(np.load(path / "arrays.npz")["seen"], axis=0)) == count
 
@@ -115,5 +146,6 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     assert nodes.main(["grasp", "--seeds", "2", "--out", f"{tmp_path}", "--episodes", "6", *SMALL]) == 0
     trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (0, 1)]
     assert trained == [0, 1]
-    assert nodes.main(["grasp", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "0", *SMALL]) == 1
-    assert "seed-0 failed: agents.command.RunError: error: episodes is 0: it must lie in 1…inf" in capsys.readouterr().err
+    words = ["grasp-type", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "6", *SMALL, "--spread", "1"]
+    assert nodes.main(words) == 1
+    assert "seed-0 failed: agents.RunError: none of the first 4 trials held" in capsys.readouterr().err

@@ -1,13 +1,13 @@
 """Algorithms of Stable-Baselines3 as contenders: what they train acts from a policy file as it does in their own hands."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agents import race, reproduce
-from agents.command import RunError
+from agents import RecipeError, RunError, race, reproduce
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 
@@ -17,14 +17,12 @@ FEW_UPDATES = {"learning_starts": 8, "gradient_steps": 1, "batch_size": 16}
 
 
 def small(name: str) -> race.Contender:
-    contender = race.CONTENDERS[name]
-    settings = dict(contender.settings) | FEW.get(name, FEW_UPDATES)
-    return replace(contender, settings=settings, num_envs=2)
+    return replace(race.CONTENDERS[name], num_envs=2, **FEW.get(name, FEW_UPDATES))
 
 
 @pytest.mark.parametrize("name", ["ppo", "crossq", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sac", "tqc"))])
 def test_the_policy_file_acts_as_the_trained_model_predicts(name, tmp_path):
-    model = race.learner_of(small(name), seed=0, share=lambda: 0.0)
+    model = race.learner_of(small(name), share=lambda: 0.0)
     model.learn(40)
     if name == "ppo":
         model.policy.action_net.bias.data[0] = 5.0  # beyond the bound
@@ -56,10 +54,59 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
 
 
 def test_a_training_that_diverges_ends_in_one_error(tmp_path, monkeypatch):
-    contender = small("ppo")
-    monkeypatch.setattr(race, "CONTENDERS", {"ppo": replace(contender, settings=contender.settings | {"learning_rate": 1e30})})
+    made = race.learner_of
+
+    def broken(*words):
+        model = made(*words)
+        model.policy.action_net.bias.data[0] = float("nan")
+        return model
+
+    monkeypatch.setattr(race, "learner_of", broken)
     with pytest.raises(RunError, match="diverged"):
-        race.race("ppo", tmp_path, seed=0, time_limit=60.0)
+        race.race(small("ppo"), tmp_path, time_limit=60.0)
+
+
+def test_help_shows_every_setting_with_its_default_for_each_algorithm(capsys):
+    with pytest.raises(SystemExit):
+        race.main(["--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert all(f"--{entry.name.replace('_', '-')} VALUE" in told for entry in fields(race.Contender) if entry.name != "algorithm")
+    assert "number of parallel worlds (default: ppo 128, sac 32, tqc 32, crossq 32)" in told
+    assert "sac, tqc: step of the target networks towards the critics (default: 0.01)" in told
+
+
+@pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
+@pytest.mark.parametrize("name", race.CONTENDERS)
+def test_every_setting_can_be_changed_and_reaches_its_algorithm(name):
+    contender, changed = race.CONTENDERS[name], {"num_envs": 3, "hidden": (16,), "log_std_init": -1.0}
+    for key, value in contender.settings.items():
+        if key not in (*changed, "algorithm"):
+            changed[key] = value + 1 if isinstance(value, int) else 0.9 * value + 0.01
+    changed = {key: changed[key] for key in contender.settings if key in changed}
+    model = race.learner_of(replace(contender, **changed), share=lambda: 0.0)
+    own = set(changed) & set(signature(type(model)).parameters) - {"seed"}
+    assert set(changed) - own - {"log_std_init"} == {"num_envs", "seed", "action_repeat", "hidden"}
+    for key in own:
+        value = getattr(model, key)
+        value = value.frequency if key == "train_freq" else value(1.0) if callable(value) else value
+        assert value == changed[key] != getattr(contender, key), key
+    assert (model.env.num_envs, model.policy.net_arch) == (3, [16])
+    model.env.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("ppo --tau 0.02", "tau is a setting of sac, tqc, not of ppo"),
+        ("sac --gamma 2", "gamma is 2.0: it must lie in 0…1"),
+        ("crossq --n-steps few", "n_steps is 'few': it must be a whole number"),
+        ("ppo --n-steps 1 --num-envs 1", "num_envs and n_steps are 1: an update of ppo needs at least 2 decisions"),
+    ],
+)
+def test_a_wrong_setting_is_refused_before_there_is_a_folder(words, complaint, tmp_path):
+    with pytest.raises(RecipeError, match=complaint):
+        race.main([*words.split(), "--out", str(tmp_path / "run")])
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_decision_is_held_and_an_episode_that_begins_meanwhile_waits_with_an_open_hand():

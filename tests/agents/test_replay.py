@@ -9,6 +9,8 @@ import pytest
 from agents.replay import PULSE_TOLERANCE, Report, film, main
 from hpac import run
 from hpac_gym.bridge import HostBoard
+from hpac_gym.envs import HandEnv
+from hpac_gym.physics.engine import PhysicsError
 
 
 def replayed(out, *arguments: str) -> dict:
@@ -46,6 +48,17 @@ def test_a_hand_at_a_port_of_its_own_is_driven_too(tmp_path, monkeypatch):
         report = replayed(tmp_path, "--port", board.port)
         assert len(board.pulse_changes()) > 100, "the servos behind the port did not move"
     assert report["frames_acked"] == report["frames_sent"] - report["frames_retried"]
+
+
+def test_where_an_engine_cannot_draw_the_wire_is_checked_all_the_same(tmp_path, monkeypatch, capsys):
+    def no_opengl(env):
+        raise PhysicsError("no OpenGL for pictures")
+
+    monkeypatch.setattr(HandEnv, "render", no_opengl)
+    assert replayed(tmp_path, "--virtual", "--engine", "mujoco")["moves"] >= 10
+    told, said = capsys.readouterr()
+    assert "grasps held over the wire" in told
+    assert said.splitlines()[-1] == "no film: no OpenGL for pictures"
 
 
 def test_a_wrong_port_is_one_line_and_status_2(tmp_path, capfd):

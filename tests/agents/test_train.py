@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import checkpoints, train
+from agents import RunError, train
 from agents.closures import Learner, worlds_of
-from agents.command import RunError
 from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
@@ -77,14 +76,14 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
     command = [sys.executable, "-m", "agents.train", "grasp", "--out", tmp_path, "--episodes", "100000", *SMALL]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
-        wait_for(lambda: checkpoints.latest_checkpoint(tmp_path) or process.poll() is not None, 600)
+        wait_for(lambda: train.latest_checkpoint(tmp_path) or process.poll() is not None, 600)
     finally:
         process.kill()
         process.wait()
-    killed, kept = state_of(tmp_path), checkpoints.latest_checkpoint(tmp_path)
+    killed, kept = state_of(tmp_path), train.latest_checkpoint(tmp_path)
     handlers = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
     over = threading.Event()
-    interrupt = threading.Thread(target=interrupt_after, args=[lambda: checkpoints.latest_checkpoint(tmp_path) != kept, over])
+    interrupt = threading.Thread(target=interrupt_after, args=[lambda: train.latest_checkpoint(tmp_path) != kept, over])
     interrupt.start()
     try:
         assert train.main(["--out", str(tmp_path), "--resume"]) == 130
@@ -118,7 +117,7 @@ def interrupt_after(condition, over: threading.Event) -> None:
 
 
 def state_of(folder: Path) -> dict:
-    return json.loads((checkpoints.latest_checkpoint(folder) / "state.json").read_text())
+    return json.loads((train.latest_checkpoint(folder) / "state.json").read_text())
 
 
 def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
@@ -151,12 +150,12 @@ def learner(recipe):
 
 
 def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
-    path = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
+    path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     other = Learner(recipe, observed=60, deployed=44, phases=4)
-    assert checkpoints.load_checkpoint(path, other)["seconds"] == 1.0
+    assert train.load_checkpoint(path, other)["seconds"] == 1.0
     assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (5, 30)
     assert np.array_equal(other.trials.seen, learner.trials.seen)
-    saved, loaded = (checkpoints.flattened(one.weights()) for one in (learner, other))
+    saved, loaded = (one.arrays() for one in (learner, other))
     assert sum("/state/" in name for name in saved) > 20, "optimisers have a state"
     assert list(saved) == list(loaded)
     assert all(np.array_equal(array, loaded[name]) for name, array in saved.items())
@@ -234,7 +233,7 @@ def test_trials_that_are_sure_to_succeed_are_tried_less_often(learner):
 
 @pytest.mark.parametrize("failing", ["numpy.savez", "os.fsync", "os.rename"])
 def test_a_full_disk_keeps_the_checkpoint_before(learner, tmp_path, monkeypatch, failing):
-    kept = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
+    kept = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
 
     def no_space(*_, **__):
@@ -243,37 +242,37 @@ def test_a_full_disk_keeps_the_checkpoint_before(learner, tmp_path, monkeypatch,
     monkeypatch.setattr(learner.trials, "count", learner.trials.count - 1)
     monkeypatch.setattr(failing, no_space)
     with pytest.raises(RunError, match=rf"No space left on device; '{kept.name}' is kept"):
-        checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 2.0})
+        train.save_checkpoint(tmp_path, learner, {"seconds": 2.0})
     monkeypatch.undo()
     assert list(tmp_path.iterdir()) == [kept]
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
 
 
 def test_a_diverged_learner_is_not_saved_over_the_checkpoint_before(learner, tmp_path):
-    kept = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
+    kept = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     for name in ("actor", "critics"):
         broken = copy.deepcopy(learner)
         next(getattr(broken, name).parameters()).data[0] = float("nan")
         broken.trials.count -= 1
         with pytest.raises(RunError, match=rf"diverged, {name}/\S+ is not finite; '{kept.name}' is kept"):
-            checkpoints.save_checkpoint(tmp_path, broken, {"seconds": 2.0})
+            train.save_checkpoint(tmp_path, broken, {"seconds": 2.0})
     assert list(tmp_path.iterdir()) == [kept]
 
 
 def test_a_checkpoint_of_other_versions_is_refused_and_kept(learner, recipe, tmp_path):
-    path = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
+    path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     state = json.loads((path / "state.json").read_text())
     state["versions"]["mujoco-core"] = "1.2"
     (path / "state.json").write_text(json.dumps(state))
     with pytest.raises(RunError, match=r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here"):
-        checkpoints.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4))
+        train.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4))
     assert len(list(path.iterdir())) == 2
 
 
 @pytest.mark.parametrize("name", ["state.json", "arrays.npz"])
 def test_a_damaged_checkpoint_ends_in_one_error(learner, tmp_path, name):
-    path = checkpoints.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
+    path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     data = (path / name).read_bytes()
     (path / name).write_bytes(data[: len(data) // 2])
     with pytest.raises(RunError, match="damaged"):
-        checkpoints.load_checkpoint(path, learner)
+        train.load_checkpoint(path, learner)

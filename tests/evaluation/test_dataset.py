@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from agents import clone
-from agents.command import RunError
+from agents import RunError, clone
 from hpac import main
 from hpac_gym.evaluation import dataset as module
 from hpac_gym.evaluation.dataset import DatasetError, read_dataset, record

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from agents import closures, train
-from agents.tasks import POLICY
+from agents import POLICY, closures, train
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs import GraspAny
 from hpac_gym.envs.options import GRASP_ANY

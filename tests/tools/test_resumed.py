@@ -2,9 +2,9 @@
 
 import pytest
 
-from agents.checkpoints import saved_trials
-from agents.command import RunError
-from agents.progress import read_curve
+from agents import RunError
+from agents.curves import read_curve
+from agents.train import saved_trials
 from tools import resumed
 
 
