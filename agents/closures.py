@@ -42,11 +42,9 @@ SHORT = GraspAnyConfig(
     timetable=Timetable(close_time=1.6, clearance=Timetable().lift_height), side_time=1 / CONTROL_HZ, ramp_time=1 / CONTROL_HZ
 )
 """HPAC-GraspAny-v1 without the time that a single closure does not use, and without the phases after success."""
-SIZES = (0.6, 1.6)
-"""Factors of the objects' sizes in the training for HPAC-GraspAny-v1, so that a policy learns more than its 200 objects."""
 TASKS = {
     GRASP: grasp_task,
-    GRASP_ANY: partial(GraspAny, config=replace(SHORT, size=SIZES)),
+    GRASP_ANY: partial(GraspAny, config=SHORT),
     GRASP_TYPE: partial(GraspByType, types="train"),
     PICK_PLACE: PickPlace,
 }
@@ -113,7 +111,8 @@ class Worlds:
     """
 
     def __init__(self, recipe: Recipe, place: int, seed: int) -> None:
-        task, set_ups = TASKS[recipe.env_id](), len(recipe.set_ups)
+        sizes = {"config": replace(SHORT, size=recipe.sizes)} if recipe.sizes else {}
+        task, set_ups = TASKS[recipe.env_id](**sizes), len(recipe.set_ups)
         first, end = (recipe.num_envs * bound // set_ups for bound in (place, place + 1))
         engine, body = recipe.set_ups[place].split("/")
         options = checked_options(obs="privileged", engine=engine, body=body, randomize=recipe.randomize)

@@ -133,6 +133,8 @@ class Recipe:
     entropy_last: float = setting(-1.0, "target entropy of the actor at the end", -10, 0.69)
     begin: tuple[float, ...] = setting((), "range of the control step at which a closure begins; empty: immediately", 0, 1e6)
     release: tuple[float, ...] = setting((), "range of the control step at which the hand opens again; empty: never", 0, 1e6)
+    sizes: tuple[float, ...] = setting((), f"range of factors of the objects' sizes in {GRASP_ANY}, so that a policy learns more "
+                                       "than its objects; empty: their own", 0.5, 2)  # fmt: skip
     checkpoint_every: int = setting(5_000, "trials between two checkpoints", 1)
 
     def __post_init__(self) -> None:
@@ -143,12 +145,14 @@ class Recipe:
             raise RecipeError("hidden and set_ups need at least one entry each")
         if self.num_envs < len(self.set_ups):
             raise RecipeError(f"num_envs is {self.num_envs}: {len(self.set_ups)} set_ups need a world each")
-        for name in ("begin", "release"):
+        for name in ("begin", "release", "sizes"):
             bounds = getattr(self, name)
             if bounds and (len(bounds) != 2 or bounds[0] > bounds[1]):
                 raise RecipeError(f"{name} is {bounds}: it must be a lower and an upper bound")
         if bool(self.begin) != bool(self.release):
             raise RecipeError("begin and release are given together, or not at all")
+        if self.sizes and self.env_id != GRASP_ANY:
+            raise RecipeError(f"sizes are {self.sizes}: only {GRASP_ANY} has objects of other sizes, not {self.env_id}")
 
     @property
     def closures(self) -> Closures:
@@ -161,7 +165,7 @@ class Recipe:
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
     "grasp-robust": Recipe(set_ups=("mujoco/light",), contacts="weak"),
-    "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500),
+    "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500, sizes=(0.6, 1.6)),
     "grasp-type": Recipe(env_id=GRASP_TYPE, episodes=3_000, random_episodes=1_000, spread=0.1, updates_per_episode=0.6),
     "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
 }

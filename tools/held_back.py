@@ -5,8 +5,6 @@ Trains on 160 of the 200 training objects and evaluates on the other 40, four wh
 """
 
 import sys
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from agents import POLICY, closures, command_parser, train
@@ -29,20 +27,18 @@ def keep(task: GraspAny, back: bool) -> GraspAny:
     return task
 
 
-def trained_task(config: GraspAnyConfig) -> GraspAny:
+def trained_task(config: GraspAnyConfig = closures.SHORT) -> GraspAny:
     """The task with the objects to train on."""
     return keep(GraspAny(config=config), back=False)
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.held_back", __doc__)
-    parser.add_argument("--sizes", type=float, nargs=2, default=closures.SIZES, metavar=("LOW", "HIGH"),
-                        help="factors of the objects' sizes in training")  # fmt: skip
     parser.add_argument("--episodes", type=whole_number(1), default=1_500, help="episodes of each evaluation")
     parser.add_argument("--out", type=Path, required=True, help="folder of the training")
     args, settings = parser.parse_known_args(argv)
     if not (args.out / POLICY).exists():
-        closures.TASKS[GRASP_ANY] = partial(trained_task, replace(closures.SHORT, size=tuple(args.sizes)))
+        closures.TASKS[GRASP_ANY] = trained_task
         if status := train.main(["grasp-any", "--out", str(args.out), *settings]):
             return status
     print("| objects | hands | success [%] |\n| --- | --- | --- |")

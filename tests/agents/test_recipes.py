@@ -35,6 +35,8 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("set_ups", "pybullet/light", "set_ups is 'pybullet/light': it must be one of"),
         ("release", "9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
         ("release", "3,9", "begin and release are given together"),
+        ("sizes", "1.2,0.8", "sizes is (1.2, 0.8): it must be a lower and an upper bound"),
+        ("sizes", "0.8,1.2", "only HPAC-GraspAny-v1 has objects of other sizes, not HPAC-Grasp-v0"),
     ],
 )
 def test_a_wrong_setting_is_refused_in_its_own_terms(name, text, complaint):

@@ -22,13 +22,12 @@ def test_it_trains_without_them(tmp_path, monkeypatch):
     def trained(words):
         task = closures.TASKS[GRASP_ANY]()
         assert not {entry.name for entry in task.objects} & held_back.HELD_BACK
-        assert task.config.size == (0.9, 1.1)
-        assert words == ["grasp-any", "--out", str(tmp_path), "--seed", "7"]
+        assert words == ["grasp-any", "--out", str(tmp_path), "--sizes", "1,1"]
         return 5
 
     monkeypatch.setattr(train, "main", trained)
     monkeypatch.setitem(closures.TASKS, GRASP_ANY, None)
-    assert held_back.main(["--sizes", "0.9", "1.1", "--out", str(tmp_path), "--seed", "7"]) == 5
+    assert held_back.main(["--out", str(tmp_path), "--sizes", "1,1"]) == 5
 
 
 def test_it_evaluates_what_is_trained(tmp_path, capsys):
