@@ -307,7 +307,7 @@ CASES = (
     *(Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2)) for name, policy in USUAL.items() for preset in PRESETS),
     *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in USUAL),
     Case(GRASP_ANY_V0, {}, closing(), range(4)),
-    *(Case(name, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(4)) for name in (GRASP_ANY_V0, GRASP_ANY)),
+    *(Case(name, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(3)) for name in (GRASP_ANY_V0, GRASP_ANY)),
     *(Case(GRASP_TYPE, PLACED_BY_SCRIPT | options, own, range(2))
       for options in ({}, {"reward": "sparse"}, {"objects": "test", "randomize": "full"} | PRIVILEGED)),
     Case(GRASP_TYPE, PLACED_BY_SCRIPT | PRIVILEGED, restless, about="restless"),
