@@ -229,9 +229,10 @@ def _header_faults(results: Results, here: str) -> Iterator[str]:
         yield f"episodes are {episodes}: a submission has at least {EPISODES:,} in each cell"
     if first != BENCHMARK_SEED:
         yield f"first_seed is {first}, not {BENCHMARK_SEED}"
-    low, high = results["training_seeds"] if budget else (0, -1)
-    if low <= first + episodes - 1 and high >= first:
-        yield f"training seeds {low} to {high} overlap the evaluation seeds, from {first} on"
+    if budget:
+        low, high = results["training_seeds"]
+        if low <= first + episodes - 1 and high >= first:
+            yield f"training seeds {low} to {high} overlap the evaluation seeds, from {first} on"
     steps = [file.get("env_steps", 0) for file in results["files"]]
     yield from (f"a policy file was trained for {n:,} steps, over the budget of {budget:,}" for n in steps if n > budget)
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):

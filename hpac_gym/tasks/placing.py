@@ -63,24 +63,20 @@ NOMINAL_REACH = Reach()
 
 def reach_of(variant: HandVariant, synergy: Array) -> Reach:
     """The reach of a hand that starts in a posture, shape (6,) [rad], and whose servos then move it to their own zeros."""
-    forward, down = np.zeros((2, 2))
-    for row, quaternion in enumerate((SIDE, ABOVE)):
-        rotation = matrix_from_quaternion(quaternion)
-        nominal = _thumb(HPAC_GEOMETRY, HPAC, synergy, rotation)
-        for true in (synergy, synergy + variant.servo_zero):
-            more = np.maximum(_thumb(variant.geometry, variant.hand, true, rotation) - nominal, 0.0)
-            forward[row], down[row] = np.maximum((forward[row], down[row]), more)
+    starts, views = (synergy, synergy + variant.servo_zero), (SIDE, ABOVE)
+    reached = np.array([[_thumb(variant.geometry, variant.hand, start, view) for start in starts] for view in views])
+    more = reached - np.array([[_thumb(HPAC_GEOMETRY, HPAC, synergy, view)] for view in views])
     thicker = [
         phalanx.capsule.radius - usual.capsule.radius
         for name in FINGERS
         for phalanx, usual in zip(variant.geometry.digit(name).phalanges, HPAC_GEOMETRY.digit(name).phalanges, strict=True)
     ]
-    return Reach(float(forward.max()), float(down[1]), max(*thicker, 0.0))
+    return Reach(max(0.0, float(more[..., 0].max())), max(0.0, float(more[1, :, 1].max())), max(0.0, *thicker))
 
 
-def _thumb(geometry: Geometry, hand: Hand, synergy: Array, rotation: Array) -> Array:
+def _thumb(geometry: Geometry, hand: Hand, synergy: Array, quaternion: tuple[float, ...]) -> Array:
     """How far forward and down the thumb reaches from the wrist, shape (2,) [m]."""
-    joints, digit = joints_from_synergy(synergy, hand), geometry.digit("thumb")
+    joints, digit, rotation = joints_from_synergy(synergy, hand), geometry.digit("thumb"), matrix_from_quaternion(quaternion)
     poses = link_poses(digit, [joints[JOINT_INDEX[phalanx.joint]] for phalanx in digit.phalanges])
     capsules = [phalanx.capsule for phalanx in digit.phalanges]
     ends = np.array([rotation @ (place + turn @ capsule.end) for (place, turn), capsule in zip(poses, capsules, strict=True)])
