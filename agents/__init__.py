@@ -81,10 +81,10 @@ def target_of(env_id: str, **options) -> dict[str, Any]:
         return {"env_id": full_id, "made_for": made_for(env)}
 
 
-def versions() -> dict[str, str]:
-    """The versions of Python and of the libraries that a result depends on."""
+def versions(*more: str) -> dict[str, str]:
+    """The versions of Python and of the libraries that a result depends on, and of `more` libraries."""
     found = {"python": python_version()}
-    for name in LIBRARIES:
+    for name in (*LIBRARIES, *more):
         try:
             found[name] = version(name)
         except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Train an algorithm of Stable-Baselines3 for comparison: ``python -m agents.race ppo --out runs/NAME``.
+"""Train an algorithm of Stable-Baselines3, sb3-contrib or SBX for comparison: ``python -m agents.race ppo --out runs/NAME``.
 
 Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward and the same processor time. The folder gets
 ``policy.zip``, updated every minute, and ``progress.csv``. A run cannot be resumed.
@@ -7,19 +7,18 @@ Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward
 import copy
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
-from importlib.metadata import version
 from inspect import signature
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
 import torch
-from sb3_contrib import TQC, CrossQ
-from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
@@ -38,9 +37,16 @@ SAVE_EVERY_S = 60.0
 BOUND = 3.0  # bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh
 SATURATED = 20.0  # value beyond which tanh is 1 in single precision
 
-
-ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "crossq": CrossQ}
-_REPLAY, _AVERAGED = ("sac", "tqc", "crossq"), ("sac", "tqc")
+ALGORITHMS: Mapping[str, str] = {
+    "ppo": "stable_baselines3:PPO",
+    "sac": "stable_baselines3:SAC",
+    "tqc": "sb3_contrib:TQC",
+    "crossq": "sb3_contrib:CrossQ",
+    "sbx-sac": "sbx:SAC",
+    "sbx-tqc": "sbx:TQC",
+    "sbx-crossq": "sbx:CrossQ",
+}
+_REPLAY, _AVERAGED = tuple(ALGORITHMS)[1:], ("sac", "tqc", "sbx-sac", "sbx-tqc")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +62,7 @@ class Contender:
     num_envs: int = setting(32, "number of parallel worlds", 1, 65_536)
     action_repeat: int = setting(4, "control steps for which an action is held: one decision", 1, 64)
     hidden: tuple[int, ...] = setting((128, 128), "widths of the layers", 1, 4_096)
-    learning_rate: float = setting(5e-4, "initial learning rate; it falls linearly to a twentieth", 1e-8, 1)
+    learning_rate: float = setting(5e-4, "initial learning rate; it falls linearly to a twentieth, except in sbx-crossq", 1e-8, 1)
     gamma: float = setting(0.95, "discount of a decision", 0, 1)
     batch_size: int = setting(256, "batch size of an update, in decisions", 2, 65_536)
     n_steps: int = setting(4, "ppo: decisions in each world between updates; others: decisions of an n-step return", 1, 65_536)
@@ -73,9 +79,9 @@ class Contender:
     gradient_steps: int = setting(8, "gradient steps of an update", 1, 65_536, of=_REPLAY)
     target_entropy: float = setting(-6.0, "target entropy of the actor [nats]", -100, 100, of=_REPLAY)
     tau: float = setting(0.01, "step of the target networks towards the critics", 1e-6, 1, of=_AVERAGED)
-    target_update_interval: int = setting(1, "gradient steps between two steps of the target networks", 1, 10**6, of=_AVERAGED)
-    top_quantiles_to_drop_per_net: int = setting(2, "highest of a critic's 25 quantiles that are left out", 0, 24, of=("tqc",))
-    policy_delay: int = setting(3, "updates of the critics for each update of the actor", 1, 1_000, of=("crossq",))
+    target_update_interval: int = setting(1, "gradient steps for each step of the target networks", 1, 10**6, of=_AVERAGED[:2])
+    top_quantiles_to_drop_per_net: int = setting(2, "highest of a critic's 25 quantiles left out", 0, 24, of=("tqc", "sbx-tqc"))
+    policy_delay: int = setting(3, "updates of the critics for each update of the actor", 1, 1_000, of=("crossq", "sbx-crossq"))
 
     def __post_init__(self) -> None:
         check(self)
@@ -93,9 +99,7 @@ class Contender:
 
 CONTENDERS: Mapping[str, Contender] = {
     "ppo": Contender("ppo", num_envs=128, batch_size=512, n_steps=16),
-    "sac": Contender("sac"),
-    "tqc": Contender("tqc"),
-    "crossq": Contender("crossq", learning_rate=1e-3),
+    **{name: Contender(name, learning_rate=1e-3 if "crossq" in name else 5e-4) for name in _REPLAY},
 }
 
 
@@ -148,47 +152,83 @@ class _Watch(BaseCallback):
         return self._progress.add(held, 0, float("nan"))  # no budget of control steps
 
 
+def algorithm_of(name: str) -> type[BaseAlgorithm]:
+    """Import an algorithm of `ALGORITHMS`.
+
+    Raises:
+        RecipeError: Its library is not installed.
+    """
+    try:
+        return resolve_name(ALGORITHMS[name])
+    except ModuleNotFoundError as error:
+        raise RecipeError(f"{name} needs {error.name}, which is not installed: pip install 'hpac_gym[train,sbx]'") from None
+
+
 def learner_of(contender: Contender, share: Callable[[], float]) -> BaseAlgorithm:
     """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1."""
-    algorithm, squashed = ALGORITHMS[contender.algorithm], contender.algorithm != "ppo"
+    algorithm, squashed = algorithm_of(contender.algorithm), contender.algorithm != "ppo"
     worlds = HandVecEnv(GRASP, contender.num_envs, engine=ENGINE)
     decisions = Decisions(worlds, contender.action_repeat, None if squashed else BOUND)
     own = {name: value for name, value in contender.settings.items() if name in signature(algorithm).parameters}
-    network = {"net_arch": list(contender.hidden), "activation_fn": nn.ReLU}
+    network = {"net_arch": list(contender.hidden)}
     return algorithm(
         "MlpPolicy", VecNormalize(decisions, norm_reward=not squashed, gamma=contender.gamma, epsilon=1e-4),
         **own | {
             "learning_rate": lambda _: contender.learning_rate * max(0.05, 1.0 - share()),
             "seed": training_seed(contender.seed, 0, contender.num_envs),
         },
-        policy_kwargs=network if squashed else network | {"log_std_init": contender.log_std_init}, device="cpu",
+        policy_kwargs=network if squashed else network | {"activation_fn": nn.ReLU, "log_std_init": contender.log_std_init},
+        device="cpu",
     )  # fmt: skip
 
 
 def actor_of(model: BaseAlgorithm) -> Actor:
     """The deterministic actor; the affine parts between two ReLU, such as CrossQ's batch normalisation, become one layer."""
-    ppo, scaling = isinstance(model, PPO), model.get_vec_normalize_env()
-    policy = model.policy
-    parts = [*policy.mlp_extractor.policy_net, policy.action_net] if ppo else [*policy.actor.latent_pi, policy.actor.mu]
-    layers, between, width = [], [], model.observation_space.shape[0]
+    policy, scaling = model.policy, model.get_vec_normalize_env()
+    squashed = policy.squash_output
+    if hasattr(policy, "actor_state"):
+        layers = _flax_layers(policy)
+    else:
+        layers = _torch_layers([*policy.actor.latent_pi, policy.actor.mu] if squashed
+                               else [*policy.mlp_extractor.policy_net, policy.action_net])  # fmt: skip
+    mean, scale = scaling.obs_rms.mean.copy(), np.sqrt(scaling.obs_rms.var + scaling.epsilon)
+    layers = tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in layers)
+    return Actor(mean, scale, scaling.clip_obs, layers, SATURATED if squashed else BOUND)
+
+
+def _torch_layers(parts: list[nn.Module]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    between: list[nn.Module] = []
     for part in [*copy.deepcopy(nn.ModuleList(parts)).double().eval(), nn.ReLU()]:
         if not isinstance(part, nn.ReLU):
             between.append(part)
             continue
+        width = next(part.in_features for part in between if isinstance(part, nn.Linear))
         with torch.no_grad():
-            affine = nn.Sequential(*between)(torch.cat([torch.zeros(1, width), torch.eye(width)]).double()).numpy()
-        layers.append(((affine[1:] - affine[0]).T.astype(np.float32), affine[0].astype(np.float32)))
-        between, width = [], affine.shape[1]
-    mean, scale = scaling.obs_rms.mean.copy(), np.sqrt(scaling.obs_rms.var + scaling.epsilon)
-    return Actor(mean, scale, scaling.clip_obs, tuple(layers), BOUND if ppo else SATURATED)
+            affine = nn.Sequential(*between)(torch.eye(width + 1, width, dtype=torch.double)).numpy()
+        yield (affine[:-1] - affine[-1]).T, affine[-1]
+        between = []
+
+
+def _flax_layers(policy: BasePolicy) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    state = policy.actor_state
+    params, statistics = state.params.get("params", state.params), getattr(state, "batch_stats", {})
+    for number in range(len(policy.net_arch_pi) + 1):
+        weight, bias = (np.asarray(params[f"Dense_{number}"][name], dtype=float) for name in ("kernel", "bias"))
+        if norm := statistics.get(name := f"BatchRenorm_{number}"):
+            factor = params[name]["scale"] / np.sqrt(np.asarray(norm["var"], dtype=float) + 1e-3)  # SBX's epsilon
+            bias = bias + (params[name]["bias"] - norm["mean"] * factor) @ weight
+            weight = factor[:, None] * weight
+        yield weight.T, bias
 
 
 def race(contender: Contender, out: Path, time_limit: float) -> None:
     """Train a contender in the folder `out` for `time_limit` seconds of processor time.
 
     Raises:
+        RecipeError: The library of its algorithm is not installed.
         RunError: The folder already holds a run, or the training diverged.
     """
+    algorithm_of(contender.algorithm)
     if (out / POLICY).exists():
         raise RunError(f"folder '{out}' already holds a run: name another one")
     writable_folder(out)
@@ -209,7 +249,7 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
             "episodes": progress.done,
             "decisions": model.num_timesteps,
             "processor_seconds": round(progress.seconds, 1),
-            "versions": versions() | {library: version(library) for library in ("stable-baselines3", "sb3-contrib")},
+            "versions": versions("stable-baselines3", "sb3-contrib", "sbx-rl", "jax"),
         }
         write_policy(out / POLICY, PolicyFile(actor, about))
 

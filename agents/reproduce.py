@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from agents import POLICY, command_parser, minutes
+from agents import POLICY, RecipeError, command_parser, minutes
 from agents.evaluate import DEFAULT_TASK, evaluate, task_of
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -69,7 +69,11 @@ def race(runs: Path, seed: int, limit: float) -> Iterator[tuple[str, int, str]]:
         if not (out / POLICY).exists() and name == "grasp":
             train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
         elif not (out / POLICY).exists():
-            race.race(replace(race.CONTENDERS[name], seed=seed), out, 60 * limit)
+            try:
+                race.race(replace(race.CONTENDERS[name], seed=seed), out, 60 * limit)
+            except RecipeError as missing:
+                print(f"{missing}; its row is left out", file=sys.stderr)
+                continue
         yield name, seed, str(out / POLICY)
 
 
