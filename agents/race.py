@@ -4,12 +4,12 @@ Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward
 ``policy.zip``, updated every minute, and ``progress.csv``. A run cannot be resumed.
 """
 
-import copy
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from inspect import signature
+from itertools import zip_longest
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
@@ -35,6 +34,7 @@ from hpac_gym.policies import Actor, PolicyFile, write_policy
 ENGINE = "mujoco"
 SAVE_EVERY_S = 60.0
 BOUND = 3.0  # bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh
+RENORM_EPSILON = 1e-3  # added to the variance by CrossQ's batch normalisation, in sb3-contrib and in SBX
 SATURATED = 20.0  # value beyond which tanh is 1 in single precision
 
 ALGORITHMS: Mapping[str, str] = {
@@ -183,42 +183,29 @@ def learner_of(contender: Contender, share: Callable[[], float]) -> BaseAlgorith
 
 
 def actor_of(model: BaseAlgorithm) -> Actor:
-    """The deterministic actor; the affine parts between two ReLU, such as CrossQ's batch normalisation, become one layer."""
+    """The deterministic actor; CrossQ's batch normalisation before a layer becomes part of that layer."""
     policy, scaling = model.policy, model.get_vec_normalize_env()
-    squashed = policy.squash_output
-    if hasattr(policy, "actor_state"):
-        layers = _flax_layers(policy)
+    if hasattr(policy, "actor_state"):  # of SBX
+        state, numbers = policy.actor_state, range(len(policy.net_arch_pi) + 1)
+        params, seen = state.params.get("params", state.params), getattr(state, "batch_stats", {})
+        dense = [(params[f"Dense_{number}"]["kernel"].T, params[f"Dense_{number}"]["bias"]) for number in numbers]
+        norms = [params[name] | seen[name] for name in (f"BatchRenorm_{number}" for number in numbers) if name in seen]
     else:
-        layers = _torch_layers([*policy.actor.latent_pi, policy.actor.mu] if squashed
-                               else [*policy.mlp_extractor.policy_net, policy.action_net])  # fmt: skip
+        actor = policy.actor if policy.squash_output else None
+        parts = [*actor.latent_pi, actor.mu] if actor else [*policy.mlp_extractor.policy_net, policy.action_net]
+        arrays = [part.state_dict() for part in parts]
+        dense = [(array["weight"], array["bias"]) for array in arrays if "weight" in array]
+        norms = [{name.removeprefix("ra_"): array[name] for name in array} for array in arrays if "scale" in array]
+    layers = []
+    for (weight, bias), norm in zip_longest(dense, norms, fillvalue={}):
+        weight, bias = np.asarray(weight, dtype=float), np.asarray(bias, dtype=float)
+        if norm:
+            gain, offset, mean, variance = (np.asarray(norm[name], dtype=float) for name in ("scale", "bias", "mean", "var"))
+            gain /= np.sqrt(variance + RENORM_EPSILON)
+            weight, bias = weight * gain, bias + weight @ (offset - gain * mean)
+        layers.append((weight.astype(np.float32), bias.astype(np.float32)))
     mean, scale = scaling.obs_rms.mean.copy(), np.sqrt(scaling.obs_rms.var + scaling.epsilon)
-    layers = tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in layers)
-    return Actor(mean, scale, scaling.clip_obs, layers, SATURATED if squashed else BOUND)
-
-
-def _torch_layers(parts: list[nn.Module]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    between: list[nn.Module] = []
-    for part in [*copy.deepcopy(nn.ModuleList(parts)).double().eval(), nn.ReLU()]:
-        if not isinstance(part, nn.ReLU):
-            between.append(part)
-            continue
-        width = next(part.in_features for part in between if isinstance(part, nn.Linear))
-        with torch.no_grad():
-            affine = nn.Sequential(*between)(torch.eye(width + 1, width, dtype=torch.double)).numpy()
-        yield (affine[:-1] - affine[-1]).T, affine[-1]
-        between = []
-
-
-def _flax_layers(policy: BasePolicy) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    state = policy.actor_state
-    params, statistics = state.params.get("params", state.params), getattr(state, "batch_stats", {})
-    for number in range(len(policy.net_arch_pi) + 1):
-        weight, bias = (np.asarray(params[f"Dense_{number}"][name], dtype=float) for name in ("kernel", "bias"))
-        if norm := statistics.get(name := f"BatchRenorm_{number}"):
-            factor = params[name]["scale"] / np.sqrt(np.asarray(norm["var"], dtype=float) + 1e-3)  # SBX's epsilon
-            bias = bias + (params[name]["bias"] - norm["mean"] * factor) @ weight
-            weight = factor[:, None] * weight
-        yield weight.T, bias
+    return Actor(mean, scale, scaling.clip_obs, tuple(layers), SATURATED if policy.squash_output else BOUND)
 
 
 def race(contender: Contender, out: Path, time_limit: float) -> None:
