@@ -113,12 +113,11 @@ class Worlds:
     def __init__(self, recipe: Recipe, place: int, seed: int) -> None:
         sizes = {"config": replace(SHORT, size=recipe.sizes)} if recipe.sizes else {}
         task, set_ups = TASKS[recipe.env_id](**sizes), len(recipe.set_ups)
-        first, end = (recipe.num_envs * bound // set_ups for bound in (place, place + 1))
+        self._first, end = (recipe.num_envs * bound // set_ups for bound in (place, place + 1))
         engine, body = recipe.set_ups[place].split("/")
         options = checked_options(obs="privileged", engine=engine, body=body, randomize=recipe.randomize)
-        count = self.steps = end - first
+        count = self.steps = end - self._first
         self.episodes = Episodes(task, count, weakened(options) if recipe.contacts == "weak" else options)
-        self._generators = [np.random.default_rng(seed + world) for world in range(first, end)]
         self._told = np.tile(np.eye(set_ups, dtype=np.float32)[place, : set_ups if set_ups > 1 else 0], (count, 1))
         self.deployed, self.phases = sum(len(term.labels) for term in task.terms), len(task.phases)
         self.observed = self.episodes.observation_space.shape[0] + self._told.shape[1]
@@ -126,7 +125,13 @@ class Worlds:
         self._came_to = self.first_seen[:, self.deployed :].copy()
         self._close, self._closures = task.phases.index("close"), recipe.closures
         self._decisions, self._steps = np.zeros((count, len(self._closures.names))), np.zeros(count, dtype=int)
-        self._fresh, self._thread = np.ones(count, dtype=bool), ThreadPoolExecutor(1)
+        self._thread = ThreadPoolExecutor(1)
+        self.restart(seed)
+
+    def restart(self, seed: int) -> None:
+        """Drop the running episodes and go on with those of other seeds, as if made with `seed`."""
+        self._generators = [np.random.default_rng(seed + self._first + world) for world in range(self.steps)]
+        self._fresh = np.ones(self.steps, dtype=bool)
 
     def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
         """Advance all worlds by one control period.
@@ -258,7 +263,7 @@ class Learner:
         self.updates, self.entropy = 0, float("nan")
 
     def reseed(self, seed: int) -> None:
-        """Seed all random numbers; a resumed training needs others than its beginning."""
+        """Seed all random numbers."""
         torch.manual_seed(seed)
         self._rng = np.random.default_rng(seed)
 

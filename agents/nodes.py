@@ -163,6 +163,9 @@ class Collectors:
             _say(f"no chunk has come for {SILENCE_S:g} s: 'ray status' tells whether a processor is free")
         return self._received(ready[0]) if ready else self._none
 
+    def restart(self, seed: int) -> None:
+        """Nothing: chunks in progress are kept, since the order of chunks is never the same twice."""
+
     def _received(self, reference: Any) -> tuple[np.ndarray, ...]:
         errors = self._ray.exceptions
         place, collector = self._running.pop(reference)

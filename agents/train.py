@@ -1,7 +1,8 @@
 """Train a policy: ``python -m agents.train grasp --out runs/NAME``.
 
 The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, both updated at every checkpoint, ``progress.csv``,
-``run.json`` (the settings) and the last checkpoint, from which ``--resume`` continues.
+``run.json`` (the settings) and the last checkpoint, from which ``--resume`` continues. After every checkpoint new episodes begin,
+with random numbers of its own, so that a killed and resumed run ends with the same policy as an uninterrupted one.
 
 A checkpoint is a folder ``checkpoint-EPISODES`` that is renamed to this name once its contents are on disk; only then is the
 previous one removed. It holds JSON and plain arrays: reading it executes no foreign code.
@@ -66,19 +67,23 @@ def train(
 
         all_worlds = [Collectors(recipe, nodes, done)]
     else:
-        all_worlds = worlds_of(recipe, training_seed(recipe.seed, done, recipe.num_envs))
+        all_worlds = worlds_of(recipe, 0)
     first = all_worlds[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
     state = {"seconds": 0.0, "env_steps": 0}
     if checkpoint:
         state = load_checkpoint(checkpoint, learner)
-        learner.reseed(training_seed(recipe.seed, done, 1))
     if resume:
         drop_rows_after(out / CURVE, done)
     target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
     limits = recipe.episodes, recipe.env_steps
     progress = Progress(out, *limits, done, state["env_steps"], state["seconds"], time_limit, started)
     _stop_on_signal(progress)
+
+    def begin_episodes() -> None:
+        learner.reseed(training_seed(recipe.seed, learner.trials.count, 1))
+        for worlds in all_worlds:
+            worlds.restart(training_seed(recipe.seed, learner.trials.count, recipe.num_envs))
 
     def save() -> None:
         save_checkpoint(out, learner, {"seconds": progress.seconds, "env_steps": progress.env_steps})
@@ -96,6 +101,7 @@ def train(
         progress.write_row(learner.entropy)
         report(out)
 
+    begin_episodes()
     going, saved = done < recipe.episodes, done
     while going:
         for worlds in all_worlds:
@@ -106,6 +112,7 @@ def train(
         if learner.trials.count >= saved + recipe.checkpoint_every:
             saved = learner.trials.count
             save()
+            begin_episodes()
     progress.close()
     save()
     for worlds in all_worlds:

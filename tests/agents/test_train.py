@@ -72,6 +72,29 @@ def test_the_same_seed_trains_the_same_policy(trained, tmp_path, monkeypatch):
     assert read_policy(tmp_path / "again" / "policy.zip").about["sha256"] == read_policy(trained / "policy.zip").about["sha256"]
 
 
+@pytest.mark.parametrize("recipe", ["grasp", "grasp-type"])
+def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_one(recipe, tmp_path, monkeypatch):
+    words = [recipe, "--episodes", 48, "--seed", 3, *SMALL, *(["--spread", 0.01] if recipe == "grasp-type" else [])]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    train_here(monkeypatch, *words, "--out", whole)
+    save, saved = train.save_checkpoint, []
+
+    def save_and_die(*given):
+        if len(saved) == 2:
+            raise KeyboardInterrupt
+        saved.append(save(*given))
+
+    with monkeypatch.context() as dying:
+        dying.setattr(train, "save_checkpoint", save_and_die)
+        with pytest.raises(KeyboardInterrupt):
+            train.main(list(map(str, [*words, "--out", killed])))
+    assert 0 < train.saved_trials(killed) < 40
+    train_here(monkeypatch, "--out", killed, "--resume")
+    assert curve(killed) == curve(whole)
+    hashes = {read_policy(folder / "policy.zip").about["sha256"] for folder in (whole, killed)}
+    assert len(hashes) == 1
+
+
 def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(tmp_path, monkeypatch, capsys):
     command = [sys.executable, "-m", "agents.train", "grasp", "--out", tmp_path, "--episodes", "100000", *SMALL]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
