@@ -20,7 +20,7 @@ need-compiler = $(if $(shell command -v $(firstword $(CC))),,$(error \
 	no C compiler '$(firstword $(CC))' found: install one such as gcc, or name one with CC=))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compiler firmware test test-all demo bench generate wheel lint clean
+.PHONY: help setup compiler firmware test test-all test-lerobot demo bench generate wheel lint clean
 MAKEFLAGS += --no-print-directory
 # Some two hundred processes of the tests share compiled modules, even where the user has none written.
 unexport PYTHONDONTWRITEBYTECODE
@@ -59,6 +59,11 @@ test: compiler setup firmware ## pass all the tests but the slow ones
 test-all: compiler setup firmware ## pass all the tests, slow ones and firmware mutants too
 	@$(MAKE) -C firmware CC='$(CC)' check-all
 	@$(BIN)/python -m pytest -m '' $(PYTEST_ARGS)
+
+test-lerobot: ## pass the tests that need lerobot, in .venv-lerobot with Python 3.12 (gigabytes of PyTorch)
+	@test -d .venv-lerobot || python3.12 -m venv .venv-lerobot
+	@.venv-lerobot/bin/python -m pip install -qq --disable-pip-version-check --no-input --editable '.[lerobot,test]'
+	@.venv-lerobot/bin/python -m pytest tests/evaluation/lerobot_round_trip.py
 
 demo: compiler setup firmware ## train, evaluate and replay over the wire into runs/demo (under 20 minutes)
 	@$(BIN)/python -m agents.demo --out runs/demo $(DEMO_ARGS)

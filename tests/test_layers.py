@@ -49,7 +49,7 @@ NEEDS = {
     "envs.sb3": {"numpy", "gymnasium", "stable_baselines3"},
     "bridge": {"numpy", "serial", "hpac"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime"},
-    "evaluation": {"numpy", "gymnasium", "PIL", "minari", "hpac"},
+    "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "hpac"},
     "study": {"numpy", "scipy", "matplotlib", "hpac"},
 }
 ENGINES = {"physics.pybullet": "pybullet", "physics.mujoco": "mujoco"}

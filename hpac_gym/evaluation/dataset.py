@@ -1,4 +1,4 @@
-"""`hpac record`: episodes of a policy as a Minari dataset, for offline learning and imitation."""
+"""`hpac record`: episodes of a policy as a dataset of Minari or LeRobot, for offline learning and imitation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import argparse
 import os
 import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -33,8 +34,8 @@ EPISODE_BYTES = 50_000
 """Disk space for an episode beside its observations, generously [byte]."""
 _ABOUT = """\
 Runs a policy and writes observations, actions and rewards as a Minari dataset, with the seed and success of every episode.
-`minari.MinariDataset(DIR / "data")` opens it, `python -m agents.clone DIR` learns from it. The folder appears when all
-episodes are written."""
+`minari.MinariDataset(DIR / "data")` opens it, `python -m agents.clone DIR` learns from it; with --format lerobot as one of
+LeRobot v3. The folder appears when all episodes are written."""
 
 
 class DatasetError(HpacError, ValueError):
@@ -53,16 +54,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="number of episodes (default: %(default)s)")  # fmt: skip
     parser.add_argument("--seed-start", type=whole_number(0), default=0, metavar="SEED",
                         help="seed of the first episode; held-out seeds start at 1000000 (default: %(default)s)")  # fmt: skip
+    parser.add_argument("--format", choices=("minari", "lerobot"), default="minari", help="of the dataset (default: %(default)s)")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to create; must not exist")
     parser.set_defaults(run=_record)
 
 
 def _record(args: argparse.Namespace) -> int:
     options = {name: getattr(args, name) for name in PASSED_ON if getattr(args, name) is not None}
-    dataset = record(args.policy, args.env, args.episodes, args.out, seed_start=args.seed_start, options=options)
-    held = sum(bool(episode.infos["is_success"][-1]) for episode in dataset.iterate_episodes())
-    print(f"{dataset.total_episodes} episodes, {dataset.total_steps} steps, {held} successes: {args.out}")
+    what = {"seed_start": args.seed_start, "options": options}
+    if args.format == "minari":
+        told = _told(record(args.policy, args.env, args.episodes, args.out, **what))
+    else:
+        from hpac_gym.evaluation.lerobot import to_lerobot, writer
+
+        writer()  # missing, it costs no recording
+        with _appearing(args.out) as root:
+            dataset = record(args.policy, args.env, args.episodes, root / "minari", **what)
+            to_lerobot(dataset, root / "written")
+            told = _told(dataset)
+    print(f"{told}: {args.out}")
     return 0
+
+
+def _told(dataset: MinariDataset) -> str:
+    held = sum(bool(episode.infos["is_success"][-1]) for episode in dataset.iterate_episodes())
+    return f"{dataset.total_episodes} episodes, {dataset.total_steps} steps, {held} successes"
+
+
+@contextmanager
+def _appearing(out: Path) -> Iterator[Path]:
+    """A temporary folder beside `out`, whose folder `written` becomes `out` at the end.
+
+    Raises:
+        DatasetError: `out` exists already.
+        OutputError: `out` cannot be written.
+    """
+    if out.exists():
+        raise DatasetError(f"'{out}' exists already: name a new folder")
+    with TemporaryDirectory(prefix=f".{out.name}-", dir=writable_folder(out.absolute().parent)) as root:
+        yield Path(root)
+        shutil.move(Path(root, "written"), out)
 
 
 def record(
@@ -88,20 +119,17 @@ def record(
 
     from hpac_gym.policies.loading import load_policy
 
-    if out.exists():
-        raise DatasetError(f"'{out}' exists already: name a new folder")
-    folder = writable_folder(out.absolute().parent)
-    env = gymnasium.make(f"hpac_gym:{env_id}", disable_env_checker=True, **(options or {}))
-    try:
-        actor, dataset = load_policy(policy, env), None
-        name = f"hpac/{env_id.removeprefix('HPAC-').lower().rpartition('-')[0]}/{Path(policy).stem}-v0"
-        with TemporaryDirectory(prefix=f".{out.name}-", dir=folder) as root:
-            os.environ["MINARI_DATASETS_PATH"] = root
+    with _appearing(out) as root:
+        env = gymnasium.make(f"hpac_gym:{env_id}", disable_env_checker=True, **(options or {}))
+        try:
+            actor, dataset = load_policy(policy, env), None
+            name = f"hpac/{env_id.removeprefix('HPAC-').lower().rpartition('-')[0]}/{Path(policy).stem}-v0"
+            os.environ["MINARI_DATASETS_PATH"] = str(root)
             buffers = []
             for seed in progress(range(seed_start, seed_start + episodes), "episodes"):
                 buffers.append(_episode(env, actor, seed))
                 if len(buffers) == CHUNK or seed == seed_start + episodes - 1:
-                    _check_room(folder, buffers)
+                    _check_room(out.absolute().parent, buffers)
                     if dataset is None:
                         with warnings.catch_warnings(action="ignore"):  # Minari warns about missing author data
                             dataset = create_dataset_from_buffers(
@@ -110,9 +138,9 @@ def record(
                     else:
                         dataset.update_dataset_from_buffer(buffers)
                     buffers = []
-            shutil.move(Path(root, name), out)
-    finally:
-        env.close()
+            shutil.move(root / name, root / "written")
+        finally:
+            env.close()
     return read_dataset(out)
 
 

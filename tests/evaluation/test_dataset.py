@@ -1,5 +1,6 @@
 """What `hpac record` writes is what happened, and can be learned from."""
 
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -75,10 +76,12 @@ def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
         (["--out", "x", "--policy", "none.zip"], "no policy file 'none.zip'"),
         (["--out", "x", "--episodes", "0"], "'0' is not a whole number of at least 1"),
         (["--out", "/proc/x/y"], "cannot write to folder '/proc/x'"),
+        (["--out", "x", "--format", "lerobot"], "needs Python 3.12 or newer and pip install 'hpac_gym[lerobot]': "),
     ],
 )
 def test_a_mistake_is_one_line(words, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "lerobot", None)  # as where it is not installed
     try:
         status = main(["record", *words])
     except SystemExit as end:

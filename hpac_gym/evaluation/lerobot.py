@@ -1,0 +1,70 @@
+"""`hpac record --format lerobot`: recorded episodes as a LeRobot v3 dataset, written by the package lerobot itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium.spaces import Box
+
+from hpac_gym.evaluation.dataset import DatasetError
+from hpac_gym.policies.made_for import made_for
+from hpac_gym.progress import progress
+from hpac_gym.tasks.task import CONTROL_HZ
+
+if TYPE_CHECKING:
+    from minari import MinariDataset
+
+
+def writer() -> Any:
+    """The class that reads and writes LeRobot's datasets.
+
+    Raises:
+        DatasetError: The package is not installed.
+    """
+    try:
+        from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    except ImportError as error:
+        raise DatasetError(f"LeRobot's format needs Python 3.12 or newer and pip install 'hpac_gym[lerobot]': {error}") from None
+    return LeRobotDataset
+
+
+def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
+    """Write episodes of `hpac record` as a LeRobot dataset into a new folder.
+
+    A frame has `observation.state`, `action`, `next.reward`, `next.done`, `next.success` and the episode's `seed`; the task is
+    the environment's id.
+
+    Raises:
+        DatasetError: The package is not installed, or the observations are not one flat box.
+    """
+    made, env = writer(), recorded.recover_environment()
+    space, about, task = env.observation_space, made_for(env), env.spec.id
+    env.close()
+    if not isinstance(space, Box) or len(space.shape) != 1:
+        raise DatasetError(f"{task} observes a {type(space).__name__}: LeRobot's format needs one flat Box, as with --obs deploy")
+    names = [f"{name}.{label}" for name, label, *_ in about["observation"]]
+    if len(names) != space.shape[0]:  # more than the deploy vector, whose entries alone have names
+        names += [f"entry {index}" for index in range(len(names), space.shape[0])]
+    features = {
+        "observation.state": {"dtype": "float32", "shape": space.shape, "names": names},
+        "action": {"dtype": "float32", "shape": recorded.action_space.shape, "names": None},
+        **{name: {"dtype": kind, "shape": (1,), "names": None} for name, kind in
+           {"next.reward": "float32", "next.done": "bool", "next.success": "bool", "seed": "int64"}.items()},
+    }  # fmt: skip
+    if recorded.action_space.shape == (len(about["action"]),):
+        features["action"]["names"] = about["action"]
+    dataset = made.create(recorded.id, CONTROL_HZ, features, root=folder, robot_type="hpac", use_videos=False)
+    seeds = [one["seed"] for one in recorded.storage.get_episode_metadata(recorded.episode_indices)]
+    try:
+        for seed, episode in zip(progress(seeds, "episodes"), recorded.iterate_episodes(), strict=True):
+            over = episode.terminations | episode.truncations
+            columns = episode.rewards, over, episode.infos["is_success"][1:]
+            for seen, action, *values in zip(episode.observations[:-1], episode.actions, *columns, strict=True):
+                values = dict(zip(("next.reward", "next.done", "next.success", "seed"), (*values, seed), strict=True))
+                frame = {name: np.array([value], features[name]["dtype"]) for name, value in values.items()}
+                dataset.add_frame({"observation.state": seen, "action": action, "task": task, **frame})
+            dataset.save_episode()
+    finally:
+        dataset.finalize()  # closes its files
