@@ -46,7 +46,7 @@ COMMANDS = (
     Command("grasps", "evaluate a policy on the sixteen named grasps", "hpac_gym.evaluation.grasps:add_arguments", "grasps"),
     Command("physics", "check every engine and body against the paper and statics", "hpac_gym.physics.conformance:add_arguments"),
     Command("posture", "show, draw or send a gesture or grasp shape of the paper", "hpac:add_posture", "study"),
-    Command("record", "write episodes of a policy as a Minari or LeRobot dataset", "hpac_gym.evaluation.dataset:add_arguments", "data"),
+    Command("record", "record episodes of a policy for Minari or LeRobot", "hpac_gym.evaluation.dataset:add_arguments", "data"),
     Command("safety", "measure the safety claims, each with a negative control", "hpac_gym.bridge.commands:add_safety"),
     Command("study", "accuracy of the compensation on hands with tolerances", "hpac_gym.study.study:add_arguments", "study"),
     Command("sweep", "the paper's experiment, or the same figures of a record", "hpac_gym.study.sweep:add_arguments", "study"),
