@@ -40,21 +40,17 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
         DatasetError: The package is not installed, or the observations are not one flat box.
     """
     made, env = writer(), recorded.recover_environment()
-    space, about, task = env.observation_space, made_for(env), env.spec.id
+    space, moves, about, task = env.observation_space, env.action_space, made_for(env), env.spec.id
     env.close()
     if not isinstance(space, Box) or len(space.shape) != 1:
         raise DatasetError(f"{task} observes a {type(space).__name__}: LeRobot's format needs one flat Box, as with --obs deploy")
-    names = [f"{name}.{label}" for name, label, *_ in about["observation"]]
-    if len(names) != space.shape[0]:  # more than the deploy vector, whose entries alone have names
-        names += [f"entry {index}" for index in range(len(names), space.shape[0])]
+    seen_names = [f"{name}.{label}" for name, label, *_ in about["observation"]]  # of the deploy vector
     features = {
-        "observation.state": {"dtype": "float32", "shape": space.shape, "names": names},
-        "action": {"dtype": "float32", "shape": recorded.action_space.shape, "names": None},
+        "observation.state": {"dtype": "float32", "shape": space.shape, "names": _named(seen_names, space)},
+        "action": {"dtype": "float32", "shape": moves.shape, "names": _named(about["action"], moves)},
         **{name: {"dtype": kind, "shape": (1,), "names": None} for name, kind in
            {"next.reward": "float32", "next.done": "bool", "next.success": "bool", "seed": "int64"}.items()},
     }  # fmt: skip
-    if recorded.action_space.shape == (len(about["action"]),):
-        features["action"]["names"] = about["action"]
     dataset = made.create(recorded.id, CONTROL_HZ, features, root=folder, robot_type="hpac", use_videos=False)
     seeds = [one["seed"] for one in recorded.storage.get_episode_metadata(recorded.episode_indices)]
     try:
@@ -68,3 +64,8 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
             dataset.save_episode()
     finally:
         dataset.finalize()  # closes its files
+
+
+def _named(names: list[str], space: Box) -> list[str]:
+    """A name for each entry of a box: those given, and numbers for the rest."""
+    return names + [f"entry {index}" for index in range(len(names), space.shape[0])]
