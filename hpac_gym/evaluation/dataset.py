@@ -7,7 +7,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -65,10 +65,13 @@ def _record(args: argparse.Namespace) -> int:
     if args.format == "minari":
         told = _told(record(args.policy, args.env, args.episodes, args.out, **what))
     else:
+        import gymnasium
+
         from hpac_gym.evaluation.lerobot import to_lerobot, writer
 
-        writer()  # missing, it costs no recording
         with _appearing(args.out) as root:
+            with closing(gymnasium.make(f"hpac_gym:{args.env}", **options)) as env:
+                writer(env)  # what it refuses costs no recording
             dataset = record(args.policy, args.env, args.episodes, root / "minari", **what)
             to_lerobot(dataset, root / "written")
             told = _told(dataset)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
 from hpac_gym.evaluation.dataset import DatasetError
+from hpac_gym.output import OutputError
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.progress import progress
 from hpac_gym.tasks.task import CONTROL_HZ
@@ -17,12 +19,16 @@ if TYPE_CHECKING:
     from minari import MinariDataset
 
 
-def writer() -> Any:
-    """The class that reads and writes LeRobot's datasets.
+def writer(env: gymnasium.Env) -> Any:
+    """The class that reads and writes LeRobot's datasets, for episodes of an environment.
 
     Raises:
-        DatasetError: The package is not installed.
+        DatasetError: The package is not installed, or the observations are not one flat box.
     """
+    space = env.observation_space
+    if not isinstance(space, Box) or len(space.shape) != 1:
+        seen = type(space).__name__
+        raise DatasetError(f"{env.spec.id} observes a {seen}: LeRobot's format needs one flat Box, as with --obs deploy")
     try:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
     except ImportError as error:
@@ -38,12 +44,11 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
 
     Raises:
         DatasetError: The package is not installed, or the observations are not one flat box.
+        OutputError: The folder cannot be written, or the disk is full.
     """
-    made, env = writer(), recorded.recover_environment()
-    space, moves, about, task = env.observation_space, env.action_space, made_for(env), env.spec.id
+    env = recorded.recover_environment()
+    made, space, moves, about, task = writer(env), env.observation_space, env.action_space, made_for(env), env.spec.id
     env.close()
-    if not isinstance(space, Box) or len(space.shape) != 1:
-        raise DatasetError(f"{task} observes a {type(space).__name__}: LeRobot's format needs one flat Box, as with --obs deploy")
     seen_names = [f"{name}.{label}" for name, label, *_ in about["observation"]]  # of the deploy vector
     features = {
         "observation.state": {"dtype": "float32", "shape": space.shape, "names": _named(seen_names, space)},
@@ -62,6 +67,9 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
                 frame = {name: np.array([value], features[name]["dtype"]) for name, value in values.items()}
                 dataset.add_frame({"observation.state": seen, "action": action, "task": task, **frame})
             dataset.save_episode()
+        dataset.finalize()
+    except OSError as error:
+        raise OutputError(f"cannot write episodes to '{folder}': {error.strerror or error}") from error
     finally:
         dataset.finalize()  # closes its files
 

@@ -1,12 +1,14 @@
 """What `hpac record --format lerobot` writes, lerobot reads. Not a test of ``make test``, whose Python is too old for lerobot:
 ``make test-lerobot``."""
 
+import errno
+
 import numpy as np
 import pytest
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from hpac import main
-from hpac_gym.evaluation.dataset import DatasetError, record
-from hpac_gym.evaluation.lerobot import to_lerobot, writer
+from hpac_gym.evaluation.dataset import record
 
 WORDS = ["record", "--format", "lerobot", "--engine", "mujoco", "-n", "2", "--seed-start", "3"]
 
@@ -16,7 +18,7 @@ def test_the_episodes_come_back_as_they_were(tmp_path, capsys):
     assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == 0
     assert f"2 episodes, {recorded.total_steps} steps" in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["lerobot", "minari"]
-    read = writer()("any/name", root=tmp_path / "lerobot")
+    read = LeRobotDataset("any/name", root=tmp_path / "lerobot")
     assert (read.fps, read.num_episodes, read.num_frames) == (20, 2, recorded.total_steps)
     assert str(read.meta._version).startswith("3")
     assert read.features["action"]["names"][0] == "thumb_mp"
@@ -35,16 +37,20 @@ def test_the_episodes_come_back_as_they_were(tmp_path, capsys):
             assert frame["task"] == "HPAC-Grasp-v0"
 
 
-def test_dictionaries_are_refused(tmp_path):
-    recorded = record("random", "HPAC-Posture-v1", 1, tmp_path / "minari", options={"engine": "mujoco"})
-    with pytest.raises(DatasetError, match=r"HPAC-Posture-v1 observes a Dict: LeRobot's format needs one flat Box"):
-        to_lerobot(recorded, tmp_path / "lerobot")
-
-
 def test_a_folder_appears_whole_or_not_at_all(tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(writer(), "save_episode", stop)
+    monkeypatch.setattr(LeRobotDataset, "save_episode", stop)
     assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(LeRobotDataset, "save_episode", full)
+    assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == 2
+    assert capsys.readouterr().err.splitlines()[-1].endswith("No space left on device")
     assert list(tmp_path.iterdir()) == []

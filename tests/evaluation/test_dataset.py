@@ -76,12 +76,15 @@ def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
         (["--out", "x", "--policy", "none.zip"], "no policy file 'none.zip'"),
         (["--out", "x", "--episodes", "0"], "'0' is not a whole number of at least 1"),
         (["--out", "/proc/x/y"], "cannot write to folder '/proc/x'"),
+        (["--out", ".", "--format", "lerobot"], "'.' exists already"),
+        (["--out", "x", "--format", "lerobot", "--env", "HPAC-Posture-v1"], "observes a Dict: LeRobot's format needs one flat"),
         (["--out", "x", "--format", "lerobot"], "needs Python 3.12 or newer and pip install 'hpac_gym[lerobot]': "),
     ],
 )
 def test_a_mistake_is_one_line(words, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "lerobot", None)  # as where it is not installed
+    monkeypatch.setattr(module, "_episode", None)  # no mistake costs a recording
     try:
         status = main(["record", *words])
     except SystemExit as end:
