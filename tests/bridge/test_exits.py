@@ -76,9 +76,10 @@ def session_with_ctrl_c(at_line, again_after=None):
     def again(*_):
         nonlocal came_again
         came_again = True
-        signal.raise_signal(signal.SIGINT)
+        if not over:  # an alarm that waited until then would end the tests themselves
+            signal.raise_signal(signal.SIGINT)
 
-    came_out = None
+    came_out, over = None, False
     before = signal.signal(signal.SIGALRM, again)
     try:
         sys.settrace(trace)
@@ -88,9 +89,10 @@ def session_with_ctrl_c(at_line, again_after=None):
                 link.move(POSE)
         finally:
             sys.settrace(None)
+            over = True
             signal.setitimer(signal.ITIMER_REAL, 0)
     except BaseException as error:
-        came_out = error
+        over, came_out = True, error
     finally:
         signal.signal(signal.SIGALRM, before)
     return hand, lines, came_out, came_again
