@@ -111,8 +111,9 @@ class Worlds:
     """
 
     def __init__(self, recipe: Recipe, place: int, seed: int) -> None:
-        sizes = {"config": replace(SHORT, size=recipe.sizes)} if recipe.sizes else {}
-        task, set_ups = TASKS[recipe.env_id](**sizes), len(recipe.set_ups)
+        given = {"hands": recipe.hands} if recipe.env_id == GRASP_ANY else {}
+        given |= {"config": replace(SHORT, size=recipe.sizes)} if recipe.sizes else {}
+        task, set_ups = TASKS[recipe.env_id](**given), len(recipe.set_ups)
         self._first, end = (recipe.num_envs * bound // set_ups for bound in (place, place + 1))
         engine, body = recipe.set_ups[place].split("/")
         options = checked_options(obs="privileged", engine=engine, body=body, randomize=recipe.randomize)

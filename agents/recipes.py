@@ -135,6 +135,7 @@ class Recipe:
     release: tuple[float, ...] = setting((), "range of the control step at which the hand opens again; empty: never", 0, 1e6)
     sizes: tuple[float, ...] = setting((), f"range of factors of the objects' sizes in {GRASP_ANY}, so that a policy learns more "
                                        "than its objects; empty: their own", 0.5, 2)  # fmt: skip
+    hands: str = choice("nominal", f"hands of {GRASP_ANY} in training", ("nominal", "train"))
     checkpoint_every: int = setting(5_000, "trials between two checkpoints", 1)
 
     def __post_init__(self) -> None:
@@ -153,6 +154,8 @@ class Recipe:
             raise RecipeError("begin and release are given together, or not at all")
         if self.sizes and self.env_id != GRASP_ANY:
             raise RecipeError(f"sizes are {self.sizes}: only {GRASP_ANY} has objects of other sizes, not {self.env_id}")
+        if self.hands != "nominal" and self.env_id != GRASP_ANY:
+            raise RecipeError(f"hands is '{self.hands}': only {GRASP_ANY} has other hands, not {self.env_id}")
 
     @property
     def closures(self) -> Closures:

@@ -27,9 +27,9 @@ def keep(task: GraspAny, back: bool) -> GraspAny:
     return task
 
 
-def trained_task(config: GraspAnyConfig = closures.SHORT) -> GraspAny:
+def trained_task(config: GraspAnyConfig = closures.SHORT, hands: str = "nominal") -> GraspAny:
     """The task with the objects to train on."""
-    return keep(GraspAny(config=config), back=False)
+    return keep(GraspAny(config=config, hands=hands), back=False)
 
 
 def main(argv: list[str] | None = None) -> int:

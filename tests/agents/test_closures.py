@@ -143,11 +143,16 @@ def test_the_actor_imitates_first_trials_about_the_script_that_succeeded_and_is_
     np.testing.assert_allclose([policy(row) for row in renamed], [policy(row) for row in rows], atol=1e-6)
 
 
-@pytest.mark.parametrize(("sizes", "least", "most"), [("1,1", 1.0, 1.0), ("0.6,1.6", 0.9, 1.1)])
-def test_a_recipe_trains_on_the_sizes_that_it_asks_for(sizes, least, most):
-    worlds = Worlds(with_settings(RECIPES["grasp-any"], {"sizes": sizes, "num_envs": "16"}), 0, 5)
+@pytest.mark.parametrize(
+    ("sizes", "least", "most", "hands", "drawn"),
+    [("1,1", 1.0, 1.0, "nominal", {1}), ("0.6,1.6", 0.9, 1.1, "train", {*range(8, 17)})],
+)
+def test_a_recipe_trains_on_the_sizes_and_hands_that_it_asks_for(sizes, least, most, hands, drawn):
+    worlds = Worlds(with_settings(RECIPES["grasp-any"], {"sizes": sizes, "hands": hands, "num_envs": "16"}), 0, 5)
     worlds.episodes.reset(range(16), [np.random.default_rng(seed) for seed in range(16)])
     scales = [setup.object.scale for setup in worlds.episodes.setups]
+    geometries = {setup.geometry for setup in worlds.episodes.setups}
     worlds.close()
     assert min(scales) <= least
     assert max(scales) >= most
+    assert len(geometries) in drawn

@@ -37,6 +37,8 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("release", "3,9", "begin and release are given together"),
         ("sizes", "1.2,0.8", "sizes is (1.2, 0.8): it must be a lower and an upper bound"),
         ("sizes", "0.8,1.2", "only HPAC-GraspAny-v1 has objects of other sizes, not HPAC-Grasp-v0"),
+        ("hands", "test", "hands is 'test': it must be one of nominal, train"),
+        ("hands", "train", "hands is 'train': only HPAC-GraspAny-v1 has other hands, not HPAC-Grasp-v0"),
     ],
 )
 def test_a_wrong_setting_is_refused_in_its_own_terms(name, text, complaint):
