@@ -19,6 +19,7 @@ from tqdm import tqdm
 from agents import RunError, command_parser
 from agents.evaluate import table
 from hpac import run
+from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.output import replacing, write_text
 
 RESULTS, CURVE = "results.json", "progress.csv"
@@ -152,13 +153,16 @@ def read_curve(path: Path) -> dict[str, np.ndarray]:
 
 
 def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | None) -> None:
-    """Draw the success in training over trials, with the held-out results of every policy."""
+    """Draw the success in training over trials, with the held-out results of every policy, and all Wilson 95 % intervals."""
     from matplotlib.figure import Figure  # imported here, since a command that only parses its arguments does not need it
     from matplotlib.ticker import MaxNLocator
 
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.add_subplot()
     axes.plot(curve["episodes"] / 1000, 100 * curve["success_rate"], color=COLOURS["learned"], label="learning, with exploration")
+    counts = zip(np.rint(curve["success_rate"] * curve["window"]), curve["window"], strict=True)
+    low, high = 100 * np.reshape([wilson_interval(held, trials) for held, trials in counts], (-1, 2)).T
+    axes.fill_between(curve["episodes"] / 1000, low, high, color=COLOURS["learned"], alpha=0.3, linewidth=0)
     for name, numbers in (results or {}).get("policies", {}).items():
         low, high = (100 * bound for bound in numbers["interval_95"])
         label = f"{name}, {numbers['episodes']} held-out episodes: {numbers['success_rate']:.0%}"
