@@ -42,7 +42,7 @@ class Progress:
 
     Attributes:
         done, env_steps: trials and control steps so far, over all worlds.
-        stopped_by: why the training was stopped; None if it was not.
+        stopped_by: why the training ends after the current step; None if it goes on.
     """
 
     def __init__(
@@ -76,10 +76,6 @@ class Progress:
         """Share of the last trials that held; NaN before the first one has ended."""
         return sum(self._held) / len(self._held) if self._held else float("nan")
 
-    def stop(self, reason: str) -> None:
-        """End the training after the current step."""
-        self.stopped_by = reason
-
     def add(self, held: list[bool], steps: int, entropy: float) -> bool:
         """Record trials, control steps and the actor's entropy [nats per number]; returns whether the training continues."""
         self._held.extend(held)
@@ -88,7 +84,7 @@ class Progress:
         if self.done >= self._written + ROW_EVERY:
             self.write_row(entropy)
         if self._clock() - self._started > self._time_limit:
-            self.stop("time limit")
+            self.stopped_by = "time limit"
         self._show()
         return self.stopped_by is None and self.done < self._most
 
