@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
@@ -137,21 +136,6 @@ class Decisions(VecEnvWrapper):
         return seen, rewards, over, infos
 
 
-class _Watch(BaseCallback):
-    """Callback that counts trials, saves every minute and ends the training at its time limit."""
-
-    def __init__(self, progress: Progress, save: Callable[[], None]) -> None:
-        super().__init__()
-        self._progress, self._save, self._next = progress, save, SAVE_EVERY_S
-
-    def _on_step(self) -> bool:
-        if self._progress.seconds > self._next:
-            self._next += SAVE_EVERY_S
-            self._save()
-        held = [told["is_success"] for told, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
-        return self._progress.add(held, 0, float("nan"))  # no budget of control steps
-
-
 def algorithm_of(name: str) -> type[BaseAlgorithm]:
     """Import an algorithm of `ALGORITHMS`.
 
@@ -240,8 +224,19 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
         }
         write_policy(out / POLICY, PolicyFile(actor, about))
 
+    saved_at = 0.0
+
+    def step(now: dict[str, Any], _: Any) -> bool:
+        """Count the trials of a step, and save every minute; returns whether the training continues."""
+        nonlocal saved_at
+        if progress.seconds > saved_at + SAVE_EVERY_S:
+            saved_at += SAVE_EVERY_S
+            save()
+        held = [told["is_success"] for told, done in zip(now["infos"], now["dones"], strict=True) if done]
+        return progress.add(held, 0, float("nan"))  # no budget of control steps
+
     try:
-        model.learn(sys.maxsize, callback=_Watch(progress, save))
+        model.learn(sys.maxsize, callback=step)
         save()
     except ValueError as error:  # raised by PyTorch's distributions for values that are not finite
         raise RunError(f"the training diverged: {str(error).splitlines()[0]}; '{out}' keeps its last policy") from error
