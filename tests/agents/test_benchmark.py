@@ -2,7 +2,6 @@
 
 import copy
 import json
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from hpac_gym.policies import Closures, PolicyError
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 
 TINY = "tests.tiny_task:Tiny-v0"
-HASH = cache(env_hash)
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 POINTER = "tests.agents.test_benchmark:Pointer:{seed}"
 
@@ -165,7 +163,7 @@ def test_two_files_are_compared_by_the_probability_of_improvement(trained):
 def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
     before = env_hash(GRASP_ANY)
     monkeypatch.setattr(benchmark, "object_set", lambda split: ())
-    assert env_hash(GRASP_ANY) != before
+    assert env_hash.__wrapped__(GRASP_ANY) != before
 
 
 @pytest.mark.parametrize(
@@ -188,7 +186,7 @@ def test_a_mistake_is_one_line(words, told):
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_the_results_of_the_repository_are_valid(path):
     results = benchmark.read(path)
-    assert not list(faults(results, HASH(results["env_id"])))
+    assert not list(faults(results))
     assert str(path.relative_to(RESULTS.parents[1])) in results["command"]
 
 
