@@ -1,11 +1,10 @@
 """Learn to grasp with one decision per episode: from the first observation to the numbers of a closure.
 
 An episode is one trial of one closure: it survives some of the task's phases, and succeeds if it survives all. Two kinds of
-network are fitted to all trials so far. The critics observe the full simulation state, including the true object with its mass
-and friction, and predict for each phase whether a closure that reached it survives it. They also predict the simulation state
-at the end of the closing, such as joint angles, contact forces and object position, which says more about a trial than its
-outcome alone. The actor observes only what a real hand has. It samples closures from a distribution that it shifts towards
-predicted success; the width of the distribution is controlled by a target entropy, which falls during the training.
+network are fitted to all trials so far. The critics observe the full simulation state and predict for each phase whether a
+closure that reached it survives it, and the simulation state at the end of the closing. The actor observes only what a real
+hand has. It samples closures from a distribution that it shifts towards predicted success, at a target entropy that falls
+during the training. `docs/learning.md` has the reasons.
 
 Where random closures hardly ever succeed, the first trials are drawn about the task's script, and the actor maximises the
 likelihood of the trials that succeeded instead; the critics then only choose the episodes.
@@ -121,7 +120,7 @@ class Worlds:
         self._generators = [np.random.default_rng(seed + self._first + world) for world in range(self.steps)]
         self._fresh = np.ones(self.steps, dtype=bool)
 
-    def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
+    def step(self, learner: Learner, meanwhile: Callable[[], None] = lambda: None) -> tuple[np.ndarray, ...]:
         """Advance all worlds by one control period.
 
         Args:
@@ -142,8 +141,7 @@ class Worlds:
         phase = self.episodes.now.phase.copy()
         actions = self._closures.actions(self._decisions, self._steps).astype(np.float32)
         physics = self._thread.submit(self.episodes.step, actions)
-        if meanwhile:
-            meanwhile()
+        meanwhile()
         physics.result()
         self._steps += 1
         closing = phase <= self._close

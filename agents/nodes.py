@@ -141,7 +141,7 @@ class Collectors:
         seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
         return place, self._make.remote(self._recipe, seed, versions())
 
-    def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
+    def step(self, learner: Learner, meanwhile: Callable[[], None] = lambda: None) -> tuple[np.ndarray, ...]:
         """Request chunks from idle collectors, call `meanwhile`, and wait briefly for a chunk.
 
         Returns:
@@ -155,8 +155,7 @@ class Collectors:
             for place, collector in self._idle:
                 self._running[collector.collect.remote(known)] = place, collector
             self._idle.clear()
-        if meanwhile:
-            meanwhile()
+        meanwhile()
         self.steps = 0
         ready, _ = self._ray.wait(list(self._running), timeout=WAIT_S)
         if time.monotonic() - self._heard > SILENCE_S:

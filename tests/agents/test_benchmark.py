@@ -36,10 +36,12 @@ class Pointer:
         return np.clip(observation + self._rng.uniform(-1, 1, 6) * self._error, -1, 1).astype(np.float32)
 
 
-@pytest.fixture(autouse=True)
-def tiny(monkeypatch):
-    monkeypatch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
-    monkeypatch.setattr(benchmark, "EPISODES", 40)
+@pytest.fixture(scope="module", autouse=True)
+def tiny():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
+        patch.setattr(benchmark, "EPISODES", 40)
+        yield
 
 
 def submit(path, *words, policy=POINTER):
@@ -49,9 +51,7 @@ def submit(path, *words, policy=POINTER):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
-        return submit(tmp_path_factory.mktemp("trained") / "results.json", "--budget", "1e5")
+    return submit(tmp_path_factory.mktemp("trained") / "results.json", "--budget", "1e5")
 
 
 def test_a_training_is_judged_by_five_runs_in_every_split(trained):

@@ -14,7 +14,6 @@ from agents.evaluate import BLOCK, evaluate, main, run_batch, table
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
-from hpac_gym.policies.baselines import RandomPolicy
 from hpac_gym.policies.loading import load_policy
 from tests.processes import wait_for
 
@@ -43,13 +42,6 @@ def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has(name):
     assert len({episode.total_reward for episode in together}) == len(seeds)
     env.close()
     envs.close()
-
-
-def test_random_actions_differ_between_seeds_and_repeat_for_one():
-    env = make_task(TINY)
-    first, second, again = (list(control_steps(env, RandomPolicy(env), seed)) for seed in (1, 2, 1))
-    assert first == again
-    assert first != second
 
 
 def test_the_summary_counts_what_the_episodes_say():

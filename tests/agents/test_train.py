@@ -5,6 +5,7 @@ import csv
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 from agents import RunError, train
-from agents.closures import Learner, worlds_of
+from agents.closures import Learner, training_task, worlds_of
 from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
@@ -31,10 +32,10 @@ def curve(folder: Path) -> list[int]:
         return [int(row["episodes"]) for row in csv.DictReader(file)]
 
 
-def train_here(monkeypatch, *words) -> None:
+def train_here(monkeypatch, *words, make=None) -> None:
     """Train in this process, which has loaded the packages already; its signals stay its own."""
     monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
-    assert train.main([str(word) for word in words]) == 0
+    assert train.main([str(word) for word in words], make) == 0
 
 
 RUNS = {
@@ -89,6 +90,8 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
         with pytest.raises(KeyboardInterrupt):
             train_here(dying, *RUNS[recipe], "--out", tmp_path)
     assert 8 <= train.saved_trials(tmp_path) < 16
+    with (tmp_path / "progress.csv").open("a") as file:
+        file.write("20,1.0,0.5,20,0.1\n2")  # after the checkpoint
     train_here(monkeypatch, "--out", tmp_path, "--resume")
     assert curve(tmp_path) == curve(trained / recipe)
     hashes = {read_policy(folder / "policy.zip").about["sha256"] for folder in (tmp_path, trained / recipe)}
@@ -149,8 +152,11 @@ def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
     assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 0.6
 
 
-def test_a_training_takes_no_more_steps_than_it_may(tmp_path, monkeypatch):
-    train_here(monkeypatch, "grasp", "--out", tmp_path, "--env-steps", 403, *SMALL)
+def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_given(tmp_path, monkeypatch):
+    tasks = []
+    train_here(monkeypatch, "grasp", "--out", tmp_path, "--env-steps", 403, *SMALL,
+               make=lambda recipe: tasks.append(training_task(recipe)) or tasks[-1])  # fmt: skip
+    assert len(tasks) == 1
     about = read_policy(tmp_path / "policy.zip").about
     assert about["env_steps"] == 400
     assert about["env_steps"] >= about["episodes"] * 20, "a trial takes at least as long as the closing"
@@ -211,8 +217,9 @@ def started(recipe, seed):
     return made
 
 
-def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed():
-    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/light"})
+def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed(monkeypatch):
+    monkeypatch.setattr("agents.closures.DRAWS", 1)
+    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/twin"})
     made = started(recipe, 100)
     for worlds in made:
         worlds.step(Patient())
@@ -289,20 +296,23 @@ def test_a_diverged_learner_is_not_saved_over_the_checkpoint_before(learner, tmp
     assert list(tmp_path.iterdir()) == [kept]
 
 
-def test_a_checkpoint_of_other_versions_is_refused_and_kept(learner, recipe, tmp_path):
+def half(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "complaint"),
+    [
+        ("state.json", half, "damaged"),
+        ("arrays.npz", half, "damaged"),
+        ("state.json", lambda path: path.write_text(re.sub(r'"mujoco-core": "[^"]*"', '"mujoco-core": "1.2"', path.read_text())),
+         r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here"),
+    ],
+    ids=["half a state", "half of the arrays", "other versions"],
+)  # fmt: skip
+def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(learner, recipe, tmp_path, name, change, complaint):
     path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
-    state = json.loads((path / "state.json").read_text())
-    state["versions"]["mujoco-core"] = "1.2"
-    (path / "state.json").write_text(json.dumps(state))
-    with pytest.raises(RunError, match=r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here"):
+    change(path / name)
+    with pytest.raises(RunError, match=complaint):
         train.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4))
     assert len(list(path.iterdir())) == 2
-
-
-@pytest.mark.parametrize("name", ["state.json", "arrays.npz"])
-def test_a_damaged_checkpoint_ends_in_one_error(learner, tmp_path, name):
-    path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
-    data = (path / name).read_bytes()
-    (path / name).write_bytes(data[: len(data) // 2])
-    with pytest.raises(RunError, match="damaged"):
-        train.load_checkpoint(path, learner)
