@@ -231,11 +231,3 @@ def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outco
         episodes.close()
     assert 0.1 < held[0].mean() < 0.9
     assert (held[0] != held[1]).mean() < 0.05
-
-
-@pytest.mark.slow
-def test_a_batch_of_any_objects_plays_the_episodes_that_a_world_alone_plays():
-    options = {"engine": "mujoco", "objects": "real"}
-    three, (alone, *_) = (evaluate(["scripted"], GRASP_ANY, n, options=options).episodes["scripted"] for n in (3, 1))
-    assert three[0] == alone
-    assert alone.holding_force >= 0.0
