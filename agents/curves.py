@@ -30,10 +30,9 @@ LINE_EVERY_S = 30.0  # interval of progress lines if standard error is not a ter
 
 
 class Progress:
-    """Shows the progress of a training and writes its learning curve.
+    """Shows the progress of a training and writes its learning curve to a folder.
 
     Args:
-        folder: folder of the run.
         episodes, most_steps: limits of the trials and of the control steps over all worlds.
         done, env_steps, seconds_before: trials, control steps and time [s] of the run before it was resumed.
         time_limit: latest end of the training, relative to `started` [s].

@@ -11,7 +11,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -129,13 +129,13 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
 
 def run_block(names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[tuple[Episode, ...]]:
     """Run an episode of each policy for each seed, in an environment of their own, on MuJoCo in a batch."""
-    with make_task(env_id, **options) as env:
-        if _has_batch(env):
-            envs = gymnasium.make_vec(env_id, min(BATCH, len(seeds)), autoreset_mode="Disabled", **options)
+    with make_task(env_id, **options) as env, ExitStack() as stack:
+        size = min(BATCH, len(seeds)) if _has_batch(env) else 1
+        if size > 1:
+            envs = stack.enter_context(closing(gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)))
         else:
             envs = SyncVectorEnv([lambda: env], autoreset_mode="Disabled")
-        with closing(envs):
-            columns = [run_batch(envs, [load_policy(name, env) for _ in range(envs.num_envs)], seeds) for name in names]
+        columns = [run_batch(envs, [load_policy(name, env) for _ in range(size)], seeds) for name in names]
     return list(zip(*columns, strict=True))
 
 

@@ -110,12 +110,7 @@ class Collectors:
     """Collectors on the nodes of a Ray cluster, with the interface of `Worlds`.
 
     Each of the `count` collectors takes a free processor, spread over the nodes. A lost collector is replaced; its successor
-    waits for a free processor if necessary, while the others continue.
-
-    Args:
-        recipe: the settings of the run.
-        count: number of collectors.
-        done: trials of the run before it was resumed.
+    waits for a free processor if necessary, while the others continue. A resumed run has `done` trials already.
 
     Attributes:
         steps: control steps of the chunk that the last `step` received.

@@ -105,12 +105,8 @@ CONTENDERS: Mapping[str, Contender] = {
 class Decisions(VecEnvWrapper):
     """Wrapper that holds each action for several control steps and sums the rewards.
 
-    If an episode ends within these steps, the next one waits with an open hand for the rest of them.
-
-    Args:
-        worlds: the wrapped worlds.
-        repeat: number of control steps per action.
-        bound: bound of the actions, whose tanh the worlds get; None passes actions in −1…1 unchanged.
+    If an episode ends within the `repeat` steps, the next one waits with an open hand for the rest of them. With a `bound` of the
+    actions the worlds get their tanh; None passes actions in −1…1 unchanged.
     """
 
     def __init__(self, worlds: VecEnv, repeat: int, bound: float | None) -> None:

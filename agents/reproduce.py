@@ -27,11 +27,11 @@ from hpac_gym.policies import read_policy
 from hpac_gym.tasks.phases import PHASES
 
 RANDOMIZED = ("nominal", "hand", "full")
+RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '.join(PHASES)}")
 Judge = Callable[[str, str, dict[str, str]], dict[str, Any]]
 """Evaluates a policy in an environment with options; returns its entry in the summary."""
 Row = tuple[tuple, list[dict[str, Any]]]
 """Texts of a row, and its cells."""
-RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '.join(PHASES)}")
 
 
 def elsewhere(policies: Sequence[str], judge: Judge) -> Iterator[Row]:

@@ -225,6 +225,8 @@ def _fresh_recipe(args: Namespace) -> Recipe:
         (args.out / name).unlink(missing_ok=True)
     for old in args.out.glob(f"{_PREFIX}*"):
         shutil.rmtree(old, ignore_errors=True)
+    if kept := latest_checkpoint(args.out):
+        raise RunError(f"cannot remove checkpoint '{kept}' of the run before")
     return recipe
 
 

@@ -162,6 +162,13 @@ def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_give
     assert about["env_steps"] >= about["episodes"] * 20, "a trial takes at least as long as the closing"
 
 
+def test_a_checkpoint_that_cannot_be_removed_is_not_continued_by_another_run(tmp_path, monkeypatch):
+    (tmp_path / "checkpoint-000000008").mkdir()
+    monkeypatch.setattr("shutil.rmtree", lambda path, **how: None)
+    with pytest.raises(RunError, match=r"cannot remove checkpoint '.*checkpoint-000000008' of the run before"):
+        train.main(["grasp", "--out", str(tmp_path), *SMALL])
+
+
 @pytest.fixture(scope="module")
 def recipe():
     return with_settings(RECIPES["grasp"], {"episodes": "40", **SETTINGS})
