@@ -12,7 +12,8 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +25,7 @@ from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED, HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import (
-    interquartile_mean,
-    probability_of_improvement,
-    stratified_bootstrap,
-    wilson_interval,
-)
+from hpac_gym.evaluation.statistics import interquartile_mean, probability_of_improvement, stratified_bootstrap, wilson_interval
 from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
@@ -98,6 +94,7 @@ def splits_of(env_id: str) -> dict[str, dict[str, str]]:
     return SPLITS[env_id]
 
 
+@cache
 def env_hash(env_id: str) -> str:
     """SHA-256 of the definition of a benchmark environment: splits, observation, task, hand, objects."""
     splits = splits_of(env_id)
@@ -173,12 +170,9 @@ def summary(results: Results) -> list[Results]:
     """Interquartile mean of the success over the runs, with its bootstrap interval, for each split and for all splits."""
     scores = _scores(results)
     names, tables = [*splits_of(results["env_id"]), "all splits"], [*np.split(scores, scores.shape[1], axis=1), scores]
+    iqm, interval = interquartile_mean, partial(stratified_bootstrap, interquartile_mean)
     return [
-        {
-            "split": name,
-            "iqm": float(interquartile_mean(table)),
-            "interval_95": list(stratified_bootstrap(interquartile_mean, table)),
-        }
+        {"split": name, "iqm": float(iqm(table)), "interval_95": list(interval(table))}
         for name, table in zip(names, tables, strict=True)
     ]
 
@@ -189,19 +183,14 @@ def _scores(results: Results) -> np.ndarray:
     return np.array([[won[seed, split] for split in splits_of(results["env_id"])] for seed in results["seeds"]])
 
 
-def faults(results: Results, here: str | None = None) -> Iterator[str]:
-    """Every fault of a results file, one line each.
-
-    Args:
-        results: contents of the file.
-        here: the result of `env_hash`; None computes it.
-    """
+def faults(results: Results) -> Iterator[str]:
+    """Every fault of the contents of a results file, one line each."""
     try:
         if results["schema"] != SCHEMA:
             yield f"schema is {results['schema']!r}, not {SCHEMA!r}"
             return
         splits = splits_of(results["env_id"])
-        yield from _header_faults(results, here or env_hash(results["env_id"]))
+        yield from _header_faults(results)
         counted = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
         wanted = {(seed, split) for seed in results["seeds"] for split in splits}
         yield from (f"split '{split}' of seed {seed} is missing" for seed, split in sorted(wanted - set(counted)))
@@ -217,9 +206,9 @@ def faults(results: Results, here: str | None = None) -> Iterator[str]:
         yield f"a field has the wrong type: {error}"
 
 
-def _header_faults(results: Results, here: str) -> Iterator[str]:
+def _header_faults(results: Results) -> Iterator[str]:
     first, episodes, budget = results["first_seed"], results["episodes"], results["budget"]
-    if results["env_sha256"] != here:
+    if results["env_sha256"] != (here := env_hash(results["env_id"])):
         yield f"env_sha256 {results['env_sha256'][:12]}… is not that of this version of {results['env_id']}, {here[:12]}…"
     if budget not in BUDGETS:
         yield f"budget is {budget}: it must be one of {', '.join(f'{budget:,}' for budget in BUDGETS)} steps"
@@ -237,8 +226,8 @@ def _header_faults(results: Results, here: str) -> Iterator[str]:
     yield from (f"a policy file was trained for {n:,} steps, over the budget of {budget:,}" for n in steps if n > budget)
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
         yield "two runs have the same policy file"
-    missing = [name for name in ("hpac_gym", "python", "mujoco-core") if name not in results["versions"]]
-    yield from (f"version of {name} is missing" for name in missing)
+    missing = {"hpac_gym", "python", "mujoco-core"} - results["versions"].keys()
+    yield from (f"version of {name} is missing" for name in sorted(missing))
 
 
 def _cell_faults(cell: Results, results: Results) -> Iterator[str]:
@@ -254,13 +243,8 @@ def _cell_faults(cell: Results, results: Results) -> Iterator[str]:
 
 def _same(one: Any, other: Any) -> bool:
     """Whether two results are equal up to rounding."""
-    if isinstance(one, float | int) and isinstance(other, float | int):
-        return math.isclose(one, other, abs_tol=1e-9)
-    if isinstance(one, list) and isinstance(other, list):
-        return len(one) == len(other) and all(map(_same, one, other))
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(_same(one[name], other[name]) for name in one)
-    return one == other
+    first, second = (json.loads(json.dumps(each), parse_float=lambda text: round(float(text), 9)) for each in (one, other))
+    return first == second
 
 
 def table(results: Results) -> str:
@@ -323,10 +307,9 @@ def judge_all(args: argparse.Namespace) -> Results:
     """Evaluate every cell that the file does not contain yet, and write the file after each."""
     head = header(args)
     results = read(args.out) if args.out.exists() else head | {"cells": []}
-    differs = [name for name in head if results.get(name) != head[name]]
-    if differs:
-        name = differs[0]
-        raise RunError(f"'{args.out}' holds results with {name} {results.get(name)!r}, not {head[name]!r}: name another file")
+    for name, value in head.items():
+        if results.get(name) != value:
+            raise RunError(f"'{args.out}' holds results with {name} {results.get(name)!r}, not {value!r}: name another file")
     writable_folder(args.out.parent)
     done = {(cell["seed"], cell["split"]) for cell in results["cells"]}
     wanted = [(seed, split) for seed in head["seeds"] for split in splits_of(args.env)]

@@ -38,7 +38,7 @@ def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int
     import torch
     from torch import nn
 
-    from agents.closures import MEAN_CLIP, OBSERVATION_CLIP, mean_and_scale, scaled
+    from agents.closures import MEAN_CLIP, actor_of, mean_and_scale, scaled
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)
@@ -48,8 +48,7 @@ def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int
     inputs = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32))
     wanted = torch.from_numpy(done)
     widths = (seen.shape[1], *HIDDEN, done.shape[1])
-    linear = [nn.Linear(a, b) for a, b in pairwise(widths)]
-    network = nn.Sequential(*(part for layer in linear for part in (layer, nn.ReLU())))[:-1]
+    network = nn.Sequential(*(part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU())))[:-1]
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
     for _ in progress(range(epochs), "epochs"):
@@ -59,8 +58,7 @@ def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int
             loss.backward()
             optimizer.step()
         schedule.step()
-    layers = tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in linear)
-    actor = Actor(mean, scale, OBSERVATION_CLIP, layers, MEAN_CLIP)
+    actor = actor_of(network, mean, scale)
     judged = zip(observations[used:], actions[used:], strict=True)
     errors = [actor(row) - action for pair in judged for row, action in zip(*pair, strict=True)]
     return actor, float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")

@@ -1,11 +1,10 @@
 """Learn to grasp with one decision per episode: from the first observation to the numbers of a closure.
 
 An episode is one trial of one closure: it survives some of the task's phases, and succeeds if it survives all. Two kinds of
-network are fitted to all trials so far. The critics observe the full simulation state, including the true object with its mass
-and friction, and predict for each phase whether a closure that reached it survives it. They also predict the simulation state
-at the end of the closing, such as joint angles, contact forces and object position, which says more about a trial than its
-outcome alone. The actor observes only what a real hand has. It samples closures from a distribution that it shifts towards
-predicted success; the width of the distribution is controlled by a target entropy, which falls during the training.
+network are fitted to all trials so far. The critics observe the full simulation state and predict for each phase whether a
+closure that reached it survives it, and the simulation state at the end of the closing. The actor observes only what a real
+hand has. It samples closures from a distribution that it shifts towards predicted success, at a target entropy that falls
+during the training. `docs/learning.md` has the reasons.
 
 Where random closures hardly ever succeed, the first trials are drawn about the task's script, and the actor maximises the
 likelihood of the trials that succeeded instead; the critics then only choose the episodes.
@@ -13,12 +12,10 @@ likelihood of the trials that succeeded instead; the critics then only choose th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache, partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import torch
@@ -29,26 +26,19 @@ from agents import RunError
 from agents.recipes import Recipe
 from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, PickPlace, grasp_task
 from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, Options, checked_options
+from hpac_gym.envs.options import GRASP_ANY, GRASP_TYPE, PICK_PLACE, checked_options
 from hpac_gym.model import action_from_synergy
 from hpac_gym.policies import Actor, Closures
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.scripted import CLOSE_TIME
-from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS, Task
 from hpac_gym.tasks.terms import Layout
 
 SHORT = GraspAnyConfig(
     timetable=Timetable(close_time=1.6, clearance=Timetable().lift_height), side_time=1 / CONTROL_HZ, ramp_time=1 / CONTROL_HZ
 )
 """HPAC-GraspAny-v1 without the time that a single closure does not use, and without the phases after success."""
-TASKS = {
-    GRASP: grasp_task,
-    GRASP_ANY: partial(GraspAny, config=SHORT),
-    GRASP_TYPE: partial(GraspByType, types="train"),
-    PICK_PLACE: PickPlace,
-}
-"""Task constructors for training, by id."""
 TYPE = Layout(GraspByType().terms, 1).slices["type"]
 """Entries of an observation of HPAC-GraspType-v0 with the type's name. The networks do not see them: the rest of the observation
 contains the type's rule, which also describes unseen types."""
@@ -66,7 +56,7 @@ SMALLEST_SCALE = 0.05  # lower bound of the scale of an observation entry; in th
 
 
 class Trials:
-    """Trials of closures, one per row: a table with room for `size` of them.
+    """Trials of closures, one per row: a table with room for `size` of them, of which `count` are in use.
 
     Attributes:
         seen: first observation of the episode, *privileged*, shape (size, observed).
@@ -74,13 +64,12 @@ class Trials:
         survived: number of phases that the closure survived, shape (size,).
         came_to: privileged entries at the end of the closing, or of the trial if earlier, shape (size, observed − deployed).
         columns: these arrays by name.
-        count: number of rows in use.
     """
 
     def __init__(self, size: int, observed: int, deployed: int, decided: int) -> None:
         self.seen, self.decisions = np.zeros((size, observed), np.float32), np.zeros((size, decided), np.float32)
         self.survived, self.came_to = np.zeros(size, np.int64), np.zeros((size, observed - deployed), np.float32)
-        self.columns = {name: getattr(self, name) for name in ("seen", "decisions", "survived", "came_to")}
+        self.columns = dict(vars(self))
         self.count = 0
 
     def add(self, *trials: np.ndarray) -> None:
@@ -93,16 +82,12 @@ class Trials:
 
 
 class Worlds:
-    """n worlds of a task in which closures are tried; each starts a new episode as soon as its last one has ended.
+    """n worlds in which closures are tried; each starts a new episode as soon as its last one has ended.
 
-    Args:
-        recipe: the settings. Its set-ups share its worlds equally; with several, the critics are told by one number each which of
-            them a trial had, and the actor is not.
-        place: index of the set-up.
-        seed: seed of the first world of the recipe; the others count upwards.
+    The set-ups of a recipe share its worlds equally; these are the worlds of the set-up at index `place`. With several set-ups,
+    the critics are told by one number each which of them a trial had, and the actor is not.
 
     Attributes:
-        episodes: the running episodes.
         observed: size of a first observation: *privileged*, and the numbers of the set-ups.
         deployed: number of its first entries, the *deploy* observation.
         phases: number of phases of the task.
@@ -110,15 +95,17 @@ class Worlds:
         steps: control steps of all its worlds in a call of `step`.
     """
 
-    def __init__(self, recipe: Recipe, place: int, seed: int) -> None:
-        given = {"hands": recipe.hands} if recipe.env_id == GRASP_ANY else {}
-        given |= {"config": replace(SHORT, size=recipe.sizes)} if recipe.sizes else {}
-        task, set_ups = TASKS[recipe.env_id](**given), len(recipe.set_ups)
+    def __init__(self, task: Task, recipe: Recipe, place: int) -> None:
+        set_ups = len(recipe.set_ups)
         self._first, end = (recipe.num_envs * bound // set_ups for bound in (place, place + 1))
         engine, body = recipe.set_ups[place].split("/")
         options = checked_options(obs="privileged", engine=engine, body=body, randomize=recipe.randomize)
+        if recipe.contacts == "weak":  # no torsional friction, and less of the skin's, drawn for each episode
+            low, high = options.randomization.skin_friction
+            randomization = replace(options.randomization, skin_friction=(WEAK[0] * low, WEAK[1] * high))
+            options = replace(options, randomization=randomization, world=replace(options.world, torsion=0.0))
         count = self.steps = end - self._first
-        self.episodes = Episodes(task, count, weakened(options) if recipe.contacts == "weak" else options)
+        self.episodes = Episodes(task, count, options)
         self._told = np.tile(np.eye(set_ups, dtype=np.float32)[place, : set_ups if set_ups > 1 else 0], (count, 1))
         self.deployed, self.phases = sum(len(term.labels) for term in task.terms), len(task.phases)
         self.observed = self.episodes.observation_space.shape[0] + self._told.shape[1]
@@ -127,14 +114,13 @@ class Worlds:
         self._close, self._closures = task.phases.index("close"), recipe.closures
         self._decisions, self._steps = np.zeros((count, len(self._closures.names))), np.zeros(count, dtype=int)
         self._thread = ThreadPoolExecutor(1)
-        self.restart(seed)
 
-    def restart(self, seed: int) -> None:
-        """Drop the running episodes and go on with those of other seeds, as if made with `seed`."""
+    def start(self, seed: int) -> None:
+        """Drop the running episodes and begin others; `seed` is that of the recipe's first world, the others count upwards."""
         self._generators = [np.random.default_rng(seed + self._first + world) for world in range(self.steps)]
         self._fresh = np.ones(self.steps, dtype=bool)
 
-    def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
+    def step(self, learner: Learner, meanwhile: Callable[[], None] = lambda: None) -> tuple[np.ndarray, ...]:
         """Advance all worlds by one control period.
 
         Args:
@@ -155,8 +141,7 @@ class Worlds:
         phase = self.episodes.now.phase.copy()
         actions = self._closures.actions(self._decisions, self._steps).astype(np.float32)
         physics = self._thread.submit(self.episodes.step, actions)
-        if meanwhile:
-            meanwhile()
+        meanwhile()
         physics.result()
         self._steps += 1
         closing = phase <= self._close
@@ -176,23 +161,22 @@ class Worlds:
         self.episodes.close()
 
 
-def worlds_of(recipe: Recipe, seed: int) -> list[Worlds]:
-    """The worlds of each set-up of a recipe, with seeds from `seed` upwards."""
-    return [Worlds(recipe, place, seed) for place in range(len(recipe.set_ups))]
+def training_task(recipe: Recipe) -> Task:
+    """A new task of a recipe."""
+    if recipe.env_id == GRASP_ANY:
+        return GraspAny(hands=recipe.hands, config=replace(SHORT, size=recipe.sizes or SHORT.size))
+    if recipe.env_id == GRASP_TYPE:
+        return GraspByType(types="train")
+    return PickPlace() if recipe.env_id == PICK_PLACE else grasp_task()
 
 
-def weakened(options: Options) -> Options:
-    """Options with weak contacts: no torsional friction, and the skin's friction multiplied by `WEAK`, drawn for each episode."""
-    low, high = options.randomization.skin_friction
-    randomization = replace(options.randomization, skin_friction=(WEAK[0] * low, WEAK[1] * high))
-    return replace(options, randomization=randomization, world=replace(options.world, torsion=0.0))
+def worlds_of(recipe: Recipe, make: Callable[[Recipe], Task] = training_task) -> list[Worlds]:
+    """The worlds of each set-up of a recipe, each with a task that `make` makes; they need a `Worlds.start`."""
+    return [Worlds(make(recipe), recipe, place) for place in range(len(recipe.set_ups))]
 
 
 class Critics(nn.Module):
-    """An ensemble of networks that predict the log-odds of surviving each phase, evaluated as batched matrix products.
-
-    The networks, `count` of them, have layers of `sizes`, including input and output.
-    """
+    """`count` networks with layers of `sizes`, including input and output, evaluated as batched matrix products."""
 
     def __init__(self, count: int, sizes: Sequence[int], dropout: float) -> None:
         super().__init__()
@@ -236,14 +220,7 @@ class Spread(nn.Module):
 
 
 class Learner:
-    """Critics, an actor, and the trials that they are fitted to.
-
-    Args:
-        recipe: the settings.
-        observed: size of a *privileged* observation.
-        deployed: number of its first entries that the actor observes.
-        phases: number of phases of the task.
-    """
+    """Critics, an actor, and the trials that they are fitted to; `observed`, `deployed` and `phases` are those of `Worlds`."""
 
     def __init__(self, recipe: Recipe, observed: int, deployed: int, phases: int) -> None:
         self._recipe, self._deployed, self._phases = recipe, deployed, torch.arange(phases)
@@ -270,14 +247,14 @@ class Learner:
 
     def decide(self, seen: np.ndarray) -> np.ndarray:
         """Decisions to try, shape (n, m), for first observations, shape (n, observed); random before the first update."""
-        if self.updates == 0 and self._recipe.spread:
-            widths = self._recipe.spread * 10.0 ** self._rng.uniform(-1, 0, (len(seen), 1))
-            drawn = scripted_decisions(self._recipe.closures, seen)
-            return np.clip(drawn + widths * self._rng.standard_normal(drawn.shape), -MOST, MOST)
-        if self.updates == 0:
+        if self.updates:
+            with torch.no_grad():
+                return self.actor(self._scaled(seen)[:, : self._deployed])[0].numpy().astype(float)
+        if not self._recipe.spread:
             return self._rng.uniform(-1.0, 1.0, (len(seen), self.trials.decisions.shape[1]))
-        with torch.no_grad():
-            return self.actor(self._scaled(seen)[:, : self._deployed])[0].numpy().astype(float)
+        widths = self._recipe.spread * 10.0 ** self._rng.uniform(-1, 0, (len(seen), 1))
+        drawn = scripted_decisions(self._recipe.closures, seen)
+        return np.clip(drawn + widths * self._rng.standard_normal(drawn.shape), -MOST, MOST)
 
     def predicted(self, seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
         """Success probability of trials predicted by the critics, shape (n,)."""
@@ -306,8 +283,7 @@ class Learner:
             if recipe.env_id == GRASP_TYPE:
                 self.scale[TYPE] = UNSEEN
         for name in ("critics", "actor"):
-            for group in self.optimizers[name].param_groups:
-                group["lr"] = recipe.learning_rate * max(0.05, 1.0 - share)
+            self.optimizers[name].param_groups[0]["lr"] = recipe.learning_rate * max(0.05, 1.0 - share)
         aim = trials.decisions.shape[1] * (recipe.entropy_first + (recipe.entropy_last - recipe.entropy_first) * share)
         while self.updates < trials.count * recipe.updates_per_episode:
             self._update(aim)
@@ -365,11 +341,15 @@ class Learner:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """State for a checkpoint by name: scaling, networks, optimisers, entropy weight and trials; `restore` restores it."""
-        weights = {"critics": self.critics.state_dict(), "actor": self.actor.state_dict(), "log_weight": self.log_weight.detach()}
-        weights |= {f"of {name}": optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+        tensors = {"log_weight": self.log_weight.detach()}
+        for name, network in (("critics", self.critics), ("actor", self.actor)):
+            tensors |= {f"{name}/{key}": tensor for key, tensor in network.state_dict().items()}
+        for name, optimizer in self.optimizers.items():  # without its settings, since the recipe has them
+            for number, state in optimizer.state_dict()["state"].items():
+                tensors |= {f"of {name}/state/{number}/{key}": tensor for key, tensor in state.items()}
         scales = {name: getattr(self, name) for name in SCALES}
         trials = {name: column[: self.trials.count] for name, column in self.trials.columns.items()}
-        return scales | _flattened(weights) | trials
+        return scales | {name: tensor.numpy() for name, tensor in tensors.items()} | trials
 
     def restore(self, arrays: dict[str, np.ndarray], updates: int) -> None:
         """Restore the state returned by `arrays` after a number of updates.
@@ -381,41 +361,42 @@ class Learner:
         if count > room:
             raise ValueError(f"{count} trials, where there is room for {room}")
         self.trials.count, self.updates = 0, updates
-        self.trials.add(*(arrays.pop(name) for name in self.trials.columns))
+        self.trials.add(*(arrays[name] for name in self.trials.columns))
         for name in SCALES:
-            setattr(self, name, arrays.pop(name))
-        weights = _nested(arrays)
-        self.critics.load_state_dict(weights["critics"])
-        self.actor.load_state_dict(weights["actor"])
+            setattr(self, name, arrays[name])
+        self.log_weight.data.copy_(torch.from_numpy(arrays["log_weight"]))
+
+        def tensors(place: str) -> dict[str, Tensor]:
+            return {name.removeprefix(place): torch.from_numpy(arrays[name]) for name in arrays if name.startswith(place)}
+
+        self.critics.load_state_dict(tensors("critics/"))
+        self.actor.load_state_dict(tensors("actor/"))
         for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict(optimizer.state_dict() | weights.get("of " + name, {}))
-        with torch.no_grad():
-            self.log_weight.copy_(weights["log_weight"])
+            state: dict[int, dict[str, Tensor]] = {}
+            for place, tensor in tensors(f"of {name}/state/").items():
+                number, _, key = place.partition("/")
+                state.setdefault(int(number), {})[key] = tensor
+            optimizer.load_state_dict(optimizer.state_dict() | {"state": state})
 
     def policy(self) -> Actor:
         """The deterministic actor as plain arrays, with the scaling of its observations."""
-        layers = [layer for layer in (*self.actor.body, self.actor.mean) if isinstance(layer, nn.Linear)]
-        return Actor(
-            observation_mean=self.mean[: self._deployed].astype(float),
-            observation_scale=self.scale[: self._deployed].astype(float),
-            observation_clip=OBSERVATION_CLIP,
-            layers=tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in layers),
-            mean_clip=MEAN_CLIP,
-        )
+        return actor_of((*self.actor.body, self.actor.mean), self.mean[: self._deployed], self.scale[: self._deployed])
+
+
+def actor_of(parts: Iterable[nn.Module], mean: np.ndarray, scale: np.ndarray) -> Actor:
+    """The linear layers among `parts` as plain arrays, with the scaling of their observations."""
+    linear = [part for part in parts if isinstance(part, nn.Linear)]
+    layers = tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in linear)
+    return Actor(mean.astype(float), scale.astype(float), OBSERVATION_CLIP, layers, MEAN_CLIP)
 
 
 def scripted_decisions(closures: Closures, seen: np.ndarray) -> np.ndarray:
     """Decisions for the closures of `ScriptedGraspType`, shape (n, m), on first observations of HPAC-GraspType-v0."""
-    return closures.decisions(_scripted_values())[seen[:, TYPE].argmax(axis=1)]
-
-
-@cache
-def _scripted_values() -> np.ndarray:
     values = []
     for start in (kind.start for kind in GRASP_TYPES.values()):
         goals, preshape = map(action_from_synergy, (start.closed, start.preshape))
         values.append([*goals, CLOSE_TIME * CONTROL_HZ, 0.0, *wrist_choice(start), *preshape])
-    return np.array(values)
+    return closures.decisions(values)[seen[:, TYPE].argmax(axis=1)]
 
 
 def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -427,23 +408,3 @@ def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def scaled(values: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Scale and clip values for a network, as in `Actor`."""
     return np.clip((values - mean) / scale, -OBSERVATION_CLIP, OBSERVATION_CLIP)
-
-
-def _flattened(tree: Mapping[str, Any], place: str = "") -> dict[str, np.ndarray]:
-    """The tensors in nested dictionaries as arrays, by path; optimisers' settings are left out, since the recipe has them."""
-    arrays = {f"{place}{name}": value.numpy() for name, value in tree.items() if isinstance(value, torch.Tensor)}
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            arrays |= _flattened(value, f"{place}{name}/")
-    return arrays
-
-
-def _nested(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    tree: dict[str, Any] = {}
-    for place, array in arrays.items():
-        *path, name = place.split("/")
-        within = tree
-        for part in path:
-            within = within.setdefault(int(part) if part.isdigit() else part, {})
-        within[name] = torch.from_numpy(array)
-    return tree

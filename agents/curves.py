@@ -31,10 +31,9 @@ LINE_EVERY_S = 30.0  # interval of progress lines if standard error is not a ter
 
 
 class Progress:
-    """Shows the progress of a training and writes its learning curve.
+    """Shows the progress of a training and writes its learning curve to a folder.
 
     Args:
-        folder: folder of the run.
         episodes, most_steps: limits of the trials and of the control steps over all worlds.
         done, env_steps, seconds_before: trials, control steps and time [s] of the run before it was resumed.
         time_limit: latest end of the training, relative to `started` [s].
@@ -43,7 +42,7 @@ class Progress:
 
     Attributes:
         done, env_steps: trials and control steps so far, over all worlds.
-        stopped_by: why the training was stopped; None if it was not.
+        stopped_by: why the training ends after the current step; None if it goes on.
     """
 
     def __init__(
@@ -77,10 +76,6 @@ class Progress:
         """Share of the last trials that held; NaN before the first one has ended."""
         return sum(self._held) / len(self._held) if self._held else float("nan")
 
-    def stop(self, reason: str) -> None:
-        """End the training after the current step."""
-        self.stopped_by = reason
-
     def add(self, held: list[bool], steps: int, entropy: float) -> bool:
         """Record trials, control steps and the actor's entropy [nats per number]; returns whether the training continues."""
         self._held.extend(held)
@@ -89,7 +84,7 @@ class Progress:
         if self.done >= self._written + ROW_EVERY:
             self.write_row(entropy)
         if self._clock() - self._started > self._time_limit:
-            self.stop("time limit")
+            self.stopped_by = "time limit"
         self._show()
         return self.stopped_by is None and self.done < self._most
 

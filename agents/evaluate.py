@@ -71,12 +71,17 @@ class Evaluation:
     def summary(self) -> dict[str, Any]:
         """Success with its interval, return, failures by phase, and differences over paired episodes."""
         (name, first), *others = self.episodes.items()
+        differences = []
+        for other, episodes in others:
+            more = [a.success - b.success for a, b in zip(first, episodes, strict=True)]
+            difference, *interval = paired_difference(more.count(1), more.count(-1), len(more))
+            differences.append({"of": name, "over": other, "success": difference, "interval_95": interval})
         return {
             "env_id": self.env_id,
             "first_seed": first[0].seed,
             "last_seed": first[-1].seed,
             "policies": {name: _summary(episodes) for name, episodes in self.episodes.items()},
-            "differences": [{"of": name, "over": other, **_difference(first, episodes)} for other, episodes in others],
+            "differences": differences,
         }
 
 
@@ -116,7 +121,7 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
                     success=bool(infos["is_success"][place]),
                     total_reward=sum(rewards[place]),
                     steps=len(rewards[place]),
-                    phase=None if phase is None else str(getattr(phase, "name", phase)).lower(),
+                    phase=phase and str(phase),
                     holding_force=None if force is None else float(force),
                 )
     return [episodes[seed] for seed in seeds]
@@ -252,12 +257,6 @@ def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
         "steps_mean": float(np.mean([episode.steps for episode in episodes])),
         "failures_by_phase": dict(failures_by_phase(episodes).most_common()),
     }
-
-
-def _difference(first: Sequence[Episode], second: Sequence[Episode]) -> dict[str, Any]:
-    more = [a.success - b.success for a, b in zip(first, second, strict=True)]
-    difference, *interval = paired_difference(more.count(1), more.count(-1), len(more))
-    return {"success": difference, "interval_95": interval}
 
 
 if __name__ == "__main__":

@@ -84,7 +84,9 @@ class Collector:
         if others := other_versions(expected):
             raise RunError(f"the learner has {others}, on node '{platform.node()}'")
         torch.set_num_threads(1)
-        self._all_worlds = worlds_of(recipe, seed)
+        self._all_worlds = worlds_of(recipe)
+        for worlds in self._all_worlds:
+            worlds.start(seed)
         first = self._all_worlds[0]
         self._learner = Learner(replace(recipe, episodes=1), first.observed, first.deployed, first.phases)
         self._learner.reseed(seed)
@@ -107,23 +109,17 @@ class Collector:
 class Collectors:
     """Collectors on the nodes of a Ray cluster, with the interface of `Worlds`.
 
-    Each takes a free processor, spread over the nodes. A lost collector is replaced; its successor waits for a free processor
-    if necessary, while the others continue.
-
-    Args:
-        recipe: the settings of the run.
-        count: number of collectors.
-        done: trials of the run before it was resumed.
+    Each of the `count` collectors takes a free processor, spread over the nodes. A lost collector is replaced; its successor
+    waits for a free processor if necessary, while the others continue. A resumed run has `done` trials already.
 
     Attributes:
-        observed, deployed, phases: as in `Worlds`.
         steps: control steps of the chunk that the last `step` received.
         trials: number of added trials of each collector.
     """
 
     def __init__(self, recipe: Recipe, count: int, done: int = 0) -> None:
         self._ray = connected()
-        samples = worlds_of(replace(recipe, num_envs=len(recipe.set_ups)), 0)
+        samples = worlds_of(replace(recipe, num_envs=len(recipe.set_ups)))
         self.observed, self.deployed, self.phases = samples[0].observed, samples[0].deployed, samples[0].phases
         for sample in samples:
             sample.close()
@@ -140,7 +136,7 @@ class Collectors:
         seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
         return place, self._make.remote(self._recipe, seed, versions())
 
-    def step(self, learner: Learner, meanwhile: Callable[[], None] | None = None) -> tuple[np.ndarray, ...]:
+    def step(self, learner: Learner, meanwhile: Callable[[], None] = lambda: None) -> tuple[np.ndarray, ...]:
         """Request chunks from idle collectors, call `meanwhile`, and wait briefly for a chunk.
 
         Returns:
@@ -154,8 +150,7 @@ class Collectors:
             for place, collector in self._idle:
                 self._running[collector.collect.remote(known)] = place, collector
             self._idle.clear()
-        if meanwhile:
-            meanwhile()
+        meanwhile()
         self.steps = 0
         ready, _ = self._ray.wait(list(self._running), timeout=WAIT_S)
         if time.monotonic() - self._heard > SILENCE_S:
@@ -163,7 +158,7 @@ class Collectors:
             _say(f"no chunk has come for {SILENCE_S:g} s: 'ray status' tells whether a processor is free")
         return self._received(ready[0]) if ready else self._none
 
-    def restart(self, seed: int) -> None:
+    def start(self, seed: int) -> None:
         """Nothing: chunks in progress are kept, since the order of chunks is never the same twice."""
 
     def _received(self, reference: Any) -> tuple[np.ndarray, ...]:

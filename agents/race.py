@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
@@ -106,12 +105,8 @@ CONTENDERS: Mapping[str, Contender] = {
 class Decisions(VecEnvWrapper):
     """Wrapper that holds each action for several control steps and sums the rewards.
 
-    If an episode ends within these steps, the next one waits with an open hand for the rest of them.
-
-    Args:
-        worlds: the wrapped worlds.
-        repeat: number of control steps per action.
-        bound: bound of the actions, whose tanh the worlds get; None passes actions in −1…1 unchanged.
+    If an episode ends within the `repeat` steps, the next one waits with an open hand for the rest of them. With a `bound` of the
+    actions the worlds get their tanh; None passes actions in −1…1 unchanged.
     """
 
     def __init__(self, worlds: VecEnv, repeat: int, bound: float | None) -> None:
@@ -135,21 +130,6 @@ class Decisions(VecEnvWrapper):
             rewards, infos = rewards + gained * ~over, [a if o else b for a, b, o in zip(infos, told, over, strict=True)]
             over = over | done
         return seen, rewards, over, infos
-
-
-class _Watch(BaseCallback):
-    """Callback that counts trials, saves every minute and ends the training at its time limit."""
-
-    def __init__(self, progress: Progress, save: Callable[[], None]) -> None:
-        super().__init__()
-        self._progress, self._save, self._next = progress, save, SAVE_EVERY_S
-
-    def _on_step(self) -> bool:
-        if self._progress.seconds > self._next:
-            self._next += SAVE_EVERY_S
-            self._save()
-        held = [told["is_success"] for told, done in zip(self.locals["infos"], self.locals["dones"], strict=True) if done]
-        return self._progress.add(held, 0, float("nan"))  # no budget of control steps
 
 
 def algorithm_of(name: str) -> type[BaseAlgorithm]:
@@ -240,8 +220,19 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
         }
         write_policy(out / POLICY, PolicyFile(actor, about))
 
+    saved_at = 0.0
+
+    def step(now: dict[str, Any], _: Any) -> bool:
+        """Count the trials of a step, and save every minute; returns whether the training continues."""
+        nonlocal saved_at
+        if progress.seconds > saved_at + SAVE_EVERY_S:
+            saved_at += SAVE_EVERY_S
+            save()
+        held = [told["is_success"] for told, done in zip(now["infos"], now["dones"], strict=True) if done]
+        return progress.add(held, 0, float("nan"))  # no budget of control steps
+
     try:
-        model.learn(sys.maxsize, callback=_Watch(progress, save))
+        model.learn(sys.maxsize, callback=step)
         save()
     except ValueError as error:  # raised by PyTorch's distributions for values that are not finite
         raise RunError(f"the training diverged: {str(error).splitlines()[0]}; '{out}' keeps its last policy") from error

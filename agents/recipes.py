@@ -85,10 +85,8 @@ def with_settings(settings: Settings, texts: Mapping[str, str]) -> Settings:
     for name, text in texts.items():
         kind = types[name]
         try:
-            if kind in (str, float):
+            if kind in (str, int, float):
                 changes[name] = kind(text)
-            elif kind is int:
-                changes[name] = int(text.replace("_", ""))
             else:
                 changes[name] = tuple(kind.__args__[0](word.strip()) for word in text.split(",") if word.strip())
         except ValueError:
@@ -105,9 +103,7 @@ class Recipe:
     """
 
     env_id: str = choice(GRASP, "environment", (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE))
-    set_ups: tuple[str, ...] = choice(
-        ("mujoco/twin",), "comma-separated engines and bodies, with equal shares of the worlds", SET_UPS
-    )
+    set_ups: tuple[str, ...] = choice(("mujoco/twin",), "comma-separated engines and bodies with equal shares of worlds", SET_UPS)
     randomize: str = choice("nominal", "randomization of the episodes", tuple(PRESETS))
     contacts: str = choice("usual", "contacts in training; weak: without torsional friction, and with half to all of the skin's "
                             "friction, so that grasps hold in engines whose contacts hold less", ("usual", "weak"))  # fmt: skip

@@ -171,7 +171,7 @@ def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, 
 
     Raises:
         PhysicsError: The engine cannot draw.
-        RunError: The film cannot be written.
+        OutputError: The film cannot be written.
     """
     rest: Iterator[ServoCommand] = iter(())
     font, sheet = ImageFont.load_default(15), []
@@ -182,11 +182,10 @@ def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, 
         for _ in range(count):
             video.append_data(np.asarray(image))
 
-    try:
-        video = imageio.get_writer(out / "grasps.mp4", fps=CONTROL_HZ, macro_block_size=None, quality=7)
-    except OSError as error:
-        raise RunError(f"cannot write '{out / 'grasps.mp4'}': {error.strerror or error}") from error
-    with video, gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options) as env:
+    with ExitStack() as stack:
+        temporary = stack.enter_context(replacing(out / "grasps.mp4"))
+        video = stack.enter_context(imageio.get_writer(temporary, fps=CONTROL_HZ, macro_block_size=None, quality=7))
+        env = stack.enter_context(gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options))
         actor = load_policy(policy, env)
         for seed, received in progress(commands.items(), "filming"):
             rest, phase, picture, stills = iter(received), None, None, []

@@ -9,7 +9,7 @@ intervals; rows are printed when complete.
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,35 +21,38 @@ from agents.evaluate import DEFAULT_TASK, evaluate, task_of
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
-from hpac_gym.output import writable_folder, write_text
+from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.physics.simulation import SET_UPS, default_engine
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.phases import PHASES
 
 RANDOMIZED = ("nominal", "hand", "full")
 RACED = ("learner", "seed", "trials", "time [s]", "success [%]", f"lost in {', '.join(PHASES)}")
+Judge = Callable[[str, str, dict[str, str]], dict[str, Any]]
+"""Evaluates a policy in an environment with options; returns its entry in the summary."""
+Row = tuple[tuple, list[dict[str, Any]]]
+"""Texts of a row, and its cells."""
 
 
-def elsewhere(policies: Sequence[str], episodes: int, seed_start: int, workers: int) -> Iterator[list[dict[str, Any]]]:
-    """The cells of each row of the table, as it is completed."""
+def elsewhere(policies: Sequence[str], judge: Judge) -> Iterator[Row]:
+    """A row for each policy, engine and body."""
     for policy in policies:
         for engine, body in (set_up.split("/") for set_up in SET_UPS):
             if engine == "pybullet" and default_engine() != "pybullet":
                 continue  # not installed; the command reports it
-            row = []
-            for randomize in RANDOMIZED:
-                options = {"engine": engine, "body": body, "randomize": randomize}
-                judged = evaluate([policy], task_of(policy), episodes, seed_start=seed_start, workers=workers, options=options)
-                row.append({"policy": policy, **options, **next(iter(judged.summary()["policies"].values()))})
-            yield row
+            options = [{"engine": engine, "body": body, "randomize": randomize} for randomize in RANDOMIZED]
+            cells = [{"policy": policy, **each, **judge(policy, task_of(policy), each)} for each in options]
+            yield (policy, f"{engine} {body}", *map(_rate, cells)), cells
 
 
-def judged_run(name: str, seed: int, policy: str, *how: int) -> dict[str, Any]:
-    """A row: the held-out episodes of a trained policy on MuJoCo's *twin*, and its training."""
-    episodes, seed_start, workers = how
-    judged = evaluate([policy], DEFAULT_TASK, episodes, seed_start=seed_start, workers=workers, options={"engine": "mujoco"})
-    about = {key: read_policy(policy).about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
-    return {"learner": name, "seed": seed, "trained": about, **next(iter(judged.summary()["policies"].values()))}
+def runs_on_twin(runs: Iterable[tuple[str, int, str]], judge: Judge) -> Iterator[Row]:
+    """A row for each run: its learner, seed and training, and the episodes of its policy on MuJoCo's *twin*."""
+    for learner, seed, policy in runs:
+        about = {key: read_policy(policy).about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
+        cell = {"learner": learner, "seed": seed, "trained": about, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
+        seconds = about["processor_seconds"] or about["seconds"]
+        lost = ", ".join(str(cell["failures_by_phase"].get(phase, 0)) for phase in PHASES)
+        yield (learner, seed, f"{about['episodes']:,}", f"{seconds:,.0f}", _rate(cell), lost), [cell]
 
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
@@ -77,20 +80,6 @@ def race(runs: Path, seed: int, limit: float) -> Iterator[tuple[str, int, str]]:
         yield name, seed, str(out / POLICY)
 
 
-def race_row(cell: dict[str, Any]) -> str:
-    """A row of a trained policy in Markdown."""
-    phases, trained = cell["failures_by_phase"], cell["trained"]
-    lost = ", ".join(str(phases.get(phase, 0)) for phase in PHASES)
-    seconds = trained["processor_seconds"] or trained["seconds"]
-    return f"| {cell['learner']} | {cell['seed']} | {trained['episodes']:,} | {seconds:,.0f} | {_rate(cell)} | {lost} |"
-
-
-def row(cells: Sequence[dict[str, Any]]) -> str:
-    """A row of the table in Markdown: a policy at one engine and body."""
-    first = cells[0]
-    return f"| {first['policy']} | {first['engine']} {first['body']} | {' | '.join(map(_rate, cells))} |"
-
-
 def _rate(cell: dict[str, Any]) -> str:
     low, high = cell["interval_95"]
     return f"{100 * cell['success_rate']:.1f} [{100 * low:.0f}, {100 * high:.0f}]"
@@ -112,21 +101,25 @@ def main(argv: list[str] | None = None) -> int:
         parser.error("elsewhere and seeds need at least one --policy, race takes none")
     if args.out:
         writable_folder(args.out.parent)
-    how = args.episodes, args.seed_start, args.workers
+
+    def judge(policy: str, env_id: str, options: dict[str, str]) -> dict[str, Any]:
+        """Evaluate one policy; returns its entry in the summary."""
+        how = {"seed_start": args.seed_start, "workers": args.workers, "options": options}
+        return next(iter(evaluate([policy], env_id, args.episodes, **how).summary()["policies"].values()))
+
     if args.table == "elsewhere":
-        columns, line, rows = ("policy", "judged on", *RANDOMIZED), row, elsewhere(args.policy, *how)
+        columns, rows = ("policy", "judged on", *RANDOMIZED), elsewhere(args.policy, judge)
         if default_engine() != "pybullet":
             print("PyBullet is not installed: its rows are left out", file=sys.stderr)
     else:
         given = (("grasp", read_policy(policy).about["settings"]["seed"], policy) for policy in args.policy or ())
         found = race(args.runs, args.seed, args.minutes) if args.table == "race" else given
-        columns, line, rows = RACED, lambda row: race_row(*row), ([judged_run(*trained, *how)] for trained in found)
-    print(f"| {' | '.join(columns)} |")
-    print("| --- " * len(columns) + "|")
+        columns, rows = RACED, runs_on_twin(found, judge)
+    print(markdown(columns, ()))
     cells: list[dict[str, Any]] = []
-    for done in rows:
+    for line, done in rows:
         cells += done
-        print(line(done), flush=True)
+        print(f"| {' | '.join(map(str, line))} |", flush=True)
         if args.out:
             write_text(args.out, json.dumps(cells, indent=2) + "\n")
     if args.table == "seeds":

@@ -18,6 +18,7 @@ import signal
 import sys
 import time
 from argparse import Namespace
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -35,6 +36,7 @@ from hpac_gym.policies import PolicyFile, write_policy
 
 if TYPE_CHECKING:
     from agents.closures import Learner
+    from hpac_gym.tasks.task import Task
 
 RUN = "run.json"
 _PREFIX = "checkpoint-"
@@ -42,13 +44,14 @@ _UNFINISHED = ".unfinished"
 
 
 def train(
-    recipe: Recipe, out: Path, *, resume: bool = False, time_limit: float = float("inf"), started: float | None = None,
-    nodes: int = 0,
+    recipe: Recipe, out: Path, *, time_limit: float = float("inf"), started: float | None = None, nodes: int = 0,
+    make: Callable[[Recipe], Task] | None = None,
 ) -> int:  # fmt: skip
-    """Train a recipe in the folder ``out`` and return the exit status.
+    """Train a recipe in the folder ``out``, from its checkpoint if it has one, and return the exit status.
 
     ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock. If ``nodes`` is
-    positive, that many collectors of `agents.nodes` try the closures.
+    positive, that many collectors of `agents.nodes` try the closures. ``make`` makes a task of the recipe for each of
+    its set-ups; None is `agents.closures.training_task`.
 
     Raises:
         RunError: The training diverged, or its folder cannot be read or written.
@@ -56,34 +59,30 @@ def train(
     # Imported here: loading PyTorch takes seconds, which a mistyped argument should not cost.
     import torch
 
-    from agents.closures import Learner, worlds_of
+    from agents.closures import Learner, training_task, worlds_of
 
     torch.set_num_threads(1)
     write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
-    checkpoint = latest_checkpoint(out) if resume else None
-    done = saved_trials(out) if resume else 0
+    checkpoint, done = latest_checkpoint(out), saved_trials(out)
     if nodes:
         from agents.nodes import Collectors
 
         all_worlds = [Collectors(recipe, nodes, done)]
     else:
-        all_worlds = worlds_of(recipe, 0)
+        all_worlds = worlds_of(recipe, make or training_task)
     first = all_worlds[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
-    state = {"seconds": 0.0, "env_steps": 0}
-    if checkpoint:
-        state = load_checkpoint(checkpoint, learner)
-    if resume:
-        drop_rows_after(out / CURVE, done)
+    state = load_checkpoint(checkpoint, learner) if checkpoint else {"seconds": 0.0, "env_steps": 0}
+    drop_rows_after(out / CURVE, done)
     target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
-    limits = recipe.episodes, recipe.env_steps
-    progress = Progress(out, *limits, done, state["env_steps"], state["seconds"], time_limit, started)
+    spent = done, state["env_steps"], state["seconds"]
+    progress = Progress(out, recipe.episodes, recipe.env_steps, *spent, time_limit, started)
     _stop_on_signal(progress)
 
     def begin_episodes() -> None:
         learner.reseed(training_seed(recipe.seed, learner.trials.count, 1))
         for worlds in all_worlds:
-            worlds.restart(training_seed(recipe.seed, learner.trials.count, recipe.num_envs))
+            worlds.start(training_seed(recipe.seed, learner.trials.count, recipe.num_envs))
 
     def save() -> None:
         save_checkpoint(out, learner, {"seconds": progress.seconds, "env_steps": progress.env_steps})
@@ -198,7 +197,8 @@ def _to_disk(path: Path) -> None:
         os.close(handle)
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: list[str] | None = None, make: Callable[[Recipe], Task] | None = None) -> int:
+    """The command; ``make`` is as in `train`."""
     started = time.monotonic()
     parser = command_parser("agents.train", __doc__)
     parser.add_argument("recipe", nargs="?", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume")
@@ -210,7 +210,7 @@ def main(argv: list[str] | None = None) -> int:
     add_recipe(parser)
     args = parser.parse_args(argv)
     recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
-    return train(recipe, args.out, resume=args.resume, time_limit=60 * args.time_limit, started=started, nodes=args.nodes)
+    return train(recipe, args.out, time_limit=60 * args.time_limit, started=started, nodes=args.nodes, make=make)
 
 
 def _fresh_recipe(args: Namespace) -> Recipe:
@@ -221,10 +221,12 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     if (args.out / RUN).exists() and not args.overwrite:
         raise RunError(f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it")
     writable_folder(args.out)
-    for old in (args.out / RUN, args.out / POLICY, args.out / CURVE):
-        old.unlink(missing_ok=True)
+    for name in (RUN, POLICY, CURVE):
+        (args.out / name).unlink(missing_ok=True)
     for old in args.out.glob(f"{_PREFIX}*"):
         shutil.rmtree(old, ignore_errors=True)
+    if kept := latest_checkpoint(args.out):
+        raise RunError(f"cannot remove checkpoint '{kept}' of the run before")
     return recipe
 
 
@@ -247,7 +249,7 @@ def _stop_on_signal(progress: Progress) -> None:
     """End the training with a checkpoint at the first Ctrl-C or SIGTERM, and immediately at the second."""
 
     def stop(number: int, frame: Any) -> None:
-        progress.stop("interrupted")
+        progress.stopped_by = "interrupted"
         signal.signal(number, signal.SIG_DFL)
 
     for number in (signal.SIGINT, signal.SIGTERM):

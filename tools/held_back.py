@@ -9,8 +9,7 @@ from pathlib import Path
 
 from agents import POLICY, closures, command_parser, train
 from hpac import run, whole_number
-from hpac_gym.envs import GraspAny, GraspAnyConfig
-from hpac_gym.envs.options import GRASP_ANY
+from hpac_gym.envs import GraspAny
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from tools.any_closures import Player, by_policy
@@ -27,23 +26,18 @@ def keep(task: GraspAny, back: bool) -> GraspAny:
     return task
 
 
-def trained_task(config: GraspAnyConfig = closures.SHORT, hands: str = "nominal") -> GraspAny:
-    """The task with the objects to train on."""
-    return keep(GraspAny(config=config, hands=hands), back=False)
-
-
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.held_back", __doc__)
     parser.add_argument("--episodes", type=whole_number(1), default=1_500, help="episodes of each evaluation")
     parser.add_argument("--out", type=Path, required=True, help="folder of the training")
     args, settings = parser.parse_known_args(argv)
     if not (args.out / POLICY).exists():
-        closures.TASKS[GRASP_ANY] = trained_task
-        if status := train.main(["grasp-any", "--out", str(args.out), *settings]):
+        words = ["grasp-any", "--out", str(args.out), *settings]
+        if status := train.main(words, make=lambda recipe: keep(closures.training_task(recipe), back=False)):
             return status
     print("| objects | hands | success [%] |\n| --- | --- | --- |")
     for title, back, hands in (("trained on", False, "nominal"), ("held back", True, "nominal"), ("held back", True, "train")):
-        player = Player("train", hands=hands)
+        player = Player("train", min(64, args.episodes), hands)
         keep(player.task, back)
 
         def begin(seen, places, task=player.task):

@@ -2,7 +2,6 @@
 
 import copy
 import json
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,6 @@ from hpac_gym.policies import Closures, PolicyError
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 
 TINY = "tests.tiny_task:Tiny-v0"
-HASH = cache(env_hash)
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 POINTER = "tests.agents.test_benchmark:Pointer:{seed}"
 
@@ -38,10 +36,12 @@ class Pointer:
         return np.clip(observation + self._rng.uniform(-1, 1, 6) * self._error, -1, 1).astype(np.float32)
 
 
-@pytest.fixture(autouse=True)
-def tiny(monkeypatch):
-    monkeypatch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
-    monkeypatch.setattr(benchmark, "EPISODES", 40)
+@pytest.fixture(scope="module", autouse=True)
+def tiny():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
+        patch.setattr(benchmark, "EPISODES", 40)
+        yield
 
 
 def submit(path, *words, policy=POINTER):
@@ -51,9 +51,7 @@ def submit(path, *words, policy=POINTER):
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
-        return submit(tmp_path_factory.mktemp("trained") / "results.json", "--budget", "1e5")
+    return submit(tmp_path_factory.mktemp("trained") / "results.json", "--budget", "1e5")
 
 
 def test_a_training_is_judged_by_five_runs_in_every_split(trained):
@@ -165,7 +163,7 @@ def test_two_files_are_compared_by_the_probability_of_improvement(trained):
 def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
     before = env_hash(GRASP_ANY)
     monkeypatch.setattr(benchmark, "object_set", lambda split: ())
-    assert env_hash(GRASP_ANY) != before
+    assert env_hash.__wrapped__(GRASP_ANY) != before
 
 
 @pytest.mark.parametrize(
@@ -188,7 +186,7 @@ def test_a_mistake_is_one_line(words, told):
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_the_results_of_the_repository_are_valid(path):
     results = benchmark.read(path)
-    assert not list(faults(results, HASH(results["env_id"])))
+    assert not list(faults(results))
     assert str(path.relative_to(RESULTS.parents[1])) in results["command"]
 
 
@@ -233,11 +231,3 @@ def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outco
         episodes.close()
     assert 0.1 < held[0].mean() < 0.9
     assert (held[0] != held[1]).mean() < 0.05
-
-
-@pytest.mark.slow
-def test_a_batch_of_any_objects_plays_the_episodes_that_a_world_alone_plays():
-    options = {"engine": "mujoco", "objects": "real"}
-    three, (alone, *_) = (evaluate(["scripted"], GRASP_ANY, n, options=options).episodes["scripted"] for n in (3, 1))
-    assert three[0] == alone
-    assert alone.holding_force >= 0.0

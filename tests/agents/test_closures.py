@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from agents import RunError
-from agents.closures import TYPE, Learner, Worlds, scripted_decisions
+from agents.closures import TYPE, Learner, scripted_decisions, training_task
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.envs import GraspByType
+from hpac_gym.model import HPAC
 from hpac_gym.tasks.scripted import ScriptedGraspType
 
 SEEN = 6
@@ -148,11 +149,9 @@ def test_the_actor_imitates_first_trials_about_the_script_that_succeeded_and_is_
     [("1,1", 1.0, 1.0, "nominal", {1}), ("0.6,1.6", 0.9, 1.1, "train", {*range(8, 17)})],
 )
 def test_a_recipe_trains_on_the_sizes_and_hands_that_it_asks_for(sizes, least, most, hands, drawn):
-    worlds = Worlds(with_settings(RECIPES["grasp-any"], {"sizes": sizes, "hands": hands, "num_envs": "16"}), 0, 5)
-    worlds.episodes.reset(range(16), [np.random.default_rng(seed) for seed in range(16)])
-    scales = [setup.object.scale for setup in worlds.episodes.setups]
-    geometries = {setup.geometry for setup in worlds.episodes.setups}
-    worlds.close()
+    task = training_task(with_settings(RECIPES["grasp-any"], {"sizes": sizes, "hands": hands}))
+    setups = [task.setup(np.random.default_rng(seed), HPAC) for seed in range(16)]
+    scales = [setup.object.scale for setup in setups]
     assert min(scales) <= least
     assert max(scales) >= most
-    assert len(geometries) in drawn
+    assert len({setup.geometry for setup in setups}) in drawn

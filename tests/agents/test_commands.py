@@ -20,12 +20,10 @@ MISTAKES = [
     ("train", "grasp-ppo --out {folder}/run", "unknown recipe 'grasp-ppo'"),
     ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…inf"),
     ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
-    ("train", GRASP + " --dropout 2", "dropout is 2.0: it must lie in 0…0.9"),
     ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v1, "
      "HPAC-GraspType-v0, HPAC-PickPlace-v0"),
     ("train", GRASP + " --gamma 0.9", "unrecognized arguments: --gamma"),
     ("train", "grasp --out {folder}/file/run", "cannot write to folder"),
-    ("train", GRASP + " --begin 3,9 --release 9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
     ("train", "grasp --out /proc/run", "cannot write to folder '/proc/run'"),
     ("train", "grasp --out {folder}/taken", "already holds a run"),
     ("train", "--out {folder}/run --resume", "no run to resume"),

@@ -58,9 +58,9 @@ def test_the_training_of_a_killed_worker_ends(tmp_path):
     script = f"""
 from agents.nodes import train_seed
 from agents.recipes import RECIPES, with_settings
-train_seed(with_settings(RECIPES["grasp"], {SETTINGS | {"checkpoint_every": "8"}}), float("inf"))
+train_seed(with_settings(RECIPES["grasp"], {SETTINGS | {"checkpoint_every": "1"}}), float("inf"))
 """
-    worker = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"TMPDIR": f"{tmp_path}"}, start_new_session=True)
+    worker = subprocess.Popen([sys.executable, "-c", script], env=os.environ | {"TMPDIR": f"{tmp_path}"}, process_group=0)
     try:
         wait_for(lambda: list(tmp_path.glob("*/checkpoint-*")) or worker.poll() is not None)
         worker.kill()
@@ -71,13 +71,13 @@ train_seed(with_settings(RECIPES["grasp"], {SETTINGS | {"checkpoint_every": "8"}
     assert list(tmp_path.glob("*/checkpoint-*")), "it trained"
 
 
-def processes_of(session: int) -> list[Path]:
-    """The running processes of a session."""
+def processes_of(group: int) -> list[Path]:
+    """The running processes of a process group."""
     running = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
-            state, _, _, its_session = path.read_text().rpartition(")")[2].split()[:4]
-            running += [path] * (int(its_session) == session and state != "Z")
+            state, _, its_group = path.read_text().rpartition(")")[2].split()[:3]
+            running += [path] * (int(its_group) == group and state != "Z")
     return running
 
 

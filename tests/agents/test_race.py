@@ -1,5 +1,6 @@
 """Algorithms of Stable-Baselines3 as contenders: what they train acts from a policy file as it does in their own hands."""
 
+import os
 import re
 import sys
 from dataclasses import fields, replace
@@ -15,6 +16,7 @@ from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 
 pytestmark = pytest.mark.filterwarnings("ignore:jax.core.pytype_aval_mappings")  # of TensorFlow Probability, on import
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true")  # faster
 GRASP = "HPAC-Grasp-v0"
 FEW_UPDATES = {"learning_starts": 8, "gradient_steps": 1, "batch_size": 16}
 FEW = {"ppo": {"n_steps": 8, "batch_size": 16, "n_epochs": 1}, "sbx-crossq": FEW_UPDATES | {"policy_delay": 1}}  # one compilation

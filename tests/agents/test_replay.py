@@ -24,10 +24,12 @@ def film_the_beginning(policy, env_id, options, commands, *rest) -> None:
     film(policy, env_id, options, {seed: received[:3] for seed, received in commands.items()}, *rest)
 
 
+SHORT = ("--engine", "mujoco", "--seed-start", "1000007")
+"""An episode that ends in the lift, after 31 moves."""
 FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
 
 
-@pytest.mark.parametrize("arguments", [(), FREE_WRIST], ids=["host process on a pty", "in process, from a preshape"])
+@pytest.mark.parametrize("arguments", [SHORT, FREE_WRIST], ids=["host process on a pty", "in process, from a preshape"])
 def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, monkeypatch, arguments):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     report = replayed(tmp_path, *arguments)
@@ -45,7 +47,7 @@ def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, mo
 def test_a_hand_at_a_port_of_its_own_is_driven_too(tmp_path, monkeypatch):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     with HostBoard() as board:
-        report = replayed(tmp_path, "--port", board.port)
+        report = replayed(tmp_path, "--port", board.port, *SHORT)
         assert len(board.pulse_changes()) > 100, "the servos behind the port did not move"
     assert report["frames_acked"] == report["frames_sent"] - report["frames_retried"]
 

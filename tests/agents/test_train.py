@@ -5,6 +5,7 @@ import csv
 import errno
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 from agents import RunError, train
-from agents.closures import Learner, worlds_of
+from agents.closures import Learner, training_task, worlds_of
 from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
@@ -31,67 +32,69 @@ def curve(folder: Path) -> list[int]:
         return [int(row["episodes"]) for row in csv.DictReader(file)]
 
 
-def train_here(monkeypatch, *words) -> None:
+def train_here(monkeypatch, *words, make=None) -> None:
     """Train in this process, which has loaded the packages already; its signals stay its own."""
     monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
-    assert train.main([str(word) for word in words]) == 0
+    assert train.main([str(word) for word in words], make) == 0
+
+
+RUNS = {
+    "grasp": ["grasp", "--episodes", 24, "--seed", 3, *SMALL, "--random-episodes", 4],
+    "grasp-type": ["grasp-type", "--episodes", 24, "--seed", 3, *SMALL, "--random-episodes", 4, "--spread", 0.01],
+}
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("run") / "whole"
+    """The folder of whole runs, by the names of their recipes."""
+    folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as monkeypatch:
-        train_here(monkeypatch, "grasp", "--out", folder, "--episodes", 16, "--seed", 3, *SMALL)
+        for recipe, words in RUNS.items():
+            train_here(monkeypatch, *words, "--out", folder / recipe)
     return folder
 
 
 def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
-    about = read_policy(trained / "policy.zip").about
+    about = read_policy(trained / "grasp" / "policy.zip").about
     assert about["env_id"] == "hpac_gym:HPAC-Grasp-v0"
-    assert about["episodes"] >= 16
+    assert about["episodes"] >= 24
     assert (about["settings"]["seed"], about["settings"]["set_ups"]) == (3, ["mujoco/twin"])
     assert set(about["versions"]) >= {"python", "torch", "mujoco-core", "gymnasium", "numpy", "hpac_gym"}
-    assert len(about["made_for"]["observation"]) == read_policy(trained / "policy.zip").sizes[0]
-    assert curve(trained)[-1] == about["episodes"]
-    assert len(list(trained.glob("checkpoint-*"))) == 1
-    assert (trained / "learning_curve.png").stat().st_size
-    judged = evaluate([str(trained / "policy.zip")], "HPAC-Grasp-v0", 2, options={"engine": "mujoco"})
+    assert curve(trained / "grasp")[-1] == about["episodes"]
+    assert len(list((trained / "grasp").glob("checkpoint-*"))) == 1
+    assert (trained / "grasp" / "learning_curve.png").stat().st_size
+
+
+@pytest.mark.parametrize(
+    ("recipe", "env_id", "sizes", "options"),
+    [("grasp", "HPAC-Grasp-v0", (44, 6), {}), ("grasp-type", "HPAC-GraspType-v0", (78, 12), {"types": "test"})],
+)
+def test_a_trained_policy_is_judged(trained, recipe, env_id, sizes, options):
+    policy = trained / recipe / "policy.zip"
+    assert read_policy(policy).sizes == sizes == (len(read_policy(policy).about["made_for"]["observation"]), sizes[1])
+    judged = evaluate([str(policy)], env_id, 2, options={"engine": "mujoco", **options})
     assert judged.summary()["policies"]["learned"]["episodes"] == 2
 
 
-def test_a_policy_of_grasp_types_is_trained_and_judged(tmp_path, monkeypatch):
-    train_here(monkeypatch, "grasp-type", "--out", tmp_path, "--episodes", 12, *SMALL, "--spread", 0.01)
-    policy = tmp_path / "policy.zip"
-    assert read_policy(policy).sizes == (78, 12)
-    judged = evaluate([str(policy)], "HPAC-GraspType-v0", 2, options={"engine": "mujoco", "types": "test"})
-    assert len(judged.episodes["learned"]) == 2
-
-
-def test_the_same_seed_trains_the_same_policy(trained, tmp_path, monkeypatch):
-    train_here(monkeypatch, "grasp", "--out", tmp_path / "again", "--episodes", 16, "--seed", 3, *SMALL)
-    assert read_policy(tmp_path / "again" / "policy.zip").about["sha256"] == read_policy(trained / "policy.zip").about["sha256"]
-
-
-@pytest.mark.parametrize("recipe", ["grasp", "grasp-type"])
-def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_one(recipe, tmp_path, monkeypatch):
-    words = [recipe, "--episodes", 48, "--seed", 3, *SMALL, *(["--spread", 0.01] if recipe == "grasp-type" else [])]
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    train_here(monkeypatch, *words, "--out", whole)
+@pytest.mark.parametrize("recipe", RUNS)
+def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_one(recipe, trained, tmp_path, monkeypatch):
     save, saved = train.save_checkpoint, []
 
     def save_and_die(*given):
-        if len(saved) == 2:
+        if saved:
             raise KeyboardInterrupt
         saved.append(save(*given))
 
     with monkeypatch.context() as dying:
         dying.setattr(train, "save_checkpoint", save_and_die)
         with pytest.raises(KeyboardInterrupt):
-            train.main(list(map(str, [*words, "--out", killed])))
-    assert 0 < train.saved_trials(killed) < 40
-    train_here(monkeypatch, "--out", killed, "--resume")
-    assert curve(killed) == curve(whole)
-    hashes = {read_policy(folder / "policy.zip").about["sha256"] for folder in (whole, killed)}
+            train_here(dying, *RUNS[recipe], "--out", tmp_path)
+    assert 8 <= train.saved_trials(tmp_path) < 16
+    with (tmp_path / "progress.csv").open("a") as file:
+        file.write("20,1.0,0.5,20,0.1\n2")  # after the checkpoint
+    train_here(monkeypatch, "--out", tmp_path, "--resume")
+    assert curve(tmp_path) == curve(trained / recipe)
+    hashes = {read_policy(folder / "policy.zip").about["sha256"] for folder in (tmp_path, trained / recipe)}
     assert len(hashes) == 1
 
 
@@ -149,11 +152,21 @@ def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
     assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 0.6
 
 
-def test_a_training_takes_no_more_steps_than_it_may(tmp_path, monkeypatch):
-    train_here(monkeypatch, "grasp", "--out", tmp_path, "--env-steps", 403, *SMALL)
+def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_given(tmp_path, monkeypatch):
+    tasks = []
+    train_here(monkeypatch, "grasp", "--out", tmp_path, "--env-steps", 403, *SMALL,
+               make=lambda recipe: tasks.append(training_task(recipe)) or tasks[-1])  # fmt: skip
+    assert len(tasks) == 1
     about = read_policy(tmp_path / "policy.zip").about
     assert about["env_steps"] == 400
     assert about["env_steps"] >= about["episodes"] * 20, "a trial takes at least as long as the closing"
+
+
+def test_a_checkpoint_that_cannot_be_removed_is_not_continued_by_another_run(tmp_path, monkeypatch):
+    (tmp_path / "checkpoint-000000008").mkdir()
+    monkeypatch.setattr("shutil.rmtree", lambda path, **how: None)
+    with pytest.raises(RunError, match=r"cannot remove checkpoint '.*checkpoint-000000008' of the run before"):
+        train.main(["grasp", "--out", str(tmp_path), *SMALL])
 
 
 @pytest.fixture(scope="module")
@@ -204,9 +217,17 @@ class Patient:
         return np.arange(len(seen)) == len(seen) - 1
 
 
-def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed():
-    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/light"})
-    made = worlds_of(recipe, 100)
+def started(recipe, seed):
+    made = worlds_of(recipe)
+    for worlds in made:
+        worlds.start(seed)
+    return made
+
+
+def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed(monkeypatch):
+    monkeypatch.setattr("agents.closures.DRAWS", 1)
+    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/twin"})
+    made = started(recipe, 100)
     for worlds in made:
         worlds.step(Patient())
     drawn = [worlds.first_seen for worlds in made]
@@ -220,7 +241,7 @@ def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed():
 def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning():
     drawn = {}
     for contacts in ("usual", "weak"):
-        [worlds] = worlds_of(with_settings(RECIPES["grasp"], {"num_envs": "8", "contacts": contacts}), 100)
+        [worlds] = started(with_settings(RECIPES["grasp"], {"num_envs": "8", "contacts": contacts}), 100)
         worlds.step(Patient())
         friction = [setup.hand_settings.contact_friction for setup in worlds.episodes.setups]
         drawn[contacts] = np.array(friction), worlds.episodes.options.world.torsion
@@ -233,7 +254,7 @@ def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning()
 
 def test_what_runs_beside_the_physics_changes_no_trial():
     recipe, calls = with_settings(RECIPES["grasp"], {"num_envs": "2"}), []
-    alone, beside = worlds_of(recipe, 7) + worlds_of(recipe, 7)
+    alone, beside = started(recipe, 7) + started(recipe, 7)
     trials: tuple = ((),)
     while not len(trials[0]):
         trials, same = alone.step(Patient()), beside.step(Patient(), lambda: calls.append(0))
@@ -282,20 +303,23 @@ def test_a_diverged_learner_is_not_saved_over_the_checkpoint_before(learner, tmp
     assert list(tmp_path.iterdir()) == [kept]
 
 
-def test_a_checkpoint_of_other_versions_is_refused_and_kept(learner, recipe, tmp_path):
+def half(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "complaint"),
+    [
+        ("state.json", half, "damaged"),
+        ("arrays.npz", half, "damaged"),
+        ("state.json", lambda path: path.write_text(re.sub(r'"mujoco-core": "[^"]*"', '"mujoco-core": "1.2"', path.read_text())),
+         r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here"),
+    ],
+    ids=["half a state", "half of the arrays", "other versions"],
+)  # fmt: skip
+def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(learner, recipe, tmp_path, name, change, complaint):
     path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
-    state = json.loads((path / "state.json").read_text())
-    state["versions"]["mujoco-core"] = "1.2"
-    (path / "state.json").write_text(json.dumps(state))
-    with pytest.raises(RunError, match=r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here"):
+    change(path / name)
+    with pytest.raises(RunError, match=complaint):
         train.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4))
     assert len(list(path.iterdir())) == 2
-
-
-@pytest.mark.parametrize("name", ["state.json", "arrays.npz"])
-def test_a_damaged_checkpoint_ends_in_one_error(learner, tmp_path, name):
-    path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
-    data = (path / name).read_bytes()
-    (path / name).write_bytes(data[: len(data) // 2])
-    with pytest.raises(RunError, match="damaged"):
-        train.load_checkpoint(path, learner)

@@ -8,34 +8,16 @@ import pytest
 
 from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.scripted import ANY_CLOSURES
-from tools.any_closures import (
-    CHOICES,
-    CLOSURES,
-    DECIDED,
-    HASTE,
-    HIGHEST,
-    LOOKS,
-    LOWEST,
-    OPEN,
-    OPENING,
-    Player,
-    _decided,
-    arms,
-    by_policy,
-    chances,
-    drawn_closure,
-    first_winners,
-    play_script,
-    trials_of,
-)
+from tools import any_closures
+from tools.any_closures import CHOICES, DECIDED, LOOKS, Player, by_policy, chances, drawn_closure
 
 
 def test_random_closures_differ_and_stay_in_their_ranges():
     drawn = np.array([drawn_closure(seed, number) for seed in range(20) for number in range(20)])
-    low, high = CLOSURES.bounds
+    low, high = any_closures.CLOSURES.bounds
     values = low + (drawn + 1) / 2 * (high - low)
-    assert (values >= LOWEST - 1e-9).all()
-    assert (values <= HIGHEST + 1e-9).all()
+    assert (values >= any_closures.LOWEST - 1e-9).all()
+    assert (values <= any_closures.HIGHEST + 1e-9).all()
     assert len(np.unique(drawn, axis=0)) == 400
 
 
@@ -49,14 +31,14 @@ def test_the_first_winner_of_each_seed_is_counted():
         return np.array([np.array_equal(row, drawn_closure(s, s)) and s != 7 for s, row in zip(seeds, decisions, strict=True)])
 
     player = SimpleNamespace(play=play, count=16)
-    assert first_winners(player, range(12), 8) == {seed: seed + 1 for seed in range(7)}
+    assert any_closures.first_winners(player, range(12), 8) == {seed: seed + 1 for seed in range(7)}
     assert tried.count(9) == 8, "no closure is tried beyond the last one"
 
 
 def test_load_adds_to_deploy_and_privileged_does_not_see_it():
     task = GraspAny()
     seen = np.arange(2 * len(LOOKS) * 155.0).reshape(2, len(LOOKS), 155)
-    found = arms(seen, task)
+    found = any_closures.arms(seen, task)
     assert found["deploy"].shape == (2, 2 * 46)
     assert found["load"].shape == (2, 2 * 57)
     assert found["privileged"].shape == (2, 2 * 144)
@@ -81,26 +63,26 @@ def test_the_policy_closes_again_as_at_the_start_of_an_episode_on_what_it_sees_t
     """Opened in between; the second closure is the first one of an episode whose object is seen where it is now."""
     task, rng = GraspAny(), np.random.default_rng(0)
     first, now = rng.uniform(0, 0.5, (2, 3, 155))
-    act = _decided(task, "policy", "again", defaultdict(dict), first, np.arange(3))
+    act = any_closures._decided(task, "policy", "again", defaultdict(dict), first, np.arange(3))
     np.testing.assert_array_equal(act(5, now), by_policy(task, first)(5))
-    np.testing.assert_array_equal(act(DECIDED, now), np.tile(OPEN, (3, 1)))
+    np.testing.assert_array_equal(act(DECIDED, now), np.tile(any_closures.OPEN, (3, 1)))
     moved = first.copy()
     moved[:, 21:40] = now[:, 21:40]  # object_pos to object_seen
     wanted = by_policy(task, moved)
     for step in range(4):
-        np.testing.assert_array_equal(act(DECIDED + OPENING + step, now + step), wanted(HASTE * step))
+        np.testing.assert_array_equal(act(DECIDED + any_closures.OPENING + step, now + step), wanted(any_closures.HASTE * step))
     assert np.abs(wanted(20) - by_policy(task, first)(20)).max() > 0.01
 
 
 @pytest.mark.slow
 def test_trials_are_the_same_until_the_decision_and_are_kept(tmp_path):
     player = Player("train", 4)
-    trials = trials_of(player, "script", range(6), tmp_path)
+    trials = any_closures.trials_of(player, "script", range(6), tmp_path)
     assert trials.won.shape == (6, len(CHOICES))
     assert trials.seen.shape[:2] == (6, len(LOOKS))
     assert np.abs(trials.seen[:, 0] - trials.seen[:, -1]).max() > 0.1
-    np.testing.assert_array_equal(play_script(player, range(6), ANY_CLOSURES.__getitem__)[1], trials.won[:, 0])
+    np.testing.assert_array_equal(any_closures.play_script(player, range(6), ANY_CLOSURES.__getitem__)[1], trials.won[:, 0])
     player.play = None  # what is kept is not played again
-    again = trials_of(player, "script", range(6), tmp_path)
+    again = any_closures.trials_of(player, "script", range(6), tmp_path)
     np.testing.assert_array_equal(again.won, trials.won)
     np.testing.assert_array_equal(again.seen, trials.seen)

@@ -9,19 +9,14 @@ from hpac_gym.model import HPAC, joints_from_synergy, servo_from_action, servo_f
 from tools import bench
 
 
-@pytest.fixture
-def quick(monkeypatch):
+def test_every_figure_stands_beside_a_bare_one_and_is_a_line(monkeypatch, capsys):
     monkeypatch.setattr(bench, "ROUNDS", 1)
-
-
-def test_every_figure_stands_beside_a_bare_one(quick, capsys):
     assert bench.main(["--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["unit"] for row in rows] == ["µs", "million/s", "ms"]
     assert all(row["value"] > 0 and row["bare"] > 0 and row["ratio"] > 0 for row in rows)
-
-
-def test_a_figure_is_a_line(quick, capsys):
+    monkeypatch.setattr(bench, "model_rows", lambda: [bench.Row(**row) for row in rows[:2]])
+    monkeypatch.setattr(bench, "start_row", lambda: bench.Row(**rows[2]))
     assert bench.main([]) == 0
     assert [" bare " in line for line in capsys.readouterr().out.splitlines()] == [True] * 3
 
