@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
 
 import numpy as np
@@ -14,7 +14,7 @@ from hpac import whole_number
 from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
 from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.evidence import safety
-from hpac_gym.bridge.evidence.conform import conform
+from hpac_gym.bridge.evidence.conform import Row, conform
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.hands import HostBoard, VirtualHand, config_of
 from hpac_gym.bridge.link import HandLink
@@ -98,41 +98,35 @@ def _print_json(rows: list[object], *names: str) -> None:
 
 
 def _safety(options: argparse.Namespace) -> int:
-    claims = []
-    for claim in safety.measure(options.frames, options.trials, options.sessions, options.seed):
-        claims.append(claim)
-        if not options.json:
-            mark = "holds " if claim.holds else "BROKEN" if claim.tried else "NOT TRIED"
-            print(
-                f"{mark}  {claim.figure:9.4g} ≤ {claim.limit:<5g} {claim.unit:<11} "
-                f"tried {claim.tried:<9,} control {claim.control:<9.4g} {claim.claim}",
-                flush=True,
-            )
-    if options.json:
-        _print_json(claims, "claim", "figure", "limit", "unit", "tried", "control", "holds")
-    return 0 if all(claim.holds for claim in claims) else 1
+    claims = safety.measure(options.frames, options.trials, options.sessions, options.seed)
+    return _verdict(claims, options.json, "claim", "figure", "limit", "unit", "tried", "control", "holds")
 
 
 def _conform(options: argparse.Namespace) -> int:
-    rows = []
     with ExitStack() as stack:
         hand = _hand(options)
-        for row in conform(_opened(options.port, hand, stack), hand):
-            rows.append(row)
-            if not options.json:
-                mark = "holds " if row.holds else "BROKEN" if row.tried else "NOT TRIED"
-                print(f"{mark}  {row.tried:5} tries  {row.rule}", *filter(None, [row.failure]), sep="\n        ", flush=True)
-    if options.json:
-        _print_json(rows, "rule", "tried", "holds", "failure")
-    return 0 if all(row.holds for row in rows) else 1
+        rows = conform(_opened(options.port, hand, stack), hand)
+        return _verdict(rows, options.json, "rule", "tried", "holds", "failure")
+
+
+def _verdict(rows: Iterable[safety.Claim | Row], as_json: bool, *names: str) -> int:
+    """Print each row as soon as it is known, or all of them as JSON with the named attributes; returns 1 unless all hold."""
+    known = []
+    for row in rows:
+        known.append(row)
+        if not as_json:
+            print("holds " if row.holds else "BROKEN" if row.tried else "NOT TRIED", row, sep="  ", flush=True)
+    if as_json:
+        _print_json(known, *names)
+    return 0 if all(row.holds for row in known) else 1
 
 
 def _wiggle(options: argparse.Namespace) -> int:
     hand = _hand(options)
-    room = min(hand.servo_max - np.clip(0.0, hand.servo_min, hand.servo_max))
+    rest = np.clip(0.0, hand.servo_min, hand.servo_max)
+    room = min(hand.servo_max - rest)
     if not 0 < options.angle <= room:
         raise WorkspaceError(f"--angle {options.angle} rad must be above 0 and at most {room:.3f} rad")
-    rest = np.clip(np.zeros(len(SERVOS)), hand.servo_min, hand.servo_max)
     with ExitStack() as stack:
         link = stack.enter_context(HandLink(connector(options.port, hand, stack), hand=hand))
         link.arm()
@@ -205,7 +199,7 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
     with ExitStack() as stack:
         link = stack.enter_context(HandLink(connector(port, hand, stack), hand=hand))
         link.arm()
-        rest = np.clip(np.zeros(len(SERVOS)), hand.servo_min, hand.servo_max)
+        rest = np.clip(0.0, hand.servo_min, hand.servo_max)
         link.move(ServoCommand(command.servo, max(command.duration, 1.1 * move_duration(rest, command.servo, hand))))
         link.wait()
         if port == "virtual":  # held, its clock would run on to the overload at once

@@ -44,10 +44,6 @@ class Finding:
         return f"{mark} {self.port}: {self.what}" + (f"\n      → {self.advice}" if self.advice else "")
 
 
-class _Echo(Exception):
-    """The device echoes its input."""
-
-
 def find_ports() -> list[str]:
     """Serial ports that could be a hand: those connected through USB."""
     return sorted(port.device for port in list_ports.comports() if port.vid is not None)
@@ -79,10 +75,10 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
             return Finding(name, True, what, "stop the program that controls it before you start another, or run hpac estop")
         status = HandStatus.from_frame(exchange.request("status", {"period_ms": 0}))
         return _judge(name, info, status, statistics, hand)
-    except _Echo:
-        what = f"an echo: what is sent comes back ({exchange.splitter.received_bytes} bytes)"
-        return Finding(name, False, what, "take off a jumper between TX and RX, or switch the device's echo off")
     except LinkTimeout:
+        if exchange.host_frames:
+            what = f"an echo: what is sent comes back ({exchange.splitter.received_bytes} bytes)"
+            return Finding(name, False, what, "take off a jumper between TX and RX, or switch the device's echo off")
         return _unanswered(name, exchange.splitter)
     except PortError as error:
         return Finding(name, False, _without_name(error, name), "plug it in again, and look for a loose cable")
@@ -103,9 +99,7 @@ def _look(exchange: Exchange) -> Frame:
         try:
             return exchange.request("hello", {"nonce": 0}, timeout=_ATTEMPT, attempts=1)
         except LinkTimeout:
-            if exchange.host_frames:
-                raise _Echo from None
-            if exchange.transport.now() >= deadline:
+            if exchange.host_frames or exchange.transport.now() >= deadline:
                 raise
 
 

@@ -12,24 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from hpac_gym.bridge.errors import BridgeError
-from hpac_gym.bridge.evidence.device import OURS, SESSION, SLACK, BrokenRule, Device, Status, stands
-from hpac_gym.bridge.evidence.oracle import (
-    ACK,
-    ARM,
-    CLEAR,
-    DEVICE_HELLO,
-    DEVICE_STATUS,
-    ESTOP,
-    HEARTBEAT,
-    HELLO,
-    LENGTHS,
-    MINIMUM_JERK,
-    MOVE,
-    NO_ACK,
-    STATUS,
-    VERSION,
-    wire,
-)
+from hpac_gym.bridge.evidence import oracle as wire
+from hpac_gym.bridge.evidence.device import OURS, SESSION, SLACK, BrokenRule, Device, Status
 from hpac_gym.bridge.limits import limits_hash
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, name_of
 from hpac_gym.bridge.transport import Transport
@@ -51,6 +35,9 @@ class Row:
         """Whether the rule was checked and held."""
         return self.tried > 0 and not self.failure
 
+    def __str__(self) -> str:
+        return "\n        ".join(filter(None, [f"{self.tried:5} tries  {self.rule}", self.failure]))
+
 
 # --- the rules, in the order of the document ------------------------------------------------------------------------
 
@@ -67,41 +54,40 @@ def _hello_looks(d: Device) -> None:
     hello = d.hello(0)
     d.expect(hello.session == SESSION, f"HELLO 0 changed the session to {hello.session:08x}")
     d.expect(hello.state == State.armed, f"HELLO 0 left the hand {name_of(State, hello.state)}")
-    d.must(Reason.ok, HEARTBEAT, OURS, "after HELLO 0")
+    d.must(Reason.ok, wire.HEARTBEAT, OURS, "after HELLO 0")
 
 
 def _hello_takes_over(d: Device) -> None:
     d.armed()
     hello = d.hello(SESSION + 1)
-    status = d.status()
-    d.expect(status.state == State.idle and not status.attached, f"HELLO of another controller left {stands(status)}")
+    d.must_be(State.idle, "after HELLO of another controller", powered=False)
     d.expect(hello.session == SESSION + 1, f"its session is {hello.session:08x}, must be {SESSION + 1:08x}")
-    d.must(Reason.session, HEARTBEAT, OURS, "of the session before")
+    d.must(Reason.session, wire.HEARTBEAT, OURS, "of the session before")
 
 
 def _other_version(d: Device) -> None:
     d.idle()
     before = d.status()
     for version in (1, 3, 255):
-        answer = d.ask(HELLO, struct.pack("<I", 7), version=version)
-        d.expect(answer is not None and answer.kind == DEVICE_HELLO, f"HELLO of version {version} is not answered by HELLO")
-        d.expect(answer.version == VERSION, f"it is answered in version {answer.version}, must be {VERSION}")
-        d.must(Reason.version, STATUS, bytes(2), f"of version {version}", version=version)
+        answer = d.ask(wire.HELLO, struct.pack("<I", 7), version=version)
+        d.expect(answer is not None and answer.kind == wire.DEVICE_HELLO, f"HELLO of version {version} is not answered by HELLO")
+        d.expect(answer.version == wire.VERSION, f"it is answered in version {answer.version}, must be {wire.VERSION}")
+        d.must(Reason.version, wire.STATUS, bytes(2), f"of version {version}", version=version)
     status = d.status()
     d.expect(status.bad_version - before.bad_version == 6, f"bad_version counts {status.bad_version - before.bad_version} of 6")
-    d.must(Reason.ok, HEARTBEAT, OURS, "of the session that another version's HELLO must not end")
+    d.must(Reason.ok, wire.HEARTBEAT, OURS, "of the session that another version's HELLO must not end")
 
 
 def _damage(d: Device) -> None:
     d.idle()
     before = d.status()
-    good = wire(CLEAR, 900, OURS)
+    good = wire.wire(wire.CLEAR, 900, OURS)
     sent = 0
     for bit in range(8, 8 * (len(good) - 1), 3):
         bad = bytearray(good)
         bad[bit // 8] ^= 1 << bit % 8
         if 0 not in bad[1:-1]:
-            d.raw(bytes(bad))
+            d.transport.write(bytes(bad))
             d.unasked.clear()
             d.listen(0.01)
             d.expect(not d.unasked, f"a frame with bit {bit} turned was answered: {bytes(bad).hex()}")
@@ -114,22 +100,22 @@ def _damage(d: Device) -> None:
 def _junk(d: Device) -> None:
     d.idle()
     for junk in (b"\x05abc\0", b"x" * 300 + b"\0", b"\0" * 50, b"\x01", b"\xff" * 254 + b"\0", b"ets Jul 29 2019 12:21:46\r\n"):
-        d.raw(junk)
-        d.must(Reason.ok, HEARTBEAT, OURS, f"right after {junk[:12]!r}")
+        d.transport.write(junk)
+        d.must(Reason.ok, wire.HEARTBEAT, OURS, f"right after {junk[:12]!r}")
 
 
 def _lost_byte(d: Device) -> None:
     d.idle()
-    one = wire(HEARTBEAT, 901, OURS)
+    one = wire.wire(wire.HEARTBEAT, 901, OURS)
     for at in range(len(one)):
-        d.raw(one[:at] + one[at + 1 :])
-        d.must(Reason.ok, HEARTBEAT, OURS, f"after one that lost its byte {at}")
+        d.transport.write(one[:at] + one[at + 1 :])
+        d.must(Reason.ok, wire.HEARTBEAT, OURS, f"after one that lost its byte {at}")
 
 
 def _lengths(d: Device) -> None:
     d.idle()
-    for kind, length in LENGTHS.items():
-        for wrong in {0, max(length - 1, 0), length + 1, 30} - {length} if kind != ESTOP else ():
+    for kind, length in wire.LENGTHS.items():
+        for wrong in {0, max(length - 1, 0), length + 1, 30} - {length} if kind != wire.ESTOP else ():
             d.must(Reason.length, kind, bytes(wrong), f"with {wrong} bytes of payload")
     for kind in (8, 0x33, 0x7F):
         d.must(Reason.type, kind, b"", f"message 0x{kind:02x}")
@@ -137,15 +123,16 @@ def _lengths(d: Device) -> None:
 
 def _device_types(d: Device) -> None:
     d.idle()
-    for kind in (0x80, DEVICE_HELLO, ACK, 0xFF):
+    for kind in (0x80, wire.DEVICE_HELLO, wire.ACK, 0xFF):
         d.expect(d.ask(kind, bytes(4)) is None, f"a frame of the hand's own type 0x{kind:02x} was answered")
 
 
 def _flags(d: Device) -> None:
     d.idle()
-    payloads = {HELLO: OURS, ARM: d.arm(), MOVE: d.move(0), HEARTBEAT: OURS, CLEAR: OURS, STATUS: bytes(2)}
+    payloads = {wire.HELLO: OURS, wire.ARM: d.arm(), wire.MOVE: d.move(0), wire.HEARTBEAT: OURS}
+    payloads |= {wire.CLEAR: OURS, wire.STATUS: bytes(2)}
     for kind, payload in payloads.items():
-        allowed = {MOVE: 3, HEARTBEAT: 2}.get(kind, 0)
+        allowed = {wire.MOVE: 3, wire.HEARTBEAT: 2}.get(kind, 0)
         for bit in range(8):
             if not allowed >> bit & 1:
                 d.must(Reason.flags, kind, payload, f"with flag 0x{1 << bit:02x}", flags=1 << bit)
@@ -155,39 +142,37 @@ def _sessions(d: Device) -> None:
     d.armed()
     for other in (0, SESSION ^ 1, SESSION + 1):
         session = struct.pack("<I", other)
-        for kind, payload in (
-            (ARM, d.arm(session=other)), (MOVE, d.move(500, session=other)), (HEARTBEAT, session), (CLEAR, session)
-        ):  # fmt: skip
+        frames = [(wire.ARM, d.arm(session=other)), (wire.MOVE, d.move(500, session=other))]
+        for kind, payload in (*frames, (wire.HEARTBEAT, session), (wire.CLEAR, session)):
             d.must(Reason.session, kind, payload, f"of session {other:08x}")
             d.live(0.01)
-    status = d.status()
-    d.expect(status.state == State.armed and not status.moving, f"after them {stands(status)}, must be armed")
+    status = d.must_be(State.armed, "after them")
+    d.expect(not status.moving, "after them it moves")
 
 
 def _priorities(d: Device) -> None:
     d.idle()
-    d.must(Reason.length, ARM, bytes(3), "too short, with flags and of no session", flags=0x80)
-    d.must(Reason.flags, ARM, d.arm(session=5), "with a flag and of another session", flags=0x80)
-    d.must(Reason.session, ARM, d.arm(action=9, session=5), "of another session and action 9")
-    d.must(Reason.state, MOVE, d.move(0, duration_ms=1), "in IDLE, too short")
-    d.must(Reason.limits, ARM, d.arm(action=9, hash_=d.hash ^ 1), "with another hash and action 9")
-    d.must(Reason.action, ARM, d.arm(action=9, watchdog_ms=1), "with action 9 and a watchdog of 1 ms")
+    d.must(Reason.length, wire.ARM, bytes(3), "too short, with flags and of no session", flags=0x80)
+    d.must(Reason.flags, wire.ARM, d.arm(session=5), "with a flag and of another session", flags=0x80)
+    d.must(Reason.session, wire.ARM, d.arm(action=9, session=5), "of another session and action 9")
+    d.must(Reason.state, wire.MOVE, d.move(0, duration_ms=1), "in IDLE, too short")
+    d.must(Reason.limits, wire.ARM, d.arm(action=9, hash_=d.hash ^ 1), "with another hash and action 9")
+    d.must(Reason.action, wire.ARM, d.arm(action=9, watchdog_ms=1), "with action 9 and a watchdog of 1 ms")
 
 
 def _arm_bounds(d: Device) -> None:
     d.idle()
-    d.must(Reason.limits, ARM, d.arm(hash_=d.hash ^ 1), "with another limits hash")
-    d.must(Reason.action, ARM, d.arm(action=3), "with action 3")
+    d.must(Reason.limits, wire.ARM, d.arm(hash_=d.hash ^ 1), "with another limits hash")
+    d.must(Reason.action, wire.ARM, d.arm(action=3), "with action 3")
     for watchdog_ms in (0, CONSTANTS["watchdog_min_ms"] - 1, CONSTANTS["watchdog_max_ms"] + 1, 0xFFFF):
-        d.must(Reason.period, ARM, d.arm(watchdog_ms=watchdog_ms), f"with a watchdog of {watchdog_ms} ms")
-    status = d.status()
-    d.expect(status.state == State.idle and not status.attached, f"after refused ARMs {stands(status)}, must be idle")
+        d.must(Reason.period, wire.ARM, d.arm(watchdog_ms=watchdog_ms), f"with a watchdog of {watchdog_ms} ms")
+    d.must_be(State.idle, "after refused ARMs", powered=False)
 
 
 def _starting(d: Device) -> None:
     d.idle()
-    d.must(Reason.ok, ARM, d.arm())
-    d.must(Reason.starting, MOVE, d.move(0), "right after ARM")
+    d.must(Reason.ok, wire.ARM, d.arm())
+    d.must(Reason.starting, wire.MOVE, d.move(0), "right after ARM")
     seen, last = [], 0
     for _ in range(600):
         status = d.status()
@@ -199,18 +184,18 @@ def _starting(d: Device) -> None:
             break
         d.live(0.01)
     d.expect(len(seen) == len(SERVOS), f"servos started in {len(seen)} steps, must be {len(SERVOS)}")
-    d.must(Reason.ok, MOVE, d.move(0, 400), "once the hand is at rest")
+    d.must(Reason.ok, wire.MOVE, d.move(0, 400), "once the hand is at rest")
 
 
 def _moves(d: Device) -> None:
     d.armed()
     d.moved(2000)
     d.moved(500)
-    d.must(Reason.ok, MOVE, d.move(2500, 800), "with minimum jerk", flags=MINIMUM_JERK)
+    d.must(Reason.ok, wire.MOVE, d.move(2500, 800), "with minimum jerk", flags=wire.MINIMUM_JERK)
     d.live(0.4)
     status = d.status()
     d.expect(status.moving == 1, "in the middle of a move it says that it does not move")
-    half = [abs(at - servo.rest_urad // 100 - 1500) for at, servo in zip(status.servo, d.limits, strict=True)]
+    half = [abs(at - rest - 1500) for at, rest in zip(status.servo, d.rest, strict=True)]
     d.expect(max(half) < 600, f"half-way through minimum jerk {status.servo}, {max(half)} from the middle [1e-4 rad]")
     d.live(0.4 + SLACK)
     d.moved(0)
@@ -218,72 +203,68 @@ def _moves(d: Device) -> None:
 
 def _move_bounds(d: Device) -> None:
     d.armed()
-    rest = [servo.rest_urad // 100 for servo in d.limits]
     for i, servo in enumerate(d.limits):
         for wrong in (servo.min_urad // 100 - 1, servo.max_urad // 100 + 1, -32768, 32767):
-            got = d.refusal(MOVE, d.move([wrong if j == i else r for j, r in enumerate(rest)], 10_000))
+            got = d.refusal(wire.MOVE, d.move([wrong if j == i else rest for j, rest in enumerate(d.rest)], 10_000))
             d.expect(got == (Reason.angle, i), f"{SERVOS[i]} to {wrong} [1e-4 rad]: {got}, must be angle at servo {i}")
         d.live(0.01)
     for duration_ms in (0, CONSTANTS["move_min_ms"] - 1, CONSTANTS["move_max_ms"] + 1, 0xFFFF):
-        d.must(Reason.duration, MOVE, d.move(0, duration_ms), f"of {duration_ms} ms")
+        d.must(Reason.duration, wire.MOVE, d.move(0, duration_ms), f"of {duration_ms} ms")
     for i, servo in enumerate(d.limits):
         way = servo.rate_urad_s // 100 // 10  # what 0.1 s allows
-        target = [r + 3 * way // 2 if j == i else r for j, r in enumerate(rest)]
-        got = d.refusal(MOVE, d.move(target, 100))
+        target = [rest + 3 * way // 2 if j == i else rest for j, rest in enumerate(d.rest)]
+        got = d.refusal(wire.MOVE, d.move(target, 100))
         d.expect(got == (Reason.rate, i), f"{SERVOS[i]} at 1.5 times its rate limit: {got}, must be rate at servo {i}")
         d.live(0.01)
     status = d.status()
-    d.expect(not status.moving and list(status.servo) == rest, f"after refused moves {status.servo}, must be {rest}")
+    d.expect(not status.moving and list(status.servo) == d.rest, f"after refused moves {status.servo}, must be {d.rest}")
 
 
 def _repeats(d: Device) -> None:
     d.armed()
-    seq = d.send(HEARTBEAT, OURS) + 100
+    seq = d.send(wire.HEARTBEAT, OURS) + 100
     first = d.move(1000)
-    d.must(Reason.ok, MOVE, first, "newer", seq=seq)
+    d.must(Reason.ok, wire.MOVE, first, "newer", seq=seq)
     d.live(0.4 + SLACK)
-    d.must(Reason.ok, MOVE, first, "the same frame again", seq=seq)
-    d.must(Reason.stale, MOVE, d.move(1500), "another MOVE of the same number", seq=seq)
-    d.must(Reason.stale, MOVE, first, "an older number", seq=seq - 1)
-    d.must(Reason.stale, MOVE, first, "a number half the circle ahead", seq=(seq + 0x8000) % 0x10000)
+    d.must(Reason.ok, wire.MOVE, first, "the same frame again", seq=seq)
+    d.must(Reason.stale, wire.MOVE, d.move(1500), "another MOVE of the same number", seq=seq)
+    d.must(Reason.stale, wire.MOVE, first, "an older number", seq=seq - 1)
+    d.must(Reason.stale, wire.MOVE, first, "a number half the circle ahead", seq=(seq + 0x8000) % 0x10000)
     status = d.status()
     d.expect(not status.moving, "a repeated or old MOVE moves the hand")
     d.expect(status.last_seq == seq, f"last_seq {status.last_seq}, must be {seq}")
-    d.must(Reason.ok, MOVE, d.move(500), "the largest step ahead", seq=(seq + 0x7FFF) % 0x10000)
+    d.must(Reason.ok, wire.MOVE, d.move(500), "the largest step ahead", seq=(seq + 0x7FFF) % 0x10000)
 
 
 def _repeat_after_clear(d: Device) -> None:
     d.armed()
-    seq = d.send(HEARTBEAT, OURS) + 100
-    d.must(Reason.ok, MOVE, d.move(1000), seq=seq)
-    d.must(Reason.ok, CLEAR, OURS)
-    d.must(Reason.ok, ARM, d.arm())
+    seq = d.send(wire.HEARTBEAT, OURS) + 100
+    d.must(Reason.ok, wire.MOVE, d.move(1000), seq=seq)
+    d.must(Reason.ok, wire.CLEAR, OURS)
+    d.must(Reason.ok, wire.ARM, d.arm())
     d.started()
-    d.must(Reason.stale, MOVE, d.move(1000), "that was carried out before CLEAR", seq=seq)
+    d.must(Reason.stale, wire.MOVE, d.move(1000), "that was carried out before CLEAR", seq=seq)
 
 
 def _no_ack(d: Device) -> None:
     d.armed(watchdog_ms=CONSTANTS["watchdog_max_ms"])
-    d.expect(d.ask(HEARTBEAT, OURS, NO_ACK) is None, "HEARTBEAT without ACK was answered")
+    d.expect(d.ask(wire.HEARTBEAT, OURS, wire.NO_ACK) is None, "HEARTBEAT without ACK was answered")
     d.live(0.01)
-    d.expect(d.ask(MOVE, d.move(300), NO_ACK) is None, "MOVE without ACK was answered")
+    d.expect(d.ask(wire.MOVE, d.move(300), wire.NO_ACK) is None, "MOVE without ACK was answered")
     d.live(0.01)
-    d.must(Reason.duration, MOVE, d.move(0, 1), "without ACK, but refused", flags=NO_ACK)
+    d.must(Reason.duration, wire.MOVE, d.move(0, 1), "without ACK, but refused", flags=wire.NO_ACK)
 
 
 def _silence(d: Device, action: Action, watchdog_ms: int) -> Status:
     d.armed(action, watchdog_ms)
     d.moved(2000)
-    d.must(Reason.ok, HEARTBEAT, OURS)
+    d.must(Reason.ok, wire.HEARTBEAT, OURS)
     d.unasked.clear()
     d.listen(watchdog_ms * 1e-3 - 0.04)
-    status = d.status()
-    d.expect(status.state == State.armed, f"40 ms before the watchdog's {watchdog_ms} ms: {stands(status)}, must be armed")
+    d.must_be(State.armed, f"40 ms before the watchdog's {watchdog_ms} ms:")
     d.listen(0.04 + SLACK)
-    status = d.status()
-    tripped = status.state == State.fault and status.fault == Fault.watchdog
-    d.expect(tripped, f"after {watchdog_ms} ms of silence {stands(status)}")
-    d.expect((codes := d.faults()) == [Fault.watchdog], f"FAULT messages {codes}, must be one of watchdog")
+    status = d.must_be(State.fault, f"after {watchdog_ms} ms of silence", Fault.watchdog)
+    d.must_have_told(Fault.watchdog)
     return status
 
 
@@ -298,14 +279,13 @@ def _watchdog_relax(d: Device) -> None:
     d.expect(before.attached == 0x3F, f"relax has taken the pulses of servos {before.attached ^ 0x3F:06b} at once")
     d.listen(0.1)
     status = d.status()
-    rest = [servo.rest_urad // 100 for servo in d.limits]
-    gone = [abs(was - r) - abs(at - r) for was, at, r in zip(before.servo, status.servo, rest, strict=True)]
+    gone = [abs(was - rest) - abs(at - rest) for was, at, rest in zip(before.servo, status.servo, d.rest, strict=True)]
     d.expect(min(gone) > 0, f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]")
     most = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000 * (0.1 + SLACK)
     d.expect(max(gone) <= most, f"relax goes {max(gone)} [1e-4 rad] in 0.1 s, at most {most:.0f}")
     d.listen(1.5)
     status = d.status()
-    d.expect(not status.attached and list(status.servo) == rest, f"after relax {status.servo}, servos {status.attached:06b}")
+    d.expect(not status.attached and list(status.servo) == d.rest, f"after relax {status.servo}, servos {status.attached:06b}")
 
 
 def _watchdog_hold(d: Device) -> None:
@@ -314,83 +294,73 @@ def _watchdog_hold(d: Device) -> None:
     status = d.status()
     d.expect(status.attached == 0x3F and status.servo == before.servo, f"hold: {status.servo}, servos {status.attached:06b}")
     d.listen(1.0 + 1.5)
-    status = d.status()
-    d.expect(not status.attached, f"servos {status.attached:06b} have pulses 1.5 s after hold must have become relax")
-    d.expect(status.state == State.fault, f"after hold {stands(status)}, must be fault")
+    d.must_be(State.fault, "1.5 s after hold must have become relax", powered=False)
 
 
 def _watchdog_food(d: Device) -> None:
     d.armed(Action.detach, 200)
     d.live(1.0)
-    status = d.status()
-    d.expect(status.state == State.armed, f"with a HEARTBEAT every 30 ms {stands(status)}, must be armed")
+    d.must_be(State.armed, "with a HEARTBEAT every 30 ms")
     d.armed(Action.detach, 200)
     before = d.status()
-    strangers = ((STATUS, bytes(2)), (HEARTBEAT, struct.pack("<I", 5)), (HELLO, bytes(4)), (MOVE, d.move(0, 1)))
-    for number in range(20):
-        kind, payload = strangers[number % 4]
+    other = struct.pack("<I", 5)
+    unfit = [(wire.STATUS, bytes(2)), (wire.HEARTBEAT, other), (wire.HELLO, bytes(4)), (wire.MOVE, d.move(0, 1))]
+    for kind, payload in unfit * 5:
         d.send(kind, payload)
         d.listen(0.02)
-    status = d.status()
-    d.expect(status.state == State.fault, f"0.4 s of STATUS, strangers and refused MOVEs kept it {stands(status)}")
+    status = d.must_be(State.fault, "after 0.4 s of STATUS, strangers and refused MOVEs")
     d.expect(status.trips - before.trips == 1, f"watchdog_trips counts {status.trips - before.trips} of 1")
 
 
 def _estop(d: Device) -> None:
-    kinds = ((0, b"", VERSION), (0xFF, b"", VERSION), (0, bytes(7), VERSION), (0, b"", 1), (9, b"\1", 200))
+    kinds = ((0, b"", wire.VERSION), (0xFF, b"", wire.VERSION), (0, bytes(7), wire.VERSION), (0, b"", 1), (9, b"\1", 200))
     for flags, payload, version in kinds:
         d.armed(Action.hold)
         d.unasked.clear()
         text = f"with flags {flags}, {len(payload)} bytes, version {version}"
-        d.must(Reason.ok, ESTOP, payload, text, flags=flags, version=version)
-        status = d.status()
-        stopped = status.fault == Fault.estop and not status.attached
-        d.expect(stopped, f"after ESTOP {stands(status)}, must be estop without pulses")
-        d.expect((codes := d.faults()) == [Fault.estop], f"FAULT messages {codes}, must be one of estop")
+        d.must(Reason.ok, wire.ESTOP, payload, text, flags=flags, version=version)
+        d.must_be(State.fault, "after ESTOP", Fault.estop, powered=False)
+        d.must_have_told(Fault.estop)
     d.idle()
-    d.must(Reason.ok, ESTOP, b"", "in IDLE")
-    status = d.status()
-    d.expect(status.fault == Fault.estop, f"after ESTOP in IDLE {stands(status)}, must be estop")
+    d.must(Reason.ok, wire.ESTOP, b"", "in IDLE")
+    d.must_be(State.fault, "after ESTOP in IDLE", Fault.estop)
 
 
 def _latched(d: Device) -> None:
     d.armed()
-    d.must(Reason.ok, ESTOP)
-    d.must(Reason.state, ARM, d.arm(), "in a fault")
-    d.must(Reason.state, MOVE, d.move(0), "in a fault")
-    d.must(Reason.ok, HEARTBEAT, OURS, "in a fault")
-    d.must(Reason.session, CLEAR, struct.pack("<I", 5), "of another session, in a fault")
+    d.must(Reason.ok, wire.ESTOP)
+    d.must(Reason.state, wire.ARM, d.arm(), "in a fault")
+    d.must(Reason.state, wire.MOVE, d.move(0), "in a fault")
+    d.must(Reason.ok, wire.HEARTBEAT, OURS, "in a fault")
+    d.must(Reason.session, wire.CLEAR, struct.pack("<I", 5), "of another session, in a fault")
     hello = d.hello(SESSION)
     d.expect(hello.state == State.fault, f"HELLO leaves the fault: {name_of(State, hello.state)}")
-    status = d.status()
-    d.expect(status.fault == Fault.estop and not status.attached, f"after all but CLEAR {stands(status)}, must be estop")
-    d.must(Reason.ok, CLEAR, OURS, "in a fault")
-    status = d.status()
-    d.expect(status.state == State.idle and status.fault == Fault.none, f"after CLEAR {stands(status)}, must be idle")
+    d.must_be(State.fault, "after all but CLEAR", Fault.estop, powered=False)
+    d.must(Reason.ok, wire.CLEAR, OURS, "in a fault")
+    d.must_be(State.idle, "after CLEAR", Fault.none)
 
 
 def _clear(d: Device) -> None:
     d.armed()
-    d.must(Reason.ok, MOVE, d.move(2000))
+    d.must(Reason.ok, wire.MOVE, d.move(2000))
     d.live(0.1)
-    d.must(Reason.ok, CLEAR, OURS, "in a move")
-    status = d.status()
-    d.expect(status.state == State.idle and not status.attached, f"after CLEAR {stands(status)}, must be idle without pulses")
+    d.must(Reason.ok, wire.CLEAR, OURS, "in a move")
+    status = d.must_be(State.idle, "after CLEAR", powered=False)
     d.expect(not status.moving, "after CLEAR in a move it says that it moves")
     d.listen(0.5)
     later = d.status()
     d.expect(later.servo == status.servo, f"after CLEAR the commanded pose goes on from {status.servo} to {later.servo}")
-    d.must(Reason.ok, CLEAR, OURS, "in IDLE")
+    d.must(Reason.ok, wire.CLEAR, OURS, "in IDLE")
 
 
 def _periodic(d: Device) -> None:
     d.idle()
-    d.must(Reason.period, STATUS, struct.pack("<H", CONSTANTS["status_min_ms"] - 1), "every 9 ms")
+    d.must(Reason.period, wire.STATUS, struct.pack("<H", CONSTANTS["status_min_ms"] - 1), "every 9 ms")
     for ended_by in ("STATUS 0", "HELLO"):
         d.status(50)
         d.unasked.clear()
         d.listen(1.0)
-        count = sum(message.kind == DEVICE_STATUS and message.seq == 0 for message in d.unasked)
+        count = sum(message.kind == wire.DEVICE_STATUS and message.seq == 0 for message in d.unasked)
         d.expect(17 <= count <= 21, f"{count} STATUS of number 0 in 1 s, must be 20")
         d.hello(SESSION) if ended_by == "HELLO" else d.status(0)
         d.unasked.clear()
@@ -402,8 +372,8 @@ def _counters(d: Device) -> None:
     d.idle()
     before = d.status()
     for _ in range(5):
-        d.must(Reason.ok, HEARTBEAT, OURS)
-        d.must(Reason.state, MOVE, d.move(0))
+        d.must(Reason.ok, wire.HEARTBEAT, OURS)
+        d.must(Reason.state, wire.MOVE, d.move(0))
     status = d.status()
     accepted = (status.accepted - before.accepted) % 2**32
     d.expect(accepted == 6, f"accepted counts {accepted}, must be 6")
@@ -463,6 +433,6 @@ def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3, rule
             yield Row(rule, device.tried, failure)
     finally:
         with suppress(BridgeError):
-            device.send(CLEAR, OURS)
-            device.send(ESTOP)
+            device.send(wire.CLEAR, OURS)
+            device.send(wire.ESTOP)
         transport.close()

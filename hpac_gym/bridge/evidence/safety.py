@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -65,6 +65,10 @@ class Claim:
     def holds(self) -> bool:
         """Whether it was tried, the figure is within its limit, and the control's is not."""
         return self.tried > 0 and self.figure <= self.limit and self.control > self.limit
+
+    def __str__(self) -> str:
+        figure = f"{self.figure:9.4g} ≤ {self.limit:<5g} {self.unit:<11}"
+        return f"{figure} tried {self.tried:<9,} control {self.control:<9.4g} {self.claim}"
 
 
 # --- scenarios: each returns the figure and the number of opportunities to break the claim ----------------------------
@@ -134,12 +138,19 @@ def _fed_by_strangers(kind: Hands) -> Played:
     return hand.oracle.broken.total() + bool(hand.pulses().any()), 30
 
 
-def _random_moves(kind: Hands, rule: str) -> Played:
+def _random_moves(kind: Hands, rule: str, moves: int = 400) -> Played:
     """Valid and invalid moves of every kind at random times, on boards that stall for up to 0.4 s."""
+    oracle = _moved_at_random(kind, moves)
+    return oracle.broken[rule], oracle.tried[rule]
+
+
+@cache
+def _moved_at_random(kind: Hands, moves: int) -> wire.Oracle:
+    """The oracle of a hand after these moves, for all the rules that they try."""
     hand = kind()
     rng = np.random.default_rng(4)
     link = _linked(hand, Action.hold, 2.0)
-    for number in range(400):
+    for number in range(moves):
         share = rng.random(len(SERVOS)) if rng.random() < 0.7 else rng.normal(0.5, 1.0, len(SERVOS))
         duration = float(rng.choice([0.01, 0.05, 0.3, 1.0])) * rng.random() + 0.01
         start = link.status().servo
@@ -150,7 +161,7 @@ def _random_moves(kind: Hands, rule: str) -> Played:
             hand.now_us += int(rng.integers(0, 400_000))
         with suppress(BridgeError):
             link.sleep(duration * rng.random())
-    return hand.oracle.broken[rule], hand.oracle.tried[rule]
+    return hand.oracle
 
 
 def _starts(kind: Hands) -> Played:

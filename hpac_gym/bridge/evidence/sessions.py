@@ -153,21 +153,14 @@ def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action
         raise SystemExit(3)
 
 
-@dataclass(slots=True)
-class _Ending:
-    """Result of one session."""
-
-    raised: BaseException | None = None
-    """The error, interrupt or exit that it raised."""
-    said: str = ""
-    """Text of the warning or note that the hand had not confirmed; empty without one."""
-    powered_before: bool = False
-    """Whether the hand had pulses when the link began to release it."""
-
-
-def _play(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float, release: bool) -> _Ending:
-    """Run a random program over a link and close the link."""
-    ending = _Ending()
+def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: Callable[[], VirtualHand]) -> None:
+    """Run one session and count its result."""
+    hand = kind()
+    action, watchdog = Action(int(rng.integers(3))), float(rng.choice([0.1, 0.25, 0.5, 2.0]))
+    timeout = float(rng.choice([0.02, 0.1]))
+    bad = BadTransport(hand, rng)
+    link = HandLink(lambda: bad, handshake_timeout=0.5, timeout=timeout)
+    raised = None
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
@@ -175,39 +168,21 @@ def _play(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: A
                 try:
                     _program(link, hand, rng, action, watchdog)
                 finally:
-                    ending.powered_before = bool(hand.pulses().any())
+                    total.with_pulses += bool(hand.pulses().any())
                     if not release:
                         link._connection.known.may_have_power = False
         except BaseException as error:
-            ending.raised = error
-    ending.said = "".join(str(w.message) for w in caught if isinstance(w.message, UnconfirmedWarning))
-    ending.said += "".join(getattr(ending.raised, "__notes__", ()))
-    return ending
-
-
-def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: Callable[[], VirtualHand]) -> None:
-    """Run one session and count its result."""
-    hand = kind()
-    transports: list[BadTransport] = []
-
-    def connect() -> BadTransport:
-        transports.append(BadTransport(hand, rng))
-        return transports[-1]
-
-    action, watchdog = Action(int(rng.integers(3))), float(rng.choice([0.1, 0.25, 0.5, 2.0]))
-    link = HandLink(connect, handshake_timeout=0.5, timeout=float(rng.choice([0.02, 0.1])))
-    ending = _play(link, hand, rng, action, watchdog, release)
-    bad = transports[-1]
+            raised = error
+    told = any(isinstance(w.message, UnconfirmedWarning) for w in caught) or bool(getattr(raised, "__notes__", ()))
     total.sessions += 1
-    total.with_pulses += ending.powered_before
     total.lossy += bool(bad.loss_out > 0)
     total.interrupted += bad.interrupted > 0
     total.interrupted_twice += bad.interrupted > 1
-    total.unconfirmed += bool(ending.said)
-    total.swallowed += bad.interrupted > 0 and not isinstance(ending.raised, Interrupted | SystemExit)
+    total.unconfirmed += told
+    total.swallowed += bad.interrupted > 0 and not isinstance(raised, Interrupted | SystemExit)
     powered = bool(hand.pulses().any())
     reachable = not (bad.dead_out or bad.gone)
-    total.untold += powered and not ending.said
+    total.untold += powered and not told
     total.powered += powered and reachable
     if powered and not reachable:
         total.cut_off[action] += 1
