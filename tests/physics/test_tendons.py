@@ -85,11 +85,6 @@ def test_cmc_torque_saturates_at_the_stall_torque(tendons):
     assert SERVOS[-1] == "thumb_cmc"
 
 
-def test_negative_damping_is_refused():
-    with pytest.raises(ValueError, match="-1"):
-        Damping(joint=-1.0)
-
-
 def test_a_slack_drive_brakes_only_a_finger_that_overruns_its_servo(tendons):
     """Flexion faster than the servo's is damped; following the servo, opening and standing still are free."""
     drive, angle = tendons.drives[1], 0.5
