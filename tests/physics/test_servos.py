@@ -76,17 +76,6 @@ def test_a_world_moves_to_the_bit_as_it_would_alone():
         np.testing.assert_array_equal(motion(SETTINGS, world), motion([settings], 0))
 
 
-@pytest.mark.parametrize("lag", [0.05, 0.15])
-def test_a_lagging_servo_answers_one_lag_later(lag):
-    servos = Servos(2, DT)
-    servos.reset([0, 1], np.zeros((2, 6)), [ServoSettings(), ServoSettings(lag=lag)])
-    servos.command(np.ones((2, 6)), 0.5)
-    prompt, late = servos.advance(120)[0]
-    steps = round(lag / DT)
-    np.testing.assert_array_equal(late[:steps], 0.0)
-    np.testing.assert_array_equal(late[steps:], prompt[:-steps])
-
-
 def test_servos_arrive_together_and_on_time():
     servos, target, settings = Servos(1, DT), np.array([[0.2, 0.4, 0.6, 0.8, 1.0, 0.5]]), ServoSettings()
     servos.reset([0], np.zeros((1, 6)), [settings])

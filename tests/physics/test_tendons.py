@@ -55,13 +55,6 @@ def test_a_drive_pulls_no_harder_than_its_servo(tendons):
     np.testing.assert_array_equal(tension, [digit.tension_limit for digit in HPAC.digits.values()])
 
 
-def test_a_slack_drive_has_no_damping(tendons):
-    joints = joints_from_synergy(HPAC.synergy_max * 0.5)
-    _, still = tendons.torque(joints, REST, np.zeros(6), np.zeros(6))
-    _, moving = tendons.torque(joints, REST, np.zeros(6), np.full(6, 5.0))
-    np.testing.assert_array_equal(still, moving)
-
-
 def test_moment_arm_is_the_slope_of_the_chord(tendons):
     """Virtual work: dchord/dq = −arm, with arm = d1 d2 sin(alpha − q)/chord."""
     step = 1e-6
