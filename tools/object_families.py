@@ -51,12 +51,6 @@ def ball(radius: float, density: float, at: tuple[float, float, float] = (0, 0, 
     return {"kind": "sphere", "mass": density * 4 / 3 * math.pi * radius**3 * 1e-6, "radius": radius, "center": at}
 
 
-def capsule(radius: float, length: float, density: float, at: tuple[float, float, float] = (0, 0, 0), axis: str = "z") -> Part:
-    """A capsule; its length includes its ends [mm, g/cm³]."""
-    volume = math.pi * radius**2 * (length - 2 * radius) + 4 / 3 * math.pi * radius**3
-    return {"kind": "capsule", "mass": density * volume * 1e-6, "radius": radius, "length": length, "center": at, "axis": axis}
-
-
 def ring(
     radius: float, wall: float, length: float, density: float, at: tuple[float, float, float] = (0, 0, 0), staves: int = 16
 ) -> Part:

@@ -29,7 +29,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
 from hpac_gym.physics.engine import HAND_POSITION, POST, SUPPORT_FRICTION, Engine, SceneSetup, matrix_from_quaternion
 from hpac_gym.physics.mjcf import CONTACT
-from hpac_gym.physics.mujoco.model import quaternion_from_matrix, size_of
+from hpac_gym.physics.mujoco.model import exact_text, quaternion_from_matrix, size_of
 from hpac_gym.physics.simulation import ENGINES, make_engine
 from hpac_gym.progress import progress
 
@@ -93,12 +93,12 @@ class Table:
         Xml.SubElement(body, "freejoint")
         inertia = model.inertia
         entries = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-        numbers = {"pos": _text(model.center_of_mass), "mass": repr(model.mass), "fullinertia": _text(entries)}
+        numbers = {"pos": exact_text(model.center_of_mass), "mass": repr(model.mass), "fullinertia": exact_text(entries)}
         Xml.SubElement(body, "inertial", numbers)
         for solid in model.solids:
             size, _ = size_of(solid.kind, *np.divide(solid.size, 2).tolist())
-            shape = {"type": solid.kind, "size": _text(size), "pos": _text(solid.center)}
-            Xml.SubElement(body, "geom", shape | {"quat": _text(quaternion_from_matrix(solid.rotation))})
+            shape = {"type": solid.kind, "size": exact_text(size), "pos": exact_text(solid.center)}
+            Xml.SubElement(body, "geom", shape | {"quat": exact_text(quaternion_from_matrix(solid.rotation))})
         self.object = model
         self.model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
         self.data = mujoco.MjData(self.model)
@@ -249,10 +249,6 @@ def without_restless(models: list[tuple[ObjectModel, float]], entries: dict[str,
         print(f"{name}: an engine does not keep it still in {numbers}")
         if not entries[name]["poses"]:
             raise RuntimeError(f"{name} has no other pose")
-
-
-def _text(values: Array | list[float]) -> str:
-    return " ".join(map(repr, map(float, values)))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -9,11 +9,10 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpac_gym.model import DIGITS, digit_joints
+from hpac_gym.model.checks import Array
 
-Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 GEOMETRY_FILE = Path(__file__).parent / "data" / "geometry.toml"

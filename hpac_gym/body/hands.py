@@ -91,7 +91,7 @@ def _variant(name: str, index: int, rng: np.random.Generator) -> HandVariant:
     size, digits, lengths, thickness = rng.uniform(*HAND_SIZE), {}, {}, {}
     for digit in DIGITS:
         changed = None
-        while changed is None or not _is_sound(changed, HPAC):  # redraw if a joint would leave Table I
+        while changed is None or not _is_sound(changed):  # redraw if a joint would leave Table I
             factors = size * rng.uniform(*DIGIT_SIZE) * rng.uniform(*SEGMENT_SIZE, 3)
             changed = _changed_digit(HPAC.digits[digit], factors, rng)
         digits[digit], lengths[digit], thickness[digit] = changed, factors, rng.uniform(*THICKNESS)
@@ -120,14 +120,13 @@ def _changed_digit(digit: Digit, lengths: Array, rng: np.random.Generator) -> Di
     return scaled_digit(digit, numbers)
 
 
-def _is_sound(digit: Digit, nominal: Hand) -> bool:
+def _is_sound(digit: Digit) -> bool:
     """True if the joints stay within Table I over the root joint's range and no tendon is too stiff to be simulated."""
     root, *_ = joints = [JOINT_INDEX[name] for name in digit.joints]
-    reached = digit.elastic_ratio * nominal.joint_max[root]
-    old = nominal.digits[digit.name]
+    reached, old = digit.elastic_ratio * HPAC.joint_max[root], HPAC.digits[digit.name]
     stiffer = digit.segment_stiffness / old.segment_stiffness * (digit.joint_radius[0] / old.joint_radius[0]) ** 2
     drive = digit.drive_stiffness / old.drive_stiffness * (min(digit.d1, digit.d2) / min(old.d1, old.d2)) ** 2
-    return bool((reached <= nominal.joint_max[joints]).all() and max(*stiffer, drive) <= STIFFEST)
+    return bool((reached <= HPAC.joint_max[joints]).all() and max(*stiffer, drive) <= STIFFEST)
 
 
 def scaled_geometry(geometry: Geometry, lengths: Mapping[str, Array], thickness: Mapping[str, float]) -> Geometry:

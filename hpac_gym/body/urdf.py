@@ -91,11 +91,10 @@ def _add_phalanx(robot: Xml.Element, phalanx: Phalanx, tip: str) -> None:
 
 
 def _add_hinge(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry) -> None:
-    joint = _add_joint(robot, phalanx.joint, "revolute", phalanx.parent, phalanx.link, phalanx.axis)
-    Xml.SubElement(joint, "origin", xyz=text_of(phalanx.origin), rpy=text_of(phalanx.rpy))
     index = JOINTS.index(phalanx.joint)
-    _add_limit(joint, HPAC.joint_min[index], HPAC.joint_max[index], geometry.effort, geometry.velocity)
-    Xml.SubElement(joint, "dynamics", damping="0", friction="0")
+    limits = HPAC.joint_min[index], HPAC.joint_max[index], geometry.effort, geometry.velocity
+    origin = {"xyz": text_of(phalanx.origin), "rpy": text_of(phalanx.rpy)}
+    _add_joint(robot, phalanx.joint, "revolute", phalanx.parent, phalanx.link, phalanx.axis, limits, origin)
 
 
 def _add_wrist(robot: Xml.Element) -> None:
@@ -104,23 +103,24 @@ def _add_wrist(robot: Xml.Element) -> None:
     for name in links[:-1]:
         add_inertial(Xml.SubElement(robot, "link", name=name), *solid_inertia((ball,), WRIST_SLIDE_MASS), WRIST_SLIDE_MASS)
     for name, axis, parent, child in zip("xyz", np.eye(3), links, links[1:], strict=False):
-        joint = _add_joint(robot, f"wrist_{name}", "prismatic", parent, child, axis)
-        _add_limit(joint, -WRIST_RANGE, WRIST_RANGE, WRIST_EFFORT, WRIST_VELOCITY)
-        Xml.SubElement(joint, "dynamics", damping="0", friction="0")
+        limits = -WRIST_RANGE, WRIST_RANGE, WRIST_EFFORT, WRIST_VELOCITY
+        _add_joint(robot, f"wrist_{name}", "prismatic", parent, child, axis, limits)
 
 
-def _add_joint(robot: Xml.Element, name: str, kind: str, parent: str, child: str, axis: Vector | Array) -> Xml.Element:
+def _add_joint(
+    robot: Xml.Element, name: str, kind: str, parent: str, child: str, axis: Vector | Array,
+    limits: tuple[float, float, float, float], origin: dict[str, str] | None = None,
+) -> None:  # fmt: skip
     joint = Xml.SubElement(robot, "joint", name=name, type=kind)
     Xml.SubElement(joint, "parent", link=parent)
     Xml.SubElement(joint, "child", link=child)
     # Bullet's mass matrix prints a warning unless the axis has unit length to the last digit.
     Xml.SubElement(joint, "axis", xyz=text_of(axis, digits=15))
-    return joint
-
-
-def _add_limit(joint: Xml.Element, lower: float, upper: float, effort: float, velocity: float) -> None:
-    values = {"lower": lower, "upper": upper, "effort": effort, "velocity": velocity}
-    Xml.SubElement(joint, "limit", {name: text_of((value,)) for name, value in values.items()})
+    if origin:
+        Xml.SubElement(joint, "origin", origin)
+    lower, upper, effort, velocity = (text_of((value,)) for value in limits)
+    Xml.SubElement(joint, "limit", lower=lower, upper=upper, effort=effort, velocity=velocity)
+    Xml.SubElement(joint, "dynamics", damping="0", friction="0")
 
 
 def add_inertial(link: Xml.Element, center: Array, inertia: Array, mass: float) -> None:

@@ -164,11 +164,11 @@ def opposition_gap(make: Factory, settings: HandSettings, world: WorldSettings, 
     return float(np.linalg.norm(pads[0] - pads[1]))
 
 
-def stiffest_mode(settings: HandSettings, world: WorldSettings) -> float:
+def stiffest_mode(settings: HandSettings, world: WorldSettings, hand: Hand = HPAC, geometry: Geometry = HPAC_GEOMETRY) -> float:
     """Largest ω dt of the hand's tendons over the workspace; an engine with explicit torques needs it well below 2."""
-    inertia = mass_matrix(HPAC_GEOMETRY, settings.armature, HPAC.synergy_max / 2)
-    law = Tendons(HPAC, inertia, world.dt, settings.damping)
-    stiffness = [law.stiffness_matrix(share * HPAC.synergy_max) for share in np.linspace(0.0, 1.0, 11)]
+    inertia = mass_matrix(geometry, settings.armature, hand.synergy_max / 2, hand)
+    law = Tendons(hand, inertia, world.dt, settings.damping)
+    stiffness = [law.stiffness_matrix(share * hand.synergy_max) for share in np.linspace(0.0, 1.0, 11)]
     return float(np.sqrt(max(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max() for matrix in stiffness)) * world.dt)
 
 

@@ -81,32 +81,23 @@ def mass_matrix(geometry: Geometry, armature: tuple[float, float, float], synerg
 class Mechanics:
     """Parameters of one hand's tendons, springs and drives, in the order of the model's elements."""
 
-    coupling: Array
-    """Stretch of each coupling per joint angle, shape (9, 15) [m/rad]."""
-    coupling_stiffness: Array
-    """Stiffness of the couplings, shape (9,) [N/m]."""
-    coupling_damping: Array
-    """Damping of the couplings, shape (9,) [N·s/m]."""
-    spring: Array
-    """Length of each spring per joint angle, shape (5, 15) [m/rad]."""
-    spring_stiffness: Array
-    """Stiffness of the springs, shape (5,) [N/m]."""
+    row: Array
+    """Length of each coupling, then of each spring, per joint angle, shape (14, 15) [m/rad]."""
+    stiffness: Array
+    """Stiffness of couplings and springs, shape (14,) [N/m]."""
+    damping: Array
+    """Damping of couplings and springs, shape (14,) [N·s/m]."""
     guides: Array
     """Guides of each drive: the fixed one in its root joint's parent, then the moving one in its link, shape (5, 2, 3) [m]."""
-    length: Array
-    """Chord at which each drive is taut while its servo is at zero, shape (5,) [m]."""
-    radius: Array
-    """Radius of each servo's hub, shape (5,) [m]."""
-    drive_stiffness: Array
-    """Stiffness of the driving tendons, shape (5,) [N/m]."""
-    drive_damping: Array
-    """Damping of the driving tendons, shape (5,) [N·s/m]."""
-    tension_limit: Array
-    """Largest tension of the driving tendons, shape (5,) [N]."""
     hub_mass: Array
     """Reflected inertia of each servo's rotor and gears, as a mass that moves with its tendon, shape (5,) [kg]."""
-    cmc: tuple[float, float, float, float]
-    """Stiffness [N·m/rad], damping [N·m·s/rad], torque limit [N·m] and gain of the CMC's drive."""
+    gain: Array
+    """Force of each servo's drive per angle of its horn, shape (6,) [N/rad], for the CMC [N·m/rad]."""
+    bias: Array
+    """Force of each drive at angle 0, per its tendon's length, and per its speed, shape (6, 3) [N, N/m, N·s/m], for the CMC [N·m,
+    N·m/rad, N·m·s/rad]. A tendon pulls with a negative force."""
+    limit: Array
+    """Lowest and highest force of each drive, shape (6, 2) [N], for the CMC [N·m]."""
 
     @classmethod
     def of(cls, hand: Hand, settings: HandSettings, inertia: Array, roots: tuple[Array, Array]) -> Mechanics:
@@ -119,10 +110,8 @@ class Mechanics:
             roots: `root_frames` of the hand's body.
         """
         digits, damping = list(hand.digits.values()), settings.damping
-        coupling, coupling_stiffness = coupling_rows(hand)
-        spring, spring_stiffness = spring_rows(hand)
-        radius = hand.servo_radius
-        hub_mass = settings.hub_inertia / radius**2
+        (coupling, coupling_stiffness), (spring, spring_stiffness) = coupling_rows(hand), spring_rows(hand)
+        hub_mass = settings.hub_inertia / hand.servo_radius**2
         stiffness = np.array([digit.drive_stiffness for digit in digits])
         included = hand.guide_alpha - hand.synergy_max[:_CMC]
         chord = np.sqrt(hand.guide_sum - hand.guide_product * np.cos(included))
@@ -132,21 +121,22 @@ class Mechanics:
         inertia[_CMC_JOINT, _CMC_JOINT] += settings.hub_inertia / hand.cmc_gain**2
         compliance = np.linalg.inv(inertia)
         mobility = np.einsum("ij,jk,ik->i", coupling, compliance, coupling)
+        coupling_damping = 2 * damping.ratio * np.sqrt(coupling_stiffness / mobility)
+        drive_damping = 2 * damping.ratio * np.sqrt(stiffness / (arm**2 * compliance[_ROOTS, _ROOTS]))
         cmc_damping = 2 * damping.ratio * np.sqrt(hand.cmc_stiffness / compliance[_CMC_JOINT, _CMC_JOINT])
+        length = hand.rest_chord + np.broadcast_to(settings.slack, len(digits))
+        tension = np.array([digit.tension_limit for digit in digits]) * settings.strength
+        drives = np.stack([stiffness * length, -stiffness, -drive_damping], axis=1)
+        limits = np.stack([-tension, np.zeros_like(tension)], axis=1)
         return cls(
-            coupling,
-            coupling_stiffness,
-            2 * damping.ratio * np.sqrt(coupling_stiffness / mobility),
-            spring,
-            spring_stiffness,
+            np.vstack([coupling, spring]),
+            np.append(coupling_stiffness, spring_stiffness),
+            np.append(coupling_damping, np.zeros_like(spring_stiffness)),
             _guides(hand, *roots),
-            hand.rest_chord + np.broadcast_to(settings.slack, len(digits)),
-            radius,
-            stiffness,
-            2 * damping.ratio * np.sqrt(stiffness / (arm**2 * compliance[_ROOTS, _ROOTS])),
-            np.array([digit.tension_limit for digit in digits]) * settings.strength,
             hub_mass,
-            (hand.cmc_stiffness, float(cmc_damping), hand.cmc_torque_limit, hand.cmc_gain),
+            np.append(-stiffness * hand.servo_radius, hand.cmc_stiffness * hand.cmc_gain),
+            np.vstack([drives, (0.0, -hand.cmc_stiffness, -cmc_damping)]),
+            np.vstack([limits, (-hand.cmc_torque_limit, hand.cmc_torque_limit)]),
         )
 
 
@@ -265,13 +255,12 @@ def _add_phalanx(parent: Xml.Element, phalanx: Phalanx, settings: HandSettings, 
 
 
 def _add_tendons(tendon: Xml.Element, mechanics: Mechanics) -> None:
-    for name, row, stiffness, damping in zip(
-        coupling_names(), mechanics.coupling, mechanics.coupling_stiffness, mechanics.coupling_damping, strict=True
-    ):
-        numbers = {"stiffness": text_of((stiffness,)), "damping": text_of((damping,)), "springlength": "0"}
-        _add_fixed_tendon(tendon, name, row, numbers)
-    for digit, row, stiffness in zip(DIGITS, mechanics.spring, mechanics.spring_stiffness, strict=True):
-        _add_fixed_tendon(tendon, f"{digit}_spring", row, {"stiffness": text_of((stiffness,)), "springlength": "0"})
+    rows = zip(fixed_tendons(), mechanics.row, mechanics.stiffness, mechanics.damping, strict=True)
+    for name, row, stiffness, damping in rows:
+        viscous = {"damping": text_of((damping,))} if damping else {}
+        fixed = Xml.SubElement(tendon, "fixed", name=name, stiffness=text_of((stiffness,)), **viscous, springlength="0")
+        for index in np.flatnonzero(row):
+            Xml.SubElement(fixed, "joint", joint=JOINTS[index], coef=text_of((row[index],)))
     for digit, mass in zip(DIGITS, mechanics.hub_mass, strict=True):
         drive = Xml.SubElement(tendon, "spatial", name=f"{digit}_drive", width="0.0008", rgba="0.75 0.72 0.6 1")
         if mass:
@@ -280,33 +269,21 @@ def _add_tendons(tendon: Xml.Element, mechanics: Mechanics) -> None:
             Xml.SubElement(drive, "site", site=f"{digit}_{end}_guide")
 
 
-def coupling_names() -> list[str]:
-    """Names of the couplings, in the order of `Mechanics.coupling`."""
-    return [f"{digit}_coupling_{i}" for digit, joints in HPAC.digits.items() for i in range(1, len(joints.joints))]
-
-
-def _add_fixed_tendon(tendon: Xml.Element, name: str, row: Array, numbers: dict[str, str]) -> None:
-    fixed = Xml.SubElement(tendon, "fixed", {"name": name, **numbers})
-    for index in np.flatnonzero(row):
-        Xml.SubElement(fixed, "joint", joint=JOINTS[index], coef=text_of((row[index],)))
+def fixed_tendons() -> list[str]:
+    """Names of couplings and springs, in the order of `Mechanics.row`."""
+    couplings = [f"{digit}_coupling_{i}" for digit, joints in HPAC.digits.items() for i in range(1, len(joints.joints))]
+    return [*couplings, *(f"{digit}_spring" for digit in HPAC.digits)]
 
 
 def _add_actuators(actuator: Xml.Element, mechanics: Mechanics, hand: Hand, on_wrist: bool) -> None:
     affine = {"gaintype": "fixed", "biastype": "affine"}
-    for i, digit in enumerate(DIGITS):
-        stiffness, damping = mechanics.drive_stiffness[i], mechanics.drive_damping[i]
+    for i, servo in enumerate(SERVOS):
+        moved, digits = ({"joint": servo}, 9) if i == _CMC else ({"tendon": f"{DIGITS[i]}_drive"}, 15)
         Xml.SubElement(
-            actuator, "general", affine, name=SERVOS[i], tendon=f"{digit}_drive",
-            gainprm=text_of((-stiffness * mechanics.radius[i],)),
-            biasprm=text_of((stiffness * mechanics.length[i], -stiffness, -damping), 15),
-            forcerange=text_of((-mechanics.tension_limit[i], 0.0)), ctrlrange=text_of((hand.servo_min[i], hand.servo_max[i])),
+            actuator, "general", affine, name=servo, **moved, gainprm=text_of((mechanics.gain[i],)),
+            biasprm=text_of(mechanics.bias[i], digits), forcerange=text_of(mechanics.limit[i]),
+            ctrlrange=text_of((hand.servo_min[i], hand.servo_max[i])),
         )  # fmt: skip
-    stiffness, damping, limit, gain = mechanics.cmc
-    Xml.SubElement(
-        actuator, "general", affine, name=SERVOS[_CMC], joint="thumb_cmc", gainprm=text_of((stiffness * gain,)),
-        biasprm=text_of((0.0, -stiffness, -damping)), forcerange=text_of((-limit, limit)),
-        ctrlrange=text_of((hand.servo_min[_CMC], hand.servo_max[_CMC])),
-    )  # fmt: skip
     for name in "xyz" if on_wrist else "":
         Xml.SubElement(
             actuator, "position", name=f"wrist_{name}", joint=f"wrist_{name}", kp=text_of((WRIST_STIFFNESS,)), dampratio="1",

@@ -16,7 +16,7 @@ from hpac_gym.physics.simulation import SET_UPS, make_engine
 WORLD = WorldSettings()
 
 
-every_number_of_postures = pytest.mark.parametrize("postures", [5, pytest.param(25, marks=pytest.mark.slow)])
+every_number_of_postures = pytest.mark.parametrize("postures", [3, pytest.param(25, marks=pytest.mark.slow)])
 
 
 @every_number_of_postures

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.geometry import load_geometry
-from hpac_gym.model import DIGITS, FINGERS, HPAC, JOINTS, SERVOS, joints_from_synergy, servo_from_synergy
+from hpac_gym.model import FINGERS, HPAC, JOINTS, joints_from_synergy, servo_from_synergy
 from hpac_gym.physics.mjcf import FILES, mass_matrix
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.tendons import Tendons
@@ -61,29 +61,6 @@ def test_mass_matrix_is_that_of_the_model():
         mujoco.mj_fullM(model, data, full)
         ours = mass_matrix(GEOMETRY, BODIES[body].armature, synergy)
         np.testing.assert_allclose(ours, full[np.ix_(dofs(model), dofs(model))], rtol=1e-9, atol=1e-12)
-
-
-def test_chord_and_arm_of_the_drives_are_equation_3():
-    model, data = loaded("hpac_hand.xml")
-    for share in np.linspace(0.0, 1.0, 7):
-        synergy = share * HPAC.synergy_max
-        set_joints(model, data, joints_from_synergy(synergy))
-        included = HPAC.guide_alpha - synergy[:5]
-        chord = np.sqrt(HPAC.guide_sum - HPAC.guide_product * np.cos(included))
-        arm = 0.5 * HPAC.guide_product * np.sin(included) / chord
-        length = [data.tendon(f"{digit}_drive").length[0] for digit in DIGITS]
-        np.testing.assert_allclose(length, chord, atol=1e-12)
-        for digit, servo, wanted in zip(DIGITS, SERVOS, arm, strict=False):
-            slope = tendon_slope(model, data, f"{digit}_drive")
-            assert slope[model.joint(servo).dofadr[0]] == pytest.approx(-wanted, abs=1e-12)
-
-
-def tendon_slope(model, data, name: str) -> np.ndarray:
-    row = np.zeros(model.nv)
-    index = model.tendon(name).id
-    start, count = model.ten_J_rowadr[index], model.ten_J_rownnz[index]
-    row[model.ten_J_colind[start : start + count]] = np.ravel(data.ten_J)[start : start + count]
-    return row
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -9,7 +9,6 @@ import pybullet
 import pytest
 
 from hpac_gym.body.object_models import ObjectModel, load_object_models, object_models_from_toml
-from hpac_gym.body.object_urdf import asset_path
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs.randomization import PRESETS, changed_setup
 from hpac_gym.errors import ParameterError
@@ -25,33 +24,10 @@ REAL = {name: model for name, model in MODELS.items() if model.source}
 MEASURES = {"x", "y", "z", "mass"}
 
 
-@pytest.mark.parametrize("model", REAL.values(), ids=list(REAL))
-def test_a_file_is_within_five_percent_of_what_the_source_prints(model: ObjectModel):
-    """Collision shapes and mass as the simulator loads them; every measure that is not published says where it is from."""
-    with closing(World()) as world:
-        item = SimObject(world, spec_of(model), (0, 0, 0))
-        found = dict(zip("xyz", extents(world, item), strict=True))
-        file = pybullet.loadURDF(str(asset_path(f"objects/{model.name}.urdf")), physicsClientId=world.client)
-        found["mass"] = pybullet.getDynamicsInfo(file, -1, world.client)[0]
-    for measure, (low, high) in model.published.items():
-        assert 0.95 * low <= found[measure] <= 1.05 * high, measure
-    assert bool(model.chosen) == (model.published.keys() < MEASURES)
-    assert model.published or model.source == "none found"
-
-
 def test_most_objects_have_all_their_measures_from_a_source():
     assert len(REAL) == 16
     assert sum(model.published.keys() == MEASURES for model in REAL.values()) >= 9
     assert {name for name, model in REAL.items() if not model.published} == {"tweezers", "spray_can"}
-
-
-@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
-def test_solids_are_as_large_as_their_object(model: ObjectModel):
-    low, high = model.bounds
-    np.testing.assert_allclose(high - low, model.size, rtol=0.05)
-    x, y, z = model.size
-    assert model.shape == "box" or x == y
-    assert model.shape != "sphere" or x == z
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
@@ -67,16 +43,9 @@ def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectMode
         np.testing.assert_allclose(sorted(loaded[2]), principal, rtol=1e-5)
         position, _ = item.pose()
         np.testing.assert_allclose(position, (0.1, 0.2, 0.3), atol=1e-6)
-        np.testing.assert_allclose(extents(world, SimObject(world, spec, (0, 0, 0))), scale * np.array(model.size), rtol=0.05)
-
-
-def spec_of(model: ObjectModel) -> ObjectSpec:
-    return ObjectSpec(model.shape, model.half_extents, model.mass, 0.5, model.name)
-
-
-def extents(world: World, item: SimObject) -> list[float]:
-    """Of an object at the origin, along the world's axes [m]."""
-    return [reach(world, item, direction) + reach(world, item, -direction) for direction in np.eye(3)]
+        item, (low, high) = SimObject(world, spec, (0, 0, 0)), model.bounds
+        extents = [reach(world, item, direction) + reach(world, item, -direction) for direction in np.eye(3)]
+        np.testing.assert_allclose(extents, scale * (high - low), atol=1e-3)  # Bullet rounds edges
 
 
 def reach(world: World, item: SimObject, direction: np.ndarray) -> float:
@@ -155,10 +124,13 @@ def overlap(scene: Scene, others: tuple[int, ...]) -> float:
 @pytest.mark.parametrize("variant", [NOMINAL, "large", "small", "shape"])
 @pytest.mark.parametrize("name", GRASPS)
 def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(name: str, variant: str, scene):
-    """The object may touch its support, and walls the object; nothing is deeper than 0.1 mm."""
+    """The object may touch its support, and walls the object; nothing is deeper than 0.1 mm.
+
+    The half of the sixteen corners in which every combination of three signs occurs.
+    """
     task = GraspByName(name, variant)
     grasp, middle = task.grasp, task.setup(np.random.default_rng(0))
-    for corner in itertools.product((-1, 1), repeat=4):
+    for corner in ((x, y, z, x * y * z) for x, y, z in itertools.product((-1, 1), repeat=3)):
         position = grasp.position + np.array(corner[:3]) * grasp.position_noise
         scene.reset(dataclasses.replace(middle, position=position, yaw=corner[3] * grasp.yaw_noise))
         assert overlap(scene, scene.supports) < 1e-4, f"at the corner {corner}"

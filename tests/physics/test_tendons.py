@@ -55,13 +55,6 @@ def test_a_drive_pulls_no_harder_than_its_servo(tendons):
     np.testing.assert_array_equal(tension, [digit.tension_limit for digit in HPAC.digits.values()])
 
 
-def test_a_slack_drive_has_no_damping(tendons):
-    joints = joints_from_synergy(HPAC.synergy_max * 0.5)
-    _, still = tendons.torque(joints, REST, np.zeros(6), np.zeros(6))
-    _, moving = tendons.torque(joints, REST, np.zeros(6), np.full(6, 5.0))
-    np.testing.assert_array_equal(still, moving)
-
-
 def test_moment_arm_is_the_slope_of_the_chord(tendons):
     """Virtual work: dchord/dq = −arm, with arm = d1 d2 sin(alpha − q)/chord."""
     step = 1e-6
@@ -83,11 +76,6 @@ def test_cmc_torque_saturates_at_the_stall_torque(tendons):
     torque, _ = tendons.torque(REST, REST, HPAC.servo_max, np.zeros(6))
     assert torque[JOINT_INDEX["thumb_cmc"]] == HPAC.cmc_torque_limit
     assert SERVOS[-1] == "thumb_cmc"
-
-
-def test_negative_damping_is_refused():
-    with pytest.raises(ValueError, match="-1"):
-        Damping(joint=-1.0)
 
 
 def test_a_slack_drive_brakes_only_a_finger_that_overruns_its_servo(tendons):

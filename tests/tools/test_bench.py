@@ -9,16 +9,21 @@ from hpac_gym.model import HPAC, joints_from_synergy, servo_from_action, servo_f
 from tools import bench
 
 
-def test_every_figure_stands_beside_a_bare_one_and_is_a_line(monkeypatch, capsys):
+def test_every_figure_stands_beside_a_bare_one(monkeypatch, capsys):
     monkeypatch.setattr(bench, "ROUNDS", 1)
     assert bench.main(["--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert [row["unit"] for row in rows] == ["µs", "million/s", "ms"]
     assert all(row["value"] > 0 and row["bare"] > 0 and row["ratio"] > 0 for row in rows)
-    monkeypatch.setattr(bench, "model_rows", lambda: [bench.Row(**row) for row in rows[:2]])
-    monkeypatch.setattr(bench, "start_row", lambda: bench.Row(**rows[2]))
+
+
+def test_a_figure_is_a_line(monkeypatch, capsys):
+    row = bench.Row("one command", 2.5, "µs", 1.25, 2.0)
+    monkeypatch.setattr(bench, "model_rows", lambda: [row, row])
+    monkeypatch.setattr(bench, "start_row", lambda: row)
     assert bench.main([]) == 0
-    assert [" bare " in line for line in capsys.readouterr().out.splitlines()] == [True] * 3
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert lines == ["one command 2.5 µs bare 1.2 × 2.0"] * 3
 
 
 def test_the_bare_maps_compute_the_same():

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -15,7 +13,7 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.model import DIGITS, JOINTS, SERVOS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PARTS, SUPPORT_FRICTION, PhysicsError, SceneSetup, support_boxes
-from hpac_gym.physics.mjcf import Mechanics, coupling_names, root_frames
+from hpac_gym.physics.mjcf import Mechanics, fixed_tendons, root_frames
 from hpac_gym.physics.mujoco.model import FORCE_SIZE, SLOTS, Layout, build, geoms_of, inertia_of, inertia_of_hand
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
@@ -41,77 +39,52 @@ ON_SUPPORT, ON_TARGET, FELT = FORCE.stop, FORCE.stop + 1, FORCE.stop + 2
 numbers of contacts of the object with its support and with the target."""
 
 
-@dataclass(frozen=True, slots=True)
 class Addresses:
-    """Indices into the arrays of a compiled model."""
+    """Indices into the arrays of a compiled model that `build` made.
 
-    joint: Index
-    """Positions of `JOINTS` in qpos."""
-    dof: Index
-    """Positions of `JOINTS` in qvel."""
-    hinge: Index
-    """Indices of `JOINTS` among the model's joints."""
-    wrist: Index
-    """Positions of the three slides in qpos and qvel; empty for a hand alone."""
-    object: int
-    """Position of the object in qpos; −1 without a movable object."""
-    object_dof: int
-    """Position of the object in qvel; −1 without a movable object."""
-    object_body: int
-    """Index of the object's body; −1 without an object."""
-    palm: int
-    """Index of the palm's body."""
-    hand_geoms: Index
-    object_geoms: Index
-    boxes: Index
-    """Geoms of posts and walls, then the table, then the target's post."""
-    guides: Index
-    """Sites of the drives' guides, fixed and moving, by digit, shape (5, 2)."""
-    couplings: Index
-    springs: Index
-    drives: Index
-    wraps: Index
-    """Positions of the fixed tendons' coefficients in wrap_prm, couplings first."""
-    body_fields: dict[str, Index]
-    """Rows of the hand in the fields that its `Geometry` determines."""
+    Attributes:
+        joint: positions of `JOINTS` in qpos.
+        dof: positions of `JOINTS` in qvel.
+        hinge: indices of `JOINTS` among the model's joints.
+        wrist: positions of the three slides in qpos and qvel; empty for a hand alone.
+        object: position of the object in qpos; −1 without a movable object.
+        object_dof: position of the object in qvel; −1 without a movable object.
+        object_body: index of the object's body; −1 without an object.
+        palm: index of the palm's body.
+        hand_geoms: geoms of the hand.
+        object_geoms: geoms of the object.
+        boxes: geoms of posts and walls, then the table, then the target's post.
+        guides: sites of the drives' guides, fixed and moving, by digit, shape (5, 2).
+        fixed: couplings, then springs.
+        drives: spatial tendons, by digit.
+        wraps: positions of the fixed tendons' coefficients in wrap_prm.
+        body_fields: rows of the hand in the fields that its `Geometry` determines.
+    """
 
-    @classmethod
-    def of(cls, model: mujoco.MjModel) -> Addresses:
-        """The indices of a model that `build` made."""
-
+    def __init__(self, model: mujoco.MjModel) -> None:
         def geoms(prefix: str) -> list[int]:
             return [index for index in range(model.ngeom) if model.geom(index).name.startswith(prefix)]
 
-        def tendons(names: Iterable[str]) -> Index:
-            return np.array([model.tendon(name).id for name in names])
-
         bodies = [model.body(index).name for index in range(model.nbody)]
         joints = [model.joint(index).name for index in range(model.njnt)]
-        hand = [index for index, name in enumerate(bodies) if name == "palm" or name.endswith("_link")]
-        hinge = np.array([joints.index(name) for name in JOINTS])
-        couplings, springs = tendons(coupling_names()), tendons(f"{digit}_spring" for digit in DIGITS)
+        hand = np.array([index for index, name in enumerate(bodies) if name == "palm" or name.endswith("_link")])
         movable = "object" in joints
-        return cls(
-            joint=model.jnt_qposadr[hinge],
-            dof=model.jnt_dofadr[hinge],
-            hinge=hinge,
-            wrist=np.array([index for index, name in enumerate(joints) if name.startswith("wrist")], dtype=int),
-            object=int(model.joint("object").qposadr[0]) if movable else -1,
-            object_dof=int(model.joint("object").dofadr[0]) if movable else -1,
-            object_body=bodies.index("object") if "object" in bodies else -1,
-            palm=bodies.index("palm"),
-            hand_geoms=np.flatnonzero(np.isin(model.geom_bodyid, hand)),
-            object_geoms=np.array(geoms("object_"), dtype=int),
-            boxes=np.array(geoms("support_") + geoms("table") + geoms("target"), dtype=int),
-            guides=np.array([[model.site(f"{digit}_{end}_guide").id for end in ("fixed", "moving")] for digit in DIGITS]),
-            couplings=couplings,
-            springs=springs,
-            drives=tendons(f"{digit}_drive" for digit in DIGITS),
-            wraps=np.array([model.tendon_adr[i] + k for i in (*couplings, *springs) for k in range(model.tendon_num[i])]),
-            body_fields=dict.fromkeys(BODY_FIELDS, np.array(hand))
-            | dict.fromkeys(GEOM_FIELDS, np.flatnonzero(np.isin(model.geom_bodyid, hand)))
-            | {"jnt_axis": hinge},
-        )
+        self.hinge = np.array([joints.index(name) for name in JOINTS])
+        self.joint, self.dof = model.jnt_qposadr[self.hinge], model.jnt_dofadr[self.hinge]
+        self.wrist = np.array([index for index, name in enumerate(joints) if name.startswith("wrist")], dtype=int)
+        self.object = int(model.joint("object").qposadr[0]) if movable else -1
+        self.object_dof = int(model.joint("object").dofadr[0]) if movable else -1
+        self.object_body = bodies.index("object") if "object" in bodies else -1
+        self.palm = bodies.index("palm")
+        self.hand_geoms = np.flatnonzero(np.isin(model.geom_bodyid, hand))
+        self.object_geoms = np.array(geoms("object_"), dtype=int)
+        self.boxes = np.array(geoms("support_") + geoms("table") + geoms("target"), dtype=int)
+        self.guides = np.array([[model.site(f"{digit}_{end}_guide").id for end in ("fixed", "moving")] for digit in DIGITS])
+        self.fixed = np.array([model.tendon(name).id for name in fixed_tendons()])
+        self.drives = np.array([model.tendon(f"{digit}_drive").id for digit in DIGITS])
+        self.wraps = np.array([model.tendon_adr[i] + k for i in self.fixed for k in range(model.tendon_num[i])])
+        self.body_fields = {**dict.fromkeys(BODY_FIELDS, hand), **dict.fromkeys(GEOM_FIELDS, self.hand_geoms)}
+        self.body_fields["jnt_axis"] = self.hinge
 
 
 class Group:
@@ -128,7 +101,7 @@ class Group:
     def __init__(self, layout: Layout, num_worlds: int, settings: WorldSettings, threads: int, visuals: bool) -> None:
         self.layout = layout
         self.model = build(layout, settings, visuals, HPAC_GEOMETRY)
-        self.at = Addresses.of(self.model)
+        self.at = Addresses(self.model)
         self.batch = Batch(self.model, num_worlds, threads)
         self.fields = {name: self.batch.expand(name) for name in FIELDS}
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
@@ -182,27 +155,17 @@ class Group:
         fields["dof_damping"][world, at.dof] = settings.damping.joint
         fields["dof_frictionloss"][world, at.dof] = settings.joint_friction
         fields["dof_armature"][world, at.dof[-1]] = settings.hub_inertia / hand.cmc_gain**2
-        fields["tendon_stiffness"][world, at.couplings] = numbers.coupling_stiffness
-        fields["tendon_damping"][world, at.couplings] = numbers.coupling_damping
-        fields["tendon_stiffness"][world, at.springs] = numbers.spring_stiffness
+        fields["tendon_stiffness"][world, at.fixed] = numbers.stiffness
+        fields["tendon_damping"][world, at.fixed] = numbers.damping
         fields["tendon_armature"][world, at.drives] = numbers.hub_mass
-        rows = [*numbers.coupling, *numbers.spring]
-        fields["wrap_prm"][world, at.wraps] = np.concatenate([row[row != 0] for row in rows])
+        fields["wrap_prm"][world, at.wraps] = numbers.row[numbers.row != 0]
         gain, bias, limits = (fields[f"actuator_{name}"][world] for name in ("gainprm", "biasprm", "forcerange"))
-        drives, brakes = slice(0, len(DIGITS)), slice(self.model.nu - len(DIGITS), self.model.nu)
-        stiffness, damping = numbers.drive_stiffness, numbers.drive_damping
-        gain[drives, 0] = -stiffness * numbers.radius
-        bias[drives, :3] = np.stack([stiffness * numbers.length, -stiffness, -damping], axis=1)
-        limits[drives, 0] = -numbers.tension_limit
-        gain[brakes, 0] = -settings.damping.overrun * damping * numbers.radius
-        bias[brakes, 2] = -settings.damping.overrun * damping
-        stiffness, damping, limit, share = numbers.cmc
-        gain[len(DIGITS), 0] = stiffness * share
-        bias[len(DIGITS), :3] = 0.0, -stiffness, -damping
-        limits[len(DIGITS)] = -limit, limit
+        servos, brakes = slice(0, len(SERVOS)), slice(self.model.nu - len(DIGITS), self.model.nu)
+        gain[servos, 0], bias[servos, :3], limits[servos] = numbers.gain, numbers.bias, numbers.limit
+        brake = settings.damping.overrun * numbers.bias[: len(DIGITS), 2]
+        gain[brakes, 0], bias[brakes, 2] = brake * hand.servo_radius, brake
         # Damping acts on the stretch rate, to which the servo's speed contributes.
-        self.lead[world, : len(DIGITS)] = numbers.drive_damping / numbers.drive_stiffness
-        self.lead[world, len(DIGITS)] = damping / stiffness
+        self.lead[world] = numbers.bias[:, 2] / numbers.bias[:, 1]
         skin = settings.contact_friction
         fields["geom_friction"][world, at.hand_geoms, 0] = skin * skin
 

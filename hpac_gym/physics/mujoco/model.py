@@ -7,6 +7,7 @@ the hand's parameters) is a field that `mujoco.batch.Batch.expand` copies for ev
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import Any
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.body.object_models import ObjectModel, principal_inertia
 from hpac_gym.body.objects import ObjectSpec, Support
-from hpac_gym.model import HPAC
+from hpac_gym.model import DIGITS, HPAC
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import (
     GREEN,
@@ -38,8 +39,6 @@ SLOTS = 8
 """Largest number of contacts per part of the hand whose forces are summed, strongest first."""
 FORCE_SIZE = 4
 """Values of one slot: the number of contacts, and a force along the normal and two tangents."""
-BRAKES = 5
-"""Number of driving tendons, each of which has a brake."""
 WRIST_STIFFNESS = 1e7
 """Stiffness of the servos that hold the palm [N/m]: weight and shake deflect it by less than 1 µm. Their force is not limited:
 MuJoCo applies limits before a step, when so stiff a servo requests thousands of newtons that it never exerts in the step."""
@@ -194,7 +193,7 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geom
     _add_brakes(actuators)
     wrist = {"kp": repr(WRIST_STIFFNESS), "dampratio": "0", "forcelimited": "false"}
     if effort := settings.wrist_effort:
-        wrist = {"kp": repr(LIMITED_WRIST_STIFFNESS), "forcerange": _text((-effort, effort))}
+        wrist = {"kp": repr(LIMITED_WRIST_STIFFNESS), "forcerange": exact_text((-effort, effort))}
     for slide in actuators.findall("position"):
         slide.attrib |= wrist
     if layout.object is not None:
@@ -212,7 +211,7 @@ def build(layout: Layout, settings: WorldSettings, visuals: bool, geometry: Geom
 
 def _add_brakes(actuators: Xml.Element) -> None:
     """Add the damping that a slack drive keeps (`Damping.overrun`): it opposes flexion that is faster than the servo's."""
-    for drive in actuators.findall("general")[:BRAKES]:
+    for drive in actuators.findall("general")[: len(DIGITS)]:
         Xml.SubElement(
             actuators, "general", name=f"{drive.get('name')}_brake", tendon=drive.get("tendon"), gaintype="fixed",
             biastype="affine", gainprm="0", biasprm="0 0 0", forcerange="0 1000",
@@ -232,8 +231,8 @@ def _add_object(root: Xml.Element, world: Xml.Element, layout: Layout) -> None:
         if solid is None or solid.hull is None:
             geom.attrib |= {"type": "box", "size": "0.03 0.03 0.03"}
         else:
-            Xml.SubElement(root.find("asset"), "mesh", name=f"hull_{index}", vertex=_text(solid.hull.vertices.ravel()))
-            place = {"pos": _text(solid.center), "quat": _text(quaternion_from_matrix(solid.rotation))}
+            Xml.SubElement(root.find("asset"), "mesh", name=f"hull_{index}", vertex=exact_text(solid.hull.vertices.ravel()))
+            place = {"pos": exact_text(solid.center), "quat": exact_text(quaternion_from_matrix(solid.rotation))}
             geom.attrib |= {"type": "mesh", "mesh": f"hull_{index}", **place}
 
 
@@ -247,7 +246,7 @@ def _add_supports(world: Xml.Element, layout: Layout) -> None:
 
 
 def _add_box(body: Xml.Element, name: str, color: tuple[float, ...], size: tuple[float, ...]) -> None:
-    numbers = {"type": "box", "size": _text(size), "rgba": _text(color), "priority": "2"}
+    numbers = {"type": "box", "size": exact_text(size), "rgba": exact_text(color), "priority": "2"}
     Xml.SubElement(body, "geom", {"class": "body", "name": name, **numbers})
 
 
@@ -260,5 +259,6 @@ def _add_sensors(sensor: Xml.Element, layout: Layout) -> None:
         Xml.SubElement(sensor, "contact", {"name": name, "body1": name, "body2": "object", "data": "found"})
 
 
-def _text(values: Array | tuple[float, ...] | list[float]) -> str:
+def exact_text(values: Iterable[float]) -> str:
+    """Numbers with all their digits, as an XML attribute."""
     return " ".join(map(repr, map(float, values)))

@@ -106,20 +106,12 @@ def add_fixed_box(
     orientation: ArrayLike = (0, 0, 0, 1),
 ) -> int:
     """Add a static box, such as a table, and return its body; a box without a colour is invisible."""
-    size, visual = list(half_extents), -1
+    client, box, visual = world.client, {"halfExtents": list(half_extents)}, -1
+    solid = pybullet.createCollisionShape(pybullet.GEOM_BOX, **box, physicsClientId=client)
     if color is not None:
-        visual = pybullet.createVisualShape(
-            pybullet.GEOM_BOX, halfExtents=size, rgbaColor=list(color), physicsClientId=world.client
-        )
-    body = pybullet.createMultiBody(
-        0,
-        pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=size, physicsClientId=world.client),
-        visual,
-        list(position),
-        list(orientation),
-        physicsClientId=world.client,
-    )
-    pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=world.client)
+        visual = pybullet.createVisualShape(pybullet.GEOM_BOX, **box, rgbaColor=list(color), physicsClientId=client)
+    body = pybullet.createMultiBody(0, solid, visual, list(position), list(orientation), physicsClientId=client)
+    pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=client)
     return body
 
 
