@@ -252,18 +252,14 @@ def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning()
     assert (drawn["usual"][1], drawn["weak"][1]) == (None, 0.0)
 
 
-def test_what_runs_beside_the_physics_changes_no_trial():
-    recipe, calls = with_settings(RECIPES["grasp"], {"num_envs": "2"}), []
-    alone, beside = started(recipe, 7) + started(recipe, 7)
-    trials: tuple = ((),)
-    while not len(trials[0]):
-        trials, same = alone.step(Patient()), beside.step(Patient(), lambda: calls.append(0))
-    for one, other in zip(trials, same, strict=True):
-        np.testing.assert_array_equal(one, other)
+def test_something_runs_beside_each_step_of_the_physics_and_a_trial_tells_how_its_closing_ended():
+    [worlds], calls = started(with_settings(RECIPES["grasp"], {"num_envs": "2"}), 7), []
+    seen, *_, came_to = worlds.step(Patient())
+    while not len(seen):
+        seen, *_, came_to = worlds.step(Patient(), lambda: calls.append(0))
     assert len(calls) > 5
-    assert np.abs(trials[3] - trials[0][:, alone.deployed :]).max() > 0.1, "it tells how the closing ended, not how it began"
-    alone.close()
-    beside.close()
+    assert np.abs(came_to - seen[:, worlds.deployed :]).max() > 0.1, "not how it began"
+    worlds.close()
 
 
 def test_trials_that_are_sure_to_succeed_are_tried_less_often(learner):
