@@ -160,7 +160,7 @@ class Group:
         fields["tendon_stiffness"][world, at.fixed] = numbers.stiffness
         fields["tendon_damping"][world, at.fixed] = numbers.damping
         fields["tendon_armature"][world, at.drives] = numbers.hub_mass
-        fields["wrap_prm"][world, at.wraps] = numbers.row[numbers.row != 0]
+        fields["wrap_prm"][world, at.wraps] = numbers.rows[numbers.rows != 0]
         gain, bias, limits = (fields[f"actuator_{name}"][world] for name in ("gainprm", "biasprm", "forcerange"))
         servos, brakes = slice(0, len(SERVOS)), slice(self.model.nu - len(DIGITS), self.model.nu)
         gain[servos, 0], bias[servos, :3], limits[servos] = numbers.gain, numbers.bias, numbers.limit
