@@ -52,15 +52,13 @@ def score(trial: TypeTrial) -> float:
     return 2.0 * trial.success + 0.5 * trial.held + trial.share + float(np.mean(kept)) + min(kept) - 2.0 * (not trial.free)
 
 
-def search(
-    name: str, generations: int, population: int, engines: list[str], fixed: list[int], rng: np.random.Generator, spread: float
-) -> GraspType:
-    """Run the search and return the resulting type."""
-    kind = GRASP_TYPES[name]
-    start = kind.start
-    mean = np.concatenate([start.closed, start.preshape, start.position, np.zeros(3)])
-    sigma = spread * SPREAD.copy()
-    sigma[fixed] = 0.0
+def search(options: argparse.Namespace) -> GraspType:
+    """Run the search with the options of `main` and return the resulting type."""
+    name, generations, population, engines = options.name, options.generations, options.population, options.engines
+    kind, rng = GRASP_TYPES[name], np.random.default_rng(options.seed)
+    mean = np.concatenate([kind.start.closed, kind.start.preshape, kind.start.position, np.zeros(3)])
+    sigma = options.spread * SPREAD
+    sigma[options.fixed] = 0.0
     for generation in range(generations):
         drawn = mean + sigma * rng.standard_normal((population, len(mean)))
         drawn[0] = mean
@@ -127,10 +125,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true", help="write the result to the data")
     options = parser.parse_args()
-    found = search(
-        options.name, options.generations, options.population, options.engines, options.fixed,
-        np.random.default_rng(options.seed), options.spread,
-    )  # fmt: skip
+    found = search(options)
     start = found.start
     print(f"closed = {start.closed.tolist()}\npreshape = {start.preshape.tolist()}\nposition = {list(start.position)}")
     print(f"hand_rpy_deg = {np.degrees(start.hand_rpy).round(1).tolist()}")

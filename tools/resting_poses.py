@@ -13,6 +13,7 @@ import argparse
 import math
 import sys
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -134,26 +135,25 @@ class Table:
 def stable_poses(model: ObjectModel, friction: float, drops: int = DROPS) -> list[tuple[Found, float]]:
     """The stable poses of an object on a table with the share of random drops that end in each, the most frequent first."""
     rng, table = np.random.default_rng([SEED, *model.name.encode()]), Table(model, friction)
-    counts: list[list] = []
+    # The sides first, so that equal poses are represented by these.
+    sides = [(table.rest(turn.as_matrix(), 0.001), 0) for turn in _SIDES]
+    dropped = [(table.rest(turn.as_matrix(), 0.02), 1) for turn in Rotation.random(drops, rng)]
+    counts = _merged((found, number) for found, number in [*sides, *dropped] if found is not None)
+    levelled = _merged((_levelled(model, found), number) for found, number in counts)
+    kept = [(found, number / drops) for found, number in levelled if table.keeps(found)]
+    return sorted(kept, key=lambda entry: -entry[1])[:MAX_POSES]
 
-    def count(poses: list[list], found: Found, number: int) -> None:
-        """Add `number` to the count of a pose, which is appended if it is new."""
+
+def _merged(counts: Iterable[tuple[Found, int]]) -> list[list]:
+    """Equal poses joined to the first of them, with the sum of their counts."""
+    poses: list[list] = []
+    for found, number in counts:
         known = next((entry for entry in poses if entry[0].same_as(found)), None)
         if known is None:
             poses.append([found, number])
         else:
             known[1] += number
-
-    # The sides first, so that equal poses are represented by these.
-    for turns, drop, number in ((_SIDES, 0.001, 0), (Rotation.random(drops, rng), 0.02, 1)):
-        for turn in turns:
-            if (found := table.rest(turn.as_matrix(), drop)) is not None:
-                count(counts, found, number)
-    merged: list[list] = []
-    for found, number in counts:
-        count(merged, _levelled(model, found), number)
-    kept = [(found, number / drops) for found, number in merged if table.keeps(found)]
-    return sorted(kept, key=lambda entry: -entry[1])[:MAX_POSES]
+    return poses
 
 
 def _levelled(model: ObjectModel, found: Found) -> Found:

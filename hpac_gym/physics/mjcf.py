@@ -81,7 +81,7 @@ def mass_matrix(geometry: Geometry, armature: tuple[float, float, float], synerg
 class Mechanics:
     """Parameters of one hand's tendons, springs and drives, in the order of the model's elements."""
 
-    row: Array
+    rows: Array
     """Length of each coupling, then of each spring, per joint angle, shape (14, 15) [m/rad]."""
     stiffness: Array
     """Stiffness of couplings and springs, shape (14,) [N/m]."""
@@ -255,7 +255,7 @@ def _add_phalanx(parent: Xml.Element, phalanx: Phalanx, settings: HandSettings, 
 
 
 def _add_tendons(tendon: Xml.Element, mechanics: Mechanics) -> None:
-    rows = zip(fixed_tendons(), mechanics.row, mechanics.stiffness, mechanics.damping, strict=True)
+    rows = zip(fixed_tendons(), mechanics.rows, mechanics.stiffness, mechanics.damping, strict=True)
     for name, row, stiffness, damping in rows:
         viscous = {"damping": text_of((damping,))} if damping else {}
         fixed = Xml.SubElement(tendon, "fixed", name=name, stiffness=text_of((stiffness,)), **viscous, springlength="0")
@@ -270,7 +270,7 @@ def _add_tendons(tendon: Xml.Element, mechanics: Mechanics) -> None:
 
 
 def fixed_tendons() -> list[str]:
-    """Names of couplings and springs, in the order of `Mechanics.row`."""
+    """Names of couplings and springs, in the order of `Mechanics.rows`."""
     couplings = [f"{digit}_coupling_{i}" for digit, joints in HPAC.digits.items() for i in range(1, len(joints.joints))]
     return [*couplings, *(f"{digit}_spring" for digit in HPAC.digits)]
 

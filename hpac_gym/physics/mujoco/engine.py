@@ -15,7 +15,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, Contacts, Engine, PhysicsError, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.mujoco.camera import Camera
-from hpac_gym.physics.mujoco.group import FELT, FORCE, ON_SUPPORT, ON_TARGET, TENSION, TOUCHING, Group
+from hpac_gym.physics.mujoco.group import FELT, FORCE, ON_SUPPORT, ON_TARGET, TENSION, TOUCHING, Group, Rows
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
@@ -47,7 +47,7 @@ class MuJoCoEngine(Engine):
         self._camera: Camera | None = None
         self._groups: dict[Layout, Group] = {}
         self._group_of: list[Group | None] = [None] * num_worlds
-        self._members: dict[Group, NDArray[np.intp]] = {}
+        self._rows: dict[Group, Rows] = {}
         self._setups: list[SceneSetup | None] = [None] * num_worlds
         self._steps = np.zeros(num_worlds, int)
         self._to_hand = np.tile(np.eye(3), (num_worlds, 1, 1))
@@ -83,30 +83,25 @@ class MuJoCoEngine(Engine):
             group.start(index, [self._setups[world] for world in entries])
             self._felt[index], self._steps[index] = 0.0, 0
         if moved:
-            owners = self._groups.values()
-            rows = [np.array([world for world, owner in enumerate(self._group_of) if owner is group], int) for group in owners]
-            self._members = {group: members for group, members in zip(owners, rows, strict=True) if len(members)}
+            self._rows = {}
+            for group in filter(self._group_of.__contains__, self._groups.values()):
+                rows = np.array([world for world, owner in enumerate(self._group_of) if owner is group])
+                self._rows[group] = slice(None) if len(rows) == self.num_worlds else rows
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
-        for group, worlds in self._members.items():
-            every = len(worlds) == self.num_worlds
-            tables = servo, servo_vel, wrist, push
-            if not every:
-                tables = tuple(None if table is None else table[worlds] for table in tables)
-            failed = group.advance(None if every else worlds, *tables)
+        for group, rows in self._rows.items():
+            failed = group.advance(rows, servo[rows], servo_vel[rows], wrist[rows], None if push is None else push[rows])
             if failed is not None:
                 world, reason = failed
                 place, time = f"world {world} of {self.num_worlds}", self._steps[world] * self.dt
                 raise PhysicsError(f"{place} failed after {time:.3f} s of its episode: MuJoCo says {reason}")
-            rows = slice(None) if every else worlds
             self._felt[rows] = group.felt(rows)
             self._steps[rows] += servo.shape[1]
 
     def state(self) -> SceneState:
         state = SceneState.empty(self.num_worlds)
         state.time = self._steps * self.dt
-        for group, worlds in self._members.items():
-            rows = slice(None) if len(worlds) == self.num_worlds else worlds
+        for group, rows in self._rows.items():
             at, qpos, qvel = group.at, group.qpos[rows], group.qvel[rows]
             state.joint_pos[rows], state.joint_vel[rows] = qpos[:, at.joint], qvel[:, at.dof]
             if group.layout.object is not None:
@@ -117,7 +112,7 @@ class MuJoCoEngine(Engine):
         state.supported = (felt[:, ON_SUPPORT] > 0) | state.on_target
         return state
 
-    def _read_object(self, state: SceneState, group: Group, rows: Any, qpos: Array, qvel: Array) -> None:
+    def _read_object(self, state: SceneState, group: Group, rows: Rows, qpos: Array, qvel: Array) -> None:
         at, to_hand = group.at, self._to_hand[rows]
         state.palm_offset[rows] = offset = qpos[:, at.wrist]
         if group.layout.fixed:
@@ -193,7 +188,7 @@ class MuJoCoEngine(Engine):
             self._camera.close()
         self._camera = None
         self._groups.clear()
-        self._members.clear()
+        self._rows.clear()
         self._group_of = [None] * self.num_worlds
 
 

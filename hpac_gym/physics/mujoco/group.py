@@ -18,6 +18,8 @@ from hpac_gym.physics.mujoco.model import FORCE_SIZE, SLOTS, Layout, build, geom
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 Index = NDArray[np.intp]
+Rows = Index | slice
+"""Worlds of one layout: their indices, or a full slice if all have it."""
 
 BODY_FIELDS = ("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat")
 GEOM_FIELDS = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
@@ -158,7 +160,7 @@ class Group:
         fields["tendon_stiffness"][world, at.fixed] = numbers.stiffness
         fields["tendon_damping"][world, at.fixed] = numbers.damping
         fields["tendon_armature"][world, at.drives] = numbers.hub_mass
-        fields["wrap_prm"][world, at.wraps] = numbers.row[numbers.row != 0]
+        fields["wrap_prm"][world, at.wraps] = numbers.rows[numbers.rows != 0]
         gain, bias, limits = (fields[f"actuator_{name}"][world] for name in ("gainprm", "biasprm", "forcerange"))
         servos, brakes = slice(0, len(SERVOS)), slice(self.model.nu - len(DIGITS), self.model.nu)
         gain[servos, 0], bias[servos, :3], limits[servos] = numbers.gain, numbers.bias, numbers.limit
@@ -222,18 +224,15 @@ class Group:
                 self.qpos[world, at.object : at.object + 7] = *place, w, x, y, z
         self.warned[worlds] = self.warnings[worlds]
 
-    def advance(
-        self, worlds: Index | None, servo: Array, servo_vel: Array, wrist: Array, push: Array | None
-    ) -> tuple[int, str] | None:
-        """Step some worlds, or all if None, through tables of servo angles and speeds, wrist offsets and pushes.
+    def advance(self, rows: Rows, servo: Array, servo_vel: Array, wrist: Array, push: Array | None) -> tuple[int, str] | None:
+        """Step worlds through tables of servo angles and speeds, wrist offsets and pushes.
 
         Returns:
             The first world that failed and the reason, or None.
         """
         n, steps, _ = servo.shape
         control = np.empty((n, steps, self.model.nu))
-        lead = self.lead if worlds is None else self.lead[worlds]
-        control[..., : len(SERVOS)] = servo + lead[:, None] * servo_vel
+        control[..., : len(SERVOS)] = servo + self.lead[rows, None] * servo_vel
         control[..., len(SERVOS) : -len(DIGITS)] = wrist[..., : len(self.at.wrist)]
         np.maximum(servo_vel[..., : len(DIGITS)], 0.0, out=control[..., -len(DIGITS) :])
         columns, pushed = mujoco.mjtState.mjSTATE_CTRL.value, push is not None and self.at.object >= 0
@@ -245,13 +244,13 @@ class Group:
         handler = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(lambda text: None)  # without a handler MuJoCo writes a log file to the working directory
         try:
-            self.batch.rollout(steps, control, columns, record=(), ids=worlds)
+            self.batch.rollout(steps, control, columns, record=(), ids=None if isinstance(rows, slice) else rows)
         except SimulationError as error:
             return int(error.ids[0]), self.batch.error(int(error.ids[0]))
         finally:
             mujoco.set_mju_user_warning(handler)
             if pushed:
-                self.batch.bind("xfrc_applied")[slice(None) if worlds is None else worlds] = 0.0
+                self.batch.bind("xfrc_applied")[rows] = 0.0
         # MuJoCo silently stops a simulation about which it warns.
         rose = self.warnings != self.warned
         if not rose.any():
@@ -259,7 +258,7 @@ class Group:
         world, kind = np.argwhere(rose)[0]
         return int(world), mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_")
 
-    def felt(self, rows: Index | slice) -> Array:
+    def felt(self, rows: Rows) -> Array:
         """Forces and contacts of worlds in the last physics step, shape (m, FELT)."""
         tension, sensors = -self.force[rows, : len(DIGITS)], self.sensors[rows]
         found = np.zeros((len(tension), FELT))
