@@ -22,3 +22,7 @@ class ParameterError(HpacError, ValueError):
 
 class EpisodeError(HpacError, RuntimeError):
     """A call is invalid in the present state of an environment: before reset, after the end, or after close."""
+
+
+class PolicyError(HpacError, ValueError):
+    """A policy is unknown, or its file is missing, damaged or made for another environment."""

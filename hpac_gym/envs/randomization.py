@@ -18,7 +18,6 @@ from hpac_gym.model import DIGITS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.variation import scaled_digit
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.physics.settings import HandSettings
 from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.task import setting
 
@@ -118,10 +117,11 @@ def changed_hand(hand: Hand, factors: Array) -> Hand:
     return replace(hand, digits=digits)
 
 
-def changed_mechanics(hand: Hand, settings: HandSettings, values: Mapping[str, Array]) -> tuple[Hand, HandSettings]:
-    """The hand to simulate and its settings, with drawn values applied."""
+def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
+    """A setup with drawn values applied."""
     if not values:
-        return hand, settings
+        return setup
+    hand, settings = setup.hand, setup.hand_settings
     if "tendon_stiffness" in values:
         hand = changed_hand(hand, values["tendon_stiffness"])
     servo = replace(
@@ -129,20 +129,13 @@ def changed_mechanics(hand: Hand, settings: HandSettings, values: Mapping[str, A
         lag=_value(values, "servo_lag", settings.servo.lag),
         dead_band=_value(values, "dead_band", settings.servo.dead_band),
     )
-    return hand, replace(
+    settings = replace(
         settings,
         servo=servo,
         slack=tuple(values["slack"].tolist()) if "slack" in values else settings.slack,
         joint_friction=_value(values, "joint_friction", settings.joint_friction),
         contact_friction=settings.contact_friction * _value(values, "skin_friction", 1.0),
     )
-
-
-def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
-    """A setup with drawn values applied."""
-    if not values:
-        return setup
-    hand, settings = changed_mechanics(setup.hand, setup.hand_settings, values)
     if setup.object is None:
         return replace(setup, hand=hand, hand_settings=settings)
     spec = replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,19 +60,24 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
     dataset = made.create(recorded.id, CONTROL_HZ, features, root=folder, robot_type="hpac", use_videos=False)
     seeds = [one["seed"] for one in recorded.storage.get_episode_metadata(recorded.episode_indices)]
     try:
-        for seed, episode in zip(progress(seeds, "episodes"), recorded.iterate_episodes(), strict=True):
-            over = episode.terminations | episode.truncations
-            columns = episode.rewards, over, episode.infos["is_success"][1:]
-            for seen, action, *values in zip(episode.observations[:-1], episode.actions, *columns, strict=True):
-                values = dict(zip(("next.reward", "next.done", "next.success", "seed"), (*values, seed), strict=True))
-                frame = {name: np.array([value], features[name]["dtype"]) for name, value in values.items()}
-                dataset.add_frame({"observation.state": seen, "action": action, "task": task, **frame})
-            dataset.save_episode()
-        dataset.finalize()
+        with ExitStack() as files:
+            files.callback(dataset.finalize)  # closes its files; a full disk may show itself only then
+            for seed, episode in zip(progress(seeds, "episodes"), recorded.iterate_episodes(), strict=True):
+                columns = {
+                    "observation.state": episode.observations[:-1],
+                    "action": episode.actions,
+                    "next.reward": episode.rewards,
+                    "next.done": episode.terminations | episode.truncations,
+                    "next.success": episode.infos["is_success"][1:],
+                    "seed": np.full(len(episode.actions), seed),
+                }
+                for name, values in columns.items():
+                    columns[name] = np.asarray(values, features[name]["dtype"]).reshape(-1, *features[name]["shape"])
+                for row in zip(*columns.values(), strict=True):
+                    dataset.add_frame({"task": task, **dict(zip(columns, row, strict=True))})
+                dataset.save_episode()
     except OSError as error:
         raise OutputError(f"cannot write episodes to '{folder}': {error.strerror or error}") from error
-    finally:
-        dataset.finalize()  # closes its files
 
 
 def _named(names: list[str], space: Box) -> list[str]:

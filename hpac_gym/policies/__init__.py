@@ -14,8 +14,8 @@ action = policy.act(observation)      # shape (6,), −1…1
 `hpac_gym.policies.baselines` need `hpac_gym.envs`.
 """
 
+from hpac_gym.errors import PolicyError
 from hpac_gym.policies.closure import Closures
-from hpac_gym.policies.errors import PolicyError
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import Actor, PolicyFile, read_policy, write_policy
 

@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.envs import scripted_closure
-from hpac_gym.policies.errors import PolicyError
+from hpac_gym.errors import PolicyError
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType
 from hpac_gym.tasks.scripted import Script, ScriptedGraspType, ScriptedPosture
 

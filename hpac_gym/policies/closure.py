@@ -13,8 +13,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hpac_gym.errors import PolicyError
 from hpac_gym.model import SERVO_INDEX, SERVOS
-from hpac_gym.policies.errors import PolicyError
 
 OPEN = -1.0
 """Action that opens a digit."""

@@ -14,9 +14,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from hpac_gym.errors import PolicyError
 from hpac_gym.output import replacing, writable_folder
 from hpac_gym.policies.closure import Closures
-from hpac_gym.policies.errors import PolicyError
 from hpac_gym.policies.made_for import misfit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy

@@ -9,8 +9,8 @@ from typing import Any
 import gymnasium
 from gymnasium.spaces import Box
 
+from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.errors import PolicyError
 from hpac_gym.policies.export import read_card, read_onnx
 from hpac_gym.policies.made_for import misfit
 from hpac_gym.policies.policy import LearnedPolicy, Policy

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
+from hpac_gym.errors import PolicyError
 from hpac_gym.output import replacing
 from hpac_gym.policies.closure import Closures
-from hpac_gym.policies.errors import PolicyError
 
 FORMAT = 1
 

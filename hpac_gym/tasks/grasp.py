@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.body.objects import SHAPES, ObjectSpec, Support
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp_data import NOMINAL, NamedGrasp, Variant, named_grasp
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
 from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, open_hand, outcome_term, setting
-from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, PRIVILEGED_TERMS, Moment, RewardTerm, Term, progress_terms
+from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, PRIVILEGED_TERMS, Moment, RewardTerm, progress_terms
 
 PALM_SURFACE = 0.0125
 """Distance of the palm's surface from the yz-plane of the hand frame [m]."""
@@ -88,9 +88,7 @@ class Grasp(Task):
     """
 
     phases = PHASES
-    viewpoint = Viewpoint()
     privileged_terms = PRIVILEGED_TERMS
-    goal_terms: tuple[Term, ...] = ()
 
     def __init__(self, config: GraspConfig = GraspConfig(), object: ObjectSpec | None = None) -> None:
         self.config, self.timetable, self.object = config, config.timetable, object
@@ -110,7 +108,6 @@ class Grasp(Task):
         )  # fmt: skip
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        """Allocate the state of n worlds; returns their camera."""
         self.grip = Grip(num_worlds)
         self._place, self._moved = np.zeros((num_worlds, 3)), np.zeros(num_worlds)
         self._lifted = np.zeros(num_worlds, dtype=bool)
@@ -136,18 +133,15 @@ class Grasp(Task):
         return SceneSetup(spec, np.array(place), yaw, open_hand(config.thumb_preshape), hand)
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Begin to judge episodes in some worlds."""
         index = np.asarray(worlds)
         self._place[index] = [setup.position for setup in setups]
         self._moved[index], self._lifted[index] = 0.0, False
         self.grip.start(index)
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
-        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]."""
         return wrist_table(self.timetable, times)
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `PHASES` of the phase that runs, or begins, at times [s], shape (n,)."""
         return phase_at(time, self.timetable.ends)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:

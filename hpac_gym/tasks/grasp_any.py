@@ -140,7 +140,6 @@ class GraspAny(Task):
 
     phases = PHASES
     viewpoint = Viewpoint(yaw_deg=120.0)
-    goal_terms: tuple[Term, ...] = ()
 
     def __init__(
         self,
@@ -223,7 +222,6 @@ class GraspAny(Task):
     # Episodes ------------------------------------------------------------------------------------------------------
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> Senses:
-        """Allocate the state of n worlds; returns their senses."""
         self.grip = Grip(num_worlds)
         self._mass, self._pull = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 3))
         self._place, self._pushed, self._distance = np.zeros((num_worlds, 3)), np.zeros(num_worlds), np.zeros(num_worlds)
@@ -278,7 +276,6 @@ class GraspAny(Task):
         return placing.moved(setup, way[:3], float(way[3]), self._reach_of(setup)) if way.any() else setup
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Begin to judge episodes in some worlds."""
         index = np.asarray(worlds)
         self._mass[index, 0] = [setup.object.mass for setup in setups]
         self._pull[index] = [DOWN if setup.pull is None else setup.pull for setup in setups]
@@ -290,15 +287,12 @@ class GraspAny(Task):
         self.grip.start(index)
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
-        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]."""
         return wrist_table(self.config.timetable, times)
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `PHASES` of the phase that runs, or begins, at times [s], shape (n,)."""
         return phase_at(time, self.config.ends)
 
     def push(self, times: Array) -> Array | None:
-        """Force on the objects, shape (n, k, 3) [N], at times of each world, shape (n, k) [s]; None for no force."""
         begin, middle = self.config.ends[SHAKE], self.config.ends[SIDES]
         if times.max() <= begin:
             return None
@@ -349,7 +343,6 @@ class GraspAny(Task):
     # Outputs -------------------------------------------------------------------------------------------------------
 
     def report(self, now: Moment) -> dict[str, Any]:
-        """Entries of `info` for a step."""
         return scene_report(self, now) | {
             "holding_force": np.where(now.outcome == FAILURE, 0.0, self.holding_force),
             "sides": self.sides.copy(),

@@ -231,7 +231,6 @@ class GraspByType(Grasp):
     # Episodes ------------------------------------------------------------------------------------------------------
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        """Allocate the state of n worlds; returns their camera."""
         self._touch, self._never = np.zeros((2, num_worlds, len(PARTS)), dtype=bool)
         self._counts = np.zeros((num_worlds, 2), dtype=int)
         self._rotation, self._hand = np.zeros((2, num_worlds, 3, 3))
@@ -317,7 +316,6 @@ class GraspByType(Grasp):
         return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)
 
     def report(self, now: Moment) -> dict[str, Any]:
-        """Entries of `info` for a step."""
         return scene_report(self, now) | {
             "type": self._types.copy(),
             "held": self.held.copy(),

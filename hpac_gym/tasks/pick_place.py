@@ -81,22 +81,18 @@ class PickPlaceTimetable:
 
     def wrist_path(self, times: tuple[float, ...]) -> Array:
         """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one minimum-jerk profile per move."""
-        offset = np.zeros((len(times), 3))
-        for begin, duration, way in self._moves():
-            offset += _shares(begin, duration, times)[:, None] * way
-        return offset
-
-    def _moves(self) -> list[tuple[float, float, Array]]:
-        """Start time [s], duration [s] and displacement, shape (3,) [m], of each move."""
-        ends = self.ends
+        offset, ends = np.zeros((len(times), 3)), self.ends
         reach, up = np.array(self.reach), np.array([0.0, 0.0, self.lift_height])
-        return [
+        moves = (  # start time [s], duration [s] and displacement, shape (3,) [m]
             (0.0, self.reach_time, reach),
             (ends[1], self.lift_time, up),
             (ends[2], self.carry_time, np.array(self.carry)),
             (ends[3], self.lower_time, np.array([0.0, 0.0, self.clearance]) - up),
             (ends[5], self.retreat_time, -reach),
-        ]
+        )
+        for begin, duration, way in moves:
+            offset += _shares(begin, duration, times)[:, None] * way
+        return offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +152,6 @@ class PickPlace(Task):
     phases = PHASES
     viewpoint = Viewpoint(distance=0.62, yaw_deg=115.0, pitch_deg=-25.0)
     privileged_terms = PRIVILEGED_TERMS
-    goal_terms: tuple[Term, ...] = ()
 
     def __init__(self, config: PickPlaceConfig = PickPlaceConfig()) -> None:
         self.config, self.timetable = config, config.timetable
@@ -178,7 +173,6 @@ class PickPlace(Task):
         )  # fmt: skip
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        """Allocate the state of n worlds; returns their camera."""
         self.grip = Grip(num_worlds)
         self._place, self._target, self._grasped_at = (np.zeros((num_worlds, 3)) for _ in range(3))
         self._rotation = np.zeros((num_worlds, 3, 3))

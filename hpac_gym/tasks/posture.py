@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera
 from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.task import RUNNING, Task, setting
@@ -59,14 +59,12 @@ class Posture(Task):
     """
 
     phases = ("move",)
-    viewpoint = Viewpoint()
     terms = COMMAND_TERMS
     privileged_terms = HAND_TERMS
     goal_terms = (
         Term("joint_pos", JOINTS, "rad", -0.5, 2.0, "joint angle: achieved as a camera measures it, or desired",
              lambda now: now.seen["joint_pos"]),
     )  # fmt: skip
-    grip = None
 
     def __init__(self, config: PostureConfig = PostureConfig(), reachable: bool = False) -> None:
         self.config, self.duration, self.reachable = config, config.duration, reachable
@@ -104,7 +102,6 @@ class Posture(Task):
         return SceneSetup(None, hand=hand, goal=joints_from_synergy(synergy, hand))
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Begin episodes in some worlds."""
         self.goal[np.asarray(worlds)] = [setup.goal for setup in setups]
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
@@ -133,6 +130,5 @@ class Posture(Task):
         return -error.mean(axis=-1) if dense else -(error.max(axis=-1) > self.config.tolerance).astype(float)
 
     def report(self, now: Moment) -> dict[str, Any]:
-        """Entries of `info` for a step."""
         largest = self._error.max(axis=1)
         return {"is_success": largest <= self.config.tolerance, "largest_error": largest}

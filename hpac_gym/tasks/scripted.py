@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,19 @@ ANY_CLOSURES = {
 the shake; narrow objects beside the hand, for which too few did, have the next kind's."""
 
 
-class ScriptedClosure:
+class Script:
+    """A scripted policy."""
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._time = 0.0
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """The next action, shape (6,), −1…1; the numbers of a free wrist follow."""
+        raise NotImplementedError
+
+
+class ScriptedClosure(Script):
     """Closes all digits at constant speed, then holds, regardless of the observation.
 
     Args:
@@ -73,10 +86,6 @@ class ScriptedClosure:
 
     def __init__(self, grasp: NamedGrasp | None = None) -> None:
         self._grasp = grasp
-
-    def reset(self) -> None:
-        """Begin an episode."""
-        self._time = 0.0
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
@@ -92,15 +101,11 @@ class ScriptedClosure:
         return action_from_synergy(synergy).astype(np.float32)
 
 
-class ScriptedPickPlace:
+class ScriptedPickPlace(Script):
     """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its target."""
 
     def __init__(self, timetable: PickPlaceTimetable = PickPlaceTimetable()) -> None:
         self._close, self._open = timetable.ends[0], timetable.ends[4]
-
-    def reset(self) -> None:
-        """Begin an episode."""
-        self._time = 0.0
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
@@ -113,7 +118,7 @@ class ScriptedPickPlace:
         return action_from_synergy(synergy).astype(np.float32)
 
 
-class ScriptedPosture:
+class ScriptedPosture(Script):
     """Integral controller for `Posture`: commands the goal's synergy, corrected by the camera's measurements.
 
     Args:
@@ -124,7 +129,6 @@ class ScriptedPosture:
         self._gain = gain
 
     def reset(self) -> None:
-        """Begin an episode."""
         self._correction = np.zeros(len(SERVOS))
 
     def act(self, observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -136,7 +140,7 @@ class ScriptedPosture:
         return action_from_synergy(synergy).astype(np.float32)
 
 
-class ScriptedGraspAny:
+class ScriptedGraspAny(Script):
     """One closure, chosen by the size and pose of the object at the start of the episode, then held.
 
     Args:
@@ -148,13 +152,9 @@ class ScriptedGraspAny:
         self._slices, self._wrist = Layout(task.terms, 1).slices, np.zeros(len(task.wrist_actions))
         self._closures = closures
 
-    def reset(self) -> None:
-        """Begin an episode."""
-        self._time, self._closure = 0.0, None
-
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
         """The next action; it uses only the first observation of an episode, and does not move a free wrist."""
-        if self._closure is None:
+        if self._time == 0.0:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._closure = self._closures[self.kind(vector)]
         self._time += 1 / CONTROL_HZ
@@ -183,7 +183,7 @@ class ScriptedGraspAny:
         return beside, int(np.searchsorted(ANY_WIDTHS, 2 * width))
 
 
-class ScriptedGraspType:
+class ScriptedGraspType(Script):
     """Closure of each type: the wrist at the pose of the type's data, then linearly from the preshape to the posture.
 
     Args:
@@ -195,13 +195,9 @@ class ScriptedGraspType:
         self._told, self._free = Layout(task.terms, 1).slices["type"], bool(task.wrist_actions)
         self._closes = closure and GRASP_TYPES[closure].start
 
-    def reset(self) -> None:
-        """Begin an episode."""
-        self._time, self._start = 0.0, None
-
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
         """The next action; it uses only the type in the first observation of an episode."""
-        if self._start is None:
+        if self._time == 0.0:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._start = list(GRASP_TYPES.values())[int(vector[self._told].argmax())].start
             self._wrist = wrist_choice(self._start) if self._free else np.zeros(0)
@@ -209,9 +205,6 @@ class ScriptedGraspType:
         self._time += 1 / CONTROL_HZ
         action = action_from_synergy(start.preshape + share * (start.closed - start.preshape))
         return np.append(action, self._wrist).astype(np.float32)
-
-
-Script = ScriptedClosure | ScriptedPickPlace | ScriptedPosture | ScriptedGraspAny | ScriptedGraspType
 
 
 def scripted_closure(task: object) -> Script:

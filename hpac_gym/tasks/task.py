@@ -39,13 +39,13 @@ class Task(Protocol):
     """The deployed observation."""
     privileged_terms: tuple[Term, ...]
     """Additional terms that only a critic may observe."""
-    goal_terms: tuple[Term, ...]
+    goal_terms: tuple[Term, ...] = ()
     """Terms of achieved and desired goals; empty for a task without goals."""
     reward_terms: tuple[RewardTerm, ...]
     """Terms whose sum is the dense reward."""
-    viewpoint: Viewpoint
+    viewpoint: Viewpoint = Viewpoint()
     """Viewpoint of images; it follows the wrist."""
-    grip: Grip | None
+    grip: Grip | None = None
     """Grip of the hands on their objects; None for a task without objects."""
     sensed_terms: Mapping[str, tuple[Term, ...]] = MappingProxyType({})
     """Kinds of `obs` that only this task has, and the terms that each adds to the deployed observation."""

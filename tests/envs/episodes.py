@@ -1,5 +1,6 @@
 """Episodes from beginning to end."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -33,17 +34,21 @@ def a_setup(**change) -> SceneSetup:
     return replace(EASY, object=replace(EASY.object, **change))
 
 
+def steps(env, policy, setup=None, seed=0) -> Iterator[tuple]:
+    """What the reset and every step of an episode return; of the reset (observation, 0.0, False, False, info)."""
+    observation, info = env.reset(seed=seed, options={"setup": setup} if setup else None)
+    policy.reset()
+    returned = observation, 0.0, False, False, info
+    yield returned
+    while not (returned[2] or returned[3]):
+        returned = env.step(policy.act(returned[0]))
+        yield returned
+
+
 def run(env, policy, setup=None, seed=0) -> tuple[list[dict], float]:
     """One episode: the infos of its steps, and its return."""
-    observation, _ = env.reset(seed=seed, options={"setup": setup} if setup else None)
-    policy.reset()
-    infos, total, over = [], 0.0, False
-    while not over:
-        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        infos.append(info)
-        total += reward
-        over = terminated or truncated
-    return infos, total
+    _, rewards, _, _, infos = zip(*steps(env, policy, setup, seed), strict=True)
+    return list(infos[1:]), sum(rewards)
 
 
 def part(observation: np.ndarray, terms, name: str) -> np.ndarray:

@@ -34,6 +34,7 @@ import numpy as np
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GRASPS, scripted_closure
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_ANY_V0, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V0
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
@@ -43,11 +44,6 @@ from tests.envs.engine import Bodies, flick, told, watching_for_touch
 from tests.envs.stories import Story
 
 FILE = Path(__file__).with_name("fingerprints.json")
-IDS = sorted(name for name in gymnasium.registry if name.startswith("HPAC-"))
-GRASP, GRASP_ANY_V0, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V1 = (
-    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspAny-v1", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0",
-    "HPAC-Posture-v1",
-)  # fmt: skip
 TIGHT, LOOSE = (1e-6, 1e-6), (1e-4, 1e-5)
 """Relative and absolute tolerances of means: of what does not touch anything, and of what does or is a picture."""
 TOUCHED_STEPS = 3
@@ -270,7 +266,7 @@ def heavy() -> SceneSetup:
     return SceneSetup(spec, place, 0.0, np.array([0, 0, 0, 0, 0, 1.2]), target=place + np.array([0.2, 0.0, 0.0]))
 
 
-USUAL = {GRASP: closing(), GRASP_ANY: closing(), PICK_PLACE: closing(12, 74), POSTURE: apart, POSTURE_V1: apart}
+USUAL = {GRASP: closing(), GRASP_ANY: closing(), PICK_PLACE: closing(12, 74), POSTURE_V0: apart, POSTURE: apart}
 PRIVILEGED = {"obs": "privileged"}
 PLACED_BY_SCRIPT = {"wrist": "script"}
 """With a free wrist the first step replaces the scene, after which an object cannot be pinned nor a story be used."""
@@ -303,7 +299,7 @@ CASES = (
     *(Case(name, {}, policy, range(4)) for name, policy in USUAL.items()),
     *(Case(name, {"obs": "image"}, policy) for name, policy in USUAL.items()),
     *(Case(name, {"reward": "sparse"}, policy, range(2))
-      for name, policy in (USUAL | {POSTURE: reaching, POSTURE_V1: reaching}).items()),
+      for name, policy in (USUAL | {POSTURE_V0: reaching, POSTURE: reaching}).items()),
     *(Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2)) for name, policy in USUAL.items() for preset in PRESETS),
     *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in USUAL),
     Case(GRASP_ANY_V0, {}, closing(), range(4)),
@@ -317,7 +313,7 @@ CASES = (
     *(Case(GRASP, {"grasp": name, "variant": variant} | PRIVILEGED, closing())
       for name, grasp in GRASPS.items() for variant in grasp.held_out),
     Case(PICK_PLACE, PRIVILEGED, clenched, about="jams", reset={"setup": heavy()}),
-    Case(POSTURE, PRIVILEGED, flicked, about="flicked"),
+    Case(POSTURE_V0, PRIVILEGED, flicked, about="flicked"),
     *(Case(name, PRIVILEGED, closing(), about=about, story=story)
       for name, stories in STORIES.items() for about, story in stories.items()),
     Case(GRASP, {"reward": "sparse"}, closing(), about="held", story=HELD),
@@ -426,8 +422,8 @@ BATCHES = {
     "HPAC-GraspType-v0": (Case(GRASP_TYPE, {}, own, range(6)),),
     "HPAC-GraspType-v0 on MuJoCo": (Case(GRASP_TYPE, {"engine": "mujoco"}, own, range(10)),),
     "HPAC-PickPlace-v0": (Case(PICK_PLACE, {}, closing(12, 74), range(20)),),
-    "HPAC-Posture-v0": (Case(POSTURE, {}, reaching, range(20)),),
-    "HPAC-Posture-v1": (Case(POSTURE_V1, {"randomize": "nominal"}, reaching, range(20)),),
+    "HPAC-Posture-v0": (Case(POSTURE_V0, {}, reaching, range(20)),),
+    "HPAC-Posture-v1": (Case(POSTURE, {"randomize": "nominal"}, reaching, range(20)),),
     "named grasps": tuple(Case(GRASP, {"grasp": name}, closing(0)) for name in GRASPS),
 }  # fmt: skip
 """Whole episodes whose ends are counted."""

@@ -10,9 +10,9 @@ import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.hands import hand_set
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
-from hpac_gym.errors import HpacError, ParameterError, ShapeError, WorkspaceError
+from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
-from hpac_gym.model import HPAC, action_from_synergy
+from hpac_gym.model import action_from_synergy
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.tasks import placing
@@ -191,17 +191,20 @@ def depths_at_the_start(count, **options):
     return deep, knocked
 
 
-@pytest.mark.parametrize("objects", ["real", *(pytest.param(split, marks=pytest.mark.slow) for split in ("train", "test"))])
+@pytest.mark.parametrize(
+    ("objects", "count"),
+    [("real", 64), *(pytest.param(split, 256, marks=pytest.mark.slow) for split in ("train", "test", "real"))],
+)
 @pytest.mark.parametrize("hands", ["train", "test"])
-def test_no_other_hand_starts_inside_of_anything(objects, hands):
+def test_no_other_hand_starts_inside_of_anything(objects, count, hands):
     """In v0, which places the wrist for the nominal hand, many do. `-s` prints a row for each."""
     within = {}
     for clear in (True, False):
-        deep, knocked = depths_at_the_start(256, objects=objects, hands=hands, clear=clear)
+        deep, knocked = depths_at_the_start(count, objects=objects, hands=hands, clear=clear)
         within[clear] = deep["support"] > 0
         shares = [within[clear].mean(), (deep["object"] > 0).mean(), knocked.mean()]
         depths = [f"{max(depth):.1f} mm" for depth in deep.values()]
-        print("", objects, hands, clear, *(f"{share:.1%}" for share in shares), *depths, "", sep=" | ")
+        print("", objects, count, hands, clear, *(f"{share:.1%}" for share in shares), *depths, "", sep=" | ")
         if clear:
             assert not within[True].any()
             assert max(deep["object"]) < 0.1
@@ -257,47 +260,6 @@ def test_a_wrist_that_is_left_alone_is_the_scripted_one():
                 np.testing.assert_allclose(first[0], second[0], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("action", "error", "match"),
-    [
-        (np.zeros(6), ShapeError, r"shape \(..., 10\)"),
-        (np.append(np.zeros(9), 1.5), WorkspaceError, r"wrist_yaw = 1.5"),
-        (np.append(np.zeros(9), np.nan), WorkspaceError, "wrist_yaw = nan"),
-    ],
-)
-def test_a_bad_action_of_a_free_wrist_says_so(action, error, match):
-    with make(wrist="free") as env:
-        env.reset(seed=0)
-        with pytest.raises(error, match=match):
-            env.step(action)
-
-
-# Options ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"objects": "reel"}, ("reel", "train, test, real")),
-        ({"wrist": "loose"}, ("loose", "script, free")),
-        ({"hands": "left"}, ("left", "nominal, train, test")),
-        ({"obs": "touch"}, ("touch", "load, points")),
-        ({"config": {"side_time": 0.07}}, ("side_time = 0.07 s must be a multiple of 0.05 s",)),
-        ({"config": {"width": [0.5, 0.6]}}, ("width = (0.5, 0.6) m", "flattest = 0.018 m", "exclude all train objects")),
-    ],
-)
-def test_what_there_is_not_is_named_in_one_line(options, words):
-    with pytest.raises(HpacError) as error:
-        make(**options)
-    assert all(word in str(error.value) for word in words)
-    assert "\n" not in str(error.value)
-
-
-def test_other_tasks_have_no_load():
-    with pytest.raises(HpacError, match="obs 'load' is not one of deploy, privileged, image"):
-        gymnasium.make("HPAC-Grasp-v0", obs="load")
-
-
 @pytest.mark.parametrize("body", ["twin", "light"])
 def test_episodes_have_hands_of_their_set_that_nobody_is_told(body):
     with make(hands="train", body=body) as env, make(body=body) as nominal:
@@ -313,23 +275,3 @@ def test_episodes_have_hands_of_their_set_that_nobody_is_told(body):
             first[place] = usual[place]
             np.testing.assert_array_equal(first, usual)
         assert len(names) > 3
-    with pytest.raises(HpacError, match="give either"):
-        make(hands="test", hand=replace(HPAC, name="mine"))
-
-
-def test_many_hands_at_once_are_as_many_single_ones():
-    envs = gymnasium.make_vec(f"hpac_gym:{ID}", num_envs=3, engine="mujoco", wrist="free", obs="load")
-    together, _ = envs.reset(seed=5)
-    rng = np.random.default_rng(0)
-    actions = rng.uniform(-1, 1, (40, 3, 10)).astype(np.float32)
-    told = [together] + [envs.step(action)[0] for action in actions]
-    envs.close()
-    with make(wrist="free", obs="load") as env:
-        for world in range(3):
-            rows, over = [env.reset(seed=5 + world)[0]], False
-            for action in actions[:, world]:
-                row, _, over, *_ = env.step(action)
-                rows.append(row)
-                if over:
-                    break
-            np.testing.assert_array_equal(np.array(rows), np.array(told)[: len(rows), world])

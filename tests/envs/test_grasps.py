@@ -1,12 +1,15 @@
 """Episodes of the sixteen named grasps: determinism, what holds the object, and the scripted closure against random actions."""
 
+from itertools import islice, pairwise
+
 import gymnasium
 import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
-from hpac_gym.envs import GRASPS, GraspError, HandEnv, ScriptedClosure, scripted_closure
+from hpac_gym.envs import GRASPS, HandEnv, scripted_closure
 from hpac_gym.physics.engine import PARTS
+from tests.envs.episodes import run, steps
 
 ID = "HPAC-Grasp-v0"
 NAMES = list(GRASPS)
@@ -33,32 +36,27 @@ HOLDING = {
 """What the texts of the grasps say that holds the object."""
 
 
-def run(env, act, seed: int) -> dict:
-    """One episode; the last info."""
-    observation, _ = env.reset(seed=seed)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(act(observation))
-        over = terminated or truncated
-    return info
+class Wild:
+    """Random actions."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng([seed, 1])
+
+    def reset(self) -> None: ...
+
+    def act(self, observation):
+        return self._rng.uniform(-1, 1, 6).astype(np.float32)
 
 
-def closure(env) -> ScriptedClosure:
-    policy = scripted_closure(env.unwrapped.task)
-    policy.reset()
-    return policy
+def succeeds(env, seed: int, policy=None) -> bool:
+    """Whether the scripted closure, or another policy, wins the episode of a seed."""
+    return run(env, policy or scripted_closure(env.unwrapped.task), seed=seed)[0][-1]["is_success"]
 
 
 @pytest.mark.parametrize("name", NAMES[::4])
 def test_an_episode_with_a_held_out_shape_repeats_to_the_bit(name: str):
     def trajectory(env):
-        seen, over = [env.reset(seed=7)[0]], False
-        policy = closure(env)
-        while not over and len(seen) < 30:
-            observation, _, terminated, truncated, _ = env.step(policy.act(seen[-1]))
-            seen.append(observation)
-            over = terminated or truncated
-        return np.array(seen)
+        return np.array([returned[0] for returned in islice(steps(env, scripted_closure(env.unwrapped.task), seed=7), 31)])
 
     with gymnasium.make(ID, grasp=name, variant="shape") as env, gymnasium.make(ID, grasp=name, variant="shape") as other:
         first = trajectory(env)
@@ -77,37 +75,13 @@ def test_every_grasp_makes_an_environment_with_the_same_spaces(name: str):
         assert isinstance(env.unwrapped, HandEnv)
 
 
-def test_a_misspelt_grasp_or_variant_is_named_with_what_there_is():
-    with pytest.raises(GraspError, match=r"'cylinder'.*large_cylinder"):
-        gymnasium.make(ID, grasp="cylinder")
-    with pytest.raises(GraspError, match=r"'huge'.*slippery"):
-        gymnasium.make(ID, grasp="rod", variant="huge")
-    with pytest.raises(GraspError, match="needs a named grasp"):
-        gymnasium.make(ID, variant="large")
-
-
-def successes(name: str, seeds: range) -> tuple[int, int]:
-    """Of the scripted closure and of random actions over the same episodes."""
-    scripted = wild = 0
-    with gymnasium.make(ID, grasp=name) as env:
-        for seed in seeds:
-            scripted += run(env, closure(env).act, seed)["is_success"]
-            rng = np.random.default_rng([seed, 1])
-            wild += run(env, lambda _, rng=rng: rng.uniform(-1, 1, 6).astype(np.float32), seed)["is_success"]
-    return scripted, wild
-
-
 def held_by(env, seed: int) -> tuple[set[str], float]:
     """What touches the object in at least half of the last phase, and the largest force since the lift [N]."""
-    policy, phases, states, over = closure(env), [], [], False
-    observation, _ = env.reset(seed=seed)
-    while not over:
-        phases.append(env.unwrapped.phase)
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation))
-        states.append(env.unwrapped.state)
-        over = terminated or truncated
-    last = [state.touching[0] for phase, state in zip(phases, states, strict=True) if phase == "place"]
-    carried = [state.contact_force.sum() for phase, state in zip(phases, states, strict=True) if phase in ("shake", "place")]
+    played = steps(env, scripted_closure(env.unwrapped.task), seed=seed)
+    rows = [(env.unwrapped.phase, env.unwrapped.state) for _ in played]
+    begun = [(phase, state) for (phase, _), (_, state) in pairwise(rows)]  # a step belongs to the phase in which it began
+    last = [state.touching[0] for phase, state in begun if phase == "place"]
+    carried = [state.contact_force.sum() for phase, state in begun if phase in ("shake", "place")]
     often = np.mean(last, axis=0) >= 0.5 if last else np.zeros(len(PARTS), dtype=bool)
     return {part for part, held in zip(PARTS, often, strict=True) if held}, max(carried, default=0.0)
 
@@ -124,18 +98,16 @@ def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
 
 
 @pytest.mark.pybullet  # the closures were found in PyBullet
-@pytest.mark.parametrize("name", ["rod", "tip_pinch"])
-def test_scripted_closure_beats_random_actions(name: str):
-    scripted, wild = successes(name, range(6))
-    assert scripted >= 4
-    assert scripted > wild + 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-def test_scripted_closure_beats_random_actions_at_every_grasp(name: str):
-    scripted, wild = successes(name, range(200, 220))
-    assert scripted >= 12
+@pytest.mark.parametrize(
+    ("name", "seeds", "least"),
+    [("rod", range(6), 4), ("tip_pinch", range(6), 4),
+     *(pytest.param(name, range(200, 220), 12, marks=pytest.mark.slow) for name in NAMES)],
+)  # fmt: skip
+def test_scripted_closure_beats_random_actions(name: str, seeds: range, least: int):
+    with gymnasium.make(ID, grasp=name) as env:
+        scripted = sum(succeeds(env, seed) for seed in seeds)
+        wild = sum(succeeds(env, seed, Wild(seed)) for seed in seeds)
+    assert scripted >= least
     assert scripted > wild + 2
 
 
@@ -144,8 +116,7 @@ def test_scripted_closure_beats_random_actions_at_every_grasp(name: str):
 def test_a_closed_grasp_creeps_little_in_ten_seconds(name: str):
     """Less than 2 mm for a power grasp and 5 mm for any other, from one second after the hold begins."""
     with gymnasium.make(ID, grasp=name) as env:
-        seed = next(seed for seed in range(10) if run(env, closure(env).act, seed)["is_success"])
-        run(env, closure(env).act, seed)
+        assert any(succeeds(env, seed) for seed in range(10))
         simulation, places = env.unwrapped.episodes.simulation, []
         for seconds in (1.0, 10.0):
             simulation.rest(seconds)

@@ -1,10 +1,10 @@
 """What a caller gets wrong: one error of the library's own that names the value, and no episode that goes on in silence."""
 
 import copy
-import dataclasses
 import inspect
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 
 import gymnasium
@@ -17,16 +17,17 @@ from gymnasium.wrappers import TimeAwareObservation
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, PostureEnv, scripted_closure
-from hpac_gym.envs.options import IDS, OPTIONS, checked_options
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, IDS, OPTIONS, POSTURE, POSTURE_V0, checked_options
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.errors import EpisodeError, HpacError, ParameterError, ShapeError, WorkspaceError
+from hpac_gym.model import HPAC
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import GraspConfig
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.posture import PostureConfig
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT
-from tests.envs.episodes import EASY, part
+from tests.envs.episodes import EASY, part, steps
 
 MAKERS: dict[str, Callable[[], gymnasium.Env]] = {
     "HandEnv": lambda: HandEnv(Grasp()),
@@ -100,7 +101,7 @@ def test_what_has_a_physics_world_cannot_be_copied(made, take):
 
 
 def a_setup(**change) -> SceneSetup:
-    return dataclasses.replace(EASY, **change)
+    return replace(EASY, **change)
 
 
 SETUPS = [
@@ -151,69 +152,76 @@ def test_an_object_is_of_finite_size_mass_and_friction(value):
             ObjectSpec(**spec | wrong)
 
 
+OWN = ObjectSpec("box", (0.02, 0.02, 0.05), mass=0.1, friction=0.8)
+PRESET = r"randomize must be a preset \(nominal, .*; got "
+
+
 @pytest.mark.parametrize(
-    ("name", "wrong", "named"),
+    ("name", "options", "message"),
     [
-        ("randomize", 0, r"randomize must be a preset \(nominal, .*; got 0"),
-        ("randomize", False, r"randomize must be a preset \(nominal, .*; got False"),
-        ("randomize", "", r"randomize must be a preset \(nominal, .*; got ''"),
-        ("randomize", ["full"], r"randomize must be a preset \(nominal, .*; got \['full'\]"),
-        ("randomize", {"servo_lga": (0.0, 0.1)}, "servo_lga.*servo_lag"),
-        ("randomize", {"servo_lag": 0.1}, r"servo_lag = 0.1 must be a range .* \[0, 0.15\]"),
-        ("grasp", ["rod"], r"no grasp \['rod'\]"),
-        ("grasp", 3, "no grasp 3"),
-        ("hand", 3, "hand 3 is neither"),
-        ("hand", None, "hand None is neither"),
-        ("noise", 0.0, "noise 0.0 is neither a CameraNoise nor a mapping"),
-        ("noise", {"positon": 0.0}, "noise has no field 'positon'; it has position, angle, size"),
-        ("noise", {"position": "0"}, "noise position = '0' must be a finite number"),
-        ("noise", {"angle": -0.1}, "angle=-0.1.* at least 0"),
-        ("noise", {"size": float("nan")}, "noise size = nan must be a finite number"),
-        ("config", "easy", "config 'easy' is neither a GraspConfig nor a mapping"),
-        ("config", {"radii": [0.01, 0.02]}, "config has no field 'radii'; it has radius"),
-        ("config", {"radius": 0.01}, r"config radius = 0.01 must be a range"),
-        ("config", {"radius": [0.03, 0.01]}, r"config radius = .*must be a range .*within \[0.002, 0.06\]"),
-        ("config", {"mass": [0.0, 0.1]}, r"config mass = .*within \[0.001, 2\]"),
-        ("config", {"drop_distance": True}, "config drop_distance = True must be a number within"),
-        ("config", {"weights": {"carry": None}}, "config weights carry = None must be a finite number"),
-        ("config", {"timetable": 2.0}, "config timetable 2.0 is neither a Timetable nor a mapping"),
-        ("config", {"timetable": {"close_time": -1.0}}, "config timetable: durations of .* greater than 0 s"),
-        ("config", {"timetable": {"close_time": 2.0}}, r"lasts 80 steps: HPAC-Grasp-v0 has at most 64; use .*HandEnv\(Grasp"),
+        (GRASP, {"randomize": 0}, PRESET + "0"),
+        (GRASP, {"randomize": False}, PRESET + "False"),
+        (GRASP, {"randomize": ""}, PRESET + "''"),
+        (GRASP, {"randomize": "wild"}, PRESET + "'wild'"),
+        (GRASP, {"randomize": ["full"]}, PRESET + r"\['full'\]"),
+        (POSTURE, {"randomize": 0}, PRESET + "0"),
+        (GRASP, {"randomize": {"servo_lga": (0.0, 0.1)}}, "servo_lga.*servo_lag"),
+        (GRASP, {"randomize": {"servo_lag": 0.1}}, r"servo_lag = 0.1 must be a range .* \[0, 0.15\]"),
+        (GRASP, {"grasp": ["rod"]}, r"no grasp \['rod'\]"),
+        (GRASP, {"grasp": 3}, "no grasp 3"),
+        (GRASP, {"grasp": "cylinder"}, "'cylinder'.*large_cylinder"),
+        (GRASP, {"grasp": "rod", "variant": "huge"}, "'huge'.*slippery"),
+        (GRASP, {"grasp": "rod", "variant": ["large"]}, r"no variant \['large'\]"),
+        (GRASP, {"variant": "large"}, "needs a named grasp"),
+        (GRASP, {"hand": 3}, "hand 3 is neither"),
+        (GRASP, {"hand": None}, "hand None is neither"),
+        (POSTURE, {"hand": 3}, "hand 3 is neither"),
+        (GRASP, {"noise": 0.0}, "noise 0.0 is neither a CameraNoise nor a mapping"),
+        (GRASP, {"noise": {"positon": 0.0}}, "noise has no field 'positon'; it has position, angle, size"),
+        (GRASP, {"noise": {"position": "0"}}, "noise position = '0' must be a finite number"),
+        (GRASP, {"noise": {"angle": -1}}, r"CameraNoise\(position=0.0015, angle=-1.*at least 0"),
+        (GRASP, {"noise": {"size": float("nan")}}, "noise size = nan must be a finite number"),
+        (GRASP, {"obs": "load"}, "obs 'load' is not one of deploy, privileged, image"),
+        (GRASP, {"config": "easy"}, "config 'easy' is neither a GraspConfig nor a mapping"),
+        (POSTURE, {"config": "easy"}, "config 'easy' is neither a PostureConfig nor a mapping"),
+        (GRASP, {"config": {"radii": [0.01, 0.02]}}, "config has no field 'radii'; it has radius"),
+        (GRASP, {"config": {"radius": 0.01}}, r"config radius = 0.01 must be a range"),
+        (GRASP, {"config": {"radius": [0.03, 0.01]}}, r"config radius = .*must be a range .*within \[0.002, 0.06\]"),
+        (GRASP, {"config": {"mass": [0.0, 0.1]}}, r"config mass = .*within \[0.001, 2\]"),
+        (GRASP, {"config": {"drop_distance": True}}, "config drop_distance = True must be a number within"),
+        (GRASP, {"config": {"weights": {"carry": None}}}, "config weights carry = None must be a finite number"),
+        (GRASP, {"config": {"timetable": 2.0}}, "config timetable 2.0 is neither a Timetable nor a mapping"),
+        (GRASP, {"config": {"timetable": {"close_time": -1.0}}}, "config timetable: durations of .* greater than 0 s"),
+        (GRASP, {"config": {"timetable": {"close_time": 2.0}}}, r"lasts 80 steps: HPAC-Grasp-v0 .* 64; use .*HandEnv\(Grasp"),
+        (GRASP, {"grasp": "rod", "config": {"mass": [0.1, 0.2], "box_yaw": [0.0, 0.1], "drop_distance": 0.05}},
+         "config mass, box_yaw: a named grasp such as 'rod' has its own object"),
+        (GRASP, {"object": OWN, "config": {"mass": [0.1, 0.2], "gap": [0.0, 0.01], "radius": [0.01, 0.02]}},
+         "config radius, mass: an object of one's own has its own size, mass and friction"),
+        (POSTURE_V0, {"config": {"duration": 3.0}}, r"config duration = 3.0 s: give .*max_episode_steps"),
+        (GRASP_ANY, {"objects": "reel"}, "objects 'reel' is not one of train, test, real"),
+        (GRASP_ANY, {"wrist": "loose"}, "wrist 'loose' is not one of script, free"),
+        (GRASP_ANY, {"hands": "left"}, "hands 'left' is not one of nominal, train, test"),
+        (GRASP_ANY, {"hands": "test", "hand": replace(HPAC, name="mine")}, "give either"),
+        (GRASP_ANY, {"obs": "touch"}, "obs 'touch' is not one of .*load, points"),
+        (GRASP_ANY, {"config": {"side_time": 0.07}}, "side_time = 0.07 s must be a multiple of 0.05 s"),
+        (GRASP_ANY, {"config": {"width": [0.5, 0.6]}}, r"width = \(0.5, 0.6\) m and flattest = 0.018 m exclude all train"),
+        (GRASP_TYPE, {"types": "club"}, "no grasp type 'club'; there are all, train, test, large_cylinder"),
+        (GRASP_TYPE, {"objects": "real"}, "objects 'real' is not one of train, test"),
+        (GRASP_TYPE, {"wrist": "loose"}, "wrist 'loose' is not one of free, script"),
+        (GRASP_TYPE, {"obs": "load"}, "obs 'load' is not one of deploy, privileged, image"),
+        (GRASP_TYPE, {"config": {"spread": 7}}, r"config spread = 7 must be a number within \[0, 5\]"),
+        (GRASP_TYPE, {"config": {"timetable": {"close_time": 2.0}}}, "lasts 80 steps: HPAC-GraspType-v0 has .*GraspByType"),
     ],
-)
-def test_an_argument_of_a_wrong_type_is_named(name, wrong, named):
-    with pytest.raises(HpacError, match=named):
-        gymnasium.make("HPAC-Grasp-v0", **{name: wrong})
-    if name in ("randomize", "hand") or "neither a GraspConfig" in named:
-        named = named.replace("Grasp", "Posture")
-        with pytest.raises(ParameterError, match=named):
-            PostureEnv(**{name: wrong})
+)  # fmt: skip
+def test_what_is_refused_is_named_in_one_line(name, options, message):
+    with pytest.raises(HpacError, match=message) as error:
+        gymnasium.make(name, **options)
+    assert "\n" not in str(error.value)
 
 
-def test_a_config_that_would_be_passed_over_in_silence_is_refused():
-    with pytest.raises(ParameterError, match="config mass, box_yaw: a named grasp such as 'rod' has its own object"):
-        gymnasium.make("HPAC-Grasp-v0", grasp="rod", config={"mass": [0.1, 0.2], "box_yaw": [0.0, 0.1], "drop_distance": 0.05})
-    gymnasium.make("HPAC-Grasp-v0", grasp="rod", config={"drop_distance": 0.05, "weights": {"success": 1.0}}).close()
-    own = ObjectSpec("box", (0.02, 0.02, 0.05), mass=0.1, friction=0.8)
-    with pytest.raises(ParameterError, match="config radius, mass: an object of one's own has its own size, mass and friction"):
-        gymnasium.make("HPAC-Grasp-v0", object=own, config={"mass": [0.1, 0.2], "gap": [0.0, 0.01], "radius": [0.01, 0.02]})
-    gymnasium.make("HPAC-Grasp-v0", object=own, config={"gap": [0.0, 0.01]}).close()
-    with pytest.raises(ParameterError, match=r"config duration = 3.0 s: give .*max_episode_steps"):
-        gymnasium.make("HPAC-Posture-v0", config={"duration": 3.0})
-    with pytest.raises(ValueError, match=r"CameraNoise\(position=0.0015, angle=-1, .*at least 0"):
-        CameraNoise(angle=-1)
-
-
-def test_a_variant_of_a_wrong_type_is_named():
-    with pytest.raises(HpacError, match=r"no variant \['large'\]"):
-        gymnasium.make("HPAC-Grasp-v0", grasp="rod", variant=["large"])
-
-
-@pytest.mark.parametrize("name", ["servo_lag", "slack", "object_mass"])
-@pytest.mark.parametrize("wrong", [0.1, None, (), (0.1,), (0.0, 0.1, 0.2), "ab", ("0", "1")])
-def test_a_range_is_a_pair_of_numbers(name, wrong):
-    with pytest.raises(ParameterError, match=name):
-        Randomization(**{name: wrong})
+def test_a_config_is_taken_where_it_says_nothing_of_the_object():
+    gymnasium.make(GRASP, grasp="rod", config={"drop_distance": 0.05, "weights": {"success": 1.0}}).close()
+    gymnasium.make(GRASP, object=OWN, config={"gap": [0.0, 0.01]}).close()
 
 
 RANGES = Randomization(servo_lag=(0.0, 0.1), slack=(0.0, 1e-3))
@@ -255,27 +263,20 @@ def test_what_is_given_counts():
 
 
 @pytest.mark.parametrize(
-    ("name", "steps"),
+    ("name", "length"),
     [("HPAC-Grasp-v0", 64), ("HPAC-GraspType-v0", 64), ("HPAC-PickPlace-v0", 110), ("HPAC-Posture-v0", 40)],
 )
-def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itself(name, steps):
-    spec = gymnasium.spec(name)
-    assert spec.max_episode_steps in (steps, steps + 1)
+def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itself(name, length):
     with TimeAwareObservation(gymnasium.make(name), flatten=name != "HPAC-Posture-v0") as env:
         env.reset(seed=1)
     longest = 0
     with gymnasium.make(name) as env:
         seed = 0
-        while longest < steps and seed < 8:
-            observation, _ = env.reset(seed=seed)
-            policy, over, length = scripted_closure(env.unwrapped.task), False, 0
-            policy.reset()
-            while not over:
-                observation, _, terminated, truncated, _ = env.step(policy.act(observation))
-                over, length = terminated or truncated, length + 1
+        while longest < length and seed < 8:
+            *returned, (_, _, terminated, truncated, _) = steps(env, scripted_closure(env.unwrapped.task), seed=seed)
             assert terminated != truncated == (name == "HPAC-Posture-v0")
-            longest, seed = max(longest, length), seed + 1
-    assert longest == steps
+            longest, seed = max(longest, len(returned)), seed + 1
+    assert longest == length
 
 
 def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(env):
@@ -293,10 +294,15 @@ def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(env):
         env.step(1.00001 * ones.astype(float))
 
 
-@pytest.mark.parametrize(
-    "action", [np.full(6, 0.5 + 0.5j), np.array(["0.5"] * 6), ["0.5"] * 6, "open", None, np.zeros(5), np.zeros((2, 6))]
-)
-def test_an_action_that_is_not_six_real_numbers_is_refused(env, action):
-    env.reset(seed=0)
-    with pytest.raises(ShapeError, match="must"):
-        env.step(action)
+@pytest.mark.parametrize(("name", "options"), [(GRASP_ANY, {"wrist": "free"}), (GRASP_TYPE, {})])
+def test_a_bad_action_of_a_free_wrist_says_so(name, options):
+    with gymnasium.make(name, engine="mujoco", **options) as env:
+        (size,), last = env.action_space.shape, env.unwrapped.task.wrist_actions[-1]
+        env.reset(seed=0)
+        for action, error, message in (
+            (np.zeros(6), ShapeError, rf"shape \(..., {size}\)"),
+            (np.append(np.zeros(size - 1), 1.5), WorkspaceError, f"{last} = 1.5 .*ClipAction"),
+            (np.append(np.zeros(size - 1), np.nan), WorkspaceError, f"{last} = nan"),
+        ):
+            with pytest.raises(error, match=message):
+                env.step(action)

@@ -1,18 +1,20 @@
 """HPAC-Posture-v0: goals, rewards, and hindsight replay."""
 
+from itertools import islice
+
 import gymnasium
 import numpy as np
 import pytest
-from stable_baselines3 import SAC, HerReplayBuffer
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import PostureEnv
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.errors import ShapeError
-from hpac_gym.model import HPAC, JOINTS, action_from_synergy, joints_from_synergy, synergy_from_joints
+from hpac_gym.model import HPAC, JOINTS, joints_from_synergy, synergy_from_joints
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.tasks.posture import CAMERA_NOISE, TOLERANCE
 from hpac_gym.tasks.scripted import ScriptedPosture
+from tests.envs.episodes import run, steps
 
 ID = "HPAC-Posture-v0"
 
@@ -23,22 +25,12 @@ def env():
         yield made
 
 
-def obvious_action(goal: np.ndarray) -> np.ndarray:
-    """Asks for the goal's own synergy."""
-    synergy = np.clip(synergy_from_joints(goal), HPAC.synergy_min, HPAC.synergy_max)
-    return action_from_synergy(synergy).astype(np.float32)
+OBVIOUS = ScriptedPosture(gain=0.0)
+"""Asks for the goal's own synergy."""
 
 
 def test_the_obvious_action_reaches_nine_goals_in_ten(env):
-    reached = 0
-    for seed in range(20):
-        observation, _ = env.reset(seed=seed)
-        truncated = False
-        while not truncated:
-            observation, _, terminated, truncated, info = env.step(obvious_action(observation["desired_goal"]))
-            assert not terminated
-        reached += info["is_success"]
-    assert reached >= 18
+    assert sum(reached(env, seed) for seed in range(20)) >= 18
 
 
 def test_goals_lie_on_the_manifold_of_the_hand(env):
@@ -54,10 +46,8 @@ UNREACHABLE = (1000003, 1000010, 1000020, 1000052)
 
 def reached(env: gymnasium.Env, seed: int) -> bool:
     """Whether the obvious action reaches the goal of a seed."""
-    observation, _ = env.reset(seed=seed)
-    for _ in range(36):
-        *_, info = env.step(obvious_action(observation["desired_goal"]))
-    return info["is_success"]
+    infos, _ = run(env, OBVIOUS, seed=seed)
+    return infos[-1]["is_success"]
 
 
 def test_version_1_draws_no_goal_that_version_0_cannot_reach():
@@ -84,7 +74,7 @@ def test_an_integral_controller_passes_the_constant_action_where_the_hand_is_ano
     """What the page's table says, with fewer episodes."""
     envs = gymnasium.make_vec(NEW, num_envs=24, engine="mujoco")
     rates = []
-    for policy in (ScriptedPosture(), ScriptedPosture(gain=0.0)):
+    for policy in (ScriptedPosture(), OBVIOUS):
         observation, _ = envs.reset(seed=7000)
         policy.reset()
         for _ in range(40):
@@ -107,12 +97,7 @@ def test_version_1_has_a_hand_of_its_own_in_every_episode():
 def test_compute_reward_is_vectorised_and_what_step_returns():
     for reward in ("dense", "sparse"):
         with gymnasium.make(ID, reward=reward) as env:
-            observation, _ = env.reset(seed=0)
-            rows, rewards = [], []
-            for _ in range(30):
-                observation, value, *_ = env.step(obvious_action(observation["desired_goal"]))
-                rows.append(observation)
-                rewards.append(value)
+            rows, rewards, *_ = zip(*islice(steps(env, OBVIOUS), 1, 31), strict=True)
             achieved, desired = (np.array([row[name] for row in rows]) for name in ("achieved_goal", "desired_goal"))
             np.testing.assert_array_equal(env.unwrapped.compute_reward(achieved, desired, None), rewards)
             assert env.unwrapped.compute_reward(achieved.reshape(3, 10, -1), desired.reshape(3, 10, -1), {}).shape == (3, 10)
@@ -155,14 +140,3 @@ def test_only_the_time_limit_ends_an_episode_and_the_goals_say_so_too(env):
         assert end(batch, batch[0, 0] + 1, {}).shape == posture.compute_reward(batch, batch[0, 0] + 1, {}).shape
         assert end(batch, batch, {}).dtype == bool
         assert not end(batch, batch, {}).any()
-
-
-def test_hindsight_replay_runs_on_it():
-    with gymnasium.make(ID, reward="sparse") as env:
-        buffer = {"n_sampled_goal": 4, "goal_selection_strategy": "future"}
-        model = SAC(
-            "MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, replay_buffer_kwargs=buffer,
-            learning_starts=82, buffer_size=1000, policy_kwargs={"net_arch": [8]}, batch_size=16,
-        )  # fmt: skip
-        model.learn(100)
-        assert model.replay_buffer.sample(16).rewards.shape == (16, 1)

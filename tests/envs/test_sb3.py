@@ -102,13 +102,14 @@ def test_attributes_and_methods_reach_the_environments_that_are_named():
 
 def test_a_learner_of_each_kind_learns_on_it():
     """PPO through the usual wrappers, and hindsight replay, which asks for rewards by `env_method`."""
-    envs = VecNormalize(VecMonitor(HandVecEnv(GRASP, 4, engine="mujoco")))
-    learner = PPO("MlpPolicy", envs, n_steps=70, batch_size=70, n_epochs=1, seed=0, device="cpu")
-    learner.learn(280)
+    envs = VecNormalize(VecMonitor(HandVecEnv(GRASP, 4, engine="mujoco", max_episode_steps=8)))
+    learner = PPO("MlpPolicy", envs, n_steps=10, batch_size=10, n_epochs=1, seed=0, device="cpu")
+    learner.learn(40)
     assert len(learner.ep_info_buffer) >= 4
     assert len(learner.ep_success_buffer) >= 4
     envs.close()
-    goals = HandVecEnv(POSTURE, 2, engine="mujoco")
-    replay = SAC("MultiInputPolicy", goals, replay_buffer_class=HerReplayBuffer, learning_starts=90, seed=0, device="cpu")
-    replay.learn(96)
+    goals = HandVecEnv(POSTURE, 2, engine="mujoco", max_episode_steps=4)
+    replay = SAC("MultiInputPolicy", goals, replay_buffer_class=HerReplayBuffer, learning_starts=10, seed=0, device="cpu")
+    replay.learn(14)
+    assert replay.replay_buffer.sample(16).rewards.shape == (16, 1)
     goals.close()

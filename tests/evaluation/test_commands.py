@@ -95,17 +95,16 @@ def test_a_mistake_ends_in_one_line_and_status_2_before_anything_runs(folder, tm
     assert said.err.count("\n") == 1
 
 
-def test_a_missing_package_is_one_line_and_the_help_needs_none(tmp_path):
-    module = "PIL"
-    start = f"import sys; sys.modules[{module!r}] = None; from hpac import main; sys.exit(main(sys.argv[1:]))"
-
-    def hpac(*words: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([sys.executable, "-c", start, *words], capture_output=True, text=True, cwd=tmp_path, check=False)
-
-    assert "--policy" in hpac("grasps", "--help").stdout
-    done = hpac("grasps")
-    assert done.returncode == 2
-    assert done.stderr == f"error: this command needs more: pip install 'hpac_gym[grasps]' (no module {module})\n"
+def test_a_missing_package_is_one_line_and_the_help_needs_none(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "PIL", None)  # refuses the import
+    for module in ("grasps", "pictures"):
+        monkeypatch.delitem(sys.modules, f"hpac_gym.evaluation.{module}", raising=False)
+    with pytest.raises(SystemExit):
+        main(["grasps", "--help"])
+    assert "--policy" in capsys.readouterr().out
+    assert main(["grasps"]) == 2
+    assert capsys.readouterr().err == "error: this command needs more: pip install 'hpac_gym[grasps]' (no module PIL)\n"
     assert list(tmp_path.iterdir()) == []
 
 

