@@ -63,7 +63,9 @@ def test_what_is_not_measured_has_no_mark():
 
 
 @pytest.mark.parametrize("engine", [pytest.param("pybullet", marks=pytest.mark.slow), "mujoco"])
-def test_an_engine_is_measured(engine, capsys):
+def test_an_engine_is_measured(engine, capsys, monkeypatch):
+    monkeypatch.setattr(bench, "STEPS", 8)
+    monkeypatch.setattr(bench, "RESETS", 6)
     assert main(["bench", "--engine", engine, "--num-envs", "1", "2", "--rounds", "1", "--no-peers", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["two_processes_of_arithmetic"] > 0
