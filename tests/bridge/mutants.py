@@ -25,19 +25,19 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
-from math import sqrt
 from multiprocessing import Pipe, get_context
 from pathlib import Path
 from types import CodeType
 
 import pytest
+from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[2]
 BRIDGE = Path("hpac_gym/bridge")
 LEFT_OUT = {"__init__.py", "protocol.py"}
 """Nothing to break, or compared with the generated files."""
 TESTS = {
-    "conversation": "frame reports patience link exits commands vectors protocol bad_devices host_board evidence",
+    "conversation": "frame reports patience link exits commands protocol bad_devices host_board evidence",
     "evidence": "oracle evidence",
 }
 _QUICK = 0.25
@@ -209,13 +209,6 @@ def _run_tests(watch: Watch, words: tuple[str, ...]) -> None:
         watch.tell("")
 
 
-def interval(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share."""
-    share, square = hits / count, z * z / count
-    middle, half = share + square / 2, z * sqrt(share * (1 - share) / count + square / (4 * count))
-    return (middle - half) / (1 + square), (middle + half) / (1 + square)
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=200, help="mutants (default: %(default)s)")
@@ -256,7 +249,7 @@ def main() -> int:
     for where in survivors:
         print(f"survived: {where}")
     tried = killed + len(survivors)
-    low, high = interval(killed, tried)
+    low, high = binomtest(killed, tried).proportion_ci(method="wilson")
     print(
         f"{killed} of {tried} mutants noticed, {equivalent} change nothing, {len(everything)} there are: "
         f"{killed / tried:.1%} [{low:.1%}, {high:.1%}]"

@@ -156,20 +156,22 @@ def test_which_sequence_numbers_a_move_may_have(seq, payload, refused, last):
     assert stage.broken == ({"accept"} if refused else set())
 
 
-@pytest.mark.parametrize(("between", "refused"), [([(wire.CLEAR, OURS)], True), ([(wire.ESTOP, b""), (wire.CLEAR, OURS)], True)])
-def test_a_repeat_is_over_once_the_pulses_have_stopped(between, refused):
+@pytest.mark.parametrize(
+    ("between", "seq", "broken"),
+    [
+        ([(wire.CLEAR, OURS)], 100, {"accept"}),
+        ([(wire.ESTOP, b""), (wire.CLEAR, OURS)], 100, {"accept"}),
+        ([HELLO], 50, set()),  # numbers begin anew
+    ],
+)
+def test_a_repeat_is_over_once_the_pulses_have_stopped(between, seq, broken):
     stage = Stage(*ARMED)
-    for again in (False, refused):
-        stage.say(wire.MOVE, move(), seq=100)
-        assert stage.broken == ({"accept"} if again else set())
-        for kind, payload in [*between, (wire.ARM, arm())]:
-            stage.say(kind, payload)
-    hello = Stage(*ARMED)
-    hello.say(wire.MOVE, move(), seq=100)
-    for kind, payload in ARMED:
-        hello.say(kind, payload)
-    hello.say(wire.MOVE, move(), seq=50)
-    assert not hello.broken, "numbers begin anew with HELLO"
+    stage.say(wire.MOVE, move(), seq=100)
+    for kind, payload in [*between, (wire.ARM, arm())]:
+        stage.say(kind, payload)
+    assert not stage.broken
+    stage.say(wire.MOVE, move(), seq=seq)
+    assert stage.broken == broken
 
 
 def test_what_is_carried_out_must_have_come():
