@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from hpac_gym.bridge import (
-    FaultError,
     FirmwareMissing,
     HandLink,
     HandshakeError,
@@ -22,6 +21,7 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.bridge.hands import BUILD_VARIABLE
 from hpac_gym.model import HPAC, ServoCommand, stream_command
+from tests.processes import wait_for
 
 POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
 
@@ -30,7 +30,7 @@ def test_streamed_commands_are_acknowledged_and_the_pulses_decode_to_them(host_b
     servo = np.zeros(6)
     with HandLink(host_board.connect) as link:
         link.arm(watchdog=2.0)
-        for _ in range(40):
+        for _ in range(20):
             command = stream_command(servo, HPAC.servo_max, 0.05)
             servo = command.servo
             link.move(command)
@@ -53,50 +53,6 @@ def test_pulse_changes_tell_the_whole_move(host_board):
     np.testing.assert_allclose(servo_from_pulses(changes[-1, 1:]), POSE, atol=1e-4)
 
 
-def test_a_killed_host_leaves_the_hand_safe_within_the_watchdog_time(host_board):
-    program = (
-        "import sys, time; from hpac_gym.bridge import HandLink, Action; from hpac_gym.model import ServoCommand\n"
-        "link = HandLink(sys.argv[1]); link.connect(); link.arm(Action.detach)\n"
-        "link.move(ServoCommand([0.5] * 6, 10.0)); print('armed', flush=True); link.sleep(60)"
-    )
-    host = subprocess.Popen([sys.executable, "-c", program, host_board.port], stdout=subprocess.PIPE, text=True)
-    assert host.stdout.readline().strip() == "armed"
-    host.kill()
-    killed_at = time.monotonic()
-    host.wait()
-    host.stdout.close()
-    while host_board.pulses().any():
-        assert time.monotonic() - killed_at < 20.0  # the hand's watchdog of 0.4 s, and a busy machine
-        time.sleep(0.005)
-    with HandLink(host_board.connect) as link:
-        with pytest.raises(FaultError, match="watchdog"):
-            link.arm()
-
-
-def test_boot_text_is_counted_and_harmless():
-    with HostBoard(("--boot-text",)) as board, HandLink(board.connect) as link:
-        link.arm(watchdog=2.0)
-        assert link.state == "armed"
-
-
-def test_a_second_host_is_locked_out(host_board):
-    with HandLink(host_board.connect) as first:
-        with pytest.raises(PortError, match="used by another program"):
-            HandLink(host_board.connect).connect()
-        assert first.heartbeat() == "idle"
-    with HandLink(host_board.connect) as second:
-        assert second.state == "idle"
-
-
-def test_a_board_that_dies_is_a_port_error_and_never_a_hang(host_board):
-    with HandLink(host_board.connect) as link:
-        link.arm(watchdog=2.0)
-        host_board.process.kill()
-        host_board.process.wait()
-        with pytest.raises(PortError):
-            link.sleep(1.0)
-
-
 def test_a_stopped_board_is_a_timeout_and_never_a_hang(host_board):
     with HandLink(host_board.connect, handshake_timeout=1.0) as link:
         host_board.process.send_signal(signal.SIGSTOP)
@@ -117,11 +73,7 @@ def test_the_board_ends_with_its_parent(tmp_path):
         "board = HostBoard().__enter__(); print(board.process.pid, flush=True); os._exit(1)"
     )
     answer = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=False)
-    pid = int(answer.stdout)
-    deadline = time.monotonic() + 20.0
-    while _alive(pid):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(lambda: not _alive(int(answer.stdout)), 20)
 
 
 def _alive(pid):
@@ -163,12 +115,6 @@ def test_a_board_that_says_nothing_is_given_up_after_five_seconds(monkeypatch):
     assert waits == [5.0]
 
 
-@pytest.mark.parametrize("port", ["/dev/does_not_exist", "socket://localhost:1", "socket://nonsense"])
-def test_a_wrong_port_is_one_clear_error(port):
-    with pytest.raises(PortError, match=port):
-        open_transport(port)
-
-
 def test_a_missing_build_says_how_to_make_it(monkeypatch, tmp_path):
     monkeypatch.setenv(BUILD_VARIABLE, str(tmp_path))
     with pytest.raises(FirmwareMissing, match="make firmware"):
@@ -182,8 +128,9 @@ def test_a_replugged_board_is_found_again_and_not_armed():
         link.connect()
         link.arm(watchdog=2.0)
         boards[0].__exit__()
-        with pytest.raises(PortError):
-            link.move(ServoCommand(POSE, 1.0))
+        for call in (lambda: link.sleep(1.0), lambda: link.move(ServoCommand(POSE, 1.0), acknowledge=False)):
+            with pytest.raises(PortError):
+                call()
         with pytest.raises(PortError, match="no such port"):
             link.reconnect(timeout=0.2)
         boards.append(HostBoard().__enter__())
@@ -198,7 +145,7 @@ def test_a_replugged_board_is_found_again_and_not_armed():
         boards[-1].__exit__()
 
 
-def test_trims_and_directions_move_the_pulses_of_their_servo_alone():
+def test_trims_and_directions_move_the_pulses_of_their_servo_alone_and_boot_text_none():
     def pulses_at_pose(*arguments):
         with HostBoard(arguments) as board, HandLink(board.connect) as link:
             link.arm(watchdog=2.0)
@@ -207,7 +154,7 @@ def test_trims_and_directions_move_the_pulses_of_their_servo_alone():
             return board.pulses()
 
     plain = pulses_at_pose()
-    turned = pulses_at_pose("--trim", "2", "20000", "--reverse", "0")
+    turned = pulses_at_pose("--boot-text", "--trim", "2", "20000", "--reverse", "0")
     np.testing.assert_array_equal((turned - plain)[1:], [0, 20_000, 0, 0, 0])
     assert turned[0] - 1_500_000 == -(plain[0] - 1_500_000)
 

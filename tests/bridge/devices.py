@@ -1,0 +1,36 @@
+"""Devices that are no hand, or not the one that is expected."""
+
+from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.hands import VirtualTransport
+from hpac_gym.bridge.protocol import MESSAGES
+
+HELLO_OF_A_HAND = Frame(
+    "device_hello",
+    seq=1,
+    fields={field.name: (0,) * field.count if field.is_array else 0 for field in MESSAGES["device_hello"].fields},
+)
+
+
+def of_another_version(_data):
+    return encode(HELLO_OF_A_HAND, version=9)
+
+
+def refusing(_data):
+    """HELLO is answered by an ACK, of reason `length`."""
+    return encode(Frame("ack", 1, 0, {"acked": 1, "reason": 12, "servo": 255, "state": 0}))
+
+
+class Device(VirtualTransport):
+    """Answers every write with what `reply` makes of it."""
+
+    def __init__(self, hand, reply):
+        super().__init__(hand)
+        self.reply, self.said = reply, b""
+
+    def write(self, data):
+        self.said += self.reply(data)
+
+    def read(self, timeout):
+        super().read(0.0 if self.said else timeout)
+        said, self.said = self.said, b""
+        return said
