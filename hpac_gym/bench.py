@@ -15,6 +15,7 @@ import statistics
 import subprocess
 import sys
 import venv
+from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
@@ -126,23 +127,22 @@ def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str
             stack.callback(made.close)
             return made
 
-        rate = {"physics_hz": physics_hz}
+        most, rate = max(num_envs), {"physics_hz": physics_hz}
         hands = {(e, n): worker(kind="hands", engine=e, num_envs=n, threads=1, **rate) for e in engines for n in num_envs}
-        two = worker(kind="hands", engine="mujoco", num_envs=max(num_envs), threads=2, **rate) if "mujoco" in engines else None
-        others = {name: worker(peers_python(), kind="peer", name=name, module=PEERS[name]) for name in peers}
+        turns = [(key, each, max(STEPS // key[1], 4)) for key, each in hands.items()]
+        if "mujoco" in engines:
+            two = worker(kind="hands", engine="mujoco", num_envs=most, threads=2, **rate)
+            turns.append(("two", two, max(STEPS // most, 4)))
+        turns += [(name, worker(peers_python(), kind="peer", name=name, module=PEERS[name]), STEPS) for name in peers]
         pair = [worker(kind="arithmetic") for _ in range(2)]
-        found: dict[Any, list[dict[str, float]]] = {}
+        turns.append(("alone", pair[0], STEPS))
+        found: dict[Any, list[dict[str, float]]] = defaultdict(list)
         for _ in range(rounds):
-            for (engine, n), each in hands.items():
-                found.setdefault((engine, n), []).append(each.ask("measure", steps=max(STEPS // n, 4)))
-            if two is not None:
-                found.setdefault("two", []).append(two.ask("measure", steps=max(STEPS // max(num_envs), 4)))
-            for name, each in others.items():
-                found.setdefault(name, []).append(each.ask("measure", steps=STEPS))
-            found.setdefault("alone", []).append(pair[0].ask("measure", steps=STEPS))
+            for key, each, steps in turns:
+                found[key].append(each.ask("measure", steps=steps))
             for each in pair:
                 each.send("measure", steps=STEPS)
-            found.setdefault("pair", []).append({"per_second": sum(each.answer()["per_second"] for each in pair)})
+            found["pair"].append({"per_second": sum(each.answer()["per_second"] for each in pair)})
         resets = {key: each.ask("resets", count=max(RESETS // key[1], 6))["reset_ms"] for key, each in hands.items()}
 
     def median(key: Any, figure: str) -> float:
@@ -151,7 +151,6 @@ def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str
     def most_per_second(key: Any) -> float:
         return max(row["per_second"] for row in found[key])
 
-    most = max(num_envs)
     return {
         "engines": {
             engine: {
@@ -161,7 +160,7 @@ def measure(engines: Sequence[str], num_envs: Sequence[int], peers: Sequence[str
             }
             for engine in engines
         },
-        "two_threads": None if two is None else most_per_second("two") / most_per_second(("mujoco", most)),
+        "two_threads": most_per_second("two") / most_per_second(("mujoco", most)) if "mujoco" in engines else None,
         "two_processes_of_arithmetic": most_per_second("pair") / most_per_second("alone"),
         "peers": {name: median(name, "per_cpu_second") for name in peers},
         "peers_control_hz": {name: median(name, "control_hz") for name in peers},

@@ -87,11 +87,6 @@ def _hand(options: argparse.Namespace) -> Hand:
     return load_hand(options.hand) if options.hand else HPAC
 
 
-def _opened(name: str, hand: Hand, stack: ExitStack) -> Transport:
-    port = connector(name, hand, stack)
-    return open_transport(port) if isinstance(port, str) else port()
-
-
 def _print_json(rows: list[object], *names: str) -> None:
     """Print rows as a JSON list of objects with the named attributes."""
     print(json.dumps([{name: getattr(row, name) for name in names} for row in rows], indent=2, ensure_ascii=False))
@@ -105,7 +100,7 @@ def _safety(options: argparse.Namespace) -> int:
 def _conform(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         hand = _hand(options)
-        rows = conform(_opened(options.port, hand, stack), hand)
+        rows = conform(open_transport(connector(options.port, hand, stack)), hand)
         return _verdict(rows, options.json, "rule", "tried", "holds", "failure")
 
 
@@ -147,7 +142,8 @@ def _estop(options: argparse.Namespace) -> int:
     """Send ESTOP without a handshake: the hand accepts it from any sender. An unreadable hand file is reported afterwards."""
     with ExitStack() as stack:
         try:
-            transport = _opened(options.port, _hand(options) if options.port == "virtual" else HPAC, stack)
+            hand = _hand(options) if options.port == "virtual" else HPAC
+            transport = open_transport(connector(options.port, hand, stack))
             stack.callback(transport.close)
             Exchange(transport, LinkStatistics(), KnownState()).request("estop", attempts=_ESTOP_ATTEMPTS)
         except (LinkTimeout, PortError) as error:

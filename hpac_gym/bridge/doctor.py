@@ -58,7 +58,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         hand: the hand whose limits the firmware should have.
     """
     try:
-        transport = open_transport(port) if isinstance(port, str) else port()
+        transport = open_transport(port)
     except PortError as error:
         what, _, advice = _without_name(error, name).partition("; ")
         return Finding(name, False, what, advice)

@@ -74,7 +74,7 @@ class Line:
         handshake_timeout: float = 3.0,
         log: WireLog | None = None,
     ) -> None:
-        self._open = (lambda: open_transport(port)) if isinstance(port, str) else port
+        self._port = port
         self._hand = hand
         self._patience = {"timeout": timeout, "attempts": attempts}
         self._handshake_timeout = handshake_timeout
@@ -128,7 +128,7 @@ class Line:
             HandshakeError: Nothing answers, or the firmware has another protocol version.
         """
         self.close()
-        connection = Connection(self._open(), self._turns, self.statistics, log=self._log, **self._patience)
+        connection = Connection(open_transport(self._port), self._turns, self.statistics, log=self._log, **self._patience)
         self._connection = connection
         self._when_forgotten = weakref.finalize(self, connection.end)
         try:

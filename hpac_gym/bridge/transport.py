@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 import serial
@@ -129,12 +130,14 @@ class SocketTransport(Transport):
         self._socket.close()
 
 
-def open_transport(port: str) -> Transport:
-    """Open the transport for a port name: `socket://HOST:PORT`, or else a serial port.
+def open_transport(port: str | Callable[[], Transport]) -> Transport:
+    """Open a port: `socket://HOST:PORT`, the name of a serial port, or a function that opens a transport.
 
     Raises:
         PortError: The name is malformed, or the port cannot be opened.
     """
+    if not isinstance(port, str):
+        return port()
     if not port.startswith("socket://"):
         return SerialTransport(port)
     host, _, number = port.removeprefix("socket://").rpartition(":")

@@ -13,9 +13,11 @@ import pytest
 from hpac_gym.bridge import HostBoard, VirtualHand
 from hpac_gym.bridge.evidence import judged_hand, oracle, safety, sessions
 from hpac_gym.bridge.evidence.conform import RULES, conform
-from hpac_gym.bridge.evidence.device import SESSION
+from hpac_gym.bridge.evidence.device import SESSION, BrokenRule, Device
 from hpac_gym.bridge.evidence.oracle import unseal
 from hpac_gym.bridge.hands import BUILD_VARIABLE
+from hpac_gym.bridge.protocol import Fault, State
+from hpac_gym.model import HPAC
 from tests.bridge.test_commands import run
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
@@ -279,6 +281,18 @@ def test_every_rule_is_broken_by_a_device_that_answers():
 @pytest.mark.parametrize("kind", [judged_hand.DeafToEstop, judged_hand.NoWatchdog], ids=lambda kind: kind.__name__)
 def test_a_wrong_device_keeps_the_other_rules(kind):
     assert {row.rule for row in conform(kind(PERIOD_US).connect(), patience=0.1) if not row.holds} == WRONG[kind]
+
+
+@pytest.mark.parametrize("wrong", [{"state": State.armed}, {"fault": Fault.estop}, {"powered": True}], ids=str)
+def test_a_device_in_another_state_breaks_the_rule(wrong):
+    device = Device(VirtualHand().connect(), HPAC, patience=0.1)
+    device.idle()
+    right = {"state": State.idle, "when": "now", "fault": Fault.none, "powered": False}
+    device.must_be(**right)
+    with pytest.raises(BrokenRule, match="now idle, fault none, servos 000000, must be"):
+        device.must_be(**right | wrong)
+    with pytest.raises(BrokenRule, match=r"FAULT messages \[\], must be one of estop"):
+        device.must_have_told(Fault.estop)
 
 
 def test_conform_finds_renumbered_moves_leaves_the_hand_without_pulses_and_tells_its_status(capsys, monkeypatch):

@@ -258,19 +258,16 @@ def test_doctor_takes_nine_in_ten_printable_bytes_for_text(heard, what):
     assert not finding.healthy
 
 
-def test_doctor_tells_what_the_board_measures_and_the_trims(talking):
-    plain = _judge("here", talking.info, talking.status(), LinkStatistics(), talking._hand).what
+def test_doctor_tells_what_the_board_measures_the_trims_and_the_round_trip_in_milliseconds(talking):
+    statistics = LinkStatistics()
+    statistics.round_trips.extend([0.001, 0.002, 0.009])
+    plain = _judge("here", talking.info, talking.status(), statistics, talking._hand).what
+    assert "round trip 2.0 ms" in plain
     assert not any(word in plain for word in ("supply", "heat", "trims"))
     status = dataclasses.replace(talking.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0]))
     info = dataclasses.replace(talking.info, trim_ns=(0, -300, 0, 0, 0, 20_000))
     what = _judge("here", info, status, LinkStatistics(), talking._hand).what
     assert "boot 1, supply 5.02 V, heat up to 34%, trims 0 -300 0 0 0 20000 ns" in what
-
-
-def test_doctor_tells_the_round_trip_in_milliseconds(talking):
-    statistics = LinkStatistics()
-    statistics.round_trips.extend([0.001, 0.002, 0.009])
-    assert "round trip 2.0 ms" in _judge("here", talking.info, talking.status(), statistics, talking._hand).what
 
 
 # --- turns ------------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from hpac_gym.tasks.quality import CONE_EDGES, contact_wrenches, largest_ball
 def test_the_ball_in_a_cube_and_in_a_cross_polytope():
     cube = np.array(np.meshgrid(*[[-1, 1]] * 4)).reshape(4, -1).T
     assert largest_ball(cube) == pytest.approx(1.0)
-    assert largest_ball(cube + [0.25, 0, 0, 0]) == pytest.approx(0.75)
+    assert largest_ball(cube + np.array([0.25, 0, 0, 0])) == pytest.approx(0.75)
     cross = np.vstack([np.eye(6), -np.eye(6)])
     assert largest_ball(cross) == pytest.approx(1 / np.sqrt(6))
 
