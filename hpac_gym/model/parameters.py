@@ -212,12 +212,8 @@ class Hand:
             ordered = MappingProxyType({key: given[key] for key in wanted})
             object.__setattr__(self, name, ordered)
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
-        for name, unit in (
-            ("rate_limit", "rad/s"),
-            ("cmc_gain", "rad/rad"),
-            ("cmc_stiffness", "N m/rad"),
-            ("cmc_torque_limit", "N m"),
-        ):
+        units = {"rate_limit": "rad/s", "cmc_gain": "rad/rad", "cmc_stiffness": "N m/rad", "cmc_torque_limit": "N m"}
+        for name, unit in units.items():
             _require_positive(f"hand {self.name}", name, getattr(self, name), unit)
         for joint, (lower, upper) in self.workspace.items():
             if not (np.isfinite([lower, upper]).all() and lower < upper):
