@@ -165,10 +165,7 @@ def move_duration(servo_from: ArrayLike, servo_to: ArrayLike, hand: Hand = HPAC)
         ShapeError: Wrong shape, NaN or infinity.
     """
     start = as_finite_vector(servo_from, len(SERVOS), "servo_from")
-    return _duration_of(as_finite_vector(servo_to, len(SERVOS), "servo_to") - start, hand)
-
-
-def _duration_of(travel: Array, hand: Hand) -> float:
+    travel = as_finite_vector(servo_to, len(SERVOS), "servo_to") - start
     return float((np.abs(travel) / hand.servo_rate_limit).max())
 
 

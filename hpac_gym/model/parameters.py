@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 
 import numpy as np
@@ -212,12 +212,8 @@ class Hand:
             ordered = MappingProxyType({key: given[key] for key in wanted})
             object.__setattr__(self, name, ordered)
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
-        for name, unit in (
-            ("rate_limit", "rad/s"),
-            ("cmc_gain", "rad/rad"),
-            ("cmc_stiffness", "N m/rad"),
-            ("cmc_torque_limit", "N m"),
-        ):
+        units = {"rate_limit": "rad/s", "cmc_gain": "rad/rad", "cmc_stiffness": "N m/rad", "cmc_torque_limit": "N m"}
+        for name, unit in units.items():
             _require_positive(f"hand {self.name}", name, getattr(self, name), unit)
         for joint, (lower, upper) in self.workspace.items():
             if not (np.isfinite([lower, upper]).all() and lower < upper):
@@ -233,7 +229,7 @@ class Hand:
     def __reduce__(self):
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
         plain |= {name: dict(plain[name]) for name in ("digits", "workspace", "sources")}
-        return _hand_from_fields, (plain,)
+        return partial(Hand, **plain), ()
 
     # The workspace, as arrays ------------------------------------------------
 
@@ -315,18 +311,18 @@ class Hand:
     @cached_property
     def rigid_ratio(self) -> Array:
         """Joint angle per radian of its synergy coordinate, tendon rigid, shape (15,). Eqs. (2), (6)."""
-        return self._ratio("rigid_ratio")
+        return self._by_joint("rigid_ratio", cmc=1.0)
 
     @cached_property
     def elastic_ratio(self) -> Array:
         """Joint angle per radian of its synergy coordinate, tendon elastic, shape (15,). Eqs. (12), (13)."""
-        return self._ratio("elastic_ratio")
+        return self._by_joint("elastic_ratio", cmc=1.0)
 
-    def _ratio(self, name: str) -> Array:
-        ratio = np.ones(len(JOINTS))
+    def _by_joint(self, name: str, cmc: float) -> Array:
+        values = np.full(len(JOINTS), cmc)
         for digit in self.digits.values():
-            ratio[[JOINT_INDEX[joint] for joint in digit.joints]] = getattr(digit, name)
-        return _read_only(ratio)
+            values[[JOINT_INDEX[joint] for joint in digit.joints]] = getattr(digit, name)
+        return _read_only(values)
 
     @cached_property
     def deviation_matrix(self) -> Array:
@@ -348,14 +344,7 @@ class Hand:
     @cached_property
     def joint_radius(self) -> Array:
         """R₁…R₁₄ by joint, 0 for the directly driven CMC, shape (15,) [m]."""
-        radius = np.zeros(len(JOINTS))
-        for digit in self.digits.values():
-            radius[[JOINT_INDEX[name] for name in digit.joints]] = digit.joint_radius
-        return _read_only(radius)
-
-
-def _hand_from_fields(plain: dict) -> Hand:
-    return Hand(**plain)
+        return self._by_joint("joint_radius", cmc=0.0)
 
 
 def unchecked_servo_from_synergy(synergy: Array, hand: Hand) -> Array:

@@ -65,13 +65,11 @@ def _posture(name: str, table: dict[str, Any]) -> Posture:
     return Posture(name, table["panel"], table["kind"], table["about"], target, tuple(table.get("aliases", ())))
 
 
-def _load() -> dict[str, Posture]:
-    table = tomllib.loads((files("hpac_gym.model") / "data" / "postures.toml").read_text(encoding="utf-8"))
-    del table["schema"]
-    return {name: _posture(name, entry) for name, entry in table.items()}
+_TABLE = tomllib.loads((files("hpac_gym.model") / "data" / "postures.toml").read_text(encoding="utf-8"))
 
-
-POSTURES: Mapping[str, Posture] = MappingProxyType(_load())
+POSTURES: Mapping[str, Posture] = MappingProxyType(
+    {name: _posture(name, entry) for name, entry in _TABLE.items() if name != "schema"}
+)
 """All 29 postures by name, in the order of the paper's panels."""
 
 _BY_ANY_NAME = {name: posture for posture in POSTURES.values() for name in (posture.name, *posture.aliases)}

@@ -37,18 +37,18 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
         RecordError: The record has no points; or a segment has no rest or is labelled with another servo, or one of its joints
             rests, moves with another servo, has another ratio, or is measured too inaccurately. The message has the first faults.
     """
-    corrected = without_drift(sweep)
     faults, remarks = [], []
     if not ((sweep.phase == FLEXING) & (sweep.point >= 0)).any():
         raise RecordError("column point: no row of a flexion is at a sampling point (all are −1)")
     for rows in sweep.segments():
-        flexed = rows[(sweep.phase[rows] == FLEXING) & (sweep.point[rows] >= 0)]
+        segment = sweep[rows]
+        flexed = np.flatnonzero((segment.phase == FLEXING) & (segment.point >= 0))
         if not flexed.size:
             continue
-        swept = int(sweep.swept[rows[0]])
-        where = f"trial {sweep.trial[rows[0]]}, sweep of {SERVOS[swept]}"
-        rest = rows[sweep.phase[rows] == REST]
-        travel = np.ptp(sweep.servo[flexed], axis=0)
+        swept = int(segment.swept[0])
+        where = f"trial {segment.trial[0]}, sweep of {SERVOS[swept]}"
+        rest = np.flatnonzero(segment.phase == REST)
+        travel = np.ptp(segment.servo[flexed], axis=0)
         moved = int(travel.argmax())
         if rest.size < LEAST_REST:
             faults.append(
@@ -57,8 +57,8 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
         elif moved != swept or travel[moved] == 0:
             instead = f", but {SERVOS[moved]} {travel[moved]:.2f} rad; {_HINT}" if travel[moved] > 0 else ""
             faults.append(f"{where}: servo {SERVOS[swept]} moves {travel[swept]:.2f} rad{instead}")
-        elif len(np.unique(sweep.point[flexed])) >= 3:
-            found = _judged_joints(corrected, rows, flexed, swept, base)
+        elif len(np.unique(segment.point[flexed])) >= 3:
+            found = _judged_joints(without_drift(segment), flexed, swept, base)
             faults += found[0]
             remarks += found[1]
             if not rest[0] < flexed[0] < flexed[-1] < rest[-1]:
@@ -86,11 +86,9 @@ def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
     return group_means(sweep.servo[rows], place)[0], medians, measured - medians[place]
 
 
-def _judged_joints(
-    sweep: Sweep, segment: np.ndarray, flexed: np.ndarray, swept: int, base: Hand
-) -> tuple[list[str], list[str]]:
-    """Faults and remarks on the joints that a servo moves, from the rows of a segment and those of its flexion's points."""
-    servo, medians, deviations = point_medians(sweep, flexed)
+def _judged_joints(segment: Sweep, flexed: np.ndarray, swept: int, base: Hand) -> tuple[list[str], list[str]]:
+    """Faults and remarks on the joints that a servo moves, from a segment and the rows of its flexion's points."""
+    servo, medians, deviations = point_medians(segment, flexed)
     design = elastic_joints_from_servo(np.clip(servo, base.servo_min, base.servo_max), base)
     travel, wanted = _travel(medians), _travel(np.where(np.isnan(medians), np.nan, design))
     own, where, faults, remarks = joints_of_servo(swept), f"sweep of {SERVOS[swept]}", [], []
@@ -124,7 +122,7 @@ def _judged_joints(
 
         ratio, wanted = max(float(stats.theilslopes(pair[:, 1], pair[:, 0]).slope), 1e-3), base.elastic_ratio[joint]
         turns = f"{JOINTS[joint]} turns {ratio:.3f} rad for each rad of {SERVOS[swept]}, by design {wanted:.3f}"
-        lag, error = lag_behind(sweep, segment, root, joint)
+        lag, error = lag_behind(segment, root, joint)
         if abs(np.log(ratio / wanted)) > np.log1p(RATIO_TOLERANCE):
             faults.append(f"{where}: {turns} ± {RATIO_TOLERANCE:.0%}; {_HINT[:-1]}, or is this another hand?")
         elif lag < -CERTAIN * error:
@@ -140,20 +138,20 @@ def _judged_joints(
     return faults, remarks
 
 
-def lag_behind(sweep: Sweep, segment: np.ndarray, root: int, joint: int) -> tuple[float, float]:
+def lag_behind(segment: Sweep, root: int, joint: int) -> tuple[float, float]:
     """Lag of a joint behind its root joint, which friction and inertia cause in both directions, and its standard error [rad].
 
     The driving tendon pulls on the root joint and the others follow: at the same angle of the root they are less flexed in
     flexion than in extension, whatever the radii. Uses the frames in motion, because a digit that stops overshoots within its
     friction band, or those of the points where no others are recorded. Infinite error if the record has one direction only.
     """
-    seen = segment[(sweep.phase[segment] != REST) & ~np.isnan(sweep.joint_pos[np.ix_(segment, [root, joint])]).any(axis=1)]
-    moving = seen[sweep.point[seen] < 0]
-    seen = moving if {FLEXING, EXTENDING} <= set(sweep.phase[moving]) else seen
-    angle, other = sweep.joint_pos[seen][:, [root, joint]].T
+    seen = segment[(segment.phase != REST) & ~np.isnan(segment.joint_pos[:, [root, joint]]).any(axis=1)]
+    moving = seen[seen.point < 0]
+    seen = moving if {FLEXING, EXTENDING} <= set(moving.phase) else seen
+    angle, other = seen.joint_pos[:, [root, joint]].T
     low, high = np.quantile(angle, (0.05, 0.95))
     inside = np.abs(angle - (low + high) / 2) < 0.4 * (high - low)
-    direction, angle, other = np.where(sweep.phase[seen] == EXTENDING, 1.0, -1.0)[inside], angle[inside], other[inside]
+    direction, angle, other = np.where(seen.phase == EXTENDING, 1.0, -1.0)[inside], angle[inside], other[inside]
     if abs(direction.sum()) == len(direction):
         return 0.0, np.inf
     basis, kept = np.column_stack([np.vander(angle, 3), direction]), np.ones(len(angle), dtype=bool)

@@ -135,13 +135,13 @@ def without_drift(sweep: Sweep) -> Sweep:
         if not rest.size:
             continue
         time = sweep.time[rest] - sweep.time[rows[0]]
-        moving = np.flatnonzero(sweep.phase[rows] != REST)
-        both_ends = moving.size and rest[0] < rows[moving[0]] and rest[-1] > rows[moving[-1]]
-        moving_from = rows[moving[0]] if moving.size else -1
-        basis = np.vander(time, 2 if both_ends else 1)
+        moving = rows[sweep.phase[rows] != REST]
+        both_ends = moving.size and rest[0] < moving[0] and rest[-1] > moving[-1]
+        ends = (rest < moving[0], rest > moving[0]) if both_ends else (slice(None),)
+        basis = np.vander(time, len(ends))
         for joint in joints_of_servo(int(sweep.swept[rows[0]])):
             seen = np.zeros(rest.size, dtype=bool)
-            for end in (rest < moving_from, rest > moving_from) if both_ends else (np.ones(rest.size, dtype=bool),):
+            for end in ends:
                 seen[end] = near_median(joint_pos[rest[end], joint])
             if seen.sum() >= basis.shape[1]:
                 line = np.linalg.lstsq(basis[seen], joint_pos[rest[seen], joint], rcond=None)[0]

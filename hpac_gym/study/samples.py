@@ -61,15 +61,15 @@ _OF_POINTS = ("servo", "direction", "point", "joint_pos", "deviation", "line")
 
 def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand = HPAC) -> DigitSamples | None:
     """Sampling points of a servo's sweeps without those at stops or near the reversal; None if no joint was measured."""
-    corrected = without_drift(record)
     parts = []
     for rows in record.segments():
         if record.swept[rows[0]] != servo:
             continue
+        segment = without_drift(record[rows])
         for phase, direction in ((FLEXING, FLEXION), (EXTENDING, EXTENSION)):
-            held = rows[(record.phase[rows] == phase) & (record.point[rows] >= 0)]
+            held = np.flatnonzero((segment.phase == phase) & (segment.point >= 0))
             if held.size:
-                parts.append(_phase_points(corrected, rows, held, joints, direction))
+                parts.append(_phase_points(segment, held, joints, direction))
     unseen = [all(np.isnan(part.joint_pos[:, i]).all() for part in parts) for i in range(len(joints))]
     if all(unseen):
         return None
@@ -89,7 +89,7 @@ def digit_samples(record: Sweep, servo: int, joints: tuple[str, ...], base: Hand
     return kept.only(np.flatnonzero(~(back & near_turn)))
 
 
-def _phase_points(sweep: Sweep, segment: np.ndarray, rows: np.ndarray, joints: tuple[str, ...], direction: float) -> DigitSamples:
+def _phase_points(sweep: Sweep, rows: np.ndarray, joints: tuple[str, ...], direction: float) -> DigitSamples:
     columns = [JOINT_INDEX[name] for name in joints]
     numbers, place = np.unique(sweep.point[rows], return_inverse=True)
     off = np.abs(point_medians(sweep, rows)[2][:, columns])
@@ -102,20 +102,20 @@ def _phase_points(sweep: Sweep, segment: np.ndarray, rows: np.ndarray, joints: t
     time, servo = group_means(np.stack([time, servo], axis=1), place)[0].T
     return DigitSamples(
         joints, servo, np.full(len(numbers), direction), numbers, mean, noise / np.sqrt(np.where(kept > 0, kept, np.nan)),
-        _open_line(sweep, segment, time), noise, int((~np.isnan(off)).sum()), int((off > far).sum()), (), {}, 0,
+        _open_line(sweep, time), noise, int((~np.isnan(off)).sum()), int((off > far).sum()), (), {}, 0,
     )  # fmt: skip
 
 
-def _open_line(sweep: Sweep, segment: np.ndarray, time: Array) -> Array:
+def _open_line(sweep: Sweep, time: Array) -> Array:
     """Remaining uncertainty of a segment's drift line after the rest poses, shape (k, 2): offset and slope, decorrelated."""
     line = np.zeros((len(time), 2))
-    rest = segment[sweep.phase[segment] == REST]
+    rest = sweep.time[sweep.phase == REST]
     if rest.size < 2:
         return line
-    origin = sweep.time[rest].mean()
+    origin = rest.mean()
     line[:, 0] = 1 / np.sqrt(rest.size)
-    if sweep.time[rest[-1]] > time.max():
-        line[:, 1] = (time - origin) / np.sqrt(((sweep.time[rest] - origin) ** 2).sum())
+    if rest[-1] > time.max():
+        line[:, 1] = (time - origin) / np.sqrt(((rest - origin) ** 2).sum())
     return line
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpac_gym.errors import HpacError, ShapeError, WorkspaceError
+from hpac_gym.errors import HpacError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import (
     HPAC,
     ServoCommand,
@@ -72,10 +72,10 @@ def test_a_value_that_is_no_finite_number_is_refused(function, width, value):
 
 
 @pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
-@pytest.mark.parametrize("value", ["six words", None, [[0.0], [0.0, 1.0]], 1j])
+@pytest.mark.parametrize("value", ["six words", None, [[0.0], [0.0, 1.0]]])
 def test_what_is_no_array_of_numbers_is_refused(function, width, value):
     with pytest.raises((ShapeError, WorkspaceError)):
-        function(value if not isinstance(value, complex) else [value] * width)
+        function(value)
 
 
 @pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
@@ -154,6 +154,6 @@ def test_a_move_needs_two_poses_of_six_finite_angles(fault):
 
 
 def test_every_error_is_one_of_ours_and_a_value_error():
-    for error in (ShapeError, WorkspaceError):
+    for error in (ParameterError, ShapeError, WorkspaceError):
         assert issubclass(error, HpacError)
         assert issubclass(error, ValueError)

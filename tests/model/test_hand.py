@@ -36,10 +36,6 @@ def hand_file(tmp_path):
     return write
 
 
-def test_a_loaded_file_is_the_nominal_hand(hand_file):
-    assert load_hand(hand_file(r"^name = .*$", 'name = "H-PAC"')) == HPAC
-
-
 def test_a_written_hand_is_read_again(tmp_path):
     ring = replace(HPAC.digits["ring"], d2=0.031)
     changed = replace(HPAC, name='a "quoted" hand', cmc_gain=0.98, digits={**HPAC.digits, "ring": ring})
@@ -112,11 +108,6 @@ def test_a_hand_file_that_cannot_be_read_is_told_with_its_path(tmp_path):
     (tmp_path / "latin.toml").write_bytes(b"schema = 1 # \xe9")
     with pytest.raises(ParameterError, match=r"latin\.toml: not UTF-8"):
         load_hand(tmp_path / "latin.toml")
-
-
-def test_a_parameter_error_is_a_value_error():
-    with pytest.raises(ValueError, match="rate_limit"):
-        replace(HPAC, rate_limit=-1.0)
 
 
 def test_a_hand_needs_exactly_its_digits_and_joints():

@@ -241,9 +241,9 @@ def test_the_command_runs_every_part(tmp_path, capsys):
 
 def test_trials_of_a_record_become_rows_joint_by_joint():
     """Two trials, both directions: every joint of the swept servo has two rows of each, in the order of the points."""
-    plain = [Built(HPAC, (Metal(),) * 5)]
-    parts = [metal_sweeps(plain, seed, protocol=Protocol(both_directions=True), servos=("ring_mcp",))[0] for seed in (0, 1)]
-    record = concatenate([parts[0], replace(parts[1], trial=parts[1].trial + 1)])
+    plain = Built(HPAC, (Metal(),) * 5)
+    first, second = metal_sweeps([plain] * 2, 0, protocol=Protocol(points=9, both_directions=True), servos=("ring_mcp",))
+    record = concatenate([first, replace(second, trial=second.trial + 1)])
     joints = trials.by_joint(points(record))
     assert set(joints) == {"ring_mcp", "ring_pip", "ring_dip"}
     for joint in joints.values():

@@ -39,7 +39,7 @@ def evaluate(sweep: Sweep):
 @pytest.fixture(scope="module")
 def evaluation() -> Sweep:
     """The evaluation sweep of ``hpac sweep`` with fewer points."""
-    return command.simulate(REFERENCE, command.EVALUATION_STREAM, points=5)
+    return command.simulate(REFERENCE, command.EVALUATION_STREAM, points=5, rest=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +137,7 @@ def test_the_sweep_is_monotonic_over_the_admissible_range(evaluation):
 
 def test_a_separate_sweep_yields_a_table_in_the_form_of_table_1():
     """Table I: every joint from 0 to its largest angle; the driven joints reach its bound, the others stay inside of it."""
-    rig = REFERENCE.rig.with_protocol(points=5, rest=1.0)
+    rig = REFERENCE.rig.with_protocol(points=2, rest=0.5)
     sweep = rig.sweep(np.random.default_rng(0), servos=("thumb_mp", "ring_mcp", "thumb_cmc"))
     table = workspace(points(processed(sweep)))
     assert tuple(table) == tuple(name for name in JOINTS if name.startswith(("thumb", "ring")))
@@ -155,11 +155,10 @@ def test_table_1_lies_above_what_the_hand_and_even_the_rigid_map_reach():
     table = {name: (0.0, HPAC.workspace[name][1] - np.deg2rad(4.0)) for name in ("index_dip", "index_mcp")}
     rows = command.workspace_table(table, HPAC).splitlines()[2:]
     assert rows[0].endswith("| [0.00, 1.31] | 4.0 | 1.270 |")
-    assert np.degrees(1.31 - 1.27) == pytest.approx(2.3, abs=0.01)
 
 
 def test_same_seed_same_record_other_stream_other_noise():
-    rig = REFERENCE.rig.with_protocol(points=3, rest=0.5)
+    rig = REFERENCE.rig.with_protocol(points=2, seconds_per_point=0.6, rest=0.1)
     once, again, other = (rig.sweep(np.random.default_rng(seed), servos=("index_mcp",)) for seed in (1, 1, 2))
     assert (once.joint_pos == again.joint_pos).all()
     assert (once.servo == other.servo).all()
