@@ -67,14 +67,15 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     try:
         answer = _look(exchange)
         if answer.name == "ack":
-            reason = name_of(Reason, answer.fields["reason"])
-            return Finding(name, False, f"answers HELLO with an ACK ({reason})", "flash the hand's firmware of this version")
+            return _refused(name, "HELLO", answer)
         info = HandInfo.from_frame(answer)
         if info.state == "armed":
             what = f"hand with firmware {info.firmware_version}, armed by session {info.session:08x}: left alone"
             return Finding(name, True, what, "stop the program that controls it before you start another, or run hpac estop")
-        status = HandStatus.from_frame(exchange.request("status", {"period_ms": 0}))
-        return _judge(name, info, status, statistics, hand)
+        answer = exchange.request("status", {"period_ms": 0})
+        if answer.name == "ack":
+            return _refused(name, "STATUS", answer)
+        return _judge(name, info, HandStatus.from_frame(answer), statistics, hand)
     except LinkTimeout:
         if exchange.host_frames:
             what = f"an echo: what is sent comes back ({exchange.splitter.received_bytes} bytes)"
@@ -86,6 +87,11 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         return Finding(name, False, str(error), "frames get lost: try a shorter cable, and another USB port without a hub")
     finally:
         transport.close()
+
+
+def _refused(name: str, message: str, ack: Frame) -> Finding:
+    reason = name_of(Reason, ack.fields["reason"])
+    return Finding(name, False, f"answers {message} with an ACK ({reason})", "flash the hand's firmware of this version")
 
 
 def _without_name(error: PortError, name: str) -> str:

@@ -1,6 +1,6 @@
 """Devices that are no hand, or not the one that is expected."""
 
-from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import MESSAGES
 
@@ -18,6 +18,14 @@ def of_another_version(_data):
 def refusing(_data):
     """HELLO is answered by an ACK, of reason `length`."""
     return encode(Frame("ack", 1, 0, {"acked": 1, "reason": 12, "servo": 255, "state": 0}))
+
+
+def without_status(data):
+    """HELLO is answered as by a hand, everything else by an ACK, of reason `type`."""
+    ((_, frame),) = FrameSplitter().push(data)
+    if frame.name == "hello":
+        return encode(HELLO_OF_A_HAND)
+    return encode(Frame("ack", frame.seq, 0, {"acked": 7, "reason": 11, "servo": 255, "state": 0}))
 
 
 class Device(VirtualTransport):

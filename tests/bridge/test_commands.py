@@ -27,7 +27,7 @@ from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import VirtualTransport, config_of, default_config
 from hpac_gym.errors import HpacError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
-from tests.bridge.devices import Device, of_another_version, refusing
+from tests.bridge.devices import Device, of_another_version, refusing, without_status
 
 
 @pytest.fixture
@@ -137,9 +137,10 @@ def test_doctor_names_the_hand_that_a_firmware_was_built_for(slower_hand, tmp_pa
         (lambda data: b"Grbl 1.1\r\n" * 200, "text instead of frames (4096 bytes, such as 'Grbl 1.1')", "another firmware"),
         (lambda data: bytes(range(1, 255, 7)), "neither frames nor text", "baud"),
         (of_another_version, "protocol 9", "flash"),
-        (refusing, "ACK (length)", "flash"),
+        (refusing, "HELLO with an ACK (length)", "flash"),
+        (without_status, "STATUS with an ACK (type)", "flash"),
     ],
-    ids=["silence", "echo", "text", "noise", "version", "ack"],
+    ids=["silence", "echo", "text", "noise", "version", "ack", "status"],
 )
 def test_doctor_tells_devices_apart_and_names_the_first_step(reply, what, advice):
     finding = diagnose("here", lambda: Device(VirtualHand(), reply))

@@ -235,7 +235,7 @@ def test_doctor_calls_more_than_ten_and_one_in_a_hundred_damaged_frames_noise(ta
     for counter in ("bad_crc", "bad_frame", "overrun"):
         status.counters.update({"bad_crc": 0, "bad_frame": 0, "overrun": 0, "accepted": accepted} | {counter: bad})
         finding = _judge("here", talking.info, status, LinkStatistics(), talking._hand)
-        assert finding.healthy is not noisy
+        assert (finding.port, finding.healthy) == ("here", not noisy)
         assert ("line noise" in finding.advice) is noisy
         assert not noisy or f"{bad} damaged frames" in finding.what
 
