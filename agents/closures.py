@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -392,11 +393,16 @@ def actor_of(parts: Iterable[nn.Module], mean: np.ndarray, scale: np.ndarray) ->
 
 def scripted_decisions(closures: Closures, seen: np.ndarray) -> np.ndarray:
     """Decisions for the closures of `ScriptedGraspType`, shape (n, m), on first observations of HPAC-GraspType-v0."""
+    return closures.decisions(_scripted_values())[seen[:, TYPE].argmax(axis=1)]
+
+
+@cache
+def _scripted_values() -> np.ndarray:
     values = []
     for start in (kind.start for kind in GRASP_TYPES.values()):
         goals, preshape = map(action_from_synergy, (start.closed, start.preshape))
         values.append([*goals, CLOSE_TIME * CONTROL_HZ, 0.0, *wrist_choice(start), *preshape])
-    return closures.decisions(values)[seen[:, TYPE].argmax(axis=1)]
+    return np.array(values)
 
 
 def mean_and_scale(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
