@@ -283,6 +283,8 @@ class Learner:
             self.mean_came_to, self.scale_came_to = np.float32(mean_and_scale(trials.came_to[: trials.count]))
             if recipe.env_id == GRASP_TYPE:
                 self.scale[TYPE] = UNSEEN
+            if recipe.critic_obs == "deploy":
+                self.scale[self._deployed :] = UNSEEN
         for name in ("critics", "actor"):
             self.optimizers[name].param_groups[0]["lr"] = recipe.learning_rate * max(0.05, 1.0 - share)
         aim = trials.decisions.shape[1] * (recipe.entropy_first + (recipe.entropy_last - recipe.entropy_first) * share)

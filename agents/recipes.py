@@ -122,6 +122,7 @@ class Recipe:
     dropout: float = setting(0.1, "dropout rate of the critics", 0, 0.9)
     hidden: tuple[int, ...] = setting((256, 256, 256), "widths of the layers", 1, 4_096)
     critics: int = setting(2, "number of critics", 1, 64)
+    critic_obs: str = choice("privileged", "observation of the critics", ("privileged", "deploy"))
     doubt: float = setting(0.5, "standard deviations over the critics that are subtracted from their mean prediction", 0, 10)
     aftermath: float = setting(4.0, "weight of the loss on the predicted state at the end of the closing", 0, 1e3)
     easy_share: float = setting(0.3, "least probability with which a trial of near-certain success is run", 0.01, 1)
