@@ -17,7 +17,7 @@ def test_the_curriculum_begins_with_near_objects_and_ends_with_all():
     recipe = RECIPES["grasp"]
     task, usual = NearFirst(recipe), training_task(recipe)
     low, high = usual.config.beyond_wrist
-    assert distances(task).max() < low + 1.1 * NEAR * (high - low) < distances(usual).max() - 0.02
+    assert distances(task).max() < low + 1.2 * NEAR * (high - low) < distances(usual).max() - 0.02
     for _ in range(int(GROW * recipe.episodes)):
         task.setup(np.random.default_rng(0))
     assert distances(task).max() > high - 1e-3
