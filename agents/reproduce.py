@@ -1,9 +1,9 @@
 """Reproduce a table of the documentation: ``python -m agents.reproduce elsewhere --policy FILE --policy FILE``.
 
-``elsewhere`` evaluates policies on every engine and body with every randomization. ``race`` evaluates the algorithms of
-`agents.race` and the recipe *grasp* on MuJoCo's *twin*; it reads their policies from the folders ``CONTENDER-SEED`` of ``--runs``
-and trains missing ones. ``seeds`` evaluates given policies of one recipe there, and ends with their median, their lowest and
-their interquartile mean with its stratified-bootstrap interval. All cells have the same held-out episodes and Wilson 95 %
+``elsewhere`` evaluates policies on every engine and body with every randomization. ``seeds`` evaluates runs on MuJoCo's *twin*,
+and ends with the median, the lowest and the interquartile mean, with its stratified-bootstrap interval, of each learner with
+several runs. ``race`` does the same for the algorithms of `agents.race` and the recipe *grasp*: it reads their policies from the
+folders ``LEARNER-SEED`` of ``--runs`` and trains missing ones. All cells have the same held-out episodes and Wilson 95 %
 intervals; rows are printed when complete.
 """
 
@@ -11,6 +11,7 @@ import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -45,14 +46,16 @@ def elsewhere(policies: Sequence[str], judge: Judge) -> Iterator[Row]:
             yield (policy, f"{engine} {body}", *map(_rate, cells)), cells
 
 
-def runs_on_twin(runs: Iterable[tuple[str, int, str]], judge: Judge) -> Iterator[Row]:
-    """A row for each run: its learner, seed and training, and the episodes of its policy on MuJoCo's *twin*."""
-    for learner, seed, policy in runs:
-        about = {key: read_policy(policy).about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
-        cell = {"learner": learner, "seed": seed, "trained": about, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
-        seconds = about["processor_seconds"] or about["seconds"]
+def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
+    """A row for each policy: its learner, seed and training, and its episodes on MuJoCo's *twin*."""
+    for policy in policies:
+        about = read_policy(policy).about
+        told = {"learner": about["algorithm"], "seed": about["settings"]["seed"]}
+        trained = {key: about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
+        cell = {**told, "trained": trained, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
+        seconds = trained["processor_seconds"] or trained["seconds"] or 0
         lost = ", ".join(str(cell["failures_by_phase"].get(phase, 0)) for phase in PHASES)
-        yield (learner, seed, f"{about['episodes']:,}", f"{seconds:,.0f}", _rate(cell), lost), [cell]
+        yield (*told.values(), f"{about['episodes']:,}", f"{seconds:,.0f}", _rate(cell), lost), [cell]
 
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
@@ -63,11 +66,18 @@ def over_runs(cells: Sequence[dict[str, Any]]) -> str:
     return f"{len(cells)} runs: median {100 * np.median(rates):.1f}, lowest {100 * rates.min():.1f}, interquartile mean {middle}"
 
 
-def race(runs: Path, seed: int, limit: float) -> Iterator[tuple[str, int, str]]:
-    """The learners of the comparison of algorithms with their seed and policy, trained where it is missing."""
+def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iterator[str]:
+    """Policy files of learners, of all by default, for the seeds 0 to `number` − 1; missing ones are trained.
+
+    Raises:
+        RecipeError: A learner is unknown.
+    """
     from agents import race, train  # imported here, since they load PyTorch
 
-    for name in (*race.CONTENDERS, "grasp"):
+    known = (*race.CONTENDERS, "grasp")
+    if unknown := set(learners) - set(known):
+        raise RecipeError(f"unknown learner '{min(unknown)}': known are {', '.join(known)}")
+    for name, seed in product(learners or known, range(number)):
         out = runs / f"{name}-{seed}"
         if not (out / POLICY).exists() and name == "grasp":
             train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
@@ -77,7 +87,7 @@ def race(runs: Path, seed: int, limit: float) -> Iterator[tuple[str, int, str]]:
             except RecipeError as missing:
                 print(f"{missing}; its row is left out", file=sys.stderr)
                 continue
-        yield name, seed, str(out / POLICY)
+        yield str(out / POLICY)
 
 
 def _rate(cell: dict[str, Any]) -> str:
@@ -90,7 +100,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("table", choices=("elsewhere", "race", "seeds"), help="which table")
     parser.add_argument("--policy", action="append", help="elsewhere, seeds: a policy file; may be repeated")
     parser.add_argument("--runs", type=Path, default=Path("runs/race"), help="race: folder of the runs")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="race: seed of the trainings")
+    parser.add_argument("--learner", action="append", default=[], help="race: a learner; may be repeated; default: all")
+    parser.add_argument("--seeds", type=whole_number(1), default=1, help="race: number of trainings of each learner")
     parser.add_argument("--minutes", type=minutes, default=15.0, help="race: time of each missing training")
     parser.add_argument("--episodes", type=whole_number(1), default=400, help="held-out episodes per cell")
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
@@ -112,9 +123,8 @@ def main(argv: list[str] | None = None) -> int:
         if default_engine() != "pybullet":
             print("PyBullet is not installed: its rows are left out", file=sys.stderr)
     else:
-        given = (("grasp", read_policy(policy).about["settings"]["seed"], policy) for policy in args.policy or ())
-        found = race(args.runs, args.seed, args.minutes) if args.table == "race" else given
-        columns, rows = RACED, runs_on_twin(found, judge)
+        found = args.policy or race(args.runs, args.learner, args.seeds, args.minutes)
+        columns, rows = RACED, seeds(found, judge)
     print(markdown(columns, ()))
     cells: list[dict[str, Any]] = []
     for line, done in rows:
@@ -122,8 +132,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"| {' | '.join(map(str, line))} |", flush=True)
         if args.out:
             write_text(args.out, json.dumps(cells, indent=2) + "\n")
-    if args.table == "seeds":
-        print(f"\n{over_runs(cells)}")
+    for learner in dict.fromkeys(cell.get("learner") for cell in cells):
+        runs = [cell for cell in cells if cell.get("learner") == learner]
+        if learner and len(runs) > 1:
+            print(f"\n{learner}: {over_runs(runs)}")
     return 0
 
 

@@ -117,8 +117,8 @@ def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys):
     assert reproduce.main(["seeds", "--policy", policy, "--policy", policy, "--episodes", "4"]) == 0
     *_, first, second, _, last = capsys.readouterr().out.splitlines()
     assert first == second
-    assert first.startswith("| grasp | 0 | 60,0")
-    assert last.startswith("2 runs: median ")
+    assert first.startswith("| closures | 0 | 60,0")
+    assert last.startswith("closures: 2 runs: median ")
 
 
 def test_several_runs_are_summed_up_by_median_lowest_and_interquartile_mean():

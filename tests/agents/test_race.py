@@ -53,19 +53,25 @@ def test_the_policy_file_acts_as_the_trained_model_predicts(name, trained, tmp_p
 
 def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(race, "CONTENDERS", {"sac": small("sac")})
-    ours = tmp_path / "grasp-3"
+    ours = tmp_path / "grasp-0"
     ours.mkdir()
     copyfile("agents/trained/grasp.zip", ours / "policy.zip")
-    words = f"race --runs {tmp_path} --seed 3 --minutes 0.005 --episodes 2".split()
+    words = f"race --runs {tmp_path} --minutes 0.005 --episodes 2".split()
     assert reproduce.main(words) == 0
     *_, first, second = capsys.readouterr().out.splitlines()
-    assert first.startswith("| sac | 3 |")
-    assert second.startswith("| grasp | 3 | 60,0")
-    about = read_policy(tmp_path / "sac-3" / "policy.zip").about
+    assert first.startswith("| sac | 0 |")
+    assert second.startswith("| closures | 0 | 60,0")
+    assert reproduce.main([*words, "--learner", "sac", "--seeds", "2"]) == 0
+    *_, second, _, last = capsys.readouterr().out.splitlines()
+    assert second.startswith("| sac | 1 |")
+    assert last.startswith("sac: 2 runs: median ")
+    about = read_policy(tmp_path / "sac-1" / "policy.zip").about
     assert about["processor_seconds"] >= 0.3
-    assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == ("sac", 3, small("sac").action_repeat)
+    assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == ("sac", 1, small("sac").action_repeat)
     with pytest.raises(RunError, match="already holds a run"):
-        race.main(["sac", "--out", str(tmp_path / "sac-3")])
+        race.main(["sac", "--out", str(tmp_path / "sac-0")])
+    with pytest.raises(RecipeError, match="unknown learner 'td3': known are sac, grasp"):
+        reproduce.main([*words, "--learner", "td3"])
 
 
 @pytest.mark.parametrize("name", ["ppo", "sbx-sac"])
@@ -91,14 +97,14 @@ def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(t
     monkeypatch.setattr(race, "CONTENDERS", {"sbx-sac": small("sbx-sac")})
     needs = "sbx-sac needs sbx, which is not installed: pip install 'hpac_gym[train,sbx]'"
     with pytest.raises(RecipeError, match=re.escape(needs)):
-        race.main(["sbx-sac", "--out", str(tmp_path / "sbx-sac-3")])
-    (tmp_path / "grasp-3").mkdir()
-    copyfile("agents/trained/grasp.zip", tmp_path / "grasp-3" / "policy.zip")
-    assert reproduce.main(f"race --runs {tmp_path} --seed 3 --episodes 1".split()) == 0
+        race.main(["sbx-sac", "--out", str(tmp_path / "sbx-sac-0")])
+    (tmp_path / "grasp-0").mkdir()
+    copyfile("agents/trained/grasp.zip", tmp_path / "grasp-0" / "policy.zip")
+    assert reproduce.main(f"race --runs {tmp_path} --episodes 1".split()) == 0
     told = capsys.readouterr()
     assert told.err.endswith(f"{needs}; its row is left out\n")
-    assert [line.split()[1] for line in told.out.splitlines()] == ["learner", "---", "grasp"]
-    assert not (tmp_path / "sbx-sac-3").exists()
+    assert [line.split()[1] for line in told.out.splitlines()] == ["learner", "---", "closures"]
+    assert not (tmp_path / "sbx-sac-0").exists()
 
 
 def test_help_shows_every_setting_with_its_default_for_each_algorithm(capsys):
