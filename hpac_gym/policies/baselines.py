@@ -53,7 +53,7 @@ def one_closure(env: gymnasium.Env, name: str) -> ScriptedPolicy:
 
 def constant_posture(env: gymnasium.Env) -> ScriptedPolicy:
     """The constant action that moves the nominal hand to the goal of `HPAC-Posture-v1`."""
-    return ScriptedPolicy(env, ScriptedPosture(gain=0.0))
+    return ScriptedPolicy(env, ScriptedPosture(near=0.0))
 
 
 BASELINES = {"random": RandomPolicy, "scripted": ScriptedPolicy}

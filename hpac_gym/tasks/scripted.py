@@ -17,7 +17,7 @@ from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType, wrist_choice
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceTimetable
 from hpac_gym.tasks.posture import Posture
 from hpac_gym.tasks.task import CONTROL_HZ
-from hpac_gym.tasks.terms import LENGTH_UNIT, Layout
+from hpac_gym.tasks.terms import COMMAND_TERMS, LENGTH_UNIT, Layout
 
 CLOSE_TIME = 0.8
 """Duration from open to closed [s]."""
@@ -28,9 +28,13 @@ PLACE_TIME, PLACE_CLOSED, PLACE_THUMB, PLACE_OPPOSED = 0.9, 0.56, 0.9, 1.04
 [rad] and constant CMC [rad]; a hand that closes less releases sooner."""
 THUMB_OPPOSED = 1.2
 """Constant CMC [rad]."""
-WINDUP = 0.3
-"""Largest error that the integral controller integrates; larger ones are left to the motion in progress [rad]."""
+POSTURE_GAIN = 0.12
+"""Fraction of a driven joint's error that each step of `ScriptedPosture` adds to the command."""
+POSTURE_NEAR = 0.3
+"""Largest distance from its goal at which a command is corrected; before, it moves to the goal itself [rad]."""
 _DRIVEN = [JOINT_INDEX[name] for name in SERVOS]
+_COMMANDED = [Layout(COMMAND_TERMS, 1).slices["joint_pos"].start + joint for joint in _DRIVEN]
+"""Entries of an observation with the driven joints' angles that the model predicts for the command."""
 THUMB_TIME, OPPOSED_TIME = 0.7, 0.3
 """Closing times of the thumb's MP and CMC in `ScriptedGraspAny` [s]."""
 
@@ -119,25 +123,25 @@ class ScriptedPickPlace(Script):
 
 
 class ScriptedPosture(Script):
-    """Integral controller for `Posture`: commands the goal's synergy, corrected by the camera's measurements.
+    """Integral controller for `Posture`: moves to the goal, then corrects the command by the camera's measurements.
+
+    It starts from the command that the servos have reached within their rate limit, so that a motion in progress is not
+    corrected as an error.
 
     Args:
-        gain: fraction of the driven joints' errors that each step adds to the command; 0 is a constant action.
+        gain: fraction of the driven joints' errors that each step adds to the command.
+        near: largest distance of the command from the goal at which it is corrected [rad]; 0: never, a constant action.
     """
 
-    def __init__(self, gain: float = 0.1) -> None:
-        self._gain = gain
-
-    def reset(self) -> None:
-        self._correction = np.zeros(len(SERVOS))
+    def __init__(self, gain: float = POSTURE_GAIN, near: float = POSTURE_NEAR) -> None:
+        self._gain, self._near = gain, near
 
     def act(self, observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
         """The next action, shape (..., 6), for observations with any leading axes."""
         goal, reached = (observation[name][..., _DRIVEN].astype(float) for name in ("desired_goal", "achieved_goal"))
-        error = goal - reached
-        self._correction = self._correction + self._gain * np.where(np.abs(error) < WINDUP, error, 0.0)
-        synergy = np.clip(goal + self._correction, HPAC.synergy_min, HPAC.synergy_max)
-        return action_from_synergy(synergy).astype(np.float32)
+        command = observation["observation"][..., _COMMANDED].astype(float)
+        synergy = np.where(np.abs(command - goal) < self._near, command + self._gain * (goal - reached), goal)
+        return action_from_synergy(np.clip(synergy, HPAC.synergy_min, HPAC.synergy_max)).astype(np.float32)
 
 
 class ScriptedGraspAny(Script):
