@@ -1,36 +1,76 @@
 """Behaviour cloning: ``python -m agents.clone DATASET --out runs/clone``, from a dataset of ``hpac record``.
 
-A network imitates the actions of the successful episodes. The folder gets ``policy.zip``, which is evaluated, replayed
-and exported like any other.
+A network imitates the actions of the successful episodes. With ``--rounds N`` it then acts itself, N times in 200 episodes, and
+also learns what ``--expert`` would have done there (DAgger, Ross et al. 2011): otherwise it sees no errors of its own. The folder
+gets ``policy.zip``, which is evaluated, replayed and exported like any other.
 """
 
 import sys
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 
 from agents import POLICY, RunError, command_parser, target_of, versions
+from agents.evaluate import run_batch, worlds
 from hpac import run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
+from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
-from hpac_gym.policies import Actor, PolicyFile, write_policy
+from hpac_gym.policies import Actor, Policy, PolicyFile, write_policy
+from hpac_gym.policies.loading import load_policy, vector_size
+from hpac_gym.policies.policy import vector
 from hpac_gym.progress import progress
 
 HIDDEN = (256, 256)
 BATCH = 256
 KEPT = 0.1  # share of the episodes, the last ones, that is held out for evaluation
+VISITS = 200  # episodes of a round
+
+Pairs = tuple[np.ndarray, np.ndarray]
+"""Observations, shape (steps, n), and actions, shape (steps, m), −1…1."""
 
 
-def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int, seed: int) -> tuple[Actor, float]:
+class Watched:
+    """An actor in an environment, and what an expert would do in its place."""
+
+    def __init__(self, actor: Actor, expert: Policy) -> None:
+        self._actor, self._expert = actor, expert
+        self.seen: list[np.ndarray] = []
+        self.wanted: list[np.ndarray] = []
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode."""
+        self._expert.reset(seed)
+
+    def act(self, observation: Any) -> np.ndarray:
+        """The actor's action, shape (m,)."""
+        self.seen.append(vector(observation))
+        self.wanted.append(self._expert.act(observation))
+        return self._actor(self.seen[-1])
+
+
+def visit(actor: Actor, expert: str, env_id: str, options: dict[str, Any], first_seed: int) -> Pairs:
+    """Let an actor act for `VISITS` episodes; returns what it saw, and what the expert would have done."""
+    with worlds(env_id, options, VISITS) as (env, envs):
+        watched = [Watched(actor, load_policy(expert, env)) for _ in range(envs.num_envs)]
+        run_batch(envs, watched, range(first_seed, first_seed + VISITS))
+    return np.concatenate([each.seen for each in watched]), np.concatenate([each.wanted for each in watched])
+
+
+def clone(
+    episodes: list[Pairs], epochs: int, seed: int, rounds: int = 0, more: Callable[[Actor, int], Pairs] | None = None
+) -> tuple[Actor, float]:
     """Fit an actor to episodes.
 
     Args:
-        observations: observations of each episode, shape (steps, n).
-        actions: actions of each episode, shape (steps, m), −1…1.
-        epochs: number of passes over the data.
+        episodes: observations and actions of each episode.
+        epochs: number of passes over the data, in total and in each round.
         seed: seed of the weights and of the order.
+        rounds: number of times that data are added, after a first fit.
+        more: returns them for an actor and the number of the round.
 
     Returns:
         The actor, and its root-mean-square error on the held-out episodes; NaN if there are none.
@@ -42,25 +82,26 @@ def clone(observations: list[np.ndarray], actions: list[np.ndarray], epochs: int
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)
-    used = len(observations) - int(KEPT * len(observations))
-    seen, done = np.concatenate(observations[:used]), np.concatenate(actions[:used])
+    used = len(episodes) - int(KEPT * len(episodes))
+    seen, done = map(np.concatenate, zip(*episodes[:used], strict=True))
     mean, scale = mean_and_scale(seen)
-    inputs = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32))
-    wanted = torch.from_numpy(done)
     widths = (seen.shape[1], *HIDDEN, done.shape[1])
     network = nn.Sequential(*(part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU())))[:-1]
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs)
-    for _ in progress(range(epochs), "epochs"):
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * (rounds + 1))
+    for epoch in progress(range(epochs * (rounds + 1)), "epochs"):
+        if epoch and epoch % epochs == 0:
+            added = more(actor_of(network, mean, scale), epoch // epochs)
+            seen, done = np.concatenate([seen, added[0]]), np.concatenate([done, added[1]])
+        inputs, wanted = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32)), torch.from_numpy(done)
         for rows in torch.randperm(len(inputs)).split(BATCH):
-            loss = nn.functional.mse_loss(torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows])
+            loss = nn.functional.l1_loss(torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows])
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
         schedule.step()
     actor = actor_of(network, mean, scale)
-    judged = zip(observations[used:], actions[used:], strict=True)
-    errors = [actor(row) - action for pair in judged for row, action in zip(*pair, strict=True)]
+    errors = [actor(row) - action for pair in episodes[used:] for row, action in zip(*pair, strict=True)]
     return actor, float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
 
 
@@ -68,23 +109,32 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.clone", __doc__)
     parser.add_argument("dataset", type=Path, help="folder that hpac record wrote")
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
-    parser.add_argument("--epochs", type=whole_number(1), default=30, help="number of passes over the data")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the weights and of the order")
+    parser.add_argument("--epochs", type=whole_number(1), default=30, help="number of passes over the data, also in each round")
+    parser.add_argument("--rounds", type=whole_number(0), default=0, help="number of rounds in which it acts itself")
+    parser.add_argument("--expert", default="scripted", help="whom it imitates in the rounds: scripted, or a policy file")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of weights, order and rounds")
     args = parser.parse_args(argv)
     dataset = read_dataset(args.dataset)
-    if not isinstance(dataset.observation_space, Box):
-        raise RunError(f"'{args.dataset}' observes {dataset.observation_space}: cloning needs one flat box")
+    if vector_size(dataset.observation_space) is None:
+        raise RunError(f"'{args.dataset}' observes {dataset.observation_space}: cloning needs vectors")
     writable_folder(args.out)
     episodes = [episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]]
     if not episodes:
         raise RunError(f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone")
-    target = target_of(dataset.env_spec.id, **dataset.env_spec.kwargs)
-    actor, error = clone([e.observations[:-1] for e in episodes], [e.actions for e in episodes], args.epochs, args.seed)
+    env_id, options = dataset.env_spec.id, dataset.env_spec.kwargs
+    target = target_of(env_id, **options)
+
+    def more(actor: Actor, number: int) -> Pairs:
+        return visit(actor, args.expert, target["env_id"], options, training_seed(args.seed, number, VISITS))
+
+    pairs = [(vector(episode.observations)[:-1], episode.actions) for episode in episodes]
+    actor, error = clone(pairs, args.epochs, args.seed, args.rounds, more)
+    settings = {name: getattr(args, name) for name in ("epochs", "rounds", "expert", "seed")}
     about = {
         **target,
         "algorithm": "behaviour cloning",
-        "settings": {"dataset": str(dataset.id), "epochs": args.epochs, "seed": args.seed, "hidden": HIDDEN},
-        "episodes": len(episodes),
+        "settings": {"dataset": str(dataset.id), **settings, "hidden": HIDDEN},
+        "episodes": len(episodes) + VISITS * args.rounds,
         "versions": versions(),
     }
     write_policy(args.out / POLICY, PolicyFile(actor, about))

@@ -10,8 +10,8 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -127,15 +127,22 @@ def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int])
     return [episodes[seed] for seed in seeds]
 
 
-def run_block(names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[tuple[Episode, ...]]:
-    """Run an episode of each policy for each seed, in an environment of their own, on MuJoCo in a batch."""
-    with make_task(env_id, **options) as env, ExitStack() as stack:
-        size = min(BATCH, len(seeds)) if _has_batch(env) else 1
-        if size > 1:
-            envs = stack.enter_context(closing(gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)))
+@contextmanager
+def worlds(env_id: str, options: Mapping[str, Any], episodes: int) -> Iterator[tuple[gymnasium.Env, VectorEnv]]:
+    """An environment, and worlds of it without autoreset for some episodes: on MuJoCo a batch, elsewhere that one."""
+    with make_task(env_id, **options) as env:
+        size = min(BATCH, episodes) if _has_batch(env) else 1
+        if size == 1:
+            yield env, SyncVectorEnv([lambda: env], autoreset_mode="Disabled")
         else:
-            envs = SyncVectorEnv([lambda: env], autoreset_mode="Disabled")
-        columns = [run_batch(envs, [load_policy(name, env) for _ in range(size)], seeds) for name in names]
+            with closing(gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)) as envs:
+                yield env, envs
+
+
+def run_block(names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]) -> list[tuple[Episode, ...]]:
+    """Run an episode of each policy for each seed, in an environment of their own."""
+    with worlds(env_id, options, len(seeds)) as (env, envs):
+        columns = [run_batch(envs, [load_policy(name, env) for _ in range(envs.num_envs)], seeds) for name in names]
     return list(zip(*columns, strict=True))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict, Space
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
@@ -66,9 +66,17 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
     env_id = env.spec.id
     if (told := misfit(policy.about["env_id"], policy.about.get("made_for", {}), env)) is not None:
         raise PolicyError(f"policy file '{name}' {told}")
-    if not isinstance(env.observation_space, Box):
-        raise PolicyError(f"policy file '{name}' takes one flat box, {env_id} observes {env.observation_space}")
-    wanted = env.observation_space.shape[0], env.action_space.shape[0]
+    if (observed := vector_size(env.observation_space)) is None:
+        raise PolicyError(f"policy file '{name}' takes a vector, {env_id} observes {env.observation_space}")
+    wanted = observed, env.action_space.shape[0]
     if policy.sizes != wanted:
         raise PolicyError(f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}")
     return policy
+
+
+def vector_size(space: Space) -> int | None:
+    """Size of a `hpac_gym.policies.policy.vector` of observations; None if they contain something else, such as pictures."""
+    parts = list(space.values()) if isinstance(space, Dict) else [space]
+    if all(isinstance(part, Box) and len(part.shape) == 1 for part in parts):
+        return sum(part.shape[0] for part in parts)
+    return None

@@ -16,14 +16,16 @@ def made_for(env: gymnasium.Env) -> dict[str, Any]:
     """The properties of an environment that its policies rely on; empty for environments of other packages.
 
     Returns:
-        `observation`: name, label, unit and bounds of every entry of the *deploy* vector, in order; `action`: the servos, in
-        order; `control_hz`: control rate [Hz]; `hand_sha256`: hash of the hand file of the model with which the
-        observation is computed; `task_sha256`: hash of the task's configuration.
+        `observation`: name, label, unit and bounds of every entry of the *deploy* vector, in order, after those of the
+        achieved and the desired goal; `action`: the servos, in order; `control_hz`: control rate [Hz]; `hand_sha256`: hash of
+        the hand file of the model with which the observation is computed; `task_sha256`: hash of the task's configuration.
     """
     task = getattr(env.unwrapped, "task", None)
     if task is None or not hasattr(task, "terms"):
         return {}
-    entries = [[term.name, label, term.unit, term.low, term.high] for term in task.terms for label in term.labels]
+    named = [(goal, term) for goal in ("achieved_goal", "desired_goal") for term in getattr(task, "goal_terms", ())]
+    named += [(term.name, term) for term in task.terms]
+    entries = [[name, label, term.unit, term.low, term.high] for name, term in named for label in term.labels]
     hand = getattr(env.unwrapped, "hand", HPAC)
     return {
         "observation": entries,

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.policy_file import PolicyFile
+
+
+def vector(observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
+    """An observation as a vector, shape (..., n): the entries of a dictionary in the order of its sorted names."""
+    if isinstance(observation, Mapping):
+        return np.concatenate([observation[name] for name in sorted(observation)], axis=-1)
+    return observation
 
 
 class Policy(Protocol):
@@ -17,16 +24,16 @@ class Policy(Protocol):
     def reset(self, seed: int) -> None:
         """Start a new episode; ``seed`` is its seed."""
 
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        """The action for an observation, shape (6,), −1…1; shape (12,) with a free wrist."""
+    def act(self, observation: Any) -> np.ndarray:
+        """The action for an observation of the environment, shape (6,), −1…1; shape (12,) with a free wrist."""
 
 
 class LearnedPolicy:
     """A trained actor without its exploration.
 
     Args:
-        actor: function of an observation, shape (n,), that returns an action, shape (6,), or with `closures` the numbers of a
-            closure, shape (m,); all −1…1.
+        actor: function of an observation's `vector`, shape (n,), that returns an action, shape (6,), or with `closures` the
+            numbers of a closure, shape (m,); all −1…1.
         action_repeat: number of control steps for which each action is held, at least 1, as in training.
         closures: if given, the actor decides once, on the first observation of an episode; None if it sets actions.
     """
@@ -44,12 +51,12 @@ class LearnedPolicy:
     def reset(self, seed: int) -> None:
         self._step = 0
 
-    def act(self, observation: np.ndarray) -> np.ndarray:
+    def act(self, observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
         step, self._step = self._step, self._step + 1
         if self._closures is not None:
             if step == 0:
-                self._decision = self._actor(observation)
+                self._decision = self._actor(vector(observation))
             return self._closures.actions(self._decision[None], [step])[0].astype(np.float32)
         if step % self._action_repeat == 0:
-            self._action = self._actor(observation)
+            self._action = self._actor(vector(observation))
         return self._action

@@ -3,6 +3,7 @@
 import sys
 from types import SimpleNamespace
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -12,6 +13,8 @@ from hpac_gym.evaluation import dataset as module
 from hpac_gym.evaluation.dataset import DatasetError, read_dataset, record
 from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
+from hpac_gym.policies.loading import load_policy
+from hpac_gym.tasks.scripted import ScriptedPosture
 
 EPISODES = 12
 
@@ -42,14 +45,33 @@ def test_the_recorded_environment_seeds_and_actions_give_the_recorded_episodes_a
     env.close()
 
 
-def test_dictionaries_are_recorded_too_but_not_cloned(tmp_path):
-    dataset = record("random", "HPAC-Posture-v1", 1, tmp_path / "posture", options={"engine": "mujoco"})
-    (episode,) = dataset.iterate_episodes()
+def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
+    """In a round the clone acts, and learns what the script would have done on what it saw."""
+    monkeypatch.setattr(clone, "VISITS", 3)
+    taught, visit = [], clone.visit
+    monkeypatch.setattr(clone, "visit", lambda *words: taught.append(visit(*words)) or taught[-1])
+    dataset = record("scripted", "HPAC-Posture-v1", 2, tmp_path / "posture", seed_start=5000, options={"engine": "mujoco"})
+    episode = next(dataset.iterate_episodes())
     assert {name: len(values) for name, values in episode.observations.items()} == dict.fromkeys(
         ("observation", "achieved_goal", "desired_goal"), len(episode.actions) + 1
     )
-    with pytest.raises(RunError, match=r"posture' observes Dict\(.*\): cloning needs one flat box"):
-        clone.main([str(tmp_path / "posture"), "--out", str(tmp_path / "policy")])
+    assert clone.main([str(tmp_path / "posture"), "--out", str(tmp_path), "--epochs", "1", "--rounds", "2"]) == 0
+    with gymnasium.make("hpac_gym:HPAC-Posture-v1", engine="mujoco") as env:
+        policy = load_policy(str(tmp_path / "policy.zip"), env)
+        observation, _ = env.reset(seed=0)
+        policy.reset(0)
+        assert env.action_space.contains(policy.act(observation))
+    for seen, wanted in taught:
+        assert (seen.shape, wanted.shape) == ((3 * 40, 51), (3 * 40, 6))
+        parts = {"achieved_goal": seen[:, :15], "desired_goal": seen[:, 15:30], "observation": seen[:, 30:]}
+        np.testing.assert_array_equal(ScriptedPosture().act(parts), wanted)
+    assert not np.array_equal(*(seen for seen, _ in taught)), "each round has episodes of its own"
+
+
+def test_pictures_are_not_cloned(tmp_path):
+    record("scripted", "HPAC-Posture-v1", 1, tmp_path / "seen", seed_start=5000, options={"engine": "mujoco", "obs": "image"})
+    with pytest.raises(RunError, match=r"seen' observes Dict\(.*\): cloning needs vectors"):
+        clone.main([str(tmp_path / "seen"), "--out", str(tmp_path / "policy")])
 
 
 def test_a_recording_that_fails_or_is_interrupted_leaves_nothing_half(tmp_path, monkeypatch):

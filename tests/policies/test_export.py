@@ -85,6 +85,26 @@ def test_the_card_tells_layout_numbers_rate_and_hashes(policy, folder):
     assert "| 21 | object_pos | x | 0.05 m | -4 | 4 |" in page
 
 
+def test_a_policy_of_a_goal_environment_is_exported_with_its_goals(policy, tmp_path):
+    """Its input has the parts of an observation in the order of their names, as its card says."""
+    rng, actor = np.random.default_rng(0), policy.actor
+    first = rng.normal(0, 51**-0.5, (64, 51)).astype(np.float32), actor.layers[0][1]
+    layers = (first, actor.layers[1], tuple(array[:6] for array in actor.layers[2]))
+    with gymnasium.make("HPAC-Posture-v1", engine="mujoco") as env:
+        about = {"env_id": "hpac_gym:HPAC-Posture-v1", "made_for": made_for(env)}
+        file = PolicyFile(Actor(rng.normal(0, 0.3, 51), rng.uniform(0.5, 2, 51), 8.0, layers, 4.0), about)
+        write_policy(tmp_path / "policy.zip", file)
+        export(tmp_path / "policy.zip", tmp_path / "out")
+        exported, seen = read_onnx(tmp_path / "out", env), env.reset(seed=0)[0]
+        exported.reset(0)
+        joined = np.concatenate([seen["achieved_goal"], seen["desired_goal"], seen["observation"]])
+        np.testing.assert_allclose(exported.act(seen), file.actor(joined), atol=1e-6)
+        bounds = [env.observation_space[name] for name in sorted(seen)]
+    told = json.loads((tmp_path / "out" / "card.json").read_text())["observation"]
+    assert [entry["name"] for entry in told[:37:6]] == ["achieved_goal"] * 3 + ["desired_goal"] * 2 + ["servo", "joint_pos"]
+    np.testing.assert_array_equal([entry["low"] for entry in told], np.concatenate([space.low for space in bounds]))
+
+
 def test_it_is_refused_where_layout_or_hand_differ(folder, env):
     other = gymnasium.make("HPAC-Grasp-v0", engine="mujoco", hand=changed_hand(HPAC, np.full(5, 0.9)))
     with pytest.raises(PolicyError, match="does not fit HPAC-Grasp-v0: hand_sha256 was"):
