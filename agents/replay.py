@@ -86,7 +86,7 @@ class Report:
 
     def __str__(self) -> str:
         return (
-            f"{self.successes} of {self.episodes} grasps held over the wire; {self.moves} moves, pulses at most "
+            f"{self.successes} of {self.episodes} episodes succeeded over the wire; {self.moves} moves, pulses at most "
             f"{self.worst_pulse_error_rad:.1e} rad from the command\n"
             f"{self.frames}, round trip p50 {self.round_trip_p50_ms:.2f} ms, p99 {self.round_trip_p99_ms:.2f} ms"
         )
@@ -191,13 +191,13 @@ def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, 
             rest, phase, picture, stills = iter(received), None, None, []
             for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
                 last, picture = picture, env.render()
-                if info["phase"] != phase:
+                if (now := info.get("phase", "")) != phase:  # a task without phases has none
                     stills.append(picture if last is None else last)
-                    phase = info["phase"]
+                    phase = now
                 add(picture, f"seed {seed}   {phase}")
             stills.append(picture)
             sheet.append(stills)
-            add(picture, f"seed {seed}   {info['outcome']}", HELD_PICTURES)
+            add(picture, f"seed {seed}   {'success' if info['is_success'] else 'failure'}", HELD_PICTURES)
     columns, blank = max(map(len, sheet)), np.full_like(sheet[0][0], 255)
     image = Image.fromarray(np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in sheet]))
     with replacing(out / "grasps.png") as temporary:
