@@ -26,10 +26,11 @@ def film_the_beginning(policy, env_id, options, commands, *rest) -> None:
 
 SHORT = ("--engine", "mujoco", "--seed-start", "1000007")
 """An episode that ends in the lift, after 31 moves."""
+GOALS = ("--virtual", "--policy", "agents/trained/posture.zip", "--engine", "mujoco")
 FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
 
 
-@pytest.mark.parametrize("arguments", [SHORT, FREE_WRIST], ids=["host process on a pty", "in process, from a preshape"])
+@pytest.mark.parametrize("arguments", [SHORT, FREE_WRIST, GOALS], ids=["host process on a pty", "in process, from a preshape", "goals"])
 def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, monkeypatch, arguments):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     report = replayed(tmp_path, *arguments)

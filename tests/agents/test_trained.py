@@ -18,6 +18,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
         ("grasp-any", "HPAC-GraspAny-v1", 174_852),
         ("grasp-type", "HPAC-GraspType-v0", 3_000),
         ("pick-place", "HPAC-PickPlace-v0", 7_671),
+        ("posture", "HPAC-Posture-v1", 8_485),
     ],
 )
 def test_it_says_how_it_was_made(name, env_id, trials):
@@ -38,6 +39,7 @@ def test_it_says_how_it_was_made(name, env_id, trials):
         pytest.param("grasp-any", "mujoco", 12, 5, marks=pytest.mark.slow),  # 80 % of 1,000, random actions 6 %
         pytest.param("grasp-type", "mujoco", 12, 6, marks=pytest.mark.slow),  # a quarter of its types are held out
         pytest.param("pick-place", "mujoco", 12, 11, marks=pytest.mark.slow),
+        ("posture", "mujoco", 12, 8),  # the constant action reaches none
     ],
 )
 def test_it_still_grasps(name, engine, episodes, held):
