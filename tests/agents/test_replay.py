@@ -30,7 +30,7 @@ GOALS = ("--virtual", "--policy", "agents/trained/posture.zip", "--engine", "muj
 FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
 
 
-@pytest.mark.parametrize("arguments", [SHORT, FREE_WRIST, GOALS], ids=["host process on a pty", "in process, from a preshape", "goals"])
+@pytest.mark.parametrize("arguments", [SHORT, FREE_WRIST, GOALS], ids=["host process on a pty", "from a preshape", "goals"])
 def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, monkeypatch, arguments):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     report = replayed(tmp_path, *arguments)
