@@ -2,7 +2,7 @@
 
 A network imitates the actions of the successful episodes. With ``--rounds N`` it then acts itself, N times in 200 episodes, and
 also learns what ``--expert`` would have done there (DAgger, Ross et al. 2011): otherwise it sees no errors of its own. The folder
-gets ``policy.zip``, which is evaluated, replayed and exported like any other.
+gets ``policy.zip``, updated before every round, which is evaluated, replayed and exported like any other.
 """
 
 import sys
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from agents import POLICY, RunError, command_parser, target_of, versions
+from agents import POLICY, RunError, command_parser, make_task, target_of, versions
 from agents.evaluate import run_batch, worlds
 from hpac import run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
@@ -123,21 +123,27 @@ def main(argv: list[str] | None = None) -> int:
         raise RunError(f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone")
     env_id, options = dataset.env_spec.id, dataset.env_spec.kwargs
     target = target_of(env_id, **options)
+    with make_task(target["env_id"], **options) as env:
+        load_policy(args.expert, env)  # errors are raised here, not after the first fit
+    settings = {name: getattr(args, name) for name in ("epochs", "rounds", "expert", "seed")}
+
+    def save(actor: Actor, rounds: int) -> None:
+        about = {
+            **target,
+            "algorithm": "behaviour cloning",
+            "settings": {"dataset": str(dataset.id), **settings, "hidden": HIDDEN},
+            "episodes": len(episodes) + VISITS * rounds,
+            "versions": versions(),
+        }
+        write_policy(args.out / POLICY, PolicyFile(actor, about))
 
     def more(actor: Actor, number: int) -> Pairs:
+        save(actor, number - 1)
         return visit(actor, args.expert, target["env_id"], options, training_seed(args.seed, number, VISITS))
 
     pairs = [(vector(episode.observations)[:-1], episode.actions) for episode in episodes]
     actor, error = clone(pairs, args.epochs, args.seed, args.rounds, more)
-    settings = {name: getattr(args, name) for name in ("epochs", "rounds", "expert", "seed")}
-    about = {
-        **target,
-        "algorithm": "behaviour cloning",
-        "settings": {"dataset": str(dataset.id), **settings, "hidden": HIDDEN},
-        "episodes": len(episodes) + VISITS * args.rounds,
-        "versions": versions(),
-    }
-    write_policy(args.out / POLICY, PolicyFile(actor, about))
+    save(actor, args.rounds)
     kept = f"the last {int(KEPT * len(episodes))} kept back, error {error:.3f}" if np.isfinite(error) else "none kept back"
     print(f"{len(episodes)} successful episodes, {kept}: {args.out / POLICY}")
     return 0

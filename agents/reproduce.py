@@ -125,9 +125,10 @@ def main(argv: list[str] | None = None) -> int:
     else:
         found = args.policy or race(args.runs, args.learner, args.seeds, args.minutes)
         columns, rows = RACED, seeds(found, judge)
-    print(markdown(columns, ()))
     cells: list[dict[str, Any]] = []
     for line, done in rows:
+        if not cells:
+            print(markdown(columns, ()))
         cells += done
         print(f"| {' | '.join(map(str, line))} |", flush=True)
         if args.out:
