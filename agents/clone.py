@@ -56,7 +56,9 @@ def visit(actor: Actor, expert: str, env_id: str, options: dict[str, Any], first
     """Let an actor act for `VISITS` episodes; returns what it saw, and what the expert would have done."""
     with worlds(env_id, options, VISITS) as (env, envs):
         watched = [Watched(actor, load_policy(expert, env)) for _ in range(envs.num_envs)]
-        run_batch(envs, watched, range(first_seed, first_seed + VISITS))
+        episodes = run_batch(envs, watched, range(first_seed, first_seed + VISITS))
+    if not sys.stderr.isatty():  # a terminal has a progress bar
+        print(f"in training, {np.mean([episode.success for episode in episodes]):.0%} of {VISITS} episodes won", file=sys.stderr)
     return np.concatenate([each.seen for each in watched]), np.concatenate([each.wanted for each in watched])
 
 
