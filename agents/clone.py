@@ -95,7 +95,8 @@ def clone(
         if epoch and epoch % epochs == 0:
             added = more(actor_of(network, mean, scale), epoch // epochs)
             seen, done = np.concatenate([seen, added[0]]), np.concatenate([done, added[1]])
-        inputs, wanted = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32)), torch.from_numpy(done)
+        if epoch % epochs == 0:
+            inputs, wanted = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32)), torch.from_numpy(done)
         for rows in torch.randperm(len(inputs)).split(BATCH):
             loss = nn.functional.l1_loss(torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows])
             optimizer.zero_grad()
@@ -125,8 +126,9 @@ def main(argv: list[str] | None = None) -> int:
         raise RunError(f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone")
     env_id, options = dataset.env_spec.id, dataset.env_spec.kwargs
     target = target_of(env_id, **options)
-    with make_task(target["env_id"], **options) as env:
-        load_policy(args.expert, env)  # errors are raised here, not after the first fit
+    if args.rounds:
+        with make_task(target["env_id"], **options) as env:
+            load_policy(args.expert, env)  # errors are raised here, not after the first fit
     settings = {name: getattr(args, name) for name in ("epochs", "rounds", "expert", "seed")}
 
     def save(actor: Actor, rounds: int) -> None:

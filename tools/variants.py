@@ -7,7 +7,6 @@ skips finished trainings.
 
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +59,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--episodes", type=whole_number(1), default=1_000, help="held-out episodes of each policy")
     parser.add_argument("--out", type=Path, required=True, help="folder of the trainings")
     args = parser.parse_args(argv)
-    judge = partial(evaluate, env_id=DEFAULT_TASK, episodes=args.episodes, options={"engine": "mujoco"})
     for name, (settings, make) in VARIANTS.items():
         cells = []
         for seed in range(args.seeds):
@@ -71,7 +69,8 @@ def main(argv: list[str] | None = None) -> int:
                 recipe = replace(RECIPES["grasp"], seed=seed, episodes=args.trials, checkpoint_every=args.trials, **settings)
                 if status := train(recipe, out, make=make):
                     return status
-            cells += judge([str(out / POLICY)]).summary()["policies"].values()
+            judged = evaluate([str(out / POLICY)], DEFAULT_TASK, args.episodes, options={"engine": "mujoco"})
+            cells += judged.summary()["policies"].values()
         print(f"{name}: {over_runs(cells)}", flush=True)
     return 0
 
