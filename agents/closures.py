@@ -50,6 +50,7 @@ DRAWS = 4  # maximal number of draws of an episode until the learner accepts it
 WEAK = (0.5, 1.0)
 """Factors of the skin's friction in weak contacts (`docs/physics.md`: PyBullet's contacts hold half of the friction cone)."""
 SURE = 0.7  # predicted success above which a trial may be rejected
+BELOW_ONE = 1.0 - 2.0**-24  # largest number below 1 in single precision: a tanh may round to 1, which has no density
 MOST = 0.98  # bound of the first decisions about a script, where the actor's tanh can imitate them
 UNSEEN = 1e9  # scale of an entry that the networks do not see
 SCALES = ("mean", "scale", "mean_came_to", "scale_came_to")
@@ -213,7 +214,10 @@ class Spread(nn.Module):
         """Decisions, shape (n, m), sampled unless they are given, and their log-density, shape (n,)."""
         value = self.body(seen)
         mean, log_std = self.mean(value).clamp(-MEAN_CLIP, MEAN_CLIP), self.log_std(value).clamp(*LOG_STD)
-        noise = torch.randn_like(mean) if decisions is None else (torch.atanh(decisions) - mean) / log_std.exp()
+        if decisions is None:
+            noise = torch.randn_like(mean)
+        else:
+            noise = (torch.atanh(decisions.clamp(-BELOW_ONE, BELOW_ONE)) - mean) / log_std.exp()
         raw = mean + log_std.exp() * noise
         # A numerically stable form of log(1 − tanh²) for large arguments.
         squash = 2 * (np.log(2) - raw - functional.softplus(-2 * raw))

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from agents import RunError
-from agents.closures import TYPE, Learner, scripted_decisions, training_task
+from agents.closures import TYPE, Learner, Spread, scripted_decisions, training_task
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.envs import GraspByType
 from hpac_gym.model import HPAC
@@ -154,3 +154,12 @@ def test_a_recipe_trains_on_the_sizes_and_hands_that_it_asks_for(sizes, least, m
     assert min(scales) <= least
     assert max(scales) >= most
     assert len({setup.geometry for setup in setups}) in drawn
+
+
+def test_a_decision_that_was_rounded_to_1_can_be_imitated():
+    actor, seen = Spread(SEEN, (16,), 3), torch.zeros(1, SEEN)
+    assert torch.atanh(torch.ones(1)).isinf()  # so its density would not be finite
+    density = actor(seen, torch.tensor([[1.0, -1.0, 0.5]]))[1]
+    density.backward()
+    assert density.isfinite()
+    assert all(part.grad.isfinite().all() for part in actor.parameters())
