@@ -19,6 +19,8 @@ from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, na
 from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import HPAC, SERVOS, Hand
 
+EARLY = 0.02  # what a device's clock may be ahead in a fifth of a second [s]
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -255,9 +257,11 @@ def _no_ack(d: Device) -> None:
     d.must(Reason.duration, wire.MOVE, d.move(0, 1), "without ACK, but refused", flags=wire.NO_ACK)
 
 
-def _silence(d: Device, action: Action, watchdog_ms: int) -> Status:
+def _silence(d: Device, action: Action, watchdog_ms: int) -> tuple[Status, float]:
+    """Let the watchdog trip; returns the STATUS afterwards, and the earliest time at which it can have tripped [s]."""
     d.armed(action, watchdog_ms)
     d.moved(2000)
+    expires = d.transport.now() + watchdog_ms * 1e-3
     d.must(Reason.ok, wire.HEARTBEAT, OURS)
     d.unasked.clear()
     d.listen(watchdog_ms * 1e-3 - 0.04)
@@ -265,31 +269,33 @@ def _silence(d: Device, action: Action, watchdog_ms: int) -> Status:
     d.listen(0.04 + SLACK)
     status = d.must_be(State.fault, f"after {watchdog_ms} ms of silence", Fault.watchdog)
     d.must_have_told(Fault.watchdog)
-    return status
+    return status, expires
 
 
 def _watchdog_detach(d: Device) -> None:
     for watchdog_ms in (CONSTANTS["watchdog_min_ms"], CONSTANTS["watchdog_max_ms"]):
-        status = _silence(d, Action.detach, watchdog_ms)
+        status, _ = _silence(d, Action.detach, watchdog_ms)
         d.expect(not status.attached, f"detach leaves servos {status.attached:06b} with pulses")
 
 
 def _watchdog_relax(d: Device) -> None:
-    before = _silence(d, Action.relax, 100)
+    before, expires = _silence(d, Action.relax, 100)
     d.expect(before.attached == 0x3F, f"relax has taken the pulses of servos {before.attached ^ 0x3F:06b} at once")
     d.listen(0.1)
     status = d.status()
     gone = [abs(was - rest) - abs(at - rest) for was, at, rest in zip(before.servo, status.servo, d.rest, strict=True)]
     d.expect(min(gone) > 0, f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]")
-    most = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000 * (0.1 + SLACK)
-    d.expect(max(gone) <= most, f"relax goes {max(gone)} [1e-4 rad] in 0.1 s, at most {most:.0f}")
+    way = max(abs(rest + 2000 - at) for at, rest in zip(status.servo, d.rest, strict=True))
+    rate = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000
+    most = rate * (d.transport.now() - expires + EARLY)
+    d.expect(way <= most, f"relax has gone {way} [1e-4 rad], at most {most:.0f} at its rate")
     d.listen(1.5)
     status = d.status()
     d.expect(not status.attached and list(status.servo) == d.rest, f"after relax {status.servo}, servos {status.attached:06b}")
 
 
 def _watchdog_hold(d: Device) -> None:
-    before = _silence(d, Action.hold, 100)
+    before, _ = _silence(d, Action.hold, 100)
     d.listen(CONSTANTS["hold_max_ms"] * 1e-3 - 1.0)
     status = d.status()
     d.expect(status.attached == 0x3F and status.servo == before.servo, f"hold: {status.servo}, servos {status.attached:06b}")

@@ -1,0 +1,274 @@
+"""The conformance suite: the firmware passes it, and every rule and every check of it is failed by a wrong device."""
+
+import json
+import struct
+import sys
+from collections.abc import Callable
+
+import pytest
+
+from hpac_gym.bridge import HostBoard, VirtualHand
+from hpac_gym.bridge.evidence import conform as suite
+from hpac_gym.bridge.evidence import judged_hand, oracle
+from hpac_gym.bridge.evidence.conform import RULES, conform
+from hpac_gym.bridge.evidence.device import SESSION, BrokenRule, Device
+from hpac_gym.bridge.evidence.oracle import unseal
+from hpac_gym.bridge.protocol import Fault, State
+from hpac_gym.model import HPAC
+from tests.bridge.test_commands import run
+
+
+class Mute(VirtualHand):
+    def transmit(self):
+        super().transmit()
+        return b""
+
+
+class LosesStep(judged_hand.JudgedHand):
+    """A hand that misses the frame after a damaged one."""
+
+    lost = False
+
+    def heard(self, data):
+        pieces = list(filter(None, data.split(b"\0")))[self.lost :]
+        self.lost = any(unseal(piece) is None for piece in pieces)
+        return b"".join(b"\0" + piece + b"\0" for piece in pieces)
+
+
+def rewriting(name, heard=lambda body: body, said=lambda body: body):
+    """A hand that changes the frames that it hears or says: header and payload of each, without its CRC."""
+
+    class Hand(judged_hand.JudgedHand):
+        def heard(self, data):
+            return judged_hand._rewritten(data, heard)
+
+        def transmit(self):
+            return judged_hand._rewritten(super().transmit(), said)
+
+    Hand.__name__ = name
+    return Hand
+
+
+def put(body, when, at, value):
+    """Put a byte into a frame's payload if a condition holds."""
+    if when:
+        body[5 + at] = value
+    return body
+
+
+OURS = struct.pack("<I", SESSION)
+SILENCE = {"silence: detach", "silence: relax", "silence: hold, then relax"}
+REPEATS = {"a MOVE comes once; old numbers are refused", "a MOVE from before CLEAR is refused"}
+WRONG = {
+    judged_hand.DeafToEstop: {"ESTOP is accepted from any sender, with any contents", "a fault is latched until CLEAR"},
+    judged_hand.NoWatchdog: SILENCE | {"counters", "messages that feed the watchdog, and others"},
+    judged_hand.Renumbering: REPEATS,
+    judged_hand.Forgiving: {
+        "a damaged frame is counted and not answered",
+        "ARM, MOVE, HEARTBEAT and CLEAR belong to the session",
+        "order of the checks of a frame",
+    },
+    LosesStep: {"junk does not affect later frames", "a lost byte costs at most one frame"},
+    rewriting("Chatty", heard=lambda body: body[:4] + bytes([body[4] & ~2 if body[1] in (3, 4) else body[4]]) + body[5:]): {
+        "no ACK where none is wanted, refusals always"
+    },
+    rewriting("ChattyInMoves", heard=lambda body: put(body, body[1] == oracle.MOVE, -1, body[4] & ~2)): {
+        "no ACK where none is wanted, refusals always"
+    },
+    rewriting("GoesOnTelling", heard=lambda body: put(body, body[1] == oracle.STATUS and not any(body[5:]), 0, 50)): {
+        "periodic STATUS"
+    },
+    rewriting("TakenOverByALook", heard=lambda body: put(body, body[1] == 1 and not any(body[5:9]), 0, 1)): {
+        "HELLO 0 is answered and changes nothing"
+    },
+    rewriting("Faithful", heard=lambda body: body[:5] + bytes(4) if body[1] == 1 and body[5:] != OURS else body): {
+        "HELLO of another controller disarms and takes over"
+    },
+    rewriting("HearsItself", heard=lambda body: body[:1] + b"\4" + body[2:] if body[1] >= 0x80 else body): {
+        "messages of the hand's own types are ignored"
+    },
+    rewriting("StartsFive", said=lambda body: put(body, body[1] == 0x83, 6, body[11 % len(body)] & 0x1F)): {
+        "servos start one after the other; MOVE waits for them"
+    },
+    rewriting("NeverAtRest", said=lambda body: put(body, body[1] == 0x83, 7, 1)): {"MOVE arrives; minimum jerk"},
+    rewriting("Detaches", heard=lambda body: put(body, body[1] == 2, 10, 2)): SILENCE - {"silence: detach"},
+    rewriting("Holds", heard=lambda body: put(body, body[1] == 2, 10, 0)): SILENCE - {"silence: hold, then relax"},
+    rewriting("GoesOn", heard=lambda body: body[:1] + b"\4" + body[2:] if body[1] == 6 else body): {
+        "CLEAR stops motion and pulses"
+    },
+}
+
+
+def test_the_firmware_conforms():
+    rows = list(conform(VirtualHand().connect()))
+    assert [row.rule for row in rows] == list(RULES)
+    assert all(row.holds for row in rows), [row for row in rows if not row.holds]
+
+
+@pytest.mark.slow
+def test_the_host_board_conforms():
+    with HostBoard() as board:
+        assert run("conform", "--port", board.port) == 0
+
+
+WHOLE = {judged_hand.DeafToEstop, judged_hand.NoWatchdog, judged_hand.Renumbering}
+"""The wrong hands that further tests hold against all the rules."""
+PERIOD_US = 5000
+"""Of the wrong hands' ticks; fewer of them take less time to judge."""
+
+
+@pytest.mark.parametrize(("kind", "rule"), [(kind, rule) for kind in WRONG if kind not in WHOLE for rule in sorted(WRONG[kind])])
+def test_a_wrong_device_breaks_its_rule(kind, rule):
+    (row,) = conform(kind(PERIOD_US).connect(), patience=0.1, rules=[rule])
+    assert row.failure
+    assert row.tried
+    assert not row.holds
+
+
+def test_a_mute_device_breaks_every_rule():
+    for row in conform(Mute().connect(), patience=0.1):
+        assert row.failure
+        assert row.tried
+
+
+@pytest.mark.parametrize("kind", [judged_hand.DeafToEstop, judged_hand.NoWatchdog], ids=lambda kind: kind.__name__)
+def test_a_wrong_device_keeps_the_other_rules(kind):
+    assert {row.rule for row in conform(kind(PERIOD_US).connect(), patience=0.1) if not row.holds} == WRONG[kind]
+
+
+@pytest.mark.parametrize("wrong", [{"state": State.armed}, {"fault": Fault.estop}, {"powered": True}], ids=str)
+def test_a_device_in_another_state_breaks_the_rule(wrong):
+    device = Device(VirtualHand().connect(), HPAC, patience=0.1)
+    device.idle()
+    right = {"state": State.idle, "when": "now", "fault": Fault.none, "powered": False}
+    device.must_be(**right)
+    with pytest.raises(BrokenRule, match="now idle, fault none, servos 000000, must be"):
+        device.must_be(**right | wrong)
+    with pytest.raises(BrokenRule, match=r"FAULT messages \[\], must be one of estop"):
+        device.must_have_told(Fault.estop)
+
+
+def test_conform_finds_renumbered_moves_leaves_the_hand_without_pulses_and_tells_its_status(capsys, monkeypatch):
+    hand = judged_hand.Renumbering(PERIOD_US)
+    monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: hand)
+    assert run("conform", "--port", "virtual", "--json") == 1
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["rule"] for row in rows if not row["holds"]} == WRONG[judged_hand.Renumbering]
+    assert not hand.pulses().any()
+
+
+# --- every check ----------------------------------------------------------------------------------------------------
+
+
+class Liar(VirtualHand):
+    """A hand that says something else while it is `lying`."""
+
+    lying = False
+
+    def __init__(self, lie: Callable[[bytes], bytes]) -> None:
+        super().__init__(PERIOD_US)
+        self._lie = lie
+
+    def transmit(self) -> bytes:
+        said = super().transmit()
+        return self._lie(said) if self.lying else said
+
+
+class Watched(Device):
+    """The device under test, which notes the line of each check and the type of the message before it.
+
+    The hand behind it lies from check number `begin` of the rule on, counted from 0, until check number `end` is done.
+    """
+
+    def __init__(self, lie: Callable[[bytes], bytes] = bytes, begin: int = 0, end: int = 0) -> None:
+        self._hand, self._span = Liar(lie), range(begin, end)
+        super().__init__(self._hand.connect(), HPAC, patience=0.05)
+        self.checks: list[tuple[str, int]] = []
+        self.kinds: list[int] = []
+        self._kind = 0
+
+    def run(self, rule: str) -> bool:
+        """Whether the hand keeps a rule."""
+        self.hash = self.hello(0).limits_hash
+        self.tried, self.checks, self.kinds = 0, [], []
+        self._hand.lying = 0 in self._span
+        try:
+            RULES[rule](self)
+        except BrokenRule:
+            return False
+        return True
+
+    def ask(self, *args, **how):
+        answer = super().ask(*args, **how)
+        self._kind = answer.kind if answer else 0
+        return answer
+
+    def expect(self, kept: bool, what: str) -> None:
+        frame = sys._getframe(1)
+        while frame.f_code.co_name.startswith("must"):  # a helper that checks for its caller
+            frame = frame.f_back
+        self.checks.append((frame.f_code.co_filename, frame.f_lineno))
+        self.kinds.append(self._kind)
+        super().expect(kept, what)
+        self._hand.lying = self.tried in self._span
+
+
+def silent(_: bytes) -> bytes:
+    """A lie: nothing."""
+    return b""
+
+
+def turned(kind: int, at: int, bits: int) -> Callable[[bytes], bytes]:
+    """A lie: some bits of a byte of the frames of a type."""
+
+    def lie(body: bytearray) -> bytearray:
+        if body[1] == kind:
+            body[at] ^= bits
+        return body
+
+    return lambda said: judged_hand._rewritten(said, lie)
+
+
+READ = (4, 5, 6, 7, 8, 9, 10, 30, 32, 36, 38, 42, 48)
+"""Bytes of STATUS's payload that the suite reads, the lowest of each field, and the first servo's two."""
+LIES = {
+    0: [silent, turned(oracle.FAULT, 5, 1)],
+    oracle.DEVICE_HELLO: [turned(oracle.DEVICE_HELLO, *where) for where in ((0, 1), (1, 3), (5, 1), (12, 1), (34, 1))],
+    oracle.ACK: [turned(oracle.ACK, at, 1) for at in (1, 6, 7)],
+    oracle.DEVICE_STATUS: [turned(oracle.DEVICE_STATUS, at, bits) for at in (1, *(5 + at for at in READ)) for bits in (1, 2, 7)],
+}
+"""Lies after a message of a type: a wrong version, type or field; 0: after any message."""
+
+
+def failed(rule: str, honest: Watched, check: tuple[str, int]) -> bool:
+    """Whether a check is failed by a hand that tells one kind of lie shortly before it."""
+    end = honest.checks.index(check) + 1
+    for begin in range(end - 1, max(end - 7, -1), -1):
+        for lie in (lie for kind in {0, *honest.kinds[begin:end]} for lie in LIES[kind]):
+            device = Watched(lie, begin, end)
+            if not device.run(rule) and device.checks[-1] == check:
+                return True
+    return False
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_every_check_is_failed_by_a_wrong_device(rule):
+    honest, found = Watched(), set()
+    assert honest.run(rule)
+    for kind in (kind for kind in WRONG if rule in WRONG[kind]):
+        device = Watched()
+        device.transport = kind(PERIOD_US).connect()
+        assert not device.run(rule)
+        found.add(device.checks[-1])
+    helpers = suite.__file__ if rule != "MOVE arrives; minimum jerk" else ""  # that one needs all of `Device`'s
+    checks = [check for check in dict.fromkeys(honest.checks) if check not in found and check[0].startswith(helpers)]
+    assert not [check for check in checks if not failed(rule, honest, check)]
+
+
+def test_no_check_has_been_removed():
+    checks = set()
+    for rule in RULES:
+        device = Watched()
+        device.run(rule)
+        checks |= set(device.checks)
+    assert len(checks) == 114
