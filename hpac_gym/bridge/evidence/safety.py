@@ -334,9 +334,9 @@ class _Restarting(VirtualTransport):
         self._restart()
 
     def _restart(self) -> None:
+        self._seen["in a session"] += bool(self._hand.pulses().any())
         self._hand.restart(Reset.power_on)
         self._text, self._deaf_until_us = _BOOT_TEXT, self._hand.now_us + 300_000
-        self._seen["resets"] += 1
 
     def write(self, data: bytes) -> None:
         self._left -= 1
@@ -353,7 +353,7 @@ class _Restarting(VirtualTransport):
 
 def _boots(kind: Hands) -> Played:
     """Sessions with boards that restart at opening and during the session: number that are lost or leave pulses."""
-    lost, seen = 0, {"resets": 0, "bytes": 0}
+    lost, seen = 0, {"in a session": 0, "bytes": 0}
     for restart_at in range(8, 28):
         hand = kind()
         link = HandLink(lambda hand=hand, at=restart_at: _Restarting(hand, at, seen), handshake_timeout=1.0)
@@ -369,7 +369,7 @@ def _boots(kind: Hands) -> Played:
             lost += 1
         finally:
             link.close()
-    return lost, min(seen["resets"] // 2, seen["bytes"] // len(_BOOT_TEXT))
+    return lost, min(seen["in a session"], seen["bytes"] // len(_BOOT_TEXT))
 
 
 def _sessions(count: int, seed: int) -> Iterator[Claim]:
