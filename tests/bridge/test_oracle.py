@@ -35,9 +35,9 @@ class Stage:
     def say(self, kind, payload=b"", seq=None, flags=0, version=2, reason=0):
         """The host says something, and the hand acknowledges all but HELLO with a reason; 0 is ok."""
         self.seq = self.seq + 1 if seq is None else seq
-        self.oracle.host(self._us, wire.wire(kind, self.seq, payload, flags, version))
+        self.oracle.host(self._us, wire.frame(kind, self.seq, payload, flags, version))
         if kind != wire.HELLO:
-            self.oracle.device(self._us, wire.wire(wire.ACK, self.seq, bytes([kind, reason, 255, 0])))
+            self.oracle.device(self._us, wire.frame(wire.ACK, self.seq, bytes([kind, reason, 255, 0])))
 
     @property
     def _us(self):
@@ -177,10 +177,10 @@ def test_a_repeat_is_over_once_the_pulses_have_stopped(between, seq, broken):
 def test_what_is_carried_out_must_have_come():
     stage = Stage(*ARMED)
     for kind, broken in ((wire.ESTOP, 0), (wire.MOVE, 1)):
-        stage.oracle.device(0, wire.wire(wire.ACK, 500, bytes([kind, 0, 255, 0])))
+        stage.oracle.device(0, wire.frame(wire.ACK, 500, bytes([kind, 0, 255, 0])))
         assert stage.oracle.broken["accept"] == broken
-    stage.oracle.host(0, wire.wire(wire.HEARTBEAT, 600, OURS, version=3))
-    stage.oracle.device(0, wire.wire(wire.ACK, 600, bytes([wire.HEARTBEAT, 0, 255, 0])))
+    stage.oracle.host(0, wire.frame(wire.HEARTBEAT, 600, OURS, version=3))
+    stage.oracle.device(0, wire.frame(wire.ACK, 600, bytes([wire.HEARTBEAT, 0, 255, 0])))
     assert stage.oracle.broken["accept"] == 2, "of another version"
 
 
@@ -317,7 +317,7 @@ def test_an_estop_ends_the_pulses_in_two_ticks(flags, payload, version):
 )
 def test_overload_relaxes_and_other_faults_end_the_pulses(fault, after, broken):
     stage = Stage(*ARMED).started()
-    stage.oracle.device(stage._us, wire.wire(wire.FAULT, 0, bytes([fault, 255, 0, 0, 0, 0])))
+    stage.oracle.device(stage._us, wire.frame(wire.FAULT, 0, bytes([fault, 255, 0, 0, 0, 0])))
     assert powered_until(stage, after).broken == broken
     stage.say(wire.ARM, arm())
     assert "accept" in stage.broken
@@ -352,7 +352,7 @@ def test_the_oracles_codec_is_the_codec(name):
     data = encode(Frame(name, 0x1234, 1, fields))
     (message,) = Reader().push(data)
     assert (message.kind, message.seq, message.flags) == (MESSAGES[name].code, 0x1234, 1)
-    assert wire.wire(message.kind, message.seq, message.payload, message.flags) == data
+    assert wire.frame(message.kind, message.seq, message.payload, message.flags) == data
     assert decode(data[1:-1]).fields == fields
 
 

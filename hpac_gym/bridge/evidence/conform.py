@@ -83,7 +83,7 @@ def _other_version(d: Device) -> None:
 def _damage(d: Device) -> None:
     d.idle()
     before = d.status()
-    good = wire.wire(wire.CLEAR, 900, OURS)
+    good = wire.frame(wire.CLEAR, 900, OURS)
     sent = 0
     for bit in range(8, 8 * (len(good) - 1), 3):
         bad = bytearray(good)
@@ -108,7 +108,7 @@ def _junk(d: Device) -> None:
 
 def _lost_byte(d: Device) -> None:
     d.idle()
-    one = wire.wire(wire.HEARTBEAT, 901, OURS)
+    one = wire.frame(wire.HEARTBEAT, 901, OURS)
     for at in range(len(one)):
         d.transport.write(one[:at] + one[at + 1 :])
         d.must(Reason.ok, wire.HEARTBEAT, OURS, f"after one that lost its byte {at}")

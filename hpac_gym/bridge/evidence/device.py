@@ -97,7 +97,7 @@ class Device:
         """Send a frame; returns its sequence number."""
         self._seq = self._seq % 0xFFFF + 1
         seq = self._seq if seq is None else seq
-        self.transport.write(wire.wire(kind, seq, payload, flags, version))
+        self.transport.write(wire.frame(kind, seq, payload, flags, version))
         return seq
 
     def ask(

@@ -75,7 +75,7 @@ class NoWatchdog(JudgedHand):
 
     def tick(self) -> None:
         if self.oracle.session:
-            feed = wire.wire(wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.session), wire.NO_ACK)
+            feed = wire.frame(wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.session), wire.NO_ACK)
             self._library.hpac_hand_receive(self._hand, self._config, self.now_us, feed, len(feed))
         super().tick()
 

@@ -41,7 +41,7 @@ CREDIT_ANGLE = 1e-4
 RULES = ("range", "rate", "start", "unarmed", "estop", "silence", "accept")
 
 
-def wire(kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: int = VERSION) -> bytes:
+def frame(kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: int = VERSION) -> bytes:
     """Encode a frame for the wire."""
     return seal(struct.pack("<BBHB", version, kind, seq, flags) + payload)
 

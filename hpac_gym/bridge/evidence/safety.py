@@ -133,7 +133,7 @@ def _fed_by_strangers(kind: Hands) -> Played:
     others += [(wire.CLEAR, session), (wire.HEARTBEAT, bytes(4)), (wire.HELLO, bytes(4))]
     for number in range(30):
         message, payload = others[number % len(others)]
-        hand.receive(wire.wire(message, 1000 + number, payload))
+        hand.receive(wire.frame(message, 1000 + number, payload))
         _pass(hand, 0.02)
     return hand.oracle.broken.total() + bool(hand.pulses().any()), 30
 
@@ -186,7 +186,7 @@ def _unarmed(kind: Hands) -> Played:
     frames.append((wire.CLEAR, session))
     with suppress(BridgeError):
         for number, (message, payload) in enumerate(frames * 3):
-            hand.receive(wire.wire(message, number + 1, payload))
+            hand.receive(wire.frame(message, number + 1, payload))
             _pass(hand, 0.1)
         link = _linked(hand)
         link.clear()
@@ -203,7 +203,7 @@ def _estops(kind: Hands) -> Played:
         link = _linked(hand, Action(number % 3))
         link.sleep(_TIME * rng.random())
         payload = rng.bytes(int(rng.integers(0, 12))) if number % 2 else b""
-        frame = wire.wire(wire.ESTOP, int(rng.integers(0x10000)), payload, int(rng.integers(256)), int(rng.integers(256)))
+        frame = wire.frame(wire.ESTOP, int(rng.integers(0x10000)), payload, int(rng.integers(256)), int(rng.integers(256)))
         tried += bool(hand.pulses().all())
         hand.receive(frame)
         worst = max(worst, _ms_until_silent(hand, _PATIENCE))
@@ -222,7 +222,7 @@ def _ways_out_of_a_fault(kind: Hands) -> Played:
     frames = [(wire.ARM, arm), (wire.MOVE, move), (wire.HEARTBEAT, session), (wire.STATUS, bytes(2)), (wire.ESTOP, b"")]
     frames += [(wire.CLEAR, struct.pack("<I", link.info.session ^ 1)), (wire.HELLO, bytes(4)), (wire.HELLO, session)]
     for number, (message, payload) in enumerate(frames, 1000):
-        hand.receive(wire.wire(message, number, payload))
+        hand.receive(wire.frame(message, number, payload))
         _pass(hand, 0.1)
         tried += 1
         out += link.status().state != "fault" or bool(hand.pulses().any())
@@ -235,7 +235,7 @@ def _old_moves(kind: Hands) -> Played:
     link = _linked(hand, Action.hold, 2.0)
     link.wait()
     session = struct.pack("<I", link.info.session)
-    moves = [wire.wire(wire.MOVE, 30_000 + i, session + struct.pack("<H6h", 1000, *[1000 * (i + 1)] * 6)) for i in range(5)]
+    moves = [wire.frame(wire.MOVE, 30_000 + i, session + struct.pack("<H6h", 1000, *[1000 * (i + 1)] * 6)) for i in range(5)]
     for move in moves:
         hand.receive(move)
         link.sleep(1.1)
@@ -264,7 +264,7 @@ def _hostile(kind: Hands, frames: int) -> Played:
         hand.receive(_hostile_frame(rng, session, limits_hash, number))
         hand.transmit()
         if rng.random() < 0.02:  # otherwise a fault would block all later frames
-            hand.receive(wire.wire(wire.CLEAR, number % 0x10000, struct.pack("<I", session)))
+            hand.receive(wire.frame(wire.CLEAR, number % 0x10000, struct.pack("<I", session)))
             hand.transmit()
         if rng.random() < 0.05:
             _pass(hand, float(rng.choice([0.001, 0.02, 0.3])))
@@ -284,7 +284,7 @@ def _hostile_frame(rng: np.random.Generator, session: int, limits_hash: int, num
     if rng.random() < 0.03:
         payload = payload[: rng.integers(len(payload) + 1)] + rng.bytes(int(rng.integers(3)))
     flags = int(rng.integers(256)) if rng.random() < 0.05 else 0
-    data = bytearray(wire.wire(kind, number % 0x10000, payload, flags))
+    data = bytearray(wire.frame(kind, number % 0x10000, payload, flags))
     if rng.random() < 0.1:
         data[int(rng.integers(1, len(data) - 1))] ^= 1 << int(rng.integers(8))
     return bytes(data)
@@ -298,7 +298,7 @@ def _damaged(kind: Hands, frames: int = 3000) -> Played:
     damaged = 0
     for number in range(frames):
         move = struct.pack("<IH6h", link.info.session, 1000, *rng.integers(0, 10_000, 6).tolist())
-        intact = wire.wire(wire.MOVE, 5 + number % 30_000, move)
+        intact = wire.frame(wire.MOVE, 5 + number % 30_000, move)
         data = bytearray(intact)
         for _ in range(int(rng.integers(1, 9))):
             data[int(rng.integers(1, len(data) - 1))] ^= 1 << int(rng.integers(8))
