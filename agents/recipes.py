@@ -167,7 +167,7 @@ RECIPES: Mapping[str, Recipe] = {
     "grasp-robust": Recipe(set_ups=("mujoco/light",), contacts="weak"),
     "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500, sizes=(0.6, 1.6)),
     "grasp-type": Recipe(env_id=GRASP_TYPE, episodes=3_000, random_episodes=1_000, spread=0.1, updates_per_episode=0.6),
-    "pick-place": Recipe(env_id=PICK_PLACE, begin=(6, 18), release=(70, 95)),
+    "pick-place": Recipe(env_id=PICK_PLACE, episodes=8_000, begin=(6, 18), release=(70, 95)),
 }
 
 

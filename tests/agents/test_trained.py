@@ -17,7 +17,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
         ("grasp-robust", "HPAC-Grasp-v0", 60_000),
         ("grasp-any", "HPAC-GraspAny-v1", 174_852),
         ("grasp-type", "HPAC-GraspType-v0", 3_000),
-        ("pick-place", "HPAC-PickPlace-v0", 7_671),
+        ("pick-place", "HPAC-PickPlace-v0", 8_000),
         ("posture", "HPAC-Posture-v1", 8_485),
     ],
 )
