@@ -156,7 +156,7 @@ def evaluate(
     *, seed_start: int = HELD_OUT_SEED, workers: int = 1, time_limit: float = float("inf"),
     options: Mapping[str, Any] | None = None,
 ) -> Evaluation:  # fmt: skip
-    """Run policies over the same held-out episodes; a policy file gets the name ``learned``.
+    """Run policies over the same held-out episodes; a policy file gets the name ``learned``, and its own if there are several.
 
     After ``time_limit`` [s] the evaluation stops with fewer episodes, the same ones for every policy; ``options`` are those of
     the environment, such as engine, body and randomize.
@@ -170,7 +170,8 @@ def evaluate(
         for name in names:
             load_policy(name, env)  # errors are raised here, not in a worker
         block = BATCH_BLOCK if _has_batch(env) else BLOCK
-    labels = [name if name in BASELINES else LEARNED for name in names]
+    several = len(set(names) - set(BASELINES)) > 1
+    labels = [name if several or name in BASELINES else LEARNED for name in names]
     deadline = time.monotonic() + time_limit
     seeds = range(seed_start, seed_start + episodes)
     jobs = [(names, env_id, options, seeds[start : start + block]) for start in range(0, episodes, block)]
@@ -211,7 +212,8 @@ def table(summary: dict[str, Any]) -> str:
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.evaluate", __doc__)
-    parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
+    parser.add_argument("--policy", required=True, action="append",
+                        help="random, scripted, or a policy file; may be repeated, to compare several")  # fmt: skip
     parser.add_argument("--env", help="environment id; default for a policy file: its own")
     for name, values in OPTIONS.items():
         parser.add_argument(f"--{name}", help=f"{values} (default: the environment's own)")
@@ -224,16 +226,19 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--out", type=Path, help="also write the JSON object to this file")
     args = parser.parse_args(argv)
-    alone = args.no_baselines or args.policy in BASELINES
-    names = [args.policy] if alone else [args.policy, *reversed(BASELINES)]
+    files = list(dict.fromkeys(name for name in args.policy if name not in BASELINES))
+    names = list(dict.fromkeys([*args.policy, *(() if args.no_baselines or not files else reversed(BASELINES))]))
     if args.out:
         writable_folder(args.out.parent)
     options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
     how = {"seed_start": args.seed_start, "workers": args.workers, "time_limit": 60 * args.time_limit}
-    summary = evaluate(names, args.env or task_of(args.policy), args.episodes, options=options, **how).summary()
+    summary = evaluate(names, args.env or task_of(args.policy[0]), args.episodes, options=options, **how).summary()
     summary["options"] = options
-    if told := about(args.policy):
-        summary["policy"] = {"file": args.policy, **told}
+    told = [{"file": name, **found} for name in files if (found := about(name))]
+    if len(told) == 1:
+        summary["policy"] = told[0]
+    elif told:
+        summary["files"] = told
     text = json.dumps(summary, indent=2)
     if args.out:
         write_text(args.out, text + "\n")

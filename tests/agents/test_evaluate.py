@@ -81,6 +81,16 @@ def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
     assert (printed["policies"]["learned"]["episodes"], "policy" in printed) == (2, False)
 
 
+def test_several_policies_are_compared_with_the_first_on_the_same_episodes(capsys):
+    files = [str(ROOT / "agents" / "trained" / f"{name}.zip") for name in ("grasp", "grasp-robust")]
+    words = [word for name in (*files, files[0]) for word in ("--policy", name)]
+    assert main([*words, "--engine", "mujoco", "--episodes", "2", "--workers", "1", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert list(printed["policies"]) == [*files, "scripted", "random"]
+    assert [pair["over"] for pair in printed["differences"]] == [files[1], "scripted", "random"]
+    assert [each["file"] for each in printed["files"]] == files
+
+
 def test_the_options_of_an_environment_are_passed_on_and_one_that_it_lacks_is_told():
     with pytest.raises(TaskError, match="with objects, types: Tiny"):
         main(["--policy", "random", "--env", TINY, "--objects", "real", "--types", "hook"])
