@@ -111,18 +111,8 @@ def test_the_host_board_conforms():
         assert run("conform", "--port", board.port) == 0
 
 
-WHOLE = {judged_hand.DeafToEstop, judged_hand.NoWatchdog, judged_hand.Renumbering}
-"""The wrong hands that further tests hold against all the rules."""
 PERIOD_US = 5000
 """Of the wrong hands' ticks; fewer of them take less time to judge."""
-
-
-@pytest.mark.parametrize(("kind", "rule"), [(kind, rule) for kind in WRONG if kind not in WHOLE for rule in sorted(WRONG[kind])])
-def test_a_wrong_device_breaks_its_rule(kind, rule):
-    (row,) = conform(kind(PERIOD_US).connect(), patience=0.1, rules=[rule])
-    assert row.failure
-    assert row.tried
-    assert not row.holds
 
 
 def test_a_mute_device_breaks_every_rule():
