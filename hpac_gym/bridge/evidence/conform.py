@@ -20,6 +20,7 @@ from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import HPAC, SERVOS, Hand
 
 EARLY = 0.02  # what a device's clock may be ahead in a fifth of a second [s]
+SILENT_AT = 2000  # pose above rest in which the host falls silent [1e-4 rad]
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +261,7 @@ def _no_ack(d: Device) -> None:
 def _silence(d: Device, action: Action, watchdog_ms: int) -> tuple[Status, float]:
     """Let the watchdog trip; returns the STATUS afterwards, and the earliest time at which it can have tripped [s]."""
     d.armed(action, watchdog_ms)
-    d.moved(2000)
+    d.moved(SILENT_AT)
     expires = d.transport.now() + watchdog_ms * 1e-3
     d.must(Reason.ok, wire.HEARTBEAT, OURS)
     d.unasked.clear()
@@ -285,7 +286,7 @@ def _watchdog_relax(d: Device) -> None:
     status = d.status()
     gone = [abs(was - rest) - abs(at - rest) for was, at, rest in zip(before.servo, status.servo, d.rest, strict=True)]
     d.expect(min(gone) > 0, f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]")
-    way = max(abs(rest + 2000 - at) for at, rest in zip(status.servo, d.rest, strict=True))
+    way = max(abs(rest + SILENT_AT - at) for at, rest in zip(status.servo, d.rest, strict=True))
     rate = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000
     most = rate * (d.transport.now() - expires + EARLY)
     d.expect(way <= most, f"relax has gone {way} [1e-4 rad], at most {most:.0f} at its rate")
