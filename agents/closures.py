@@ -177,6 +177,14 @@ def worlds_of(recipe: Recipe, make: Callable[[Recipe], Task] = training_task) ->
     return [Worlds(make(recipe), recipe, place) for place in range(len(recipe.set_ups))]
 
 
+def sizes_of(recipe: Recipe) -> tuple[int, int, int]:
+    """Numbers `observed`, `deployed` and `phases` of the worlds of a recipe, which need not exist."""
+    samples = worlds_of(replace(recipe, num_envs=len(recipe.set_ups)))
+    for sample in samples:
+        sample.close()
+    return samples[0].observed, samples[0].deployed, samples[0].phases
+
+
 class Critics(nn.Module):
     """`count` networks with layers of `sizes`, including input and output, evaluated as batched matrix products."""
 

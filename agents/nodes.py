@@ -26,7 +26,7 @@ import torch
 from tqdm import tqdm
 
 from agents import RunError, command_parser, minutes, other_versions, versions
-from agents.closures import Learner, Trials, worlds_of
+from agents.closures import Learner, Trials, sizes_of, worlds_of
 from agents.recipes import RECIPES, Recipe, add_recipe, recipe_of
 from agents.train import train
 from hpac import run, whole_number
@@ -119,10 +119,7 @@ class Collectors:
 
     def __init__(self, recipe: Recipe, count: int, done: int = 0) -> None:
         self._ray = connected()
-        samples = worlds_of(replace(recipe, num_envs=len(recipe.set_ups)))
-        self.observed, self.deployed, self.phases = samples[0].observed, samples[0].deployed, samples[0].phases
-        for sample in samples:
-            sample.close()
+        self.observed, self.deployed, self.phases = sizes_of(recipe)
         self._none = tuple(Trials(0, self.observed, self.deployed, len(recipe.closures.names)).columns.values())
         self._recipe, self._done, self._begun = recipe, done, 0
         self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)
@@ -194,7 +191,7 @@ def _say(text: str) -> None:
 
 
 def train_seed(recipe: Recipe, time_limit: float) -> dict[str, bytes]:
-    """Train a complete run in this process, so that it ends with the process; returns the files of its folder.
+    """Train a complete run in this process, so that it ends with the process; returns the files of its folder by name.
 
     Raises:
         RunError: The training failed or was interrupted.
@@ -202,7 +199,7 @@ def train_seed(recipe: Recipe, time_limit: float) -> dict[str, bytes]:
     with TemporaryDirectory() as folder:
         if train(recipe, Path(folder), time_limit=time_limit):
             raise RunError("the training was interrupted")
-        return {path.name: path.read_bytes() for path in Path(folder).iterdir() if path.is_file()}
+        return {str(path.relative_to(folder)): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -229,8 +226,8 @@ def main(argv: list[str] | None = None) -> int:
             failed += 1
             _say(f"{folder} failed: {f'{error}'.strip().splitlines()[-1]}")
             continue
-        folder.mkdir(exist_ok=True)
         for name, data in files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(data)
         _say(f"{folder} is done")
     ray.shutdown()

@@ -134,6 +134,8 @@ class Recipe:
                                        "than its objects; empty: their own", 0.5, 2)  # fmt: skip
     hands: str = choice("nominal", f"hands of {GRASP_ANY} in training", ("nominal", "train"))
     checkpoint_every: int = setting(5_000, "trials between two checkpoints", 1)
+    trials_of: tuple[str, ...] = ()
+    """Folders of finished runs whose trials the run learns from, instead of new ones."""
 
     def __post_init__(self) -> None:
         check(self)

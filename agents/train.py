@@ -19,7 +19,7 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,14 +62,18 @@ def train(
     from agents.closures import Learner, training_task, worlds_of
 
     torch.set_num_threads(1)
-    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     checkpoint, done = latest_checkpoint(out), saved_trials(out)
     if nodes:
         from agents.nodes import Collectors
 
         all_worlds = [Collectors(recipe, nodes, done)]
+    elif recipe.trials_of:
+        from agents.recorded import Recorded
+
+        all_worlds = [Recorded(recipe, done)]
     else:
         all_worlds = worlds_of(recipe, make or training_task)
+    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     first = all_worlds[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
     state = load_checkpoint(checkpoint, learner) if checkpoint else {"seconds": 0.0, "env_steps": 0}
@@ -206,6 +210,7 @@ def main(argv: list[str] | None = None, make: Callable[[Recipe], Task] | None = 
     parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end cleanly after this time")
     parser.add_argument("--resume", action="store_true", help="continue the run in the folder; only --episodes can change")
     parser.add_argument("--overwrite", action="store_true", help="replace a run that is already in the folder")
+    parser.add_argument("--trials-of", nargs="+", metavar="RUN", help="learn from the trials in these folders, without physics")
     parser.add_argument("--nodes", type=whole_number(0), default=0, metavar="N", help="number of collectors on a Ray cluster")
     add_recipe(parser)
     args = parser.parse_args(argv)
@@ -220,6 +225,8 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     recipe = recipe_of(args)
     if (args.out / RUN).exists() and not args.overwrite:
         raise RunError(f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it")
+    if args.trials_of:
+        recipe = _with_trials(recipe, args)
     writable_folder(args.out)
     for name in (RUN, POLICY, CURVE):
         (args.out / name).unlink(missing_ok=True)
@@ -230,9 +237,23 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     return recipe
 
 
+def _with_trials(recipe: Recipe, args: Namespace) -> Recipe:
+    """The recipe with the trials of other runs: all of them, unless fewer episodes are asked for."""
+    folders = [Path(folder) for folder in args.trials_of]
+    if args.nodes:
+        raise RecipeError("--trials-of needs no physics, so it does not go with --nodes")
+    if args.out.resolve() in [folder.resolve() for folder in folders]:
+        raise RecipeError(f"--out is '{args.out}', whose trials it should learn from: it must be another folder")
+    if empty := next((folder for folder in folders if not saved_trials(folder)), None):
+        raise RunError(f"no trials in '{empty}': it holds no checkpoint")
+    limits = {"episodes": sum(map(saved_trials, folders)), "env_steps": Recipe().env_steps}
+    limits = {name: limit for name, limit in limits.items() if not hasattr(args, name)}
+    return replace(recipe, trials_of=tuple(args.trials_of), **limits)
+
+
 def _resumed_recipe(args: Namespace) -> Recipe:
     given = given_settings(args, Recipe)
-    if args.recipe is not None or args.overwrite or set(given) - {"episodes"}:
+    if args.recipe is not None or args.overwrite or args.trials_of or set(given) - {"episodes"}:
         raise RecipeError("a resumed run keeps its settings: only --episodes can change")
     path = args.out / RUN
     try:

@@ -15,6 +15,7 @@ import pytest
 from agents import RunError, nodes, train, versions
 from agents.closures import Learner
 from agents.recipes import RECIPES, with_settings
+from agents.train import saved_trials
 from hpac_gym.policies import read_policy
 from tests.processes import wait_for
 
@@ -146,6 +147,7 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     assert nodes.main(["grasp", "--seeds", "2", "--out", f"{tmp_path}", "--episodes", "6", *SMALL]) == 0
     trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (0, 1)]
     assert trained == [0, 1]
+    assert all(saved_trials(tmp_path / f"seed-{seed}") >= 6 for seed in (0, 1)), "with its trials, to learn from or to resume"
     words = ["grasp-type", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "6", *SMALL, "--spread", "1"]
     assert nodes.main(words) == 1
     assert "seed-0 failed: agents.RunError: none of the first 4 trials held" in capsys.readouterr().err
