@@ -355,7 +355,7 @@ class Learner:
         return torch.from_numpy(scaled(seen, self.mean, self.scale))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """State for a checkpoint by name: scaling, networks, optimisers, entropy weight and trials; `restore` restores it."""
+        """State for a checkpoint by name: scaling, networks, optimisers, entropy weight, and trials if no other run has them."""
         tensors = {"log_weight": self.log_weight.detach()}
         for name, network in (("critics", self.critics), ("actor", self.actor)):
             tensors |= {f"{name}/{key}": tensor for key, tensor in network.state_dict().items()}
@@ -363,11 +363,12 @@ class Learner:
             for number, state in optimizer.state_dict()["state"].items():
                 tensors |= {f"of {name}/state/{number}/{key}": tensor for key, tensor in state.items()}
         scales = {name: getattr(self, name) for name in SCALES}
-        trials = {name: column[: self.trials.count] for name, column in self.trials.columns.items()}
+        own = {} if self._recipe.trials_of else self.trials.columns
+        trials = {name: column[: self.trials.count] for name, column in own.items()}
         return scales | {name: tensor.numpy() for name, tensor in tensors.items()} | trials
 
     def restore(self, arrays: dict[str, np.ndarray], updates: int) -> None:
-        """Restore the state returned by `arrays` after a number of updates.
+        """Restore the state returned by `arrays`, with the trials, after a number of updates.
 
         Raises:
             ValueError: There is no room for so many trials.

@@ -23,6 +23,7 @@ from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.output import replacing, write_text
 
 RESULTS, CURVE = "results.json", "progress.csv"
+PAGE, PICTURE = "results.md", "learning_curve.png"
 COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
 COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
 ROW_EVERY = 500  # trials per row of the learning curve
@@ -191,11 +192,11 @@ def report(folder: Path) -> list[Path]:
             page = _page(results)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise RunError(f"cannot read '{folder / RESULTS}': {error!r}") from None
-        write_text(folder / "results.md", page)
-        written.append(folder / "results.md")
+        write_text(folder / PAGE, page)
+        written.append(folder / PAGE)
     if (folder / CURVE).exists():
-        draw(folder / "learning_curve.png", read_curve(folder / CURVE), results)
-        written.append(folder / "learning_curve.png")
+        draw(folder / PICTURE, read_curve(folder / CURVE), results)
+        written.append(folder / PICTURE)
     if not written:
         raise RunError(f"nothing to show in '{folder}': it has neither {CURVE} nor {RESULTS}")
     return written

@@ -13,8 +13,9 @@ from agents.recipes import Recipe
 from agents.train import latest_checkpoint
 from hpac_gym.policies import Closures, read_policy
 
+COLUMNS = tuple(Trials(0, 1, 1, 1).columns)
 Columns = tuple[np.ndarray, ...]
-"""Columns of trials, in the order of `Trials.columns`."""
+"""Columns of trials, in the order of `COLUMNS`."""
 
 
 class Recorded:
@@ -22,6 +23,7 @@ class Recorded:
 
     Attributes:
         steps: control steps of as many trials as `step` returns, on average.
+        tried: the columns of the first `done` trials by name, which the run's checkpoints leave out.
 
     Raises:
         RunError: A run is missing, damaged or of other episodes than the recipe, or there are too few trials.
@@ -36,6 +38,7 @@ class Recorded:
             raise RunError(f"episodes is {recipe.episodes:,}: the runs have {count:,} trials together")
         order = np.random.default_rng(recipe.seed).permutation(count)
         self._columns, self._next, self._chunk = [column[order] for column in columns], done, recipe.num_envs
+        self.tried = {name: column[:done] for name, column in zip(COLUMNS, self._columns, strict=True)}
         self.steps = round(self._chunk * sum(steps for _, steps in runs) / count)
 
     def _run(self, folder: Path, recipe: Recipe) -> tuple[Columns, int]:
@@ -43,7 +46,9 @@ class Recorded:
         try:
             about = read_policy(folder / POLICY).about
             with np.load((latest_checkpoint(folder) or folder) / "arrays.npz", allow_pickle=False) as file:
-                seen, decisions, survived, came_to = (file[name] for name in Trials(0, 1, 1, 1).columns)
+                if missing := set(COLUMNS) - set(file):
+                    raise ValueError(f"its checkpoint has no {', '.join(sorted(missing))}; did it learn from other runs itself?")
+                seen, decisions, survived, came_to = (file[name] for name in COLUMNS)
             target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
             if {name: about[name] for name in target} != target or Closures.of(about["closure"]) != recipe.closures:
                 raise ValueError("it is of another environment, hand or range of closures")

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agents import POLICY, RecipeError, RunError, command_parser, minutes, other_versions, target_of, versions
-from agents.curves import CURVE, Progress, drop_rows_after, report
+from agents.curves import CURVE, PAGE, PICTURE, RESULTS, Progress, drop_rows_after, report
 from agents.recipes import RECIPES, Recipe, add_recipe, given_settings, recipe_of, settings_of, with_settings
 from hpac import INTERRUPTED, run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
@@ -44,11 +44,12 @@ _UNFINISHED = ".unfinished"
 
 
 def train(
-    recipe: Recipe, out: Path, *, time_limit: float = float("inf"), started: float | None = None, nodes: int = 0,
-    make: Callable[[Recipe], Task] | None = None,
+    recipe: Recipe, out: Path, *, fresh: bool = False, time_limit: float = float("inf"), started: float | None = None,
+    nodes: int = 0, make: Callable[[Recipe], Task] | None = None,
 ) -> int:  # fmt: skip
     """Train a recipe in the folder ``out``, from its checkpoint if it has one, and return the exit status.
 
+    ``fresh`` replaces a run in the folder, which is kept until everything that the new one needs was found.
     ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the monotonic clock. If ``nodes`` is
     positive, that many collectors of `agents.nodes` try the closures. ``make`` makes a task of the recipe for each of
     its set-ups; None is `agents.closures.training_task`.
@@ -62,7 +63,7 @@ def train(
     from agents.closures import Learner, training_task, worlds_of
 
     torch.set_num_threads(1)
-    checkpoint, done = latest_checkpoint(out), saved_trials(out)
+    done = 0 if fresh else saved_trials(out)
     if nodes:
         from agents.nodes import Collectors
 
@@ -73,10 +74,14 @@ def train(
         all_worlds = [Recorded(recipe, done)]
     else:
         all_worlds = worlds_of(recipe, make or training_task)
+    if fresh:
+        _remove_run(out)
     write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     first = all_worlds[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
-    state = load_checkpoint(checkpoint, learner) if checkpoint else {"seconds": 0.0, "env_steps": 0}
+    state = {"seconds": 0.0, "env_steps": 0}
+    if checkpoint := latest_checkpoint(out):
+        state = load_checkpoint(checkpoint, learner, first.tried if recipe.trials_of else {})
     drop_rows_after(out / CURVE, done)
     target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
     spent = done, state["env_steps"], state["seconds"]
@@ -102,7 +107,8 @@ def train(
         }
         write_policy(out / POLICY, PolicyFile(learner.policy(), about))
         progress.write_row(learner.entropy)
-        report(out)
+        if not recipe.trials_of:  # how often the trials of others held says nothing about this policy
+            report(out)
 
     begin_episodes()
     going, saved = done < recipe.episodes, done
@@ -170,8 +176,8 @@ def saved_trials(folder: Path) -> int:
     return int(path.name.removeprefix(_PREFIX)) if path else 0
 
 
-def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
-    """Load a checkpoint into a learner of the same recipe; returns the state saved with it.
+def load_checkpoint(path: Path, learner: Learner, trials: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Load a checkpoint, and the columns of trials that it leaves out, into a learner of the same recipe; returns its state.
 
     Raises:
         RunError: A file is missing or damaged, or the checkpoint is of another recipe or of other versions.
@@ -179,7 +185,7 @@ def load_checkpoint(path: Path, learner: Learner) -> dict[str, Any]:
     try:
         state = json.loads((path / "state.json").read_text())
         with np.load(path / "arrays.npz", allow_pickle=False) as file:
-            arrays = dict(file)
+            arrays = dict(file) | trials
         if len(arrays["survived"]) != state["episodes"]:
             raise ValueError(f"{len(arrays['survived'])} trials, not {state['episodes']}")
         if others := other_versions(state["versions"]):
@@ -215,11 +221,12 @@ def main(argv: list[str] | None = None, make: Callable[[Recipe], Task] | None = 
     add_recipe(parser)
     args = parser.parse_args(argv)
     recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
-    return train(recipe, args.out, time_limit=60 * args.time_limit, started=started, nodes=args.nodes, make=make)
+    limits = {"time_limit": 60 * args.time_limit, "started": started}
+    return train(recipe, args.out, fresh=not args.resume, nodes=args.nodes, make=make, **limits)
 
 
 def _fresh_recipe(args: Namespace) -> Recipe:
-    """The recipe of a new run, whose folder is then empty."""
+    """The recipe of a new run."""
     if args.recipe is None:
         raise RecipeError(f"no recipe given: it must be one of {', '.join(sorted(RECIPES))}")
     recipe = recipe_of(args)
@@ -228,13 +235,16 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     if args.trials_of:
         recipe = _with_trials(recipe, args)
     writable_folder(args.out)
-    for name in (RUN, POLICY, CURVE):
-        (args.out / name).unlink(missing_ok=True)
-    for old in args.out.glob(f"{_PREFIX}*"):
-        shutil.rmtree(old, ignore_errors=True)
-    if kept := latest_checkpoint(args.out):
-        raise RunError(f"cannot remove checkpoint '{kept}' of the run before")
     return recipe
+
+
+def _remove_run(folder: Path) -> None:
+    for name in (RUN, POLICY, CURVE, PICTURE, RESULTS, PAGE):
+        (folder / name).unlink(missing_ok=True)
+    for old in folder.glob(f"{_PREFIX}*"):
+        shutil.rmtree(old, ignore_errors=True)
+    if kept := latest_checkpoint(folder):
+        raise RunError(f"cannot remove checkpoint '{kept}' of the run before")
 
 
 def _with_trials(recipe: Recipe, args: Namespace) -> Recipe:

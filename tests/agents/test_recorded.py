@@ -9,7 +9,7 @@ import pytest
 from agents import train
 from agents.closures import Worlds
 from agents.recipes import settings_of
-from agents.recorded import Recorded
+from agents.recorded import COLUMNS, Recorded
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 
 SMALL = ["--num-envs", "4", "--hidden", "16", "--batch-size", "16", "--random-episodes", "8", "--checkpoint-every", "8"]
@@ -24,8 +24,12 @@ def run(*words) -> int:
 
 
 def trials(folder) -> dict[str, np.ndarray]:
+    """All trials that a run learned from, in their order."""
+    recipe = settings_of(json.loads((folder / "run.json").read_text()))
+    if recipe.trials_of:
+        return Recorded(recipe, done=train.saved_trials(folder)).tried
     with np.load(train.latest_checkpoint(folder) / "arrays.npz") as file:
-        return {name: file[name] for name in ("seen", "decisions", "survived", "came_to")}
+        return {name: file[name] for name in COLUMNS}
 
 
 @pytest.fixture(scope="module")
@@ -62,15 +66,24 @@ def test_critics_are_told_the_set_ups_by_the_numbers_of_the_new_run(runs):
         np.testing.assert_array_equal(together[name][:, -2], np.logical_not(told))
 
 
-def test_a_resumed_run_goes_on_with_the_trials_that_it_has_not_seen(runs, tmp_path):
-    shutil.copytree(runs / "together", tmp_path / "resumed")
-    half = [*TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--episodes", 16, "--out", tmp_path / "half"]
-    assert run(*half) == 0
-    settings = json.loads((runs / "together" / "run.json").read_text())
-    rest = Recorded(settings_of(settings), done=train.saved_trials(tmp_path / "half")).step(None)[1]
-    whole = trials(runs / "together")["decisions"]
-    np.testing.assert_array_equal(trials(tmp_path / "half")["decisions"], whole[:16])
-    np.testing.assert_array_equal(rest, whole[16 : 16 + len(rest)])
+def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoints_hold_no_trials(runs, tmp_path):
+    save, saved = train.save_checkpoint, []
+
+    def save_and_die(*given):
+        if saved:
+            raise KeyboardInterrupt
+        saved.append(save(*given))
+
+    with pytest.MonkeyPatch.context() as dying:
+        dying.setattr(train, "save_checkpoint", save_and_die)
+        with pytest.raises(KeyboardInterrupt):
+            run(*TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path)
+    assert 0 < train.saved_trials(tmp_path) < train.saved_trials(runs / "together")
+    with np.load(train.latest_checkpoint(tmp_path) / "arrays.npz") as file:
+        assert not set(COLUMNS) & set(file)
+    run("--resume", "--out", tmp_path)
+    hashes = {read_policy(folder / "policy.zip").about["sha256"] for folder in (tmp_path, runs / "together")}
+    assert len(hashes) == 1
 
 
 def other_closures(folder):
@@ -83,6 +96,12 @@ def half_a_checkpoint(folder):
     path.write_bytes(path.read_bytes()[:1000])
 
 
+def learned_from_others(folder):
+    path = train.latest_checkpoint(folder) / "arrays.npz"
+    with np.load(path) as file:
+        np.savez(path, **{name: file[name] for name in file if name not in COLUMNS})
+
+
 @pytest.mark.parametrize(
     ("words", "change", "complaint"),
     [
@@ -90,19 +109,21 @@ def half_a_checkpoint(folder):
         (["grasp"], lambda folder: (folder / "policy.zip").unlink(), "cannot learn from the trials of .*: no policy file"),
         (["grasp"], half_a_checkpoint, "cannot learn from the trials of .*: "),
         (["grasp"], other_closures, "it is of another environment, hand or range of closures"),
+        (["grasp"], learned_from_others, "its checkpoint has no .*; did it learn from other runs itself?"),
         (["pick-place"], None, "it is of another environment, hand or range of closures"),
         (["grasp", "--set-ups", "mujoco/light"], None, "set_ups of this run do not have its mujoco/twin"),
         (["grasp", "--episodes", 1000], None, "episodes is 1,000: the runs have 2. trials together"),
         (["grasp", "--nodes", 1], None, "--trials-of needs no physics, so it does not go with --nodes"),
-        (["grasp", "--out", "source", "--overwrite"], None, "whose trials it should learn from: it must be another folder"),
+        (["grasp", "--out", "source"], None, "whose trials it should learn from: it must be another folder"),
     ],
 )
 def test_runs_that_cannot_be_learned_from_are_refused_and_kept(runs, tmp_path, monkeypatch, words, change, complaint):
-    shutil.copytree(runs / "twin", tmp_path / "source")
+    for name in ("source", "new"):
+        shutil.copytree(runs / "twin", tmp_path / name)
     monkeypatch.chdir(tmp_path)
     if change:
         change(tmp_path / "source")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises((train.RunError, train.RecipeError), match=complaint):
-        run(*words, *SMALL, "--trials-of", "source", *([] if "--out" in words else ["--out", "new"]))
-    assert [path for path in sorted(tmp_path.rglob("*")) if path.name != "new"] == before
+        run(*words, *SMALL, "--trials-of", "source", "--overwrite", *([] if "--out" in words else ["--out", "new"]))
+    assert sorted(tmp_path.rglob("*")) == before

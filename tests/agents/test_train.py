@@ -162,6 +162,15 @@ def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_give
     assert about["env_steps"] >= about["episodes"] * 20, "a trial takes at least as long as the closing"
 
 
+def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path, monkeypatch):
+    leaves = {"run.json", "policy.zip", "progress.csv", "learning_curve.png", "checkpoint-000000012"}
+    for name in (leaves - {"checkpoint-000000012"}) | {"results.json", "results.md"}:
+        (tmp_path / name).write_text("of the run before")
+    (tmp_path / "checkpoint-000000900").mkdir()
+    train_here(monkeypatch, "grasp", "--out", tmp_path, "--overwrite", *SMALL, "--episodes", 12)
+    assert {path.name for path in tmp_path.iterdir()} == leaves
+
+
 def test_a_checkpoint_that_cannot_be_removed_is_not_continued_by_another_run(tmp_path, monkeypatch):
     (tmp_path / "checkpoint-000000008").mkdir()
     monkeypatch.setattr("shutil.rmtree", lambda path, **how: None)
@@ -188,7 +197,7 @@ def learner(recipe):
 def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
     path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     other = Learner(recipe, observed=60, deployed=44, phases=4)
-    assert train.load_checkpoint(path, other)["seconds"] == 1.0
+    assert train.load_checkpoint(path, other, {})["seconds"] == 1.0
     assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (5, 30)
     assert np.array_equal(other.trials.seen, learner.trials.seen)
     saved, loaded = (one.arrays() for one in (learner, other))
@@ -317,5 +326,5 @@ def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(learner
     path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     change(path / name)
     with pytest.raises(RunError, match=complaint):
-        train.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4))
+        train.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4), {})
     assert len(list(path.iterdir())) == 2
