@@ -18,11 +18,12 @@ from typing import Any
 import numpy as np
 
 from agents import POLICY, RecipeError, command_parser, minutes
+from agents.curves import COLOURS
 from agents.evaluate import DEFAULT_TASK, evaluate, task_of
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
-from hpac_gym.output import markdown, writable_folder, write_text
+from hpac_gym.output import markdown, replacing, writable_folder, write_text
 from hpac_gym.physics.simulation import SET_UPS, default_engine
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.phases import PHASES
@@ -51,8 +52,9 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
     for policy in policies:
         about = read_policy(policy).about
         told = {"learner": about["algorithm"], "seed": about["settings"]["seed"]}
+        trials = "of several runs" if len(about["settings"].get("trials_of", ())) > 1 else "of one run"
         trained = {key: about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
-        cell = {**told, "trained": trained, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
+        cell = {**told, "trained": trained, "trials": trials, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
         seconds = trained["processor_seconds"] or trained["seconds"] or 0
         lost = ", ".join(str(cell["failures_by_phase"].get(phase, 0)) for phase in PHASES)
         yield (*told.values(), f"{about['episodes']:,}", f"{seconds:,.0f}", _rate(cell), lost), [cell]
@@ -90,6 +92,25 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
         yield str(out / POLICY)
 
 
+def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
+    """Draw success, with its Wilson 95 % interval, over trials: of single runs, and of those with the trials of several."""
+    from matplotlib.figure import Figure  # imported here, since a table does not need it
+
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    axes = figure.add_subplot()
+    for label, style, colour in (("of one run", "o", "random"), ("of several runs", "o-", "learned")):
+        shown = [(c["trained"]["episodes"], c["success_rate"], *c["interval_95"]) for c in cells if c["trials"] == label]
+        trials, *rates = np.reshape(sorted(shown), (-1, 4)).T
+        rate, low, high = (100 * each for each in rates)
+        axes.errorbar(trials, rate, (rate - low, high - rate), fmt=style, capsize=3, label=label, color=COLOURS[colour])
+    axes.set(xscale="log", xlabel="trials", ylabel="success (%)")
+    axes.xaxis.set_major_formatter(lambda trials, _: f"{trials:,.0f}")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
+
+
 def _rate(cell: dict[str, Any]) -> str:
     low, high = cell["interval_95"]
     return f"{100 * cell['success_rate']:.1f} [{100 * low:.0f}, {100 * high:.0f}]"
@@ -107,11 +128,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="also write the numbers to this JSON file")
+    parser.add_argument("--picture", type=Path, help="race, seeds: also draw success over trials to this PNG file")
     args = parser.parse_args(argv)
     if (args.table != "race") != bool(args.policy):
         parser.error("elsewhere and seeds need at least one --policy, race takes none")
-    if args.out:
-        writable_folder(args.out.parent)
+    if args.picture and args.table == "elsewhere":
+        parser.error("--picture needs race or seeds")
+    for path in filter(None, (args.out, args.picture)):
+        writable_folder(path.parent)
 
     def judge(policy: str, env_id: str, options: dict[str, str]) -> dict[str, Any]:
         """Evaluate one policy; returns its entry in the summary."""
@@ -137,6 +161,8 @@ def main(argv: list[str] | None = None) -> int:
         runs = [cell for cell in cells if cell.get("learner") == learner]
         if learner and len(runs) > 1:
             print(f"\n{learner}: {over_runs(runs)}")
+    if args.picture:
+        draw_trials(args.picture, cells)
     return 0
 
 

@@ -122,13 +122,27 @@ def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_
     assert "| scripted | mujoco light |" in lines[-1]
 
 
-def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys):
-    policy = "agents/trained/grasp.zip"
-    assert reproduce.main(["seeds", "--policy", policy, "--policy", policy, "--episodes", "4"]) == 0
-    *_, first, second, _, last = capsys.readouterr().out.splitlines()
+def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp_path):
+    policies = [f"--policy=agents/trained/{name}.zip" for name in ("grasp", "grasp", "grasp-best")]
+    numbers, picture = tmp_path / "cells.json", tmp_path / "picture.png"
+    assert reproduce.main(["seeds", *policies, "--episodes", "4", "--out", str(numbers), "--picture", str(picture)]) == 0
+    *_, first, second, third, _, last = capsys.readouterr().out.splitlines()
     assert first == second
     assert first.startswith("| closures | 0 | 60,0")
-    assert last.startswith("closures: 2 runs: median ")
+    assert third.startswith("| closures | 0 | 300,000 ")
+    assert last.startswith("closures: 3 runs: median ")
+    cells = json.loads(numbers.read_text())
+    assert [cell["trials"] for cell in cells] == ["of one run", "of one run", "of several runs"]
+    reproduce.draw_trials(tmp_path / "again.png", cells)
+    reproduce.draw_trials(tmp_path / "other.png", cells[:2])
+    drawn = [(tmp_path / f"{name}.png").read_bytes() for name in ("picture", "again", "other")]
+    assert drawn[0] == drawn[1] != drawn[2]
+
+
+def test_a_picture_of_trials_needs_runs(capsys):
+    with pytest.raises(SystemExit):
+        reproduce.main(["elsewhere", "--policy", "scripted", "--picture", "picture.png"])
+    assert "--picture needs race or seeds" in capsys.readouterr().err
 
 
 def test_several_runs_are_summed_up_by_median_lowest_and_interquartile_mean():
