@@ -28,7 +28,7 @@ from tqdm import tqdm
 from agents import RunError, command_parser, minutes, other_versions, versions
 from agents.closures import Learner, Trials, sizes_of, worlds_of
 from agents.recipes import RECIPES, Recipe, add_recipe, recipe_of
-from agents.train import train
+from agents.train import RUN, recipe_in, remove_run, train
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
@@ -203,7 +203,7 @@ def train_seed(recipe: Recipe, time_limit: float) -> dict[str, bytes]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train complete runs on the nodes of a Ray cluster, one per seed."""
+    """Train complete runs on the nodes of a Ray cluster, one per seed; those that are in the folder already are kept."""
     parser = command_parser("agents.nodes", main.__doc__)
     parser.add_argument("recipe", help=f"one of {', '.join(sorted(RECIPES))}")
     parser.add_argument("--seeds", type=whole_number(1), required=True, metavar="N", help="train with the seeds 0 to N - 1")
@@ -213,20 +213,26 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     recipe = recipe_of(args)
     writable_folder(args.out)
+    wanted = {args.out / f"seed-{seed}": replace(recipe, seed=seed) for seed in range(args.seeds)}
+    for folder in [folder for folder in wanted if (folder / RUN).exists()]:
+        if recipe_in(folder) != wanted.pop(folder):
+            raise RunError(f"folder '{folder}' holds a run with other settings: choose another --out, or remove it")
+        _say(f"{folder} was done before")
     ray = connected()
     task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)  # a process per run
-    running = {task.remote(replace(recipe, seed=seed), 60 * args.time_limit): seed for seed in range(args.seeds)}
+    running = {task.remote(recipe, 60 * args.time_limit): folder for folder, recipe in wanted.items()}
     failed = 0
     while running:
         (reference, *_), _ = ray.wait(list(running))
-        folder = args.out / f"seed-{running.pop(reference)}"
+        folder = running.pop(reference)
         try:
             files = ray.get(reference)
         except ray.exceptions.RayError as error:
             failed += 1
             _say(f"{folder} failed: {f'{error}'.strip().splitlines()[-1]}")
             continue
-        for name, data in files.items():
+        remove_run(folder)
+        for name, data in sorted(files.items(), key=lambda file: file[0] == RUN):  # the settings last: they mark a complete run
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(data)
         _say(f"{folder} is done")

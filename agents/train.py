@@ -75,7 +75,7 @@ def train(
     else:
         all_worlds = worlds_of(recipe, make or training_task)
     if fresh:
-        _remove_run(out)
+        remove_run(out)
     write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     first = all_worlds[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
@@ -176,6 +176,20 @@ def saved_trials(folder: Path) -> int:
     return int(path.name.removeprefix(_PREFIX)) if path else 0
 
 
+def recipe_in(folder: Path) -> Recipe:
+    """The recipe of the run in a folder.
+
+    Raises:
+        RunError: The folder holds no run, or a damaged one, or one of another version.
+    """
+    try:
+        return settings_of(json.loads((folder / RUN).read_text()))
+    except FileNotFoundError:
+        raise RunError(f"no run in '{folder}': it has no {RUN}") from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise RunError(f"cannot read the settings of '{folder / RUN}': {error}") from None
+
+
 def load_checkpoint(path: Path, learner: Learner, trials: dict[str, np.ndarray]) -> dict[str, Any]:
     """Load a checkpoint, and the columns of trials that it leaves out, into a learner of the same recipe; returns its state.
 
@@ -238,7 +252,12 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     return recipe
 
 
-def _remove_run(folder: Path) -> None:
+def remove_run(folder: Path) -> None:
+    """Remove what a run left in a folder.
+
+    Raises:
+        RunError: A checkpoint cannot be removed.
+    """
     for name in (RUN, POLICY, CURVE, PICTURE, RESULTS, PAGE):
         (folder / name).unlink(missing_ok=True)
     for old in folder.glob(f"{_PREFIX}*"):
@@ -265,13 +284,7 @@ def _resumed_recipe(args: Namespace) -> Recipe:
     given = given_settings(args, Recipe)
     if args.recipe is not None or args.overwrite or args.trials_of or set(given) - {"episodes"}:
         raise RecipeError("a resumed run keeps its settings: only --episodes can change")
-    path = args.out / RUN
-    try:
-        recipe = settings_of(json.loads(path.read_text()))
-    except FileNotFoundError:
-        raise RunError(f"no run to resume in '{args.out}': it has no {RUN}") from None
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise RunError(f"cannot resume '{path}': {error}") from None
+    recipe = recipe_in(args.out)
     writable_folder(args.out)
     return with_settings(recipe, given)
 

@@ -148,6 +148,16 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     trained = [read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"] for seed in (0, 1)]
     assert trained == [0, 1]
     assert all(saved_trials(tmp_path / f"seed-{seed}") >= 6 for seed in (0, 1)), "with its trials, to learn from or to resume"
-    words = ["grasp-type", "--seeds", "1", "--out", f"{tmp_path}", "--episodes", "6", *SMALL, "--spread", "1"]
-    assert nodes.main(words) == 1
+    words = ["--out", f"{tmp_path}", "--episodes", "6", *SMALL]
+    (tmp_path / "seed-1" / "run.json").unlink()  # as if it had been killed while it was written
+    kept = (tmp_path / "seed-0" / "policy.zip").stat().st_mtime_ns
+    capsys.readouterr()
+    assert nodes.main(["grasp", "--seeds", "2", *words]) == 0
+    told = re.findall(r"seed-(\d) (was done before|is done)", capsys.readouterr().err)
+    assert told == [("0", "was done before"), ("1", "is done")]
+    assert (tmp_path / "seed-0" / "policy.zip").stat().st_mtime_ns == kept
+    with pytest.raises(RunError, match=r"folder '.*seed-0' holds a run with other settings: choose another --out, or remove it"):
+        nodes.main(["grasp-type", "--seeds", "1", *words])
+    words[1] = f"{tmp_path / 'other'}"
+    assert nodes.main(["grasp-type", "--seeds", "1", *words, "--spread", "1"]) == 1
     assert "seed-0 failed: agents.RunError: none of the first 4 trials held" in capsys.readouterr().err
