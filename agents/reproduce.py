@@ -69,7 +69,7 @@ def over_runs(cells: Sequence[dict[str, Any]]) -> str:
 
 
 def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iterator[str]:
-    """Policy files of learners, of all by default, for the seeds 0 to `number` − 1; missing ones are trained.
+    """Policy files of learners, of all by default, for the seeds 0 to `number` − 1; missing ones are trained for `limit` minutes.
 
     Raises:
         RecipeError: A learner is unknown.
@@ -89,6 +89,12 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
             except RecipeError as missing:
                 print(f"{missing}; its row is left out", file=sys.stderr)
                 continue
+        about = read_policy(out / POLICY).about
+        seconds = about.get("processor_seconds") or about["seconds"]
+        if seconds < 60 * limit and about["episodes"] < about["settings"].get("episodes", float("inf")):
+            told = f"'{out}' was interrupted after {seconds:.0f} s: remove it to train it again; its row is left out"
+            print(told, file=sys.stderr)
+            continue
         yield str(out / POLICY)
 
 

@@ -70,6 +70,12 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == ("sac", 1, small("sac").action_repeat)
     with pytest.raises(RunError, match="already holds a run"):
         race.main(["sac", "--out", str(tmp_path / "sac-0")])
+    path = tmp_path / "sac-1" / "policy.zip"
+    write_policy(path, PolicyFile(read_policy(path).actor, about | {"processor_seconds": 0.2}))
+    assert reproduce.main([*words, "--learner", "sac", "--seeds", "2"]) == 0
+    told = capsys.readouterr()
+    assert "sac-1' was interrupted after 0 s: remove it to train it again; its row is left out" in told.err
+    assert told.out.splitlines()[-1].startswith("| sac | 0 |")
     with pytest.raises(RecipeError, match="unknown learner 'td3': known are sac, grasp"):
         reproduce.main([*words, "--learner", "td3"])
 
