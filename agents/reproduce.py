@@ -101,6 +101,7 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
 def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
     """Draw success, with its Wilson 95 % interval, over trials: of single runs, and of those with the trials of several."""
     from matplotlib.figure import Figure  # imported here, since a table does not need it
+    from matplotlib.ticker import LogLocator
 
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.add_subplot()
@@ -108,9 +109,12 @@ def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
         shown = [(c["trained"]["episodes"], c["success_rate"], *c["interval_95"]) for c in cells if c["trials"] == label]
         trials, *rates = np.reshape(sorted(shown), (-1, 4)).T
         rate, low, high = (100 * each for each in rates)
-        axes.errorbar(trials, rate, (rate - low, high - rate), fmt=style, capsize=3, label=label, color=COLOURS[colour])
-    axes.set(xscale="log", xlabel="trials", ylabel="success (%)")
+        bars = (rate - low, high - rate)
+        axes.errorbar(trials, rate, bars, fmt=style, alpha=0.7, label=f"trials {label}", color=COLOURS[colour])
+    axes.set(xscale="log", xlabel="number of trials", ylabel="success (%)")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 4)))
     axes.xaxis.set_major_formatter(lambda trials, _: f"{trials:,.0f}")
+    axes.xaxis.set_minor_formatter("")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right")
     with replacing(path) as temporary:
