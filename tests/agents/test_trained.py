@@ -15,7 +15,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
     [
         ("grasp", "HPAC-Grasp-v0", 60_000),
         ("grasp-best", "HPAC-Grasp-v0", 300_000),
-        ("grasp-robust", "HPAC-Grasp-v0", 60_000),
+        ("grasp-robust", "HPAC-Grasp-v0", 240_000),
         ("grasp-any", "HPAC-GraspAny-v1", 174_852),
         ("grasp-any-best", "HPAC-GraspAny-v1", 448_622),
         ("grasp-type", "HPAC-GraspType-v0", 3_000),
@@ -38,7 +38,7 @@ def test_it_says_how_it_was_made(name, env_id, trials):
         pytest.param("grasp", "pybullet", 6, 4, marks=pytest.mark.pybullet),
         ("grasp", "mujoco", 12, 9),
         pytest.param("grasp-best", "mujoco", 12, 10, marks=pytest.mark.slow),  # 92 % of 1,000
-        pytest.param("grasp-robust", "mujoco", 12, 7, marks=pytest.mark.slow),  # 83 % of 400
+        pytest.param("grasp-robust", "mujoco", 12, 9, marks=pytest.mark.slow),  # 91 % of 1,000
         pytest.param("grasp-any", "mujoco", 12, 5, marks=pytest.mark.slow),  # 80 % of 1,000, random actions 6 %
         pytest.param("grasp-any-best", "mujoco", 12, 5, marks=pytest.mark.slow),
         pytest.param("grasp-type", "mujoco", 12, 6, marks=pytest.mark.slow),  # a quarter of its types are held out
