@@ -55,9 +55,8 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
         trials = "of several runs" if len(about["settings"].get("trials_of", ())) > 1 else "of one run"
         trained = {key: about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
         cell = {**told, "trained": trained, "trials": trials, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
-        seconds = trained["processor_seconds"] or trained["seconds"] or 0
         lost = ", ".join(str(cell["failures_by_phase"].get(phase, 0)) for phase in PHASES)
-        yield (*told.values(), f"{about['episodes']:,}", f"{seconds:,.0f}", _rate(cell), lost), [cell]
+        yield (*told.values(), f"{about['episodes']:,}", f"{_seconds(about):,.0f}", _rate(cell), lost), [cell]
 
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
@@ -90,7 +89,7 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
                 print(f"{missing}; its row is left out", file=sys.stderr)
                 continue
         about = read_policy(out / POLICY).about
-        seconds = about.get("processor_seconds") or about["seconds"]
+        seconds = _seconds(about)
         if seconds < 60 * limit and about["episodes"] < about["settings"].get("episodes", float("inf")):
             told = f"'{out}' was interrupted after {seconds:.0f} s: remove it to train it again; its row is left out"
             print(told, file=sys.stderr)
@@ -119,6 +118,11 @@ def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
     axes.legend(loc="lower right")
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120, format="png")
+
+
+def _seconds(about: dict[str, Any]) -> float:
+    """Time of a training, of the processor if it was limited so [s]; 0 if it is unknown."""
+    return about.get("processor_seconds") or about.get("seconds") or 0.0
 
 
 def _rate(cell: dict[str, Any]) -> str:

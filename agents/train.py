@@ -1,8 +1,9 @@
 """Train a policy: ``python -m agents.train grasp --out runs/NAME``.
 
 The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, both updated at every checkpoint, ``progress.csv``,
-``run.json`` (the settings) and the last checkpoint, from which ``--resume`` continues. After every checkpoint new episodes begin,
-with random numbers of its own, so that a killed and resumed run ends with the same policy as an uninterrupted one.
+``run.json`` (the settings) and the last checkpoint, from which ``--resume`` continues. With ``--trials-of`` there is no picture.
+After every checkpoint new episodes begin, with random numbers of its own, so that a killed and resumed run ends with the same
+policy as an uninterrupted one.
 
 A checkpoint is a folder ``checkpoint-EPISODES`` that is renamed to this name once its contents are on disk; only then is the
 previous one removed. It holds JSON and plain arrays: reading it executes no foreign code.

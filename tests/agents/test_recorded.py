@@ -1,6 +1,5 @@
 """Learning from the trials of finished runs."""
 
-import json
 import shutil
 
 import numpy as np
@@ -8,9 +7,9 @@ import pytest
 
 from agents import train
 from agents.closures import Worlds
-from agents.recipes import settings_of
 from agents.recorded import COLUMNS, Recorded
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
+from tests.processes import once_alive
 
 SMALL = ["--num-envs", "4", "--hidden", "16", "--batch-size", "16", "--random-episodes", "8", "--checkpoint-every", "8"]
 SET_UPS = {"twin": "mujoco/twin", "both": "mujoco/light,mujoco/twin"}
@@ -25,7 +24,7 @@ def run(*words) -> int:
 
 def trials(folder) -> dict[str, np.ndarray]:
     """All trials that a run learned from, in their order."""
-    recipe = settings_of(json.loads((folder / "run.json").read_text()))
+    recipe = train.recipe_in(folder)
     if recipe.trials_of:
         return Recorded(recipe, done=train.saved_trials(folder)).tried
     with np.load(train.latest_checkpoint(folder) / "arrays.npz") as file:
@@ -67,15 +66,8 @@ def test_critics_are_told_the_set_ups_by_the_numbers_of_the_new_run(runs):
 
 
 def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoints_hold_no_trials(runs, tmp_path):
-    save, saved = train.save_checkpoint, []
-
-    def save_and_die(*given):
-        if saved:
-            raise KeyboardInterrupt
-        saved.append(save(*given))
-
     with pytest.MonkeyPatch.context() as dying:
-        dying.setattr(train, "save_checkpoint", save_and_die)
+        dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
             run(*TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path)
     assert 0 < train.saved_trials(tmp_path) < train.saved_trials(runs / "together")

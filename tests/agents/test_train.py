@@ -20,7 +20,7 @@ from agents.closures import Learner, training_task, worlds_of
 from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.policies import read_policy
-from tests.processes import wait_for
+from tests.processes import once_alive, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
 SETTINGS = {"num_envs": "4", "hidden": "16", "batch_size": "16", "random_episodes": "8", "checkpoint_every": "8"}
@@ -78,15 +78,8 @@ def test_a_trained_policy_is_judged(trained, recipe, env_id, sizes, options):
 
 @pytest.mark.parametrize("recipe", RUNS)
 def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_one(recipe, trained, tmp_path, monkeypatch):
-    save, saved = train.save_checkpoint, []
-
-    def save_and_die(*given):
-        if saved:
-            raise KeyboardInterrupt
-        saved.append(save(*given))
-
     with monkeypatch.context() as dying:
-        dying.setattr(train, "save_checkpoint", save_and_die)
+        dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
             train_here(dying, *RUNS[recipe], "--out", tmp_path)
     assert 8 <= train.saved_trials(tmp_path) < 16
