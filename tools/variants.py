@@ -1,27 +1,33 @@
-"""Compare variants of the recipe *grasp* over seeds: ``python -m tools.variants --out runs/variants``.
+"""Compare variants of the recipe *grasp* over seeds: ``python -m tools.variants conditions --out runs/variants``.
 
-``as it is``; ``critics see deploy``: without the asymmetric critics; ``near objects first``: a curriculum, in which the largest
-distance of the object grows over the first third of the trials. Every policy is evaluated on held-out episodes; a repeated call
-skips finished trainings.
+``learner``: the recipe as it is; ``critics see deploy``, without the asymmetric critics; ``near objects first``, a curriculum, in
+which the largest distance of the object grows over the first third of the trials. ``conditions``: what the episodes of the
+training have. Every policy is evaluated on held-out episodes, on the *twin*; with ``conditions`` elsewhere too. Median and
+lowest are those on the *twin*, the other columns interquartile means, with their bootstrap interval. A repeated call skips
+finished trainings.
 """
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from agents import POLICY, command_parser
+from agents import POLICY, RunError, command_parser
 from agents.closures import training_task
 from agents.evaluate import DEFAULT_TASK, evaluate
 from agents.recipes import RECIPES, Recipe
-from agents.reproduce import over_runs
-from agents.train import train
+from agents.train import recipe_in, train
 from hpac import run, whole_number
+from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.model import HPAC, Hand
-from hpac_gym.output import writable_folder
+from hpac_gym.output import markdown, writable_folder
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.tasks.grasp import Grasp
+from hpac_gym.tasks.task import Task
 
 NEAR = 0.25
 """Share of the range of distances with which the curriculum begins."""
@@ -44,34 +50,74 @@ class NearFirst(Grasp):
         return super().setup(rng, hand)
 
 
-VARIANTS = {
-    "as it is": ({}, training_task),
-    "critics see deploy": ({"critic_obs": "deploy"}, training_task),
-    "near objects first": ({}, NearFirst),
+VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
+    "learner": {
+        "as it is": {},
+        "critics see deploy": {"critic_obs": "deploy"},
+        "near objects first": {},
+    },
+    "conditions": {
+        "as it is": {},
+        "hands that differ": {"randomize": "hand"},
+        "all that differs": {"randomize": "full"},
+        "light fingers": {"set_ups": ("mujoco/light",)},
+        "weak contacts": {"contacts": "weak"},
+        "light fingers, weak contacts": {"set_ups": ("mujoco/light",), "contacts": "weak"},
+    },
 }
-"""Settings and maker of the task of each variant."""
+"""Settings of each variant of the recipe."""
+JUDGED: dict[str, dict[str, dict[str, str]]] = {
+    "learner": {"twin": {"engine": "mujoco"}},
+    "conditions": {
+        "twin": {"engine": "mujoco"},
+        "twin, all differs": {"engine": "mujoco", "randomize": "full"},
+        "light": {"engine": "mujoco", "body": "light"},
+        "PyBullet": {"engine": "pybullet"},
+    },
+}
+"""Options of the environments in which the policies are evaluated; the first is that of median and lowest."""
+
+
+def task_maker(name: str) -> Callable[[Recipe], Task]:
+    """Maker of the task in which a variant is trained."""
+    return NearFirst if name == "near objects first" else training_task
+
+
+def success(policies: list[str], options: dict[str, str], episodes: int) -> np.ndarray:
+    """Success of policies in the same episodes [%], shape (policies, 1)."""
+    judged = [evaluate([policy], DEFAULT_TASK, episodes, options=options).summary()["policies"] for policy in policies]
+    return np.array([[100 * cell["success_rate"]] for policy in judged for cell in policy.values()])
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.variants", __doc__)
+    parser.add_argument("what", choices=VARIANTS, help="what differs between the variants")
     parser.add_argument("--seeds", type=whole_number(1), default=5, help="number of trainings of each variant")
-    parser.add_argument("--trials", type=whole_number(3_000), default=12_000, help="trials per training")
-    parser.add_argument("--episodes", type=whole_number(1), default=1_000, help="held-out episodes of each policy")
+    parser.add_argument("--trials", type=whole_number(3_000), default=8_000, help="trials per training")
+    parser.add_argument("--episodes", type=whole_number(1), default=1_000, help="held-out episodes of each policy and cell")
     parser.add_argument("--out", type=Path, required=True, help="folder of the trainings")
     args = parser.parse_args(argv)
-    for name, (settings, make) in VARIANTS.items():
-        cells = []
-        for seed in range(args.seeds):
-            out = args.out / f"{name.replace(' ', '-')}-{seed}"
-            if not (out / POLICY).exists():
-                writable_folder(out)
-                # With one checkpoint only, a folder with a policy holds a complete training.
-                recipe = replace(RECIPES["grasp"], seed=seed, episodes=args.trials, checkpoint_every=args.trials, **settings)
-                if status := train(recipe, out, make=make):
-                    return status
-            judged = evaluate([str(out / POLICY)], DEFAULT_TASK, args.episodes, options={"engine": "mujoco"})
-            cells += judged.summary()["policies"].values()
-        print(f"{name}: {over_runs(cells)}", flush=True)
+    policies: dict[str, list[str]] = {}
+    for seed, (name, settings) in product(range(args.seeds), VARIANTS[args.what].items()):
+        out = args.out / f"{name.replace(', ', ' ').replace(' ', '-')}-{seed}"
+        policies.setdefault(name, []).append(str(out / POLICY))
+        # With one checkpoint only, a folder with a policy holds a complete training.
+        recipe = replace(RECIPES["grasp"], seed=seed, episodes=args.trials, checkpoint_every=args.trials, **settings)
+        if not (out / POLICY).exists():
+            writable_folder(out)
+            if status := train(recipe, out, make=task_maker(name)):
+                return status
+        elif recipe_in(out) != recipe:
+            raise RunError(f"'{out}' holds a training with other settings than '{name}' with {args.trials} trials")
+    cells = JUDGED[args.what]
+    print(markdown(("variant", "median [%]", "lowest", *cells), ()))
+    for name, files in policies.items():
+        rates = [success(files, options, args.episodes) for options in cells.values()]
+        texts = [f"{np.median(rates[0]):.1f}", f"{rates[0].min():.1f}"]
+        for each in rates:
+            low, high = stratified_bootstrap(interquartile_mean, each)
+            texts.append(f"{float(interquartile_mean(each)):.1f} [{low:.1f}, {high:.1f}]")
+        print(f"| {name} | {' | '.join(texts)} |", flush=True)
     return 0
 
 

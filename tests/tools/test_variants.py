@@ -1,10 +1,17 @@
 """The variants of the recipe differ from it as they say."""
 
-import numpy as np
+import json
+from dataclasses import asdict, replace
 
+import numpy as np
+import pytest
+
+from agents import POLICY, RunError
 from agents.closures import training_task
 from agents.recipes import RECIPES
-from tools.variants import GROW, NEAR, NearFirst
+from agents.train import RUN
+from tools import variants
+from tools.variants import GROW, NEAR, VARIANTS, NearFirst, task_maker
 
 
 def distances(task) -> np.ndarray:
@@ -22,3 +29,21 @@ def test_the_curriculum_begins_with_near_objects_and_ends_with_all():
         task.setup(np.random.default_rng(0))
     assert distances(task).max() > high - 1e-3
     np.testing.assert_array_equal(distances(task), distances(training_task(recipe)))
+
+
+def test_only_the_curriculum_has_another_task_and_every_other_variant_other_settings():
+    named = {name: settings for table in VARIANTS.values() for name, settings in table.items()}
+    assert [name for name in named if task_maker(name) is NearFirst] == ["near objects first"]
+    recipes = [replace(RECIPES["grasp"], **settings) for name, settings in named.items() if name != "near objects first"]
+    assert len({str(recipe) for recipe in recipes}) == len(recipes) == 7
+
+
+def test_trainings_with_other_settings_are_not_taken_for_those_of_the_call(tmp_path):
+    for name, trials in (("as-it-is-0", 3_000), ("hands-that-differ-0", 4_000)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / POLICY).touch()
+        settings = VARIANTS["conditions"][name[:-2].replace("-", " ")]
+        recipe = replace(RECIPES["grasp"], episodes=trials, checkpoint_every=trials, **settings)
+        (tmp_path / name / RUN).write_text(json.dumps(asdict(recipe)))
+    with pytest.raises(RunError, match=r"hands-that-differ-0' holds a training with other settings than .* with 3000 trials"):
+        variants.main(["conditions", "--seeds", "1", "--trials", "3000", "--out", str(tmp_path)])
