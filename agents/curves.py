@@ -9,7 +9,7 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +79,7 @@ class Progress:
 
     def add(self, held: list[bool], steps: int, entropy: float) -> bool:
         """Record trials, control steps and the actor's entropy [nats per number]; returns whether the training continues."""
+        held = held[: self._most - self.done]  # the run keeps no more
         self._held.extend(held)
         self.done += len(held)
         self.env_steps += steps
@@ -174,6 +175,29 @@ def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | Non
         axis.set_xlabel("training time (minutes)")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
+
+
+def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
+    """Draw success, with its Wilson 95 % interval, over trials: of single runs, and of those with the trials of several."""
+    from matplotlib.figure import Figure  # imported here, since a table does not need it
+    from matplotlib.ticker import LogLocator
+
+    figure = Figure(figsize=(8, 4.5), layout="constrained")
+    axes = figure.add_subplot()
+    for label, style, colour in (("of one run", "o", "random"), ("of several runs", "o-", "learned")):
+        shown = [(c["trained"]["episodes"], c["success_rate"], *c["interval_95"]) for c in cells if c["trials"] == label]
+        trials, *rates = np.reshape(sorted(shown), (-1, 4)).T
+        rate, low, high = (100 * each for each in rates)
+        bars = (rate - low, high - rate)
+        axes.errorbar(trials, rate, bars, fmt=style, alpha=0.7, label=f"trials {label}", color=COLOURS[colour])
+    axes.set(xscale="log", xlabel="number of trials", ylabel="success (%)")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 4)))
+    axes.xaxis.set_major_formatter(lambda trials, _: f"{trials:,.0f}")
+    axes.xaxis.set_minor_formatter("")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right")
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120, format="png")
 

@@ -28,7 +28,7 @@ from tqdm import tqdm
 from agents import RunError, command_parser, minutes, other_versions, versions
 from agents.closures import Learner, Trials, sizes_of, worlds_of
 from agents.recipes import RECIPES, Recipe, add_recipe, recipe_of
-from agents.train import RUN, recipe_in, remove_run, train
+from agents.train import RUN, recipe_in, remove_run, saved_trials, train
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
@@ -217,7 +217,7 @@ def main(argv: list[str] | None = None) -> int:
     for folder in [folder for folder in wanted if (folder / RUN).exists()]:
         if recipe_in(folder) != wanted.pop(folder):
             raise RunError(f"folder '{folder}' holds a run with other settings: choose another --out, or remove it")
-        _say(f"{folder} was done before")
+        _say(f"{folder} was done before, with {saved_trials(folder):,} of {recipe.episodes:,} trials")
     ray = connected()
     task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)  # a process per run
     running = {task.remote(recipe, 60 * args.time_limit): folder for folder, recipe in wanted.items()}

@@ -1,10 +1,10 @@
 """Reproduce a table of the documentation: ``python -m agents.reproduce elsewhere --policy FILE --policy FILE``.
 
 ``elsewhere`` evaluates policies on every engine and body with every randomization. ``seeds`` evaluates runs on MuJoCo's *twin*,
-and ends with the median, the lowest and the interquartile mean, with its stratified-bootstrap interval, of each learner with
-several runs. ``race`` does the same for the algorithms of `agents.race` and the recipe *grasp*: it reads their policies from the
-folders ``LEARNER-SEED`` of ``--runs`` and trains missing ones. All cells have the same held-out episodes and Wilson 95 %
-intervals; rows are printed when complete.
+and ends with the median, the lowest and the interquartile mean, with its stratified-bootstrap interval, of each learner and
+number of trials with several runs. ``race`` does the same for the algorithms of `agents.race` and the recipe *grasp*: it reads
+their policies from the folders ``LEARNER-SEED`` of ``--runs`` and trains missing ones. All cells have the same held-out episodes
+and Wilson 95 % intervals; rows are printed when complete.
 """
 
 import json
@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from agents import POLICY, RecipeError, command_parser, minutes
-from agents.curves import COLOURS
+from agents.curves import draw_trials
 from agents.evaluate import DEFAULT_TASK, evaluate, task_of
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
-from hpac_gym.output import markdown, replacing, writable_folder, write_text
+from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.physics.simulation import SET_UPS, default_engine
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.phases import PHASES
@@ -54,7 +54,8 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
         told = {"learner": about["algorithm"], "seed": about["settings"]["seed"]}
         trials = "of several runs" if len(about["settings"].get("trials_of", ())) > 1 else "of one run"
         trained = {key: about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
-        cell = {**told, "trained": trained, "trials": trials, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
+        asked = about["settings"].get("episodes")  # None if only time limits the training
+        cell = {**told, "asked": asked, "trained": trained, "trials": trials, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
         lost = ", ".join(str(cell["failures_by_phase"].get(phase, 0)) for phase in PHASES)
         yield (*told.values(), f"{about['episodes']:,}", f"{_seconds(about):,.0f}", _rate(cell), lost), [cell]
 
@@ -95,29 +96,6 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
             print(told, file=sys.stderr)
             continue
         yield str(out / POLICY)
-
-
-def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
-    """Draw success, with its Wilson 95 % interval, over trials: of single runs, and of those with the trials of several."""
-    from matplotlib.figure import Figure  # imported here, since a table does not need it
-    from matplotlib.ticker import LogLocator
-
-    figure = Figure(figsize=(8, 4.5), layout="constrained")
-    axes = figure.add_subplot()
-    for label, style, colour in (("of one run", "o", "random"), ("of several runs", "o-", "learned")):
-        shown = [(c["trained"]["episodes"], c["success_rate"], *c["interval_95"]) for c in cells if c["trials"] == label]
-        trials, *rates = np.reshape(sorted(shown), (-1, 4)).T
-        rate, low, high = (100 * each for each in rates)
-        bars = (rate - low, high - rate)
-        axes.errorbar(trials, rate, bars, fmt=style, alpha=0.7, label=f"trials {label}", color=COLOURS[colour])
-    axes.set(xscale="log", xlabel="number of trials", ylabel="success (%)")
-    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 4)))
-    axes.xaxis.set_major_formatter(lambda trials, _: f"{trials:,.0f}")
-    axes.xaxis.set_minor_formatter("")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="lower right")
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120, format="png")
 
 
 def _seconds(about: dict[str, Any]) -> float:
@@ -171,10 +149,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"| {' | '.join(map(str, line))} |", flush=True)
         if args.out:
             write_text(args.out, json.dumps(cells, indent=2) + "\n")
-    for learner in dict.fromkeys(cell.get("learner") for cell in cells):
-        runs = [cell for cell in cells if cell.get("learner") == learner]
+    for learner, asked in dict.fromkeys((cell.get("learner"), cell.get("asked")) for cell in cells):
+        runs = [cell for cell in cells if (cell.get("learner"), cell.get("asked")) == (learner, asked)]
         if learner and len(runs) > 1:
-            print(f"\n{learner}: {over_runs(runs)}")
+            print(f"\n{learner}{f', at most {asked:,} trials' if asked else ''}: {over_runs(runs)}")
     if args.picture:
         draw_trials(args.picture, cells)
     return 0

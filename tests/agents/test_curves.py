@@ -26,6 +26,13 @@ def test_a_curve_reads_back_as_it_was_written(curve):
     assert columns["success_rate"][-1] == 0.5
 
 
+def test_the_last_row_counts_no_trial_for_which_the_run_has_no_room(tmp_path):
+    progress = Progress(tmp_path, 600, 10**9)
+    assert not progress.add([True] * 600 + [False] * 100, 1, -0.5)
+    columns = read_curve(tmp_path / "progress.csv")
+    assert (columns["episodes"], columns["success_rate"], columns["window"]) == (600, 1.0, 600)
+
+
 def test_rows_after_a_checkpoint_and_half_rows_are_taken_back(curve):
     with curve.open("a") as file:
         file.write("30")

@@ -153,8 +153,8 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     kept = (tmp_path / "seed-0" / "policy.zip").stat().st_mtime_ns
     capsys.readouterr()
     assert nodes.main(["grasp", "--seeds", "2", *words]) == 0
-    told = re.findall(r"seed-(\d) (was done before|is done)", capsys.readouterr().err)
-    assert told == [("0", "was done before"), ("1", "is done")]
+    told = re.findall(r"seed-(\d) (was done before, with 6 of 6 trials|is done)", capsys.readouterr().err)
+    assert told == [("0", "was done before, with 6 of 6 trials"), ("1", "is done")]
     assert (tmp_path / "seed-0" / "policy.zip").stat().st_mtime_ns == kept
     with pytest.raises(RunError, match=r"folder '.*seed-0' holds a run with other settings: choose another --out, or remove it"):
         nodes.main(["grasp-type", "--seeds", "1", *words])
