@@ -63,6 +63,7 @@ VARIANTS: dict[str, dict[str, dict[str, Any]]] = {
         "light fingers": {"set_ups": ("mujoco/light",)},
         "weak contacts": {"contacts": "weak"},
         "light fingers, weak contacts": {"set_ups": ("mujoco/light",), "contacts": "weak"},
+        "PyBullet": {"set_ups": ("pybullet/twin",)},
     },
 }
 """Settings of each variant of the recipe."""

@@ -35,7 +35,7 @@ def test_only_the_curriculum_has_another_task_and_every_other_variant_other_sett
     named = {name: settings for table in VARIANTS.values() for name, settings in table.items()}
     assert [name for name in named if task_maker(name) is NearFirst] == ["near objects first"]
     recipes = [replace(RECIPES["grasp"], **settings) for name, settings in named.items() if name != "near objects first"]
-    assert len({str(recipe) for recipe in recipes}) == len(recipes) == 7
+    assert len({str(recipe) for recipe in recipes}) == len(recipes) == 8
 
 
 def test_trainings_with_other_settings_are_not_taken_for_those_of_the_call(tmp_path):
