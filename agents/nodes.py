@@ -18,8 +18,10 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import gettempdir
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 import torch
@@ -190,16 +192,23 @@ def _say(text: str) -> None:
     tqdm.write(text, file=sys.stderr)
 
 
-def train_seed(recipe: Recipe, time_limit: float) -> dict[str, bytes]:
+def train_seed(recipe: Recipe, time_limit: float, name: str) -> dict[str, bytes]:
     """Train a complete run in this process, so that it ends with the process; returns the files of its folder by name.
+
+    The folder has this name among the node's temporary files. It outlives a killed process, and a second call on the same node
+    continues from its checkpoint.
 
     Raises:
         RunError: The training failed or was interrupted.
     """
-    with TemporaryDirectory() as folder:
-        if train(recipe, Path(folder), time_limit=time_limit):
+    folder = Path(gettempdir()) / name
+    folder.mkdir(exist_ok=True)
+    try:
+        if train(recipe, folder, time_limit=time_limit):
             raise RunError("the training was interrupted")
-        return {str(path.relative_to(folder)): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
+        return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    finally:
+        rmtree(folder)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -220,7 +229,8 @@ def main(argv: list[str] | None = None) -> int:
         _say(f"{folder} was done before, with {saved_trials(folder):,} of {recipe.episodes:,} trials")
     ray = connected()
     task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)  # a process per run
-    running = {task.remote(recipe, 60 * args.time_limit): folder for folder, recipe in wanted.items()}
+    run_id, limit = uuid4().hex, 60 * args.time_limit
+    running = {task.remote(recipe, limit, f"hpac-{run_id}-{folder.name}"): folder for folder, recipe in wanted.items()}
     failed = 0
     while running:
         (reference, *_), _ = ray.wait(list(running))
