@@ -4,9 +4,10 @@
 which the largest distance of the object grows over the first third of the trials. ``conditions``: what the episodes of the
 training have. Every policy is evaluated on held-out episodes, on the *twin*; with ``conditions`` elsewhere too. Median and
 lowest are those on the *twin*, the other columns interquartile means, with their bootstrap interval. A repeated call skips
-finished trainings.
+finished trainings, and begins an interrupted one again.
 """
 
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +21,7 @@ from agents import POLICY, RunError, command_parser
 from agents.closures import training_task
 from agents.evaluate import DEFAULT_TASK, evaluate
 from agents.recipes import RECIPES, Recipe
-from agents.train import recipe_in, train
+from agents.train import RUN, recipe_in, saved_trials, train
 from hpac import run, whole_number
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.model import HPAC, Hand
@@ -84,10 +85,10 @@ def task_maker(name: str) -> Callable[[Recipe], Task]:
     return NearFirst if name == "near objects first" else training_task
 
 
-def success(policies: list[str], options: dict[str, str], episodes: int) -> np.ndarray:
+def success(policies: list[str], options: dict[str, str], episodes: int, workers: int) -> np.ndarray:
     """Success of policies in the same episodes [%], shape (policies, 1)."""
-    judged = [evaluate([policy], DEFAULT_TASK, episodes, options=options).summary()["policies"] for policy in policies]
-    return np.array([[100 * cell["success_rate"]] for policy in judged for cell in policy.values()])
+    judged = evaluate(policies, DEFAULT_TASK, episodes, workers=workers, options=options).summary()["policies"]
+    return np.array([[100 * cell["success_rate"]] for cell in judged.values()])
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -96,24 +97,24 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=whole_number(1), default=5, help="number of trainings of each variant")
     parser.add_argument("--trials", type=whole_number(3_000), default=8_000, help="trials per training")
     parser.add_argument("--episodes", type=whole_number(1), default=1_000, help="held-out episodes of each policy and cell")
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, help="processes of an evaluation")
     parser.add_argument("--out", type=Path, required=True, help="folder of the trainings")
     args = parser.parse_args(argv)
     policies: dict[str, list[str]] = {}
     for seed, (name, settings) in product(range(args.seeds), VARIANTS[args.what].items()):
         out = args.out / f"{name.replace(', ', ' ').replace(' ', '-')}-{seed}"
         policies.setdefault(name, []).append(str(out / POLICY))
-        # With one checkpoint only, a folder with a policy holds a complete training.
         recipe = replace(RECIPES["grasp"], seed=seed, episodes=args.trials, checkpoint_every=args.trials, **settings)
-        if not (out / POLICY).exists():
-            writable_folder(out)
-            if status := train(recipe, out, make=task_maker(name)):
-                return status
-        elif recipe_in(out) != recipe:
+        if (out / RUN).exists() and recipe_in(out) != recipe:
             raise RunError(f"'{out}' holds a training with other settings than '{name}' with {args.trials} trials")
+        if saved_trials(out) < args.trials:
+            writable_folder(out)
+            if status := train(recipe, out, fresh=True, make=task_maker(name)):
+                return status
     cells = JUDGED[args.what]
     print(markdown(("variant", "median [%]", "lowest", *cells), ()))
     for name, files in policies.items():
-        rates = [success(files, options, args.episodes) for options in cells.values()]
+        rates = [success(files, options, args.episodes, args.workers) for options in cells.values()]
         texts = [f"{np.median(rates[0]):.1f}", f"{rates[0].min():.1f}"]
         for each in rates:
             low, high = stratified_bootstrap(interquartile_mean, each)
