@@ -82,9 +82,10 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(command: Callable[[], int]) -> int:
     """Run a command and return its exit status.
 
-    An `HpacError` or an unwritable standard output gives one line and `USAGE_ERROR`; Ctrl-C gives `INTERRUPTED`.
-    Any other exception is a bug and keeps its traceback.
+    An `HpacError` or an unwritable standard output gives one line and `USAGE_ERROR`; Ctrl-C gives `INTERRUPTED`. A warning is one
+    line too. Any other exception is a bug and keeps its traceback.
     """
+    warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
     if sys.stdout is None:
         return _complain("cannot write to standard output: it is closed")
     try:
@@ -121,8 +122,7 @@ def _drop_output() -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit status. A warning is one line, like an error."""
-    warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
+    """Run one command and return its exit status."""
     return run(lambda: _main(sys.argv[1:] if argv is None else argv))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
@@ -28,12 +29,12 @@ from hpac_gym.model import (
     streamed_servo,
 )
 from hpac_gym.model.checks import Array, as_bounded_array
-from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import HAND_POSITION, PhysicsError, PhysicsWarning, SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.quality import grasp_quality
 from hpac_gym.tasks.senses import POINTS, POINTS_BOUND
-from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, Task
+from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, Task
 from hpac_gym.tasks.terms import Layout, Moment
 
 IMAGE_SIZE = 84
@@ -181,7 +182,10 @@ class Episodes:
         Raises:
             ShapeError: Wrong shape.
             WorkspaceError: NaN, or an action that leaves −1…1: wrap in `gymnasium.wrappers.ClipAction`.
-            PhysicsError: A world's simulation failed.
+            PhysicsError: A simulation failed, and the engine cannot continue.
+
+        Warns:
+            PhysicsWarning: A world's simulation failed: its episode ends as a failure, and the others continue.
         """
         every = actions
         actions, choices = every[:, : len(SERVOS)], every[:, len(SERVOS) :]
@@ -201,12 +205,22 @@ class Episodes:
         self.simulation.command(self._arrived, self.dt)
         row = np.minimum(self._step[:, None] * self._substeps + np.arange(self._substeps), len(self._times) - 1)
         push = self.task.push(self._time[row])
-        self.simulation.advance(np.take_along_axis(self._wrist, row[:, :, None], axis=1), push)
+        failed: tuple[int, ...] = ()
+        try:
+            self.simulation.advance(np.take_along_axis(self._wrist, row[:, :, None], axis=1), push)
+        except PhysicsError as error:
+            if not error.worlds:
+                raise
+            failed = tuple(world for world in error.worlds if self.outcome[world] == RUNNING)
+            warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=2)
         self._step += 1
 
         state, phase = self.simulation.state(), self.now.phase
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
         self.outcome = self.task.judge(state, self.dt)
+        if failed:
+            self.outcome = self.outcome.copy()
+            self.outcome[list(failed)] = FAILURE
         change = np.asarray(actions, dtype=float) - self._last_action
         self._last_action = np.array(actions, dtype=float)  # the caller may reuse its array
         self._predicted = elastic_joints_from_servo(self._servo, self.options.hand)

@@ -122,7 +122,10 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             ShapeError: `action` has the wrong shape.
             WorkspaceError: `action` has NaN, or leaves −1…1: wrap in `gymnasium.wrappers.ClipAction`.
             EpisodeError: Before `reset`, after the end of an episode, or after `close`.
-            PhysicsError: The simulation failed.
+            PhysicsError: The simulation failed in PyBullet.
+
+        Warns:
+            PhysicsWarning: The simulation failed in MuJoCo: the episode ends as a failure.
         """
         episodes = self.episodes
         if not self._running:

@@ -138,7 +138,10 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             ShapeError: The actions do not have the shape of the action space.
             WorkspaceError: An action has NaN, or leaves −1…1.
             EpisodeError: Before `reset`, after `close`, or without autoreset after the end of an episode.
-            PhysicsError: A world's simulation failed; the message names it.
+            PhysicsError: A world's simulation failed in PyBullet; the message names it.
+
+        Warns:
+            PhysicsWarning: A world's simulation failed in MuJoCo: its episode ends as a failure, and the others continue.
         """
         episodes = self.episodes
         if not self._running or (self._mode is AutoresetMode.DISABLED and self._over.any()):

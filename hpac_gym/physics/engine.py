@@ -44,7 +44,20 @@ PARTS = ("palm", *DIGITS)
 
 
 class PhysicsError(HpacError, RuntimeError):
-    """A simulation failed; the message names the world and the cause."""
+    """A simulation failed; the message names the world and the cause.
+
+    Attributes:
+        worlds: worlds that failed and are back at the start of their setups, while the others advanced; empty if the engine
+            cannot continue.
+    """
+
+    def __init__(self, message: str, worlds: Sequence[int] = ()) -> None:
+        super().__init__(message)
+        self.worlds = tuple(worlds)
+
+
+class PhysicsWarning(UserWarning):
+    """An episode ended as a failure because its simulation failed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,9 +19,12 @@ from gymnasium.wrappers.vector import FlattenObservation as VectorFlatten
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, GraspByName, HandVectorEnv, PickPlace, Posture, scripted_closure
+from hpac_gym.envs.episodes import open_episodes
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streamed_servo
+from hpac_gym.physics.engine import PhysicsWarning
+from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY
 from tests.processes import wait_for
 
@@ -230,6 +234,49 @@ def test_a_refused_action_is_named_as_alone_with_its_environment_and_the_rest_go
     assert caught.value.__notes__ == ["in environment 2"]
     envs.step(np.zeros((3, 6)))
     np.testing.assert_array_equal(envs.reset(seed=0)[0], first)
+
+
+def fail(envs, world: int) -> None:
+    """Give the hand of a world in MuJoCo a speed with which no simulation can go on."""
+    open_episodes(envs).simulation.engine._group_of[world].qvel[world] = np.nan
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(name):
+    options = {"wrist": "script"} if name == GRASP_TYPE else {}
+    envs, alone = (gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="NextStep", **options) for _ in range(2))
+    for each in (envs, alone):
+        each.reset(seed=0)
+        each.step(np.zeros(each.action_space.shape))
+    action = np.full(envs.action_space.shape, 0.5, np.float32)
+    fail(envs, 1)
+    with pytest.warns(PhysicsWarning, match=r"^world 1 of 3 failed after 0\.050 s of its episode: MuJoCo says \w+; it ends as"):
+        seen, rewards, terminated, truncated, infos = envs.step(action)
+    expected = alone.step(action)
+    assert terminated.tolist() == [False, True, False]
+    assert not truncated.any()
+    assert not infos["is_success"].any()
+    assert all(np.isfinite(part).all() for part in (rewards, *(seen.values() if isinstance(seen, dict) else [seen])))
+    for one, other in ((seen, expected[0]), (rewards, expected[1])):
+        for got, wanted in zip(*(part.values() if isinstance(part, dict) else [part] for part in (one, other)), strict=True):
+            np.testing.assert_array_equal(got[[0, 2]], wanted[[0, 2]])
+    with warnings.catch_warnings(action="error"):
+        assert not envs.step(action)[2].any()
+    envs.close()
+    alone.close()
+
+
+def test_a_failed_simulation_ends_the_episode_of_a_single_environment():
+    with gymnasium.make(GRASP, engine="mujoco") as env:
+        env.reset(seed=0)
+        fail(env.unwrapped, 0)
+        with pytest.warns(PhysicsWarning, match="world 0 of 1 failed"):
+            _, reward, terminated, _, info = env.step(np.zeros(6))
+        assert terminated
+        assert info["outcome"] == "failure"
+        assert reward < GraspConfig().weights.failure / 2
+        env.reset(seed=0)
+        env.step(np.zeros(6))
 
 
 def test_without_autoreset_a_step_after_the_end_is_refused():

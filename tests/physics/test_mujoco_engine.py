@@ -238,12 +238,37 @@ def test_a_failed_simulation_names_its_world(bad, tmp_path, monkeypatch):
     engine.reset(range(3), varied()[:3])
     tables = [np.zeros((3, 6, width)) for width in (6, 6, 3)]
     tables[0][1, 3, 2] = bad
-    with pytest.raises(PhysicsError, match=r"world 1 of 3 failed after 0\.000 s"):
+    with pytest.raises(PhysicsError, match=r"world 1 of 3 failed after 0\.000 s") as caught:
         engine.advance(*tables)
+    assert caught.value.worlds == (1,)
     engine.reset([1], [varied()[1]])
     tables[0][:] = 0.0
     engine.advance(*tables)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_worlds_beside_a_failed_one_advance_and_it_is_back_at_its_start():
+    """Also where the worlds have several layouts, which are advanced one after the other."""
+    engine, alone = (MuJoCoEngine(3, threads=2) for _ in range(2))
+    setups = [primitive("cylinder"), SceneSetup(None), primitive("box")]
+    for each in (engine, alone):
+        each.reset(range(3), setups)
+    start = engine.state()
+    servo = np.full((3, 6, 6), 0.2)
+    tables = np.zeros((3, 6, 6)), np.zeros((3, 6, 3))
+    alone.advance(servo, *tables)
+    bad = servo.copy()
+    bad[[0, 1], 3, 2] = np.nan
+    with pytest.raises(PhysicsError, match=r"world 0 of 3 and 1 others failed after 0\.000 s") as caught:
+        engine.advance(bad, *tables)
+    assert caught.value.worlds == (0, 1)
+    state, expected = engine.state(), alone.state()
+    for entry in fields(SceneState):
+        values = getattr(state, entry.name)
+        np.testing.assert_array_equal(values[2], getattr(expected, entry.name)[2], err_msg=entry.name)
+        if entry.name != "time":
+            np.testing.assert_array_equal(values[:2], getattr(start, entry.name)[:2], err_msg=entry.name)
+    assert (state.time == expected.time).all()
 
 
 def test_a_setup_that_is_no_place_is_an_error():

@@ -89,14 +89,25 @@ class MuJoCoEngine(Engine):
                 self._rows[group] = slice(None) if len(rows) == self.num_worlds else rows
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
+        """As `Engine.advance`.
+
+        Raises:
+            PhysicsError: Simulations failed; the error has their worlds, and their time goes on.
+        """
+        failed: dict[int, str] = {}
         for group, rows in self._rows.items():
-            failed = group.advance(rows, servo[rows], servo_vel[rows], wrist[rows], None if push is None else push[rows])
-            if failed is not None:
-                world, reason = failed
-                place, time = f"world {world} of {self.num_worlds}", self._steps[world] * self.dt
-                raise PhysicsError(f"{place} failed after {time:.3f} s of its episode: MuJoCo says {reason}")
+            reasons = group.advance(rows, servo[rows], servo_vel[rows], wrist[rows], None if push is None else push[rows])
             self._felt[rows] = group.felt(rows)
             self._steps[rows] += servo.shape[1]
+            if worlds := sorted(reasons):
+                group.start(np.array(worlds), [self._setups[world] for world in worlds])
+                self._felt[worlds] = 0.0
+                failed |= reasons
+        if failed:
+            first, *others = sorted(failed)
+            place = f"world {first} of {self.num_worlds}{f' and {len(others)} others' if others else ''}"
+            time = (self._steps[first] - servo.shape[1]) * self.dt
+            raise PhysicsError(f"{place} failed after {time:.3f} s of its episode: MuJoCo says {failed[first]}", sorted(failed))
 
     def state(self) -> SceneState:
         state = SceneState.empty(self.num_worlds)

@@ -224,12 +224,13 @@ class Group:
                 self.qpos[world, at.object : at.object + 7] = *place, w, x, y, z
         self.warned[worlds] = self.warnings[worlds]
 
-    def advance(self, rows: Rows, servo: Array, servo_vel: Array, wrist: Array, push: Array | None) -> tuple[int, str] | None:
+    def advance(self, rows: Rows, servo: Array, servo_vel: Array, wrist: Array, push: Array | None) -> dict[int, str]:
         """Step worlds through tables of servo angles and speeds, wrist offsets and pushes.
 
         Returns:
-            The first world that failed and the reason, or None.
+            The worlds that failed, each with the reason.
         """
+        failed: dict[int, str] = {}
         n, steps, _ = servo.shape
         control = np.empty((n, steps, self.model.nu))
         control[..., : len(SERVOS)] = servo + self.lead[rows, None] * servo_vel
@@ -246,17 +247,15 @@ class Group:
         try:
             self.batch.rollout(steps, control, columns, record=(), ids=None if isinstance(rows, slice) else rows)
         except SimulationError as error:
-            return int(error.ids[0]), self.batch.error(int(error.ids[0]))
+            failed = {int(world): self.batch.error(int(world)) for world in error.ids}
         finally:
             mujoco.set_mju_user_warning(handler)
             if pushed:
                 self.batch.bind("xfrc_applied")[rows] = 0.0
         # MuJoCo silently stops a simulation about which it warns.
-        rose = self.warnings != self.warned
-        if not rose.any():
-            return None
-        world, kind = np.argwhere(rose)[0]
-        return int(world), mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_")
+        for world, kind in np.argwhere(self.warnings != self.warned):
+            failed.setdefault(int(world), mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_"))
+        return failed
 
     def felt(self, rows: Rows) -> Array:
         """Forces and contacts of worlds in the last physics step, shape (m, FELT)."""
