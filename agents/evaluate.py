@@ -174,7 +174,7 @@ def evaluate(
     labels = [name if several or name in BASELINES else LEARNED for name in names]
     deadline = time.monotonic() + time_limit
     seeds = range(seed_start, seed_start + episodes)
-    jobs = [(names, env_id, options, seeds[start : start + block]) for start in range(0, episodes, block)]
+    jobs = ((names, env_id, options, seeds[start : start + block]) for start in range(0, episodes, block))
     rows: list[tuple[Episode, ...]] = []
     with closing(shared(run_block, jobs, workers)) as blocks, tqdm(
         total=episodes, desc="evaluating", unit="seed", disable=not sys.stderr.isatty(), dynamic_ncols=True

@@ -7,7 +7,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -15,6 +15,8 @@ from typing import Any, TypeVar
 
 from hpac_gym.errors import HpacError
 
+AHEAD = 8
+"""Jobs that a pool takes for each of its processes before it waits for a result: there may be more than fit into memory."""
 Result = TypeVar("Result")
 Work = Callable[[Callable[..., Result], Iterable[tuple]], Iterator[Result]]
 
@@ -42,6 +44,8 @@ def worker_pool(count: int, prepare: Callable[..., None] | None = None, argument
         for job in jobs:
             with _interrupts_held():
                 futures.append(pool.submit(function, *job))
+            if len(futures) == AHEAD * count:
+                yield futures.popleft().result()
         while futures:
             yield futures.popleft().result()
 
@@ -53,7 +57,7 @@ def worker_pool(count: int, prepare: Callable[..., None] | None = None, argument
         pool.shutdown(cancel_futures=True)
 
 
-def shared(function: Callable[..., Result], jobs: Sequence[tuple], count: int) -> Iterator[Result]:
+def shared(function: Callable[..., Result], jobs: Iterable[tuple], count: int) -> Iterator[Result]:
     """Results of ``function(*job)`` in the order of the jobs, computed by ``count`` processes; 1 is the calling process.
 
     Raises:

@@ -1,5 +1,6 @@
 """Shared work: its order, its errors, and what becomes of a worker."""
 
+import itertools
 import os
 import signal
 import threading
@@ -9,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 import pytest
 
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.evaluation.workers import WorkerError, shared, worker_pool
+from hpac_gym.evaluation.workers import AHEAD, WorkerError, shared, worker_pool
 
 JOBS = [(number, 2) for number in range(7)]
 DONE = [2 * number for number in range(7)]
@@ -43,6 +44,14 @@ def test_workers_give_results_in_order_and_errors_and_tell_when_one_is_ended_fro
 
     with pytest.raises(WorkerError, match="ended from outside"):
         work_and_die()
+
+
+def test_workers_take_jobs_as_they_need_them():
+    taken = []
+    results = shared(product, ((number, 2) for number in itertools.count() if taken.append(number) is None), 2)
+    assert list(itertools.islice(results, 40)) == [2 * number for number in range(40)]
+    assert len(taken) <= 40 + 2 * AHEAD
+    results.close()
 
 
 def nap(number: int) -> int:
