@@ -26,7 +26,7 @@ from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED, HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, probability_of_improvement, stratified_bootstrap, wilson_interval
-from hpac_gym.output import markdown, writable_folder, write_text
+from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
@@ -315,9 +315,16 @@ def judge_all(args: argparse.Namespace) -> Results:
     for name, value in head.items():
         if results.get(name) != value:
             raise RunError(f"'{args.out}' holds results with {name} {results.get(name)!r}, not {value!r}: name another file")
-    writable_folder(args.out.parent)
-    done = {(cell["seed"], cell["split"]) for cell in results["cells"]}
+    writable_file(args.out)
     wanted = [(seed, split) for seed in head["seeds"] for split in splits_of(args.env)]
+    try:
+        done = {(cell["seed"], cell["split"]) for cell in results["cells"]}
+        if not done <= set(wanted) or len(done) < len(results["cells"]):
+            raise ValueError("a cell is unexpected, or occurs twice")
+        if bad := next((fault for cell in results["cells"] for fault in _cell_faults(cell, results)), None):
+            raise ValueError(bad)
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise RunError(f"cannot continue results file '{args.out}': {error!r}") from None
     for number, (seed, split) in enumerate(wanted, 1):
         if (seed, split) not in done:
             cell = judge(head, split, seed, args.workers)

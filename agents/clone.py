@@ -120,8 +120,13 @@ def main(argv: list[str] | None = None) -> int:
     dataset = read_dataset(args.dataset)
     if vector_size(dataset.observation_space) is None:
         raise RunError(f"'{args.dataset}' observes {dataset.observation_space}: cloning needs vectors")
+    if (args.out / POLICY).exists():
+        raise RunError(f"'{args.out / POLICY}' is there already: choose another folder, or remove it")
     writable_folder(args.out)
-    episodes = [episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]]
+    try:
+        episodes = [episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]]
+    except Exception as error:  # a damaged file can make its reader raise anything
+        raise RunError(f"cannot read the episodes of '{args.dataset}': {error!r}") from None
     if not episodes:
         raise RunError(f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone")
     env_id, options = dataset.env_spec.id, dataset.env_spec.kwargs
@@ -146,6 +151,8 @@ def main(argv: list[str] | None = None) -> int:
         return visit(actor, args.expert, target["env_id"], options, training_seed(args.seed, number, VISITS))
 
     pairs = [(vector(episode.observations)[:-1], episode.actions) for episode in episodes]
+    if not all(np.isfinite(seen).all() and (np.abs(actions) <= 1.0).all() for seen, actions in pairs):
+        raise RunError(f"'{args.dataset}' has observations that are not finite, or actions outside −1…1")
     actor, error = clone(pairs, args.epochs, args.seed, args.rounds, more)
     save(actor, args.rounds)
     kept = f"the last {int(KEPT * len(episodes))} kept back, error {error:.3f}" if np.isfinite(error) else "none kept back"

@@ -100,7 +100,7 @@ class Progress:
         Raises:
             RunError: The file cannot be written, or the disk is full.
         """
-        if self.done and self.done == self._written:
+        if self.done == self._written:
             return
         self._written = self.done
         row = (self.done, round(self.seconds, 1), round(self.success_rate, 4), len(self._held), round(entropy, 3))
@@ -125,12 +125,19 @@ class Progress:
 
 
 def drop_rows_after(path: Path, episodes: int) -> None:
-    """Remove rows that an interrupted training wrote after its last checkpoint, including an incomplete one."""
+    """Remove rows that an interrupted training wrote after its last checkpoint, including an incomplete one.
+
+    Raises:
+        RunError: The file is not a learning curve.
+    """
     if not path.exists():
         return
-    header, *rows = path.read_text().splitlines(keepends=True) or [""]
-    kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= episodes]
-    path.write_text("".join([header, *kept]))
+    try:
+        header, *rows = path.read_text().splitlines(keepends=True) or [""]
+        kept = [row for row in rows if row.endswith("\n") and int(row.split(",")[0]) <= episodes]
+    except (OSError, ValueError) as error:
+        raise RunError(f"'{path}' is not a learning curve: {error}") from None
+    write_text(path, "".join([header, *kept]))
 
 
 def read_curve(path: Path) -> dict[str, np.ndarray]:
@@ -142,10 +149,14 @@ def read_curve(path: Path) -> dict[str, np.ndarray]:
     try:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
-        return {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
+        curve = {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
+        rate, window = curve["success_rate"], curve["window"]
+        if not (np.isfinite(curve["seconds"]).all() and ((rate >= 0) & (rate <= 1) & (window >= 1)).all()):
+            raise ValueError("a row has no time, no trial, or a rate of success outside 0…1")
+        return curve
     except OSError as error:
         raise RunError(f"cannot read '{path}': {error.strerror or error}") from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
         raise RunError(f"'{path}' is not a learning curve: {error!r}") from None
 
 
@@ -214,7 +225,7 @@ def report(folder: Path) -> list[Path]:
         try:
             results = json.loads((folder / RESULTS).read_text())
             page = _page(results)
-        except (OSError, ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise RunError(f"cannot read '{folder / RESULTS}': {error!r}") from None
         write_text(folder / PAGE, page)
         written.append(folder / PAGE)

@@ -41,14 +41,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the training")
     args = parser.parse_args(argv)
     writable_folder(args.out)
-    for name in RESULTS:
-        (args.out / name).unlink(missing_ok=True)
     started = time.monotonic()
-    for title, words in steps(args.recipe, args.out, args.minutes, args.episodes, args.seed):
+    for number, (title, words) in enumerate(steps(args.recipe, args.out, args.minutes, args.episodes, args.seed)):
         print(f"\n== {title}\n   python -m {' '.join(words)}", flush=True)
         status = subprocess.run([sys.executable, "-m", *words], check=False).returncode
         if status:
             return status  # the command has printed the reason
+        for name in () if number else RESULTS[1:]:  # those of an earlier demo are not about the new policy
+            (args.out / name).unlink(missing_ok=True)
     print(f"\nDone in {(time.monotonic() - started) / 60:.1f} minutes. In {args.out}:")
     for name in RESULTS:
         print(f"   {name}{'' if (args.out / name).exists() else ' is missing'}")

@@ -28,7 +28,7 @@ from hpac_gym.evaluation.closures import scale_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
-from hpac_gym.output import markdown, writable_folder, write_text
+from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.policies import Policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import about, load_policy
@@ -229,7 +229,9 @@ def main(argv: list[str] | None = None) -> int:
     files = list(dict.fromkeys(name for name in args.policy if name not in BASELINES))
     names = list(dict.fromkeys([*args.policy, *(() if args.no_baselines or not files else reversed(BASELINES))]))
     if args.out:
-        writable_folder(args.out.parent)
+        writable_file(args.out)
+        if any(args.out.resolve() == Path(name).resolve() for name in files):
+            parser.error(f"--out is '{args.out}', a policy to evaluate")
     options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
     how = {"seed_start": args.seed_start, "workers": args.workers, "time_limit": 60 * args.time_limit}
     summary = evaluate(names, args.env or task_of(args.policy[0]), args.episodes, options=options, **how).summary()
@@ -240,9 +242,9 @@ def main(argv: list[str] | None = None) -> int:
     elif told:
         summary["files"] = told
     text = json.dumps(summary, indent=2)
+    print(text if args.json else table(summary), flush=True)
     if args.out:
         write_text(args.out, text + "\n")
-    print(text if args.json else table(summary))
     return 0
 
 

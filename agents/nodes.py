@@ -27,11 +27,12 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from agents import RunError, command_parser, minutes, other_versions, versions
+from agents import RecipeError, RunError, command_parser, minutes, other_versions, versions
 from agents.closures import Learner, Trials, sizes_of, worlds_of
 from agents.recipes import RECIPES, Recipe, add_recipe, recipe_of
 from agents.train import RUN, recipe_in, remove_run, saved_trials, train
 from hpac import run, whole_number
+from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 
@@ -206,9 +207,11 @@ def train_seed(recipe: Recipe, time_limit: float, name: str) -> dict[str, bytes]
     try:
         if train(recipe, folder, time_limit=time_limit):
             raise RunError("the training was interrupted")
-        return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    finally:
-        rmtree(folder)
+        files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    except (HpacError, OSError) as error:
+        raise RunError(f"{error}; '{folder}' on node '{platform.node()}' keeps what was saved") from error
+    rmtree(folder)
+    return files
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -220,6 +223,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end each run after so long")
     add_recipe(parser)
     args = parser.parse_args(argv)
+    if hasattr(args, "seed"):
+        raise RecipeError(f"--seed is {args.seed}: --seeds gives the runs the seeds 0 to {args.seeds - 1}")
     recipe = recipe_of(args)
     writable_folder(args.out)
     wanted = {args.out / f"seed-{seed}": replace(recipe, seed=seed) for seed in range(args.seeds)}

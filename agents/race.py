@@ -21,7 +21,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
 from agents import POLICY, RecipeError, RunError, command_parser, minutes, target_of, versions
-from agents.curves import Progress
+from agents.curves import CURVE, Progress
 from agents.recipes import add_settings, applies, check, given_settings, setting, with_settings
 from hpac import run
 from hpac_gym.envs.options import GRASP
@@ -84,6 +84,8 @@ class Contender:
 
     def __post_init__(self) -> None:
         check(self)
+        if not self.hidden:
+            raise RecipeError("hidden needs at least one width")
         for entry in fields(self):
             if not applies(entry, self.algorithm) and getattr(self, entry.name) != entry.default:
                 raise RecipeError(f"{entry.name} is a setting of {', '.join(entry.metadata['of'])}, not of {self.algorithm}")
@@ -196,7 +198,7 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
         RunError: The folder already holds a run, or the training diverged.
     """
     algorithm_of(contender.algorithm)
-    if (out / POLICY).exists():
+    if any((out / name).exists() for name in (POLICY, CURVE)):
         raise RunError(f"folder '{out}' already holds a run: name another one")
     writable_folder(out)
     torch.set_num_threads(1)
@@ -238,6 +240,7 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
         raise RunError(f"the training diverged: {str(error).splitlines()[0]}; '{out}' keeps its last policy") from error
     progress.close()
     model.env.close()
+    print(f"done after {progress.done:,} trials: {out / POLICY}", file=sys.stderr)
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -107,7 +107,7 @@ class Recipe:
     randomize: str = choice("nominal", "randomization of the episodes", tuple(PRESETS))
     contacts: str = choice("usual", "contacts in training; weak: without torsional friction, and with half to all of the skin's "
                             "friction, so that grasps hold in engines whose contacts hold less", ("usual", "weak"))  # fmt: skip
-    episodes: int = setting(60_000, "total number of trials", 1)
+    episodes: int = setting(60_000, "total number of trials", 1, 10**8)
     env_steps: int = setting(10**12, "limit of control steps over all worlds", 1)
     seed: int = setting(0, "seed of the run", 0, 2**31 - 1)
     num_envs: int = setting(128, "number of parallel worlds", 1, 65_536)
@@ -151,6 +151,8 @@ class Recipe:
                 raise RecipeError(f"{name} is {bounds}: it must be a lower and an upper bound")
         if bool(self.begin) != bool(self.release):
             raise RecipeError("begin and release are given together, or not at all")
+        if self.begin and self.begin[1] > self.release[0]:
+            raise RecipeError(f"begin is up to {self.begin[1]:g} steps, release from {self.release[0]:g} on: it must come later")
         if self.sizes and self.env_id != GRASP_ANY:
             raise RecipeError(f"sizes are {self.sizes}: only {GRASP_ANY} has objects of other sizes, not {self.env_id}")
         if self.hands != "nominal" and self.env_id != GRASP_ANY:
@@ -198,4 +200,7 @@ def settings_of(saved: Mapping[str, Any]) -> Recipe:
     """
     if differing := {entry.name for entry in fields(Recipe)} ^ set(saved):
         raise TypeError(f"it is of another version, whose settings differ in {', '.join(sorted(differing))}")
+    types = get_type_hints(Recipe)
+    if wrong := next((name for name, value in saved.items() if types[name] is int and type(value) is not int), None):
+        raise TypeError(f"{wrong} is {saved[wrong]!r}, not a whole number")
     return Recipe(**{name: tuple(value) if isinstance(value, list) else value for name, value in saved.items()})

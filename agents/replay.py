@@ -19,7 +19,7 @@ import imageio.v2 as imageio
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from agents import RunError, command_parser
+from agents import RunError, command_parser, make_task
 from agents.evaluate import task_of
 from hpac import run, whole_number
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, LinkStatistics, VirtualHand, WireLog, servo_from_pulses
@@ -224,12 +224,12 @@ def main(argv: list[str] | None = None) -> int:
     report = Report(args.policy, env_id, args.seed_start)
     try:
         with ExitStack() as stack:
+            env = stack.enter_context(make_task(env_id, transmit=lambda command: wire.transmit(command), **options))
+            policy = load_policy(args.policy, env)  # errors are raised before an earlier log is replaced
             hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
             log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
             link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
             wire = Wire(hand, link)
-            env = stack.enter_context(gymnasium.make(env_id, transmit=lambda command: wire.transmit(command), **options))
-            policy = load_policy(args.policy, env)
             commands = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
             link.clear()
             report.count(wire, link.statistics)

@@ -23,7 +23,7 @@ from agents.evaluate import DEFAULT_TASK, evaluate, task_of
 from hpac import run, whole_number
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
-from hpac_gym.output import markdown, writable_folder, write_text
+from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.simulation import SET_UPS, default_engine
 from hpac_gym.policies import read_policy
 from hpac_gym.tasks.phases import PHASES
@@ -82,7 +82,8 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
     for name, seed in product(learners or known, range(number)):
         out = runs / f"{name}-{seed}"
         if not (out / POLICY).exists() and name == "grasp":
-            train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)])
+            if train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)]):
+                raise KeyboardInterrupt  # the training has taken Ctrl-C, and saved
         elif not (out / POLICY).exists():
             try:
                 race.race(replace(race.CONTENDERS[name], seed=seed), out, 60 * limit)
@@ -127,7 +128,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.picture and args.table == "elsewhere":
         parser.error("--picture needs race or seeds")
     for path in filter(None, (args.out, args.picture)):
-        writable_folder(path.parent)
+        writable_file(path)
 
     def judge(policy: str, env_id: str, options: dict[str, str]) -> dict[str, Any]:
         """Evaluate one policy; returns its entry in the summary."""

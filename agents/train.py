@@ -31,6 +31,7 @@ from agents import POLICY, RecipeError, RunError, command_parser, minutes, other
 from agents.curves import CURVE, PAGE, PICTURE, RESULTS, Progress, drop_rows_after, report
 from agents.recipes import RECIPES, Recipe, add_recipe, given_settings, recipe_of, settings_of, with_settings
 from hpac import INTERRUPTED, run, whole_number
+from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
@@ -75,14 +76,14 @@ def train(
         all_worlds = [Recorded(recipe, done)]
     else:
         all_worlds = worlds_of(recipe, make or training_task)
-    if fresh:
-        remove_run(out)
-    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     first = all_worlds[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
     state = {"seconds": 0.0, "env_steps": 0}
-    if checkpoint := latest_checkpoint(out):
-        state = load_checkpoint(checkpoint, learner, first.tried if recipe.trials_of else {})
+    if fresh:
+        remove_run(out)
+    elif checkpoint := latest_checkpoint(out):
+        state |= load_checkpoint(checkpoint, learner, first.tried if recipe.trials_of else {})
+    write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     drop_rows_after(out / CURVE, done)
     target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
     spent = done, state["env_steps"], state["seconds"]
@@ -108,8 +109,11 @@ def train(
         }
         write_policy(out / POLICY, PolicyFile(learner.policy(), about))
         progress.write_row(learner.entropy)
-        if not recipe.trials_of:  # how often the trials of others held says nothing about this policy
-            report(out)
+        if not recipe.trials_of and (out / CURVE).exists():  # the successes of others say nothing about this policy
+            try:
+                report(out)
+            except HpacError as error:
+                print(f"no picture: {error}", file=sys.stderr)
 
     begin_episodes()
     going, saved = done < recipe.episodes, done
@@ -167,7 +171,7 @@ def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Pa
 
 def latest_checkpoint(folder: Path) -> Path | None:
     """The latest complete checkpoint in a folder; None without one."""
-    found = [path for path in folder.glob(f"{_PREFIX}*") if path.suffix != _UNFINISHED]
+    found = [path for path in folder.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdecimal()]
     return max(found, default=None)
 
 
@@ -205,6 +209,8 @@ def load_checkpoint(path: Path, learner: Learner, trials: dict[str, np.ndarray])
             raise ValueError(f"{len(arrays['survived'])} trials, not {state['episodes']}")
         if others := other_versions(state["versions"]):
             raise ValueError(f"it was written with {others}")
+        if not min(state.get(name, 0) for name in ("updates", "seconds", "env_steps")) >= 0:
+            raise ValueError("its updates, seconds or env_steps are negative")
         learner.restore(arrays, state["updates"])
     except Exception as error:  # a damaged file can make its reader raise anything
         raise RunError(f"checkpoint '{path}' is damaged, of another recipe or of other versions: {error}") from error
@@ -245,7 +251,7 @@ def _fresh_recipe(args: Namespace) -> Recipe:
     if args.recipe is None:
         raise RecipeError(f"no recipe given: it must be one of {', '.join(sorted(RECIPES))}")
     recipe = recipe_of(args)
-    if (args.out / RUN).exists() and not args.overwrite:
+    if any((args.out / name).exists() for name in (RUN, POLICY)) and not args.overwrite:
         raise RunError(f"folder '{args.out}' already holds a run: --resume continues it, --overwrite replaces it")
     if args.trials_of:
         recipe = _with_trials(recipe, args)
@@ -274,6 +280,8 @@ def _with_trials(recipe: Recipe, args: Namespace) -> Recipe:
         raise RecipeError("--trials-of needs no physics, so it does not go with --nodes")
     if args.out.resolve() in [folder.resolve() for folder in folders]:
         raise RecipeError(f"--out is '{args.out}', whose trials it should learn from: it must be another folder")
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise RecipeError(f"--trials-of is {' '.join(args.trials_of)}: it names a run twice")
     if empty := next((folder for folder in folders if not saved_trials(folder)), None):
         raise RunError(f"no trials in '{empty}': it holds no checkpoint")
     limits = {"episodes": sum(map(saved_trials, folders)), "env_steps": Recipe().env_steps}
@@ -285,9 +293,13 @@ def _resumed_recipe(args: Namespace) -> Recipe:
     given = given_settings(args, Recipe)
     if args.recipe is not None or args.overwrite or args.trials_of or set(given) - {"episodes"}:
         raise RecipeError("a resumed run keeps its settings: only --episodes can change")
-    recipe = recipe_in(args.out)
+    recipe = with_settings(recipe_in(args.out), given)
+    if args.nodes and recipe.trials_of:
+        raise RecipeError(f"--nodes is {args.nodes}: the run in '{args.out}' learns from recorded trials, without physics")
+    if (saved := saved_trials(args.out)) > recipe.episodes:
+        raise RecipeError(f"episodes is {recipe.episodes:,}: the run has {saved:,} trials already")
     writable_folder(args.out)
-    return with_settings(recipe, given)
+    return recipe
 
 
 def _stop_on_signal(progress: Progress) -> None:

@@ -68,3 +68,15 @@ def writable_folder(path: Path) -> Path:
     except OSError as error:
         raise OutputError(f"cannot write to folder '{path}': {error.strerror or error}") from None
     return path
+
+
+def writable_file(path: Path) -> Path:
+    """Check that a file can be written, as `writable_folder` does for its folder.
+
+    Raises:
+        OutputError: It is a folder, or its folder cannot be created or written to.
+    """
+    if path.is_dir():
+        raise OutputError(f"cannot write '{path}': it is a folder")
+    writable_folder(path.parent)
+    return path

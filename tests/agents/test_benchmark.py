@@ -98,6 +98,16 @@ def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, 
         submit(path, policy="random")
 
 
+@pytest.mark.parametrize("cells", [None, [1], [{"seed": 0}], [{"seed": 9, "split": "nominal"}]])
+def test_a_results_file_with_other_cells_is_not_continued(tmp_path, trained, cells):
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps(trained | {"cells": cells}))
+    before = path.read_bytes()
+    with pytest.raises(RunError, match=r"cannot continue results file '.*results\.json'"):
+        submit(path, "--budget", "1e5")
+    assert path.read_bytes() == before
+
+
 def broken(results, *path, value):
     """A copy with one value changed; None removes it."""
     results = copy.deepcopy(results)

@@ -18,7 +18,7 @@ MISTAKES = [
     ("train", "grasp", "--out"),
     ("train", "--out {folder}/run", "no recipe given: it must be one of grasp"),
     ("train", "grasp-ppo --out {folder}/run", "unknown recipe 'grasp-ppo'"),
-    ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…inf"),
+    ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…1e+08"),
     ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
     ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v1, "
      "HPAC-GraspType-v0, HPAC-PickPlace-v0"),
@@ -26,6 +26,9 @@ MISTAKES = [
     ("train", "grasp --out {folder}/file/run", "cannot write to folder"),
     ("train", "grasp --out /proc/run", "cannot write to folder '/proc/run'"),
     ("train", "grasp --out {folder}/taken", "already holds a run"),
+    ("train", "grasp --out {folder}/policy", "already holds a run"),
+    ("train", GRASP + " --begin 5,6 --release 1,2", "begin is up to 6 steps, release from 1 on: it must come later"),
+    ("train", GRASP + " --trials-of {folder}/policy {folder}/policy", "it names a run twice"),
     ("train", "--out {folder}/run --resume", "no run in"),
     ("train", "--out {folder}/taken --resume", "cannot read the settings of"),
     ("train", "--out {folder}/taken --resume --dropout 0.2", "only --episodes can change"),
@@ -37,7 +40,13 @@ MISTAKES = [
     ("evaluate", "--policy random --episodes 0", "'0' is not a whole number of at least 1"),
     ("evaluate", "--policy random --workers none", "'none' is not a whole number of at least 1"),
     ("evaluate", f"--policy random --env {TINY} --episodes 1 --out /proc/no/results.json", "cannot write to folder"),
+    ("evaluate", f"--policy random --env {TINY} --episodes 1 --out {{folder}}/policy", "policy': it is a folder"),
+    ("evaluate", "--policy {folder}/file --out {folder}/file", "file', a policy to evaluate"),
+    ("nodes", "grasp --seeds 2 --seed 3 --out {folder}/nodes", "--seed is 3: --seeds gives the runs the seeds 0 to 1"),
+    ("race", "sac --hidden , --out {folder}/race", "hidden needs at least one width"),
+    ("race", "sac --out {folder}/bent", "already holds a run"),
     ("curves", "{folder}", "nothing to show"),
+    ("curves", "{folder}/rated", "is not a learning curve: ValueError('a row has no time, no trial, or a rate"),
     ("curves", "{folder}/bent", "is not a learning curve"),
     ("demo", "--minutes 0", "'0' is not a positive number of minutes"),
 ]
@@ -51,6 +60,10 @@ def folder(tmp_path_factory) -> Path:
     (folder / "taken" / "run.json").write_text("{}")
     (folder / "bent").mkdir()
     (folder / "bent" / "progress.csv").write_text("steps\none\n")
+    (folder / "rated").mkdir()
+    (folder / "rated" / "progress.csv").write_text("episodes,seconds,success_rate,window,entropy\n10,1.0,2.0,10,nan\n")
+    (folder / "policy").mkdir()
+    (folder / "policy" / "policy.zip").touch()
     return folder
 
 

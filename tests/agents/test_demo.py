@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from agents import demo
 from agents.demo import RESULTS, steps
 from agents.recipes import RECIPES
 
@@ -19,6 +20,16 @@ def test_a_policy_is_judged_and_replayed_on_the_engine_and_body_of_its_training(
     for name in ("agents.evaluate", "agents.replay"):
         given = dict(pairwise(commands[name]))
         assert (given.get("--engine"), given.get("--body")) == (engine, body), name
+
+
+@pytest.mark.parametrize("status", [0, 2])
+def test_the_results_before_are_kept_until_there_is_another_policy(tmp_path, monkeypatch, status):
+    for name in RESULTS:
+        (tmp_path / name).touch()
+    done = [subprocess.CompletedProcess([], code) for code in (status, 2)]
+    monkeypatch.setattr(subprocess, "run", lambda *words, **named: done.pop(0))
+    assert demo.main(["--out", str(tmp_path)]) == 2
+    assert {path.name for path in tmp_path.iterdir()} == set(RESULTS if status else RESULTS[:1])
 
 
 @pytest.mark.slow

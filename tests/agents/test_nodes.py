@@ -83,6 +83,18 @@ def test_the_training_of_a_killed_worker_ends_and_is_continued(tmp_path, monkeyp
     assert not (tmp_path / "run").exists()
 
 
+def test_a_failed_training_keeps_what_was_saved_and_says_where(tmp_path, monkeypatch):
+    def fail(recipe, folder, **limits):
+        (folder / "checkpoint-000000030").mkdir()
+        raise RunError("the training diverged")
+
+    monkeypatch.setattr(nodes, "train", fail)
+    monkeypatch.setattr(nodes, "gettempdir", lambda: f"{tmp_path}")
+    with pytest.raises(RunError, match=rf"the training diverged; '{tmp_path}/run' on node '.+' keeps what was saved"):
+        nodes.train_seed(RECIPES["grasp"], float("inf"), "run")
+    assert saved_trials(tmp_path / "run") == 30
+
+
 def processes_of(group: int) -> list[Path]:
     """The running processes of a process group."""
     running = []

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from jax import tree
 
-from agents import RecipeError, RunError, race, reproduce
+from agents import RecipeError, RunError, race, reproduce, train
+from hpac import INTERRUPTED, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 
@@ -78,6 +79,13 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     assert told.out.splitlines()[-1].startswith("| sac | 0 |")
     with pytest.raises(RecipeError, match="unknown learner 'td3': known are sac, grasp"):
         reproduce.main([*words, "--learner", "td3"])
+
+
+def test_ctrl_c_in_a_training_ends_the_table(tmp_path, monkeypatch, capsys):
+    begun = []
+    monkeypatch.setattr(train, "main", lambda words: begun.append(words) or INTERRUPTED)
+    assert run(lambda: reproduce.main(f"race --runs {tmp_path} --learner grasp --seeds 3".split())) == INTERRUPTED
+    assert len(begun) == 1
 
 
 @pytest.mark.parametrize("name", ["ppo", "sbx-sac"])

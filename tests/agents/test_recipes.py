@@ -25,7 +25,7 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("dropout", "high", "dropout is 'high': it must be a number"),
         ("dropout", "0.95", "dropout is 0.95: it must lie in 0…0.9"),
         ("learning_rate", "nan", "learning_rate is nan"),
-        ("episodes", "-1", "episodes is -1: it must lie in 1…inf"),
+        ("episodes", "-1", "episodes is -1: it must lie in 1…1e+08"),
         ("episodes", "1.5", "episodes is '1.5': it must be a whole number"),
         ("hidden", "64,x", "comma-separated whole numbers"),
         ("hidden", "0", "hidden is 0: it must lie in 1…4096"),

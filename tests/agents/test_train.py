@@ -11,11 +11,12 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
 
-from agents import RunError, train
+from agents import RecipeError, RunError, train
 from agents.closures import Learner, training_task, worlds_of
 from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
@@ -185,6 +186,40 @@ def learner(recipe):
     made.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), came_to)
     made.learn(0.5)
     return made
+
+
+def test_a_run_is_not_resumed_with_fewer_trials_than_it_has(trained, tmp_path):
+    folder = copytree(trained / "grasp", tmp_path / "run")
+    before = (folder / "run.json").read_bytes()
+    with pytest.raises(RecipeError, match=r"episodes is 8: the run has \d+ trials already"):
+        train.main(["--resume", "--out", str(folder), "--episodes", "8"])
+    assert (folder / "run.json").read_bytes() == before
+
+
+def test_what_is_beside_a_run_does_not_stop_it(trained, tmp_path, monkeypatch, capsys):
+    """Another folder with the name of a checkpoint, and results that cannot be read."""
+    folder = copytree(trained / "grasp", tmp_path / "run")
+    (folder / "checkpoint-old").mkdir()
+    (folder / "results.json").write_text('{"env_id": 5}')
+    train_here(monkeypatch, "--resume", "--out", folder, "--episodes", 26)
+    assert curve(folder)[-1] == 26
+    assert "no picture: cannot read" in capsys.readouterr().err
+
+
+def test_a_damaged_curve_ends_a_resumed_run_in_one_error_and_is_kept(trained, tmp_path):
+    folder = copytree(trained / "grasp", tmp_path / "run")
+    (folder / "progress.csv").write_text("episodes\nabc,1\n")
+    with pytest.raises(RunError, match=r"progress\.csv' is not a learning curve"):
+        train.main(["--resume", "--out", str(folder), "--episodes", "26"])
+    assert (folder / "progress.csv").read_text() == "episodes\nabc,1\n"
+
+
+def test_a_training_that_ends_before_its_first_trial_can_be_resumed(tmp_path, monkeypatch):
+    words = [*RUNS["grasp"], "--out", tmp_path]
+    train_here(monkeypatch, *words, "--time-limit", 1e-6)
+    assert not (tmp_path / "progress.csv").exists()
+    train_here(monkeypatch, "--resume", "--out", tmp_path)
+    assert curve(tmp_path)[-1] == 24
 
 
 def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):

@@ -126,6 +126,24 @@ def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
     assert np.abs(np.diff(episode.actions, axis=0)).sum() > 5, "there was something to learn"
     assert policy.about["algorithm"] == "behaviour cloning"
     assert "successful episodes, none kept back: " in capsys.readouterr().out
+    with pytest.raises(RunError, match=r"policy\.zip' is there already: choose another folder, or remove it"):
+        clone.main([str(folder), "--out", str(tmp_path), "--epochs", "1"])
+
+
+@pytest.mark.parametrize(("name", "value"), [("observations", np.inf), ("actions", np.nan), ("actions", 7.0)])
+def test_what_no_environment_gives_is_not_cloned(folder, tmp_path, monkeypatch, name, value):
+    dataset = read_dataset(folder)
+
+    def bent():
+        for episode in list(read_dataset(folder).iterate_episodes()):
+            getattr(episode, name)[3, 2] = value
+            yield episode
+
+    monkeypatch.setattr(dataset, "iterate_episodes", bent)
+    monkeypatch.setattr(clone, "read_dataset", lambda path: dataset)
+    with pytest.raises(RunError, match=r"has observations that are not finite, or actions outside −1…1"):
+        clone.main([str(folder), "--out", str(tmp_path), "--epochs", "1"])
+    assert not (tmp_path / "policy.zip").exists()
 
 
 def test_nothing_is_cloned_from_failures_or_from_no_dataset(tmp_path):
