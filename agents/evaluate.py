@@ -63,10 +63,14 @@ class Episode:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Episodes of several policies, by name; the n-th episode of each has the same seed."""
+    """Episodes of several policies, by name; the n-th episode of each has the same seed.
+
+    `options` are those of the environment, with its engine and body also where they were not given.
+    """
 
     env_id: str
     episodes: dict[str, tuple[Episode, ...]]
+    options: dict[str, Any]
 
     def summary(self) -> dict[str, Any]:
         """Success with its interval, return, failures by phase, and differences over paired episodes."""
@@ -82,6 +86,7 @@ class Evaluation:
             "last_seed": first[-1].seed,
             "policies": {name: _summary(episodes) for name, episodes in self.episodes.items()},
             "differences": differences,
+            "options": self.options,
         }
 
 
@@ -170,6 +175,8 @@ def evaluate(
         for name in names:
             load_policy(name, env)  # errors are raised here, not in a worker
         block = BATCH_BLOCK if _has_batch(env) else BLOCK
+        if isinstance(env.unwrapped, HandEnv):
+            options |= {name: getattr(env.unwrapped.episodes.options, name) for name in ("engine", "body")}
     several = len(set(names) - set(BASELINES)) > 1
     labels = [name if several or name in BASELINES else LEARNED for name in names]
     deadline = time.monotonic() + time_limit
@@ -186,7 +193,7 @@ def evaluate(
             bar.update(len(done))
             if time.monotonic() > deadline:
                 break
-    return Evaluation(env_id, {label: tuple(row[number] for row in rows) for number, label in enumerate(labels)})
+    return Evaluation(env_id, {label: tuple(row[number] for row in rows) for number, label in enumerate(labels)}, options)
 
 
 def table(summary: dict[str, Any]) -> str:
@@ -199,6 +206,8 @@ def table(summary: dict[str, Any]) -> str:
         rate = (f"{numbers['success_rate']:.1%}", f"{low:.1%} … {high:.1%}")
         rows.append((name, numbers["episodes"], *rate, f"{numbers['return_mean']:.2f}", phases))
     lines = [markdown(columns, rows)]
+    if given := summary.get("options"):
+        lines += ["", f"Options: {', '.join(f'{name} {value}' for name, value in given.items())}."]
     if scale := scale_of(summary["env_id"], summary.get("options")):
         scores = ", ".join(f"{name} {scale.score(row['success_rate']):.2f}" for name, row in summary["policies"].items())
         ends = f"0 at a random closure ({scale.floor:.1%}) and 1 at the best of many ({scale.ceiling:.1%})"
@@ -235,7 +244,6 @@ def main(argv: list[str] | None = None) -> int:
     options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
     how = {"seed_start": args.seed_start, "workers": args.workers, "time_limit": 60 * args.time_limit}
     summary = evaluate(names, args.env or task_of(args.policy[0]), args.episodes, options=options, **how).summary()
-    summary["options"] = options
     told = [{"file": name, **found} for name in files if (found := about(name))]
     if len(told) == 1:
         summary["policy"] = told[0]

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from agents import POLICY, RecipeError, command_parser, minutes
+from agents import POLICY, RecipeError, RunError, command_parser, minutes
 from agents.curves import draw_trials
 from agents.evaluate import DEFAULT_TASK, evaluate, task_of
 from hpac import run, whole_number
@@ -51,6 +51,8 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
     """A row for each policy: its learner, seed and training, and its episodes on MuJoCo's *twin*."""
     for policy in policies:
         about = read_policy(policy).about
+        if missing := {"algorithm", "settings", "episodes"} - set(about):
+            raise RunError(f"policy file '{policy}' does not tell its {', '.join(sorted(missing))}")
         told = {"learner": about["algorithm"], "seed": about["settings"]["seed"]}
         trials = "of several runs" if len(about["settings"].get("trials_of", ())) > 1 else "of one run"
         trained = {key: about.get(key) for key in ("episodes", "processor_seconds", "seconds")}

@@ -64,7 +64,11 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
     """
     policy = read_policy(name)
     env_id = env.spec.id
-    if (told := misfit(policy.about["env_id"], policy.about.get("made_for", {}), env)) is not None:
+    try:
+        told = misfit(policy.about["env_id"], policy.about.get("made_for", {}), env)
+    except (TypeError, ValueError, AttributeError) as error:
+        raise PolicyError(f"policy file '{name}' is damaged: made_for is not readable: {error}") from None
+    if told is not None:
         raise PolicyError(f"policy file '{name}' {told}")
     if (observed := vector_size(env.observation_space)) is None:
         raise PolicyError(f"policy file '{name}' takes a vector, {env_id} observes {env.observation_space}")

@@ -15,6 +15,7 @@ from agents.evaluate import BLOCK, evaluate, main, run_batch, table
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.physics.simulation import default_engine
 from hpac_gym.policies.loading import load_policy
 from tests.processes import wait_for
 
@@ -109,6 +110,13 @@ def test_the_workers_of_a_killed_evaluation_end(tmp_path):
         command.kill()
         command.wait()
     wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+
+
+def test_a_result_says_on_which_engine_and_body_it_was_found(tmp_path, capsys):
+    out = tmp_path / "results.json"
+    assert main(f"--policy random --env HPAC-Grasp-v0 --randomize hand --episodes 1 --workers 1 --out {out}".split()) == 0
+    assert json.loads(out.read_text())["options"] == {"randomize": "hand", "engine": default_engine(), "body": "twin"}
+    assert f"Options: randomize hand, engine {default_engine()}, body twin." in capsys.readouterr().out
 
 
 def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_path):
