@@ -134,15 +134,20 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
         decision = told["decision"]
         made = told | {"observation": [list(entry.values()) for entry in told["observation"]]}
         closures = None if decision["closure"] is None else Closures.of(decision["closure"])
+        if not (repeat := 1 if closures else decision["control_steps"]) >= 1:
+            raise ValueError(f"control_steps is {repeat}, and must be at least 1")
+        if (inputs := [entry.name for entry in session.get_inputs()]) != ["observation"]:
+            raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
+        differs = misfit(told["env_id"], made, env)
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}") from None
-    if (differs := misfit(told["env_id"], made, env)) is not None:
+    if differs is not None:
         raise PolicyError(f"exported policy '{folder}' {differs}")
 
     def decide(observation: np.ndarray) -> np.ndarray:
         return session.run(None, {"observation": np.asarray(observation, np.float32)[None]})[0][0]
 
-    return LearnedPolicy(decide, 1 if closures else decision["control_steps"], closures)
+    return LearnedPolicy(decide, repeat, closures)
 
 
 def export(path: Path, out: Path, evaluation: Path | None = None, film: Path | None = None) -> list[Path]:
@@ -160,10 +165,14 @@ def export(path: Path, out: Path, evaluation: Path | None = None, film: Path | N
     """
     policy = read_policy(path)
     judged = None if evaluation is None else _evaluation(evaluation, policy.about["sha256"])
-    told = card(policy, judged)
     video = b"" if film is None else _film(film)
+    try:
+        told = card(policy, judged)
+        page = _page(told, bool(video))
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise PolicyError(f"'{evaluation or path}' is damaged, no card can be made of it: {error!r}") from None
     files = {MODEL: onnx_model(policy).SerializeToString(), CARD: f"{json.dumps(told, indent=2)}\n".encode()}
-    files |= {"README.md": _page(told, bool(video)).encode()} | ({FILM: video} if video else {})
+    files |= {"README.md": page.encode()} | ({FILM: video} if video else {})
     writable_folder(out)
     for name, data in files.items():
         with replacing(out / name) as temporary:
@@ -174,9 +183,13 @@ def export(path: Path, out: Path, evaluation: Path | None = None, film: Path | N
 def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
     try:
         judged = json.loads(path.read_text(encoding="utf-8"))
+        if "files" in judged:
+            raise PolicyError(f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone")
         judged["policies"]["learned"], judged["first_seed"], judged["last_seed"]
-        weights = judged["policy"]["sha256"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        weights = str(judged["policy"]["sha256"])
+    except PolicyError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise PolicyError(f"'{path}' is not a result of agents.evaluate: {error!r}") from None
     if weights != sha256:
         raise PolicyError(f"'{path}' evaluates other weights, {weights[:12]}…, than those of the policy, {sha256[:12]}…")

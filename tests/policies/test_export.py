@@ -132,6 +132,21 @@ def test_a_damaged_export_ends_in_one_line(folder, env, name):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"decision": {"control_steps": 0, "closure": None}}, "control_steps is 0, and must be at least 1"),
+        ({"decision": {"control_steps": "x", "closure": None}}, "is not an exported policy"),
+        ({"observation": [{"name": "servo"}]}, "is not an exported policy"),
+    ],
+)
+def test_a_card_that_cannot_be_followed_ends_in_one_line(folder, env, change, line):
+    card = json.loads((folder / "card.json").read_text())
+    (folder / "card.json").write_text(json.dumps(card | change))
+    with pytest.raises(PolicyError, match=line):
+        read_onnx(folder, env)
+
+
 def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tmp_path):
     """The hub reads the YAML header, shows the result of the model index, and plays ``replay.mp4``."""
     yaml = pytest.importorskip("yaml")
@@ -160,6 +175,8 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
     [
         ("{trained} --evaluation {folder}/results.json", "evaluates other weights, 12ab…, than those of the policy, "),
         ("{trained} --evaluation {trained}", "is not a result of agents.evaluate"),
+        ("{trained} --evaluation {folder}/several.json", "several.json' compares 2 policies: evaluate this one alone"),
+        ("{trained} --evaluation {folder}/bent.json", "bent.json' is damaged, no card can be made of it: KeyError"),
         ("{trained} --film {folder}/results.json", "is not an MP4 file"),
         ("{trained} --film {folder}/none.mp4", "cannot read film"),
     ],
@@ -167,6 +184,9 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
 def test_what_does_not_belong_to_the_policy_is_refused_before_anything_is_written(words, line, tmp_path, capsys):
     results = {"policies": {"learned": {}}, "first_seed": 1, "last_seed": 2, "policy": {"sha256": "12ab"}}
     (tmp_path / "results.json").write_text(json.dumps(results))
+    (tmp_path / "several.json").write_text(json.dumps(results | {"files": [{}, {}]}))
+    sha256 = read_policy(SHIPPED[0]).about["sha256"]
+    (tmp_path / "bent.json").write_text(json.dumps(results | {"policy": {"sha256": sha256}}))
     assert main(["export", *words.format(trained=SHIPPED[0], folder=tmp_path).split(), "--out", f"{tmp_path}/out"]) == 2
     assert line in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
