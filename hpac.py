@@ -72,8 +72,9 @@ def whole_number(at_least: int) -> Callable[[str], int]:
             value = int(text)
         except ValueError:
             value = at_least - 1
-        if value < at_least:
-            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least {at_least}")
+        if not at_least <= value < 2**63:
+            below = "" if value < at_least else " and below 2⁶³"
+            raise argparse.ArgumentTypeError(f"'{text}' is not a whole number of at least {at_least}{below}")
         return value
 
     return parse

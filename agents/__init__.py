@@ -34,10 +34,18 @@ class RunError(HpacError, OSError):
     """A results folder cannot be read or written."""
 
 
+class _Formatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Help with every default that there is and that the text does not name itself."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        told, default = action.help or "", action.default
+        named = default is None or default is False or default in ([], float("inf")) or "default:" in told
+        return told if named else super()._get_help_string(action)
+
+
 def command_parser(module: str, description: str) -> Parser:
-    """Parser of ``python -m module``; its help shows the first line of the description and every default."""
-    formatter = argparse.ArgumentDefaultsHelpFormatter
-    return Parser(prog=f"python -m {module}", description=description.splitlines()[0], formatter_class=formatter)
+    """Parser of ``python -m module``; its help shows the description and every default."""
+    return Parser(prog=f"python -m {module}", description=description.replace("``", "'"), formatter_class=_Formatter)
 
 
 def minutes(text: str) -> float:

@@ -38,6 +38,7 @@ MISTAKES = [
     ("evaluate", "--policy random --env Nothing-v3", "no environment 'Nothing-v3'"),
     ("evaluate", "--policy random --env nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
     ("evaluate", "--policy random --episodes 0", "'0' is not a whole number of at least 1"),
+    ("evaluate", "--policy random --seed-start 9223372036854775808", "is not a whole number of at least 0 and below 2⁶³"),
     ("evaluate", "--policy random --workers none", "'none' is not a whole number of at least 1"),
     ("evaluate", f"--policy random --env {TINY} --episodes 1 --out /proc/no/results.json", "cannot write to folder"),
     ("evaluate", f"--policy random --env {TINY} --episodes 1 --out {{folder}}/policy", "policy': it is a folder"),
