@@ -12,7 +12,7 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -194,10 +194,7 @@ def faults(results: Results) -> Iterator[str]:
         counted = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
         wanted = {(seed, split) for seed in results["seeds"] for split in splits}
         yield from (f"split '{split}' of seed {seed} is missing" for seed, split in sorted(wanted - set(counted)))
-        yield from (f"split '{split}' of seed {seed} is unexpected" for seed, split in sorted(set(counted) - wanted))
-        yield from (f"split '{cell[1]}' of seed {cell[0]} occurs {count} times" for cell, count in counted.items() if count > 1)
-        for cell in results["cells"]:
-            yield from (f"split '{cell['split']}' of seed {cell['seed']}: {fault}" for fault in _cell_faults(cell, results))
+        yield from _faults_of_cells(results, counted, wanted)
         if set(counted) == wanted and not _same(results["summary"], summary(results)):
             yield "summary does not follow from the cells"
     except KeyError as error:
@@ -228,6 +225,14 @@ def _header_faults(results: Results) -> Iterator[str]:
         yield "two runs have the same policy file"
     missing = {"hpac_gym", "python", "mujoco-core"} - results["versions"].keys()
     yield from (f"version of {name} is missing" for name in sorted(missing))
+
+
+def _faults_of_cells(results: Results, counted: Counter[tuple], wanted: Set[tuple]) -> Iterator[str]:
+    """Faults of the cells that are there, which are `counted` by seed and split."""
+    yield from (f"split '{split}' of seed {seed} is unexpected" for seed, split in sorted(set(counted) - wanted))
+    yield from (f"split '{cell[1]}' of seed {cell[0]} occurs {count} times" for cell, count in counted.items() if count > 1)
+    for cell in results["cells"]:
+        yield from (f"split '{cell['split']}' of seed {cell['seed']}: {fault}" for fault in _cell_faults(cell, results))
 
 
 def _cell_faults(cell: Results, results: Results) -> Iterator[str]:
@@ -318,13 +323,12 @@ def judge_all(args: argparse.Namespace) -> Results:
     writable_file(args.out)
     wanted = [(seed, split) for seed in head["seeds"] for split in splits_of(args.env)]
     try:
-        done = {(cell["seed"], cell["split"]) for cell in results["cells"]}
-        if not done <= set(wanted) or len(done) < len(results["cells"]):
-            raise ValueError("a cell is unexpected, or occurs twice")
-        if bad := next((fault for cell in results["cells"] for fault in _cell_faults(cell, results)), None):
-            raise ValueError(bad)
+        done = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
+        bad = next(_faults_of_cells(results, done, set(wanted)), None)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        raise RunError(f"cannot continue results file '{args.out}': {error!r}") from None
+        bad = repr(error)
+    if bad:
+        raise RunError(f"cannot continue results file '{args.out}': {bad}")
     for number, (seed, split) in enumerate(wanted, 1):
         if (seed, split) not in done:
             cell = judge(head, split, seed, args.workers)

@@ -47,8 +47,9 @@ def main(argv: list[str] | None = None) -> int:
         status = subprocess.run([sys.executable, "-m", *words], check=False).returncode
         if status:
             return status  # the command has printed the reason
-        for name in () if number else RESULTS[1:]:  # those of an earlier demo are not about the new policy
-            (args.out / name).unlink(missing_ok=True)
+        if number == 0:
+            for name in RESULTS[1:]:  # those of an earlier demo are not about the new policy
+                (args.out / name).unlink(missing_ok=True)
     print(f"\nDone in {(time.monotonic() - started) / 60:.1f} minutes. In {args.out}:")
     for name in RESULTS:
         print(f"   {name}{'' if (args.out / name).exists() else ' is missing'}")

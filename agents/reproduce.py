@@ -64,10 +64,16 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
     """Median, lowest and interquartile mean of the success of several runs."""
-    rates = np.array([[cell["success_rate"]] for cell in cells])
-    low, high = stratified_bootstrap(interquartile_mean, rates)
-    middle = f"{100 * float(interquartile_mean(rates)):.1f} [{100 * low:.1f}, {100 * high:.1f}]"
-    return f"{len(cells)} runs: median {100 * np.median(rates):.1f}, lowest {100 * rates.min():.1f}, interquartile mean {middle}"
+    rates = np.array([cell["success_rate"] for cell in cells])
+    ends = f"median {100 * np.median(rates):.1f}, lowest {100 * rates.min():.1f}"
+    return f"{len(cells)} runs: {ends}, interquartile mean {middle(rates)}"
+
+
+def middle(rates: np.ndarray) -> str:
+    """Interquartile mean of rates, shape (runs,), with its stratified-bootstrap interval, in percent."""
+    table = rates[:, None]
+    low, high = stratified_bootstrap(interquartile_mean, table)
+    return f"{100 * float(interquartile_mean(table)):.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iterator[str]:
@@ -152,8 +158,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"| {' | '.join(map(str, line))} |", flush=True)
         if args.out:
             write_text(args.out, json.dumps(cells, indent=2) + "\n")
-    for learner, asked in dict.fromkeys((cell.get("learner"), cell.get("asked")) for cell in cells):
-        runs = [cell for cell in cells if (cell.get("learner"), cell.get("asked")) == (learner, asked)]
+    groups: dict[tuple, list[dict[str, Any]]] = {}
+    for cell in cells:
+        groups.setdefault((cell.get("learner"), cell.get("asked")), []).append(cell)
+    for (learner, asked), runs in groups.items():
         if learner and len(runs) > 1:
             print(f"\n{learner}{f', at most {asked:,} trials' if asked else ''}: {over_runs(runs)}")
     if args.picture:

@@ -70,7 +70,7 @@ def writable_folder(path: Path) -> Path:
     return path
 
 
-def writable_file(path: Path) -> Path:
+def writable_file(path: Path) -> None:
     """Check that a file can be written, as `writable_folder` does for its folder.
 
     Raises:
@@ -79,4 +79,3 @@ def writable_file(path: Path) -> Path:
     if path.is_dir():
         raise OutputError(f"cannot write '{path}': it is a folder")
     writable_folder(path.parent)
-    return path

@@ -21,9 +21,9 @@ from agents import POLICY, RunError, command_parser
 from agents.closures import training_task
 from agents.evaluate import DEFAULT_TASK, evaluate
 from agents.recipes import RECIPES, Recipe
+from agents.reproduce import middle
 from agents.train import RUN, recipe_in, saved_trials, train
 from hpac import run, whole_number
-from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.output import markdown, writable_folder
 from hpac_gym.physics.engine import SceneSetup
@@ -86,9 +86,9 @@ def task_maker(name: str) -> Callable[[Recipe], Task]:
 
 
 def success(policies: list[str], options: dict[str, str], episodes: int, workers: int) -> np.ndarray:
-    """Success of policies in the same episodes [%], shape (policies, 1)."""
+    """Success of policies in the same episodes, shape (policies,)."""
     judged = evaluate(policies, DEFAULT_TASK, episodes, workers=workers, options=options).summary()["policies"]
-    return np.array([[100 * cell["success_rate"]] for cell in judged.values()])
+    return np.array([cell["success_rate"] for cell in judged.values()])
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -115,10 +115,7 @@ def main(argv: list[str] | None = None) -> int:
     print(markdown(("variant", "median [%]", "lowest", *cells), ()))
     for name, files in policies.items():
         rates = [success(files, options, args.episodes, args.workers) for options in cells.values()]
-        texts = [f"{np.median(rates[0]):.1f}", f"{rates[0].min():.1f}"]
-        for each in rates:
-            low, high = stratified_bootstrap(interquartile_mean, each)
-            texts.append(f"{float(interquartile_mean(each)):.1f} [{low:.1f}, {high:.1f}]")
+        texts = [f"{100 * np.median(rates[0]):.1f}", f"{100 * rates[0].min():.1f}", *map(middle, rates)]
         print(f"| {name} | {' | '.join(texts)} |", flush=True)
     return 0
 
