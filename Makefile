@@ -80,8 +80,10 @@ wheel: setup ## build dist/*.whl
 	@$(BIN)/python -m pip wheel . --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist
 	@ls dist/*.whl
 
-lint: setup ## check the style of the Python code
-	@$(BIN)/ruff check .
+lint: setup ## check the format and the style of the Python code
+	@$(BIN)/ruff format --check --quiet . || { echo "not formatted: run 'ruff format' ($(BIN)/ruff)"; exit 1; }
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/python -m tools.style $$(git ls-files '*.py')
 
 clean: ## remove what was built, but neither .venv nor runs
 	@rm -rf build dist .pytest_cache .hypothesis .ruff_cache

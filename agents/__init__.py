@@ -1,8 +1,8 @@
-"""Training, evaluation and replay of policies for the H-PAC hand; run from a checkout, not part of the wheel.
+"""Training, evaluation and replay of policies for the H-PAC hand; run from a checkout, not part of
+the wheel.
 
-The commands share this module: their errors, which end in one line and exit status 2, their parser, environments by id, and what
-a policy file says about its origin.
-"""
+The commands share this module: their errors, which end in one line and exit status 2, their parser,
+environments by id, and what a policy file says about its origin."""
 
 import argparse
 from collections.abc import Mapping
@@ -38,14 +38,24 @@ class _Formatter(argparse.ArgumentDefaultsHelpFormatter):
     """Help with every default that there is and that the text does not name itself."""
 
     def _get_help_string(self, action: argparse.Action) -> str:
-        told, default = action.help or "", action.default
-        named = default is None or default is False or default in ([], float("inf")) or "default:" in told
+        told = action.help or ""
+        default = action.default
+        named = (
+            default is None
+            or default is False
+            or default in ([], float("inf"))
+            or "default:" in told
+        )
         return told if named else super()._get_help_string(action)
 
 
 def command_parser(module: str, description: str) -> Parser:
     """Parser of ``python -m module``; its help shows the description and every default."""
-    return Parser(prog=f"python -m {module}", description=description.replace("``", "'"), formatter_class=_Formatter)
+    return Parser(
+        prog=f"python -m {module}",
+        description=description.replace("``", "'"),
+        formatter_class=_Formatter,
+    )
 
 
 def minutes(text: str) -> float:
@@ -73,13 +83,21 @@ def make_task(env_id: str, **options) -> gymnasium.Env:
         reason = f"{error}".partition(" was raised from")[0]
         raise TaskError(f"no environment '{env_id}' with {', '.join(options)}: {reason}") from None
     done = env.action_space
-    if not (isinstance(done, Box) and len(done.shape) == 1 and np.all(done.low == -1) and np.all(done.high == 1)):
-        raise TaskError(f"environment '{env_id}' acts in {done}: the agents need one flat box of -1…1")
+    if not (
+        isinstance(done, Box)
+        and len(done.shape) == 1
+        and np.all(done.low == -1)
+        and np.all(done.high == 1)
+    ):
+        raise TaskError(
+            f"environment '{env_id}' acts in {done}: the agents need one flat box of -1…1"
+        )
     return env
 
 
 def target_of(env_id: str, **options) -> dict[str, Any]:
-    """Fields of a policy file that identify its environment, one of this package: `env_id` and `made_for`.
+    """Fields of a policy file that identify its environment, one of this package: `env_id` and
+    `made_for`.
 
     Raises:
         TaskError: As in `make_task`.
@@ -90,7 +108,9 @@ def target_of(env_id: str, **options) -> dict[str, Any]:
 
 
 def versions(*more: str) -> dict[str, str]:
-    """The versions of Python and of the libraries that a result depends on, and of `more` libraries."""
+    """The versions of Python and of the libraries that a result depends on, and of `more`
+    libraries.
+    """
     found = {"python": python_version()}
     for name in (*LIBRARIES, *more):
         try:
@@ -103,4 +123,8 @@ def versions(*more: str) -> dict[str, str]:
 def other_versions(told: Mapping[str, str]) -> str:
     """The entries of `told` that differ from `versions` here, in words; empty if there are none."""
     here = versions()
-    return ", ".join(f"{name} {told.get(name)}, not {here[name]} as here" for name in here if told.get(name) != here[name])
+    return ", ".join(
+        f"{name} {told.get(name)}, not {here[name]} as here"
+        for name in here
+        if told.get(name) != here[name]
+    )

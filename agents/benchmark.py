@@ -1,10 +1,11 @@
-"""The benchmark's protocol: ``python -m agents.benchmark HPAC-GraspAny-v1 --policy NAME --out FILE``.
+"""The benchmark's protocol: ``python -m agents.benchmark HPAC-GraspAny-v1 --policy NAME --out
+FILE``.
 
-Evaluates a policy on every split of an environment, with fixed seeds, and writes a results file. A trained method needs five
-runs of one budget: ``{seed}`` in the name of its policy stands for 0 to 4. An untrained policy has one run. An interrupted call
-continues after the last finished cell. ``--check FILE`` reports every fault of results files or prints their tables, and for two
-files with the same environment which of them is better.
-"""
+Evaluates a policy on every split of an environment, with fixed seeds, and writes a results file. A
+trained method needs five runs of one budget: ``{seed}`` in the name of its policy stands for 0 to
+4. An untrained policy has one run. An interrupted call continues after the last finished cell.
+``--check FILE`` reports every fault of results files or prints their tables, and for two files with
+the same environment which of them is better."""
 
 import argparse
 import hashlib
@@ -25,7 +26,12 @@ from hpac import run, whole_number
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED, HELD_OUT_SEED
-from hpac_gym.evaluation.statistics import interquartile_mean, probability_of_improvement, stratified_bootstrap, wilson_interval
+from hpac_gym.evaluation.statistics import (
+    interquartile_mean,
+    probability_of_improvement,
+    stratified_bootstrap,
+    wilson_interval,
+)
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
@@ -36,7 +42,8 @@ from hpac_gym.tasks.grasp_types import data_text
 SCHEMA = "hpac-benchmark-1"
 BUDGETS = (0, 100_000, 1_000_000, 10_000_000)
 """Permitted budgets of environment steps per training; 0 means untrained."""
-RUNS, EPISODES = 5, 1_000
+RUNS = 5
+EPISODES = 1_000
 """Required runs of a trained method and episodes per cell."""
 _TWIN = {"engine": "mujoco", "body": "twin"}
 _REAL = _TWIN | {"objects": "real"}
@@ -96,15 +103,24 @@ def splits_of(env_id: str) -> dict[str, dict[str, str]]:
 
 @cache
 def env_hash(env_id: str) -> str:
-    """SHA-256 of the definition of a benchmark environment: splits, observation, task, hand, objects."""
+    """SHA-256 of the definition of a benchmark environment: splits, observation, task, hand,
+    objects.
+    """
     splits = splits_of(env_id)
     with make_task(env_id, **next(iter(splits.values()))) as env:
         told: Results = {"splits": splits, "made_for": made_for(env)}
     if env_id == GRASP_TYPE:
         told["types"] = data_text()
-    for name in sorted({options["objects"] for options in splits.values()}) if env_id == GRASP_ANY else ():
+    for name in (
+        sorted({options["objects"] for options in splits.values()}) if env_id == GRASP_ANY else ()
+    ):
         told[name] = [
-            [entry.name, entry.friction, float(entry.model.mass), np.round([pose.quaternion for pose in entry.poses], 9).tolist()]
+            [
+                entry.name,
+                entry.friction,
+                float(entry.model.mass),
+                np.round([pose.quaternion for pose in entry.poses], 9).tolist(),
+            ]
             for entry in object_set(name)
         ]
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
@@ -114,10 +130,14 @@ def header(args: argparse.Namespace) -> Results:
     """The fields of a results file that are known before the first episode."""
     budget = int(float(args.budget))
     if budget and "{seed}" not in args.policy:
-        raise RunError(f"policy '{args.policy}' of budget {budget:,} contains no {{seed}}: a trained method needs {RUNS} runs")
+        raise RunError(
+            f"policy '{args.policy}' of budget {budget:,} contains no {{seed}}: a trained method needs {RUNS} runs"
+        )
     seeds = list(range(RUNS if budget else 1))
     names = [args.policy.replace("{seed}", str(seed)) for seed in seeds]
-    for split in splits_of(args.env):  # raises errors, such as a missing engine, before the long run
+    for split in splits_of(
+        args.env
+    ):  # raises errors, such as a missing engine, before the long run
         with make_task(args.env, **_options(args.env, split, args.obs)) as env:
             for name in names:
                 load_policy(name, env)
@@ -145,14 +165,24 @@ def _options(env_id: str, split: str, obs: str) -> dict[str, str]:
 def _file(name: str) -> dict[str, Any]:
     told = read_policy(name).about
     digest = hashlib.sha256(Path(name).read_bytes()).hexdigest()
-    return {"sha256": digest, **{key: told[key] for key in ("algorithm", "env_steps", "seed") if key in told}}
+    return {
+        "sha256": digest,
+        **{key: told[key] for key in ("algorithm", "env_steps", "seed") if key in told},
+    }
 
 
 def judge(head: Results, split: str, seed: int, workers: int) -> Results:
     """Evaluate one cell: the episodes of one run on one split."""
     options = _options(head["env_id"], split, head["obs"])
     name = head["policy"].replace("{seed}", str(seed))
-    result = evaluate([name], head["env_id"], head["episodes"], seed_start=head["first_seed"], workers=workers, options=options)
+    result = evaluate(
+        [name],
+        head["env_id"],
+        head["episodes"],
+        seed_start=head["first_seed"],
+        workers=workers,
+        options=options,
+    )
     episodes = next(iter(result.episodes.values()))
     won = sum(episode.success for episode in episodes)
     forces = [episode.holding_force for episode in episodes]
@@ -167,10 +197,14 @@ def judge(head: Results, split: str, seed: int, workers: int) -> Results:
 
 
 def summary(results: Results) -> list[Results]:
-    """Interquartile mean of the success over the runs, with its bootstrap interval, for each split and for all splits."""
+    """Interquartile mean of the success over the runs, with its bootstrap interval, for each split
+    and for all splits.
+    """
     scores = _scores(results)
-    names, tables = [*splits_of(results["env_id"]), "all splits"], [*np.split(scores, scores.shape[1], axis=1), scores]
-    iqm, interval = interquartile_mean, partial(stratified_bootstrap, interquartile_mean)
+    names = [*splits_of(results["env_id"]), "all splits"]
+    tables = [*np.split(scores, scores.shape[1], axis=1), scores]
+    iqm = interquartile_mean
+    interval = partial(stratified_bootstrap, interquartile_mean)
     return [
         {"split": name, "iqm": float(iqm(table)), "interval_95": list(interval(table))}
         for name, table in zip(names, tables, strict=True)
@@ -179,8 +213,13 @@ def summary(results: Results) -> list[Results]:
 
 def _scores(results: Results) -> np.ndarray:
     """Success rates, shape (runs, splits)."""
-    won = {(cell["seed"], cell["split"]): cell["successes"] / results["episodes"] for cell in results["cells"]}
-    return np.array([[won[seed, split] for split in splits_of(results["env_id"])] for seed in results["seeds"]])
+    won = {
+        (cell["seed"], cell["split"]): cell["successes"] / results["episodes"]
+        for cell in results["cells"]
+    }
+    return np.array(
+        [[won[seed, split] for split in splits_of(results["env_id"])] for seed in results["seeds"]]
+    )
 
 
 def faults(results: Results) -> Iterator[str]:
@@ -193,7 +232,10 @@ def faults(results: Results) -> Iterator[str]:
         yield from _header_faults(results)
         counted = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
         wanted = {(seed, split) for seed in results["seeds"] for split in splits}
-        yield from (f"split '{split}' of seed {seed} is missing" for seed, split in sorted(wanted - set(counted)))
+        yield from (
+            f"split '{split}' of seed {seed} is missing"
+            for seed, split in sorted(wanted - set(counted))
+        )
         yield from _faults_of_cells(results, counted, wanted)
         if set(counted) == wanted and not _same(results["summary"], summary(results)):
             yield "summary does not follow from the cells"
@@ -204,7 +246,9 @@ def faults(results: Results) -> Iterator[str]:
 
 
 def _header_faults(results: Results) -> Iterator[str]:
-    first, episodes, budget = results["first_seed"], results["episodes"], results["budget"]
+    first = results["first_seed"]
+    episodes = results["episodes"]
+    budget = results["budget"]
     if results["env_sha256"] != (here := env_hash(results["env_id"])):
         yield f"env_sha256 {results['env_sha256'][:12]}… is not that of this version of {results['env_id']}, {here[:12]}…"
     if budget not in BUDGETS:
@@ -220,23 +264,41 @@ def _header_faults(results: Results) -> Iterator[str]:
         if low <= first + episodes - 1 and high >= first:
             yield f"training seeds {low} to {high} overlap the evaluation seeds, from {first} on"
     steps = [file.get("env_steps", 0) for file in results["files"]]
-    yield from (f"a policy file was trained for {n:,} steps, over the budget of {budget:,}" for n in steps if n > budget)
+    yield from (
+        f"a policy file was trained for {n:,} steps, over the budget of {budget:,}"
+        for n in steps
+        if n > budget
+    )
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
         yield "two runs have the same policy file"
     missing = {"hpac_gym", "python", "mujoco-core"} - results["versions"].keys()
     yield from (f"version of {name} is missing" for name in sorted(missing))
 
 
-def _faults_of_cells(results: Results, counted: Counter[tuple], wanted: Set[tuple]) -> Iterator[str]:
+def _faults_of_cells(
+    results: Results, counted: Counter[tuple], wanted: Set[tuple]
+) -> Iterator[str]:
     """Faults of the cells that are there, which are `counted` by seed and split."""
-    yield from (f"split '{split}' of seed {seed} is unexpected" for seed, split in sorted(set(counted) - wanted))
-    yield from (f"split '{cell[1]}' of seed {cell[0]} occurs {count} times" for cell, count in counted.items() if count > 1)
+    yield from (
+        f"split '{split}' of seed {seed} is unexpected"
+        for seed, split in sorted(set(counted) - wanted)
+    )
+    yield from (
+        f"split '{cell[1]}' of seed {cell[0]} occurs {count} times"
+        for cell, count in counted.items()
+        if count > 1
+    )
     for cell in results["cells"]:
-        yield from (f"split '{cell['split']}' of seed {cell['seed']}: {fault}" for fault in _cell_faults(cell, results))
+        yield from (
+            f"split '{cell['split']}' of seed {cell['seed']}: {fault}"
+            for fault in _cell_faults(cell, results)
+        )
 
 
 def _cell_faults(cell: Results, results: Results) -> Iterator[str]:
-    won, lost, episodes = cell["successes"], sum(cell["failures"].values()), results["episodes"]
+    won = cell["successes"]
+    lost = sum(cell["failures"].values())
+    episodes = results["episodes"]
     if min(won, *cell["failures"].values(), 0) < 0 or won + lost != episodes:
         yield f"{won} successes and {lost} failures do not make {episodes} episodes"
     elif not _same(cell["interval_95"], list(wilson_interval(won, episodes))):
@@ -265,13 +327,18 @@ def table(results: Results) -> str:
     columns = ("split", "success [%]", "runs [%]", "failures by phase [%]", "holding force [N]")
     rows = []
     for row in results["summary"]:
-        cells = [cell for cell in results["cells"] if cell["split"] == row["split"]]  # empty for the row of all splits
+        cells = [
+            cell for cell in results["cells"] if cell["split"] == row["split"]
+        ]  # empty for the row of all splits
         low, high = cells[0]["interval_95"] if len(cells) == 1 else row["interval_95"]
         interval = f" [{100 * low:.1f}, {100 * high:.1f}]" if cells or results["budget"] else ""
         runs = ", ".join(f"{100 * cell['successes'] / results['episodes']:.1f}" for cell in cells)
         lost = sum((Counter(cell["failures"]) for cell in cells), Counter())
         lost.pop(NO_PHASE, None)
-        why = ", ".join(f"{name} {100 * n / results['episodes'] / len(cells):.1f}" for name, n in lost.most_common())
+        why = ", ".join(
+            f"{name} {100 * n / results['episodes'] / len(cells):.1f}"
+            for name, n in lost.most_common()
+        )
         forces = [cell["holding_force"] for cell in cells if cell["holding_force"] is not None]
         force = f"{np.mean(forces):.1f}" if forces else ""
         rows.append((row["split"], f"{100 * row['iqm']:.1f}{interval}", runs, why, force))
@@ -279,7 +346,9 @@ def table(results: Results) -> str:
 
 
 def comparison(first: Results, second: Results) -> str:
-    """Probability that a run of the first scores higher than a run of the second, averaged over splits."""
+    """Probability that a run of the first scores higher than a run of the second, averaged over
+    splits.
+    """
     tables = _scores(first), _scores(second)
     value = float(probability_of_improvement(*tables))
     low, high = stratified_bootstrap(probability_of_improvement, *tables)
@@ -302,12 +371,19 @@ def read(path: Path) -> Results:
 
 
 def check(paths: Sequence[Path]) -> int:
-    """Print the faults of results files, or their tables; returns the exit status, 1 if there are faults."""
-    files, bad = [read(path) for path in paths], False
+    """Print the faults of results files, or their tables; returns the exit status, 1 if there are
+    faults.
+    """
+    files = [read(path) for path in paths]
+    bad = False
     for path, results in zip(paths, files, strict=True):
         found = list(faults(results))
         bad |= bool(found)
-        print("\n".join(f"{path}: {fault}" for fault in found) if found else f"{path}: valid\n\n{table(results)}\n")
+        print(
+            "\n".join(f"{path}: {fault}" for fault in found)
+            if found
+            else f"{path}: valid\n\n{table(results)}\n"
+        )
     if not bad and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
         print(comparison(*files))
     return int(bad)
@@ -319,7 +395,9 @@ def judge_all(args: argparse.Namespace) -> Results:
     results = read(args.out) if args.out.exists() else head | {"cells": []}
     for name, value in head.items():
         if results.get(name) != value:
-            raise RunError(f"'{args.out}' holds results with {name} {results.get(name)!r}, not {value!r}: name another file")
+            raise RunError(
+                f"'{args.out}' holds results with {name} {results.get(name)!r}, not {value!r}: name another file"
+            )
     writable_file(args.out)
     wanted = [(seed, split) for seed in head["seeds"] for split in splits_of(args.env)]
     try:
@@ -335,8 +413,13 @@ def judge_all(args: argparse.Namespace) -> Results:
             results["cells"].append(cell)
             write_text(args.out, json.dumps(results, indent=1) + "\n")
             rate = cell["successes"] / head["episodes"]
-            print(f"cell {number} of {len(wanted)}: seed {seed}, {split}: {rate:.1%}", file=sys.stderr)
-    results |= {"command": f"python -m agents.benchmark {' '.join(args.words)}", "summary": summary(results)}
+            print(
+                f"cell {number} of {len(wanted)}: seed {seed}, {split}: {rate:.1%}", file=sys.stderr
+            )
+    results |= {
+        "command": f"python -m agents.benchmark {' '.join(args.words)}",
+        "summary": summary(results),
+    }
     write_text(args.out, json.dumps(results, indent=1) + "\n")
     return results
 
@@ -344,17 +427,32 @@ def judge_all(args: argparse.Namespace) -> Results:
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.benchmark", __doc__)
     parser.add_argument("env", nargs="?", help=f"one of {', '.join(SPLITS)}")
-    parser.add_argument("--policy", help=f"{', '.join(BASELINES)}, a policy file, module:function or module:function:text; "
-                        "{seed} in it stands for the seed of a run")  # fmt: skip
-    parser.add_argument("--budget", choices=("0", "1e5", "1e6", "1e7"), default="0", help="steps of each training")
-    parser.add_argument("--training-seeds", type=int, nargs=2, default=[0, HELD_OUT_SEED - 1], metavar=("FIRST", "LAST"),
-                        help="first and last seed of the training episodes")  # fmt: skip
+    parser.add_argument(
+        "--policy",
+        help=f"{', '.join(BASELINES)}, a policy file, module:function or module:function:text; "
+        "{seed} in it stands for the seed of a run",
+    )
+    parser.add_argument(
+        "--budget", choices=("0", "1e5", "1e6", "1e7"), default="0", help="steps of each training"
+    )
+    parser.add_argument(
+        "--training-seeds",
+        type=int,
+        nargs=2,
+        default=[0, HELD_OUT_SEED - 1],
+        metavar=("FIRST", "LAST"),
+        help="first and last seed of the training episodes",
+    )
     parser.add_argument("--obs", default="deploy", help="observation mode of the policy")
     parser.add_argument("--about", default="", help="a line on the method, with a link to its code")
-    parser.add_argument("--episodes", type=whole_number(1), default=EPISODES, help="episodes per cell")
+    parser.add_argument(
+        "--episodes", type=whole_number(1), default=EPISODES, help="episodes per cell"
+    )
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="results file; an existing one is continued")
-    parser.add_argument("--check", type=Path, nargs="+", metavar="FILE", help="check results files instead")
+    parser.add_argument(
+        "--check", type=Path, nargs="+", metavar="FILE", help="check results files instead"
+    )
     args = parser.parse_args(argv)
     if args.check:
         return check(args.check)

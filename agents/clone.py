@@ -1,9 +1,10 @@
-"""Behaviour cloning: ``python -m agents.clone DATASET --out runs/clone``, from a dataset of ``hpac record``.
+"""Behaviour cloning: ``python -m agents.clone DATASET --out runs/clone``, from a dataset of ``hpac
+record``.
 
-A network imitates the actions of the successful episodes. With ``--rounds N`` it then acts itself, N times in 200 episodes, and
-also learns what ``--expert`` would have done there (DAgger, Ross et al. 2011): otherwise it sees no errors of its own. The folder
-gets ``policy.zip``, updated before every round, which is evaluated, replayed and exported like any other.
-"""
+A network imitates the actions of the successful episodes. With ``--rounds N`` it then acts itself,
+N times in 200 episodes, and also learns what ``--expert`` would have done there (DAgger, Ross et
+al. 2011): otherwise it sees no errors of its own. The folder gets ``policy.zip``, updated before
+every round, which is evaluated, replayed and exported like any other."""
 
 import sys
 from collections.abc import Callable
@@ -37,7 +38,8 @@ class Watched:
     """An actor in an environment, and what an expert would do in its place."""
 
     def __init__(self, actor: Actor, expert: Policy) -> None:
-        self._actor, self._expert = actor, expert
+        self._actor = actor
+        self._expert = expert
         self.seen: list[np.ndarray] = []
         self.wanted: list[np.ndarray] = []
 
@@ -52,18 +54,31 @@ class Watched:
         return self._actor(self.seen[-1])
 
 
-def visit(actor: Actor, expert: str, env_id: str, options: dict[str, Any], first_seed: int) -> Pairs:
-    """Let an actor act for `VISITS` episodes; returns what it saw, and what the expert would have done."""
+def visit(
+    actor: Actor, expert: str, env_id: str, options: dict[str, Any], first_seed: int
+) -> Pairs:
+    """Let an actor act for `VISITS` episodes; returns what it saw, and what the expert would have
+    done.
+    """
     with worlds(env_id, options, VISITS) as (env, envs):
         watched = [Watched(actor, load_policy(expert, env)) for _ in range(envs.num_envs)]
         episodes = run_batch(envs, watched, range(first_seed, first_seed + VISITS))
     if not sys.stderr.isatty():  # a terminal has a progress bar
-        print(f"in training, {np.mean([episode.success for episode in episodes]):.0%} of {VISITS} episodes won", file=sys.stderr)
-    return np.concatenate([each.seen for each in watched]), np.concatenate([each.wanted for each in watched])
+        print(
+            f"in training, {np.mean([episode.success for episode in episodes]):.0%} of {VISITS} episodes won",
+            file=sys.stderr,
+        )
+    return np.concatenate([each.seen for each in watched]), np.concatenate(
+        [each.wanted for each in watched]
+    )
 
 
 def clone(
-    episodes: list[Pairs], epochs: int, seed: int, rounds: int = 0, more: Callable[[Actor, int], Pairs] | None = None
+    episodes: list[Pairs],
+    epochs: int,
+    seed: int,
+    rounds: int = 0,
+    more: Callable[[Actor, int], Pairs] | None = None,
 ) -> tuple[Actor, float]:
     """Fit an actor to episodes.
 
@@ -88,23 +103,31 @@ def clone(
     seen, done = map(np.concatenate, zip(*episodes[:used], strict=True))
     mean, scale = mean_and_scale(seen)
     widths = (seen.shape[1], *HIDDEN, done.shape[1])
-    network = nn.Sequential(*(part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU())))[:-1]
+    network = nn.Sequential(
+        *(part for a, b in pairwise(widths) for part in (nn.Linear(a, b), nn.ReLU()))
+    )[:-1]
     optimizer = torch.optim.Adam(network.parameters(), lr=1e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, epochs * (rounds + 1))
     for epoch in progress(range(epochs * (rounds + 1)), "epochs"):
         if epoch and epoch % epochs == 0:
             added = more(actor_of(network, mean, scale), epoch // epochs)
-            seen, done = np.concatenate([seen, added[0]]), np.concatenate([done, added[1]])
+            seen = np.concatenate([seen, added[0]])
+            done = np.concatenate([done, added[1]])
         if epoch % epochs == 0:
-            inputs, wanted = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32)), torch.from_numpy(done)
+            inputs = torch.from_numpy(scaled(seen, mean, scale).astype(np.float32))
+            wanted = torch.from_numpy(done)
         for rows in torch.randperm(len(inputs)).split(BATCH):
-            loss = nn.functional.l1_loss(torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows])
+            loss = nn.functional.l1_loss(
+                torch.tanh(network(inputs[rows]).clamp(-MEAN_CLIP, MEAN_CLIP)), wanted[rows]
+            )
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
         schedule.step()
     actor = actor_of(network, mean, scale)
-    errors = [actor(row) - action for pair in episodes[used:] for row, action in zip(*pair, strict=True)]
+    errors = [
+        actor(row) - action for pair in episodes[used:] for row, action in zip(*pair, strict=True)
+    ]
     return actor, float(np.sqrt(np.mean(np.square(errors)))) if errors else float("nan")
 
 
@@ -112,24 +135,46 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.clone", __doc__)
     parser.add_argument("dataset", type=Path, help="folder that hpac record wrote")
     parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
-    parser.add_argument("--epochs", type=whole_number(1), default=30, help="number of passes over the data, also in each round")
-    parser.add_argument("--rounds", type=whole_number(0), default=0, help="number of rounds in which it acts itself")
-    parser.add_argument("--expert", default="scripted", help="whom it imitates in the rounds: scripted, or a policy file")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of weights, order and rounds")
+    parser.add_argument(
+        "--epochs",
+        type=whole_number(1),
+        default=30,
+        help="number of passes over the data, also in each round",
+    )
+    parser.add_argument(
+        "--rounds", type=whole_number(0), default=0, help="number of rounds in which it acts itself"
+    )
+    parser.add_argument(
+        "--expert",
+        default="scripted",
+        help="whom it imitates in the rounds: scripted, or a policy file",
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=0, help="seed of weights, order and rounds"
+    )
     args = parser.parse_args(argv)
     dataset = read_dataset(args.dataset)
     if vector_size(dataset.observation_space) is None:
-        raise RunError(f"'{args.dataset}' observes {dataset.observation_space}: cloning needs vectors")
+        raise RunError(
+            f"'{args.dataset}' observes {dataset.observation_space}: cloning needs vectors"
+        )
     if (args.out / POLICY).exists():
-        raise RunError(f"'{args.out / POLICY}' is there already: choose another folder, or remove it")
+        raise RunError(
+            f"'{args.out / POLICY}' is there already: choose another folder, or remove it"
+        )
     writable_folder(args.out)
     try:
-        episodes = [episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]]
+        episodes = [
+            episode for episode in dataset.iterate_episodes() if episode.infos["is_success"][-1]
+        ]
     except Exception as error:  # a damaged file can make its reader raise anything
         raise RunError(f"cannot read the episodes of '{args.dataset}': {error!r}") from None
     if not episodes:
-        raise RunError(f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone")
-    env_id, options = dataset.env_spec.id, dataset.env_spec.kwargs
+        raise RunError(
+            f"'{args.dataset}' has no successful episode among its {dataset.total_episodes}: nothing to clone"
+        )
+    env_id = dataset.env_spec.id
+    options = dataset.env_spec.kwargs
     target = target_of(env_id, **options)
     if args.rounds:
         with make_task(target["env_id"], **options) as env:
@@ -148,14 +193,24 @@ def main(argv: list[str] | None = None) -> int:
 
     def more(actor: Actor, number: int) -> Pairs:
         save(actor, number - 1)
-        return visit(actor, args.expert, target["env_id"], options, training_seed(args.seed, number, VISITS))
+        return visit(
+            actor, args.expert, target["env_id"], options, training_seed(args.seed, number, VISITS)
+        )
 
     pairs = [(vector(episode.observations)[:-1], episode.actions) for episode in episodes]
-    if not all(np.isfinite(seen).all() and (np.abs(actions) <= 1.0).all() for seen, actions in pairs):
-        raise RunError(f"'{args.dataset}' has observations that are not finite, or actions outside −1…1")
+    if not all(
+        np.isfinite(seen).all() and (np.abs(actions) <= 1.0).all() for seen, actions in pairs
+    ):
+        raise RunError(
+            f"'{args.dataset}' has observations that are not finite, or actions outside −1…1"
+        )
     actor, error = clone(pairs, args.epochs, args.seed, args.rounds, more)
     save(actor, args.rounds)
-    kept = f"the last {int(KEPT * len(episodes))} kept back, error {error:.3f}" if np.isfinite(error) else "none kept back"
+    kept = (
+        f"the last {int(KEPT * len(episodes))} kept back, error {error:.3f}"
+        if np.isfinite(error)
+        else "none kept back"
+    )
     print(f"{len(episodes)} successful episodes, {kept}: {args.out / POLICY}")
     return 0
 

@@ -1,8 +1,8 @@
 """Pictures and tables of a run: ``python -m agents.curves runs/NAME``.
 
-Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_curve.png`` and ``results.md`` to it. Missing
-input is skipped. A training writes its learning curve, a row every five hundred trials, and its progress bar with `Progress`.
-"""
+Reads ``progress.csv`` and ``results.json`` of the folder; writes ``learning_curve.png`` and
+``results.md`` to it. Missing input is skipped. A training writes its learning curve, a row every
+five hundred trials, and its progress bar with `Progress`."""
 
 import csv
 import json
@@ -22,8 +22,10 @@ from hpac import run
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.output import replacing, write_text
 
-RESULTS, CURVE = "results.json", "progress.csv"
-PAGE, PICTURE = "results.md", "learning_curve.png"
+RESULTS = "results.json"
+CURVE = "progress.csv"
+PAGE = "results.md"
+PICTURE = "learning_curve.png"
 COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
 COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
 ROW_EVERY = 500  # trials per row of the learning curve
@@ -36,10 +38,9 @@ class Progress:
 
     Args:
         episodes, most_steps: limits of the trials and of the control steps over all worlds.
-        done, env_steps, seconds_before: trials, control steps and time [s] of the run before it was resumed.
-        time_limit: latest end of the training, relative to `started` [s].
-        started: start of the training on the clock [s]; None means now.
-        clock: function that returns the time [s].
+        done, env_steps, seconds_before: trials, control steps and time [s] of the run before it was
+        resumed. time_limit: latest end of the training, relative to `started` [s]. started: start
+        of the training on the clock [s]; None means now. clock: function that returns the time [s].
 
     Attributes:
         done, env_steps: trials and control steps so far, over all worlds.
@@ -47,19 +48,38 @@ class Progress:
     """
 
     def __init__(
-        self, folder: Path, episodes: int, most_steps: int, done: int = 0, env_steps: int = 0, seconds_before: float = 0.0,
-        time_limit: float = float("inf"), started: float | None = None, clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
-        self.done, self.env_steps, self.stopped_by = done, env_steps, None
-        self._curve, self._first, self._most, self._most_steps = folder / CURVE, done, episodes, most_steps
-        self._seconds_before, self._time_limit = seconds_before, time_limit
-        self._clock, self._started = clock, clock() if started is None else started
+        self,
+        folder: Path,
+        episodes: int,
+        most_steps: int,
+        done: int = 0,
+        env_steps: int = 0,
+        seconds_before: float = 0.0,
+        time_limit: float = float("inf"),
+        started: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.done = done
+        self.env_steps = env_steps
+        self.stopped_by = None
+        self._curve = folder / CURVE
+        self._first = done
+        self._most = episodes
+        self._most_steps = most_steps
+        self._seconds_before = seconds_before
+        self._time_limit = time_limit
+        self._clock = clock
+        self._started = clock() if started is None else started
         self._held: deque[bool] = deque(maxlen=WINDOW)
-        self._written, self._next_line = done, LINE_EVERY_S / 3
+        self._written = done
+        self._next_line = LINE_EVERY_S / 3
         self._bar = tqdm(
-            total=100, desc="training", disable=not sys.stderr.isatty(), dynamic_ncols=True,
+            total=100,
+            desc="training",
+            disable=not sys.stderr.isatty(),
+            dynamic_ncols=True,
             bar_format="{desc} {percentage:3.0f}% |{bar}| {elapsed} of {remaining} more{postfix}",
-        )  # fmt: skip
+        )
 
     @property
     def seconds(self) -> float:
@@ -78,7 +98,9 @@ class Progress:
         return sum(self._held) / len(self._held) if self._held else float("nan")
 
     def add(self, held: list[bool], steps: int, entropy: float) -> bool:
-        """Record trials, control steps and the actor's entropy [nats per number]; returns whether the training continues."""
+        """Record trials, control steps and the actor's entropy [nats per number]; returns whether
+        the training continues.
+        """
         held = held[: self._most - self.done]  # the run keeps no more
         self._held.extend(held)
         self.done += len(held)
@@ -103,7 +125,13 @@ class Progress:
         if self.done == self._written:
             return
         self._written = self.done
-        row = (self.done, round(self.seconds, 1), round(self.success_rate, 4), len(self._held), round(entropy, 3))
+        row = (
+            self.done,
+            round(self.seconds, 1),
+            round(self.success_rate, 4),
+            len(self._held),
+            round(entropy, 3),
+        )
         try:
             with self._curve.open("a", newline="") as file:
                 csv.writer(file).writerows([row] if file.tell() else [COLUMNS, row])
@@ -115,17 +143,26 @@ class Progress:
         if self._bar.disable and elapsed < self._next_line:
             return
         self._next_line = elapsed + LINE_EVERY_S
-        success = f"{self.success_rate:.0%} of the last {len(self._held)} held" if self._held else "none ended"
+        success = (
+            f"{self.success_rate:.0%} of the last {len(self._held)} held"
+            if self._held
+            else "none ended"
+        )
         text = f"{self.done:,} trials, {(self.done - self._first) / max(elapsed, 1e-9):.0f}/s, {success}"
         if self._bar.disable:
-            print(f"training {self.share:4.0%} {elapsed / 60:5.1f} min, {text}", file=sys.stderr, flush=True)
+            print(
+                f"training {self.share:4.0%} {elapsed / 60:5.1f} min, {text}",
+                file=sys.stderr,
+                flush=True,
+            )
         else:
             self._bar.set_postfix_str(text, refresh=False)
             self._bar.update(100 * self.share - self._bar.n)
 
 
 def drop_rows_after(path: Path, episodes: int) -> None:
-    """Remove rows that an interrupted training wrote after its last checkpoint, including an incomplete one.
+    """Remove rows that an interrupted training wrote after its last checkpoint, including an
+    incomplete one.
 
     Raises:
         RunError: The file is not a learning curve.
@@ -150,8 +187,12 @@ def read_curve(path: Path) -> dict[str, np.ndarray]:
         with path.open(newline="") as file:
             rows = list(csv.DictReader(file))
         curve = {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
-        rate, window = curve["success_rate"], curve["window"]
-        if not (np.isfinite(curve["seconds"]).all() and ((rate >= 0) & (rate <= 1) & (window >= 1)).all()):
+        rate = curve["success_rate"]
+        window = curve["window"]
+        if not (
+            np.isfinite(curve["seconds"]).all()
+            and ((rate >= 0) & (rate <= 1) & (window >= 1)).all()
+        ):
             raise ValueError("a row has no time, no trial, or a rate of success outside 0…1")
         return curve
     except OSError as error:
@@ -161,28 +202,54 @@ def read_curve(path: Path) -> dict[str, np.ndarray]:
 
 
 def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | None) -> None:
-    """Draw the success in training over trials, with the held-out results of every policy, and all Wilson 95 % intervals."""
-    from matplotlib.figure import Figure  # imported here, since a command that only parses its arguments does not need it
+    """Draw the success in training over trials, with the held-out results of every policy, and all
+    Wilson 95 % intervals.
+    """
+    from matplotlib.figure import (
+        Figure,
+    )  # imported here, since a command that only parses its arguments does not need it
     from matplotlib.ticker import MaxNLocator
 
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.add_subplot()
-    axes.plot(curve["episodes"] / 1000, 100 * curve["success_rate"], color=COLOURS["learned"], label="learning, with exploration")
+    axes.plot(
+        curve["episodes"] / 1000,
+        100 * curve["success_rate"],
+        color=COLOURS["learned"],
+        label="learning, with exploration",
+    )
     counts = zip(np.rint(curve["success_rate"] * curve["window"]), curve["window"], strict=True)
-    low, high = 100 * np.reshape([wilson_interval(held, trials) for held, trials in counts], (-1, 2)).T
-    axes.fill_between(curve["episodes"] / 1000, low, high, color=COLOURS["learned"], alpha=0.3, linewidth=0)
+    low, high = (
+        100 * np.reshape([wilson_interval(held, trials) for held, trials in counts], (-1, 2)).T
+    )
+    axes.fill_between(
+        curve["episodes"] / 1000, low, high, color=COLOURS["learned"], alpha=0.3, linewidth=0
+    )
     for name, numbers in (results or {}).get("policies", {}).items():
         low, high = (100 * bound for bound in numbers["interval_95"])
         label = f"{name}, {numbers['episodes']} held-out episodes: {numbers['success_rate']:.0%}"
         axes.axhspan(low, high, color=COLOURS.get(name), alpha=0.18, linewidth=0)
-        axes.axhline(100 * numbers["success_rate"], color=COLOURS.get(name), linestyle="--", linewidth=1, label=label)
+        axes.axhline(
+            100 * numbers["success_rate"],
+            color=COLOURS.get(name),
+            linestyle="--",
+            linewidth=1,
+            label=label,
+        )
     axes.set(xlabel="trials (thousands)", ylabel="success (%)", ylim=(-2, 102))
     axes.set_xlim(0, curve["episodes"].max(initial=1) / 1000)
     if len(curve["seconds"]) > 1:
-        trials, minutes = np.append(0, curve["episodes"] / 1000), np.append(0, curve["seconds"] / 60)
-        # Trials and minutes both increase monotonically, so each can be interpolated from the other.
-        axis = axes.secondary_xaxis("top", (lambda x: np.interp(x, trials, minutes), lambda t: np.interp(t, minutes, trials)))
-        axis.set_xticks([tick for tick in MaxNLocator(8).tick_values(0, minutes[-1]) if tick <= minutes[-1]])
+        trials = np.append(0, curve["episodes"] / 1000)
+        minutes = np.append(0, curve["seconds"] / 60)
+        # Trials and minutes both increase monotonically, so each can be interpolated from the
+        # other.
+        axis = axes.secondary_xaxis(
+            "top",
+            (lambda x: np.interp(x, trials, minutes), lambda t: np.interp(t, minutes, trials)),
+        )
+        axis.set_xticks(
+            [tick for tick in MaxNLocator(8).tick_values(0, minutes[-1]) if tick <= minutes[-1]]
+        )
         axis.set_xlabel("training time (minutes)")
     axes.grid(alpha=0.3)
     axes.legend(loc="upper left", fontsize="small")
@@ -191,18 +258,29 @@ def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | Non
 
 
 def draw_trials(path: Path, cells: Sequence[dict[str, Any]]) -> None:
-    """Draw success, with its Wilson 95 % interval, over trials: of single runs, and of those with the trials of several."""
+    """Draw success, with its Wilson 95 % interval, over trials: of single runs, and of those with
+    the trials of several.
+    """
     from matplotlib.figure import Figure  # imported here, since a table does not need it
     from matplotlib.ticker import LogLocator
 
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.add_subplot()
-    for label, style, colour in (("of one run", "o", "random"), ("of several runs", "o-", "learned")):
-        shown = [(c["trained"]["episodes"], c["success_rate"], *c["interval_95"]) for c in cells if c["trials"] == label]
+    for label, style, colour in (
+        ("of one run", "o", "random"),
+        ("of several runs", "o-", "learned"),
+    ):
+        shown = [
+            (c["trained"]["episodes"], c["success_rate"], *c["interval_95"])
+            for c in cells
+            if c["trials"] == label
+        ]
         trials, *rates = np.reshape(sorted(shown), (-1, 4)).T
         rate, low, high = (100 * each for each in rates)
         bars = (rate - low, high - rate)
-        axes.errorbar(trials, rate, bars, fmt=style, alpha=0.7, label=f"trials {label}", color=COLOURS[colour])
+        axes.errorbar(
+            trials, rate, bars, fmt=style, alpha=0.7, label=f"trials {label}", color=COLOURS[colour]
+        )
     axes.set(xscale="log", xlabel="number of trials", ylabel="success (%)")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 4)))
     axes.xaxis.set_major_formatter(lambda trials, _: f"{trials:,.0f}")
@@ -220,7 +298,8 @@ def report(folder: Path) -> list[Path]:
         RunError: The folder has no results, or they cannot be read.
         OutputError: The folder cannot be written.
     """
-    results, written = None, []
+    results = None
+    written = []
     if (folder / RESULTS).exists():
         try:
             results = json.loads((folder / RESULTS).read_text())
@@ -245,7 +324,10 @@ def _page(results: dict[str, Any]) -> str:
             effort = f"{policy['episodes']:,} trials in {policy['seconds'] / 60:.1f} minutes"
             text += f"{policy['algorithm']}, {effort}, run seed {policy['settings']['seed']}, "
         text += f"weights SHA-256 `{policy.get('sha256', policy.get('weights_sha256'))[:16]}…`.\n"
-    return text + f"\nAll policies were run on the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
+    return (
+        text
+        + f"\nAll policies were run on the same episodes, seeds {results['first_seed']} to {results['last_seed']}.\n"
+    )
 
 
 def main(argv: list[str] | None = None) -> int:

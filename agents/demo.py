@@ -1,4 +1,5 @@
-"""From random weights to the wire: train a grasp, evaluate it, and replay it through the serial port and the firmware.
+"""From random weights to the wire: train a grasp, evaluate it, and replay it through the serial
+port and the firmware.
 
 ``make demo`` runs it; each step is a separate command, which is printed.
 """
@@ -13,20 +14,31 @@ from agents.recipes import RECIPES
 from hpac import run, whole_number
 from hpac_gym.output import writable_folder
 
-EVALUATION_MINUTES = 5.0  # enough for 400 episodes of three policies; a slower machine evaluates fewer
+EVALUATION_MINUTES = (
+    5.0  # enough for 400 episodes of three policies; a slower machine evaluates fewer
+)
 RESULTS = ("learning_curve.png", "results.md", "results.json", "grasps.mp4", "wire.jsonl")
 
 
-def steps(recipe: str, out: Path, training_minutes: float, episodes: int, seed: int) -> list[tuple[str, list[str]]]:
+def steps(
+    recipe: str, out: Path, training_minutes: float, episodes: int, seed: int
+) -> list[tuple[str, list[str]]]:
     """Title, and module with arguments, of every step."""
-    policy, results = str(out / "policy.zip"), str(out / "results.json")
+    policy = str(out / "policy.zip")
+    results = str(out / "results.json")
     engine, body = RECIPES[recipe].set_ups[0].split("/")
     trained = ["--policy", policy, "--engine", engine, "--body", body]
     train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed)]
     judge = ["agents.evaluate", *trained, "--episodes", str(episodes), "--workers", "2"]
     return [
-        ("Train from random weights", [*train, "--time-limit", f"{training_minutes:g}", "--overwrite"]),
-        ("Judge it and the baselines", [*judge, "--time-limit", f"{EVALUATION_MINUTES:g}", "--out", results]),
+        (
+            "Train from random weights",
+            [*train, "--time-limit", f"{training_minutes:g}", "--overwrite"],
+        ),
+        (
+            "Judge it and the baselines",
+            [*judge, "--time-limit", f"{EVALUATION_MINUTES:g}", "--out", results],
+        ),
         ("Draw the learning curve", ["agents.curves", str(out)]),
         ("Replay it over the wire", ["agents.replay", *trained, "--out", str(out)]),
     ]
@@ -37,12 +49,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--recipe", choices=sorted(RECIPES), default="grasp", help="how to train")
     parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder of the results")
     parser.add_argument("--minutes", type=minutes, default=10.0, help="training time")
-    parser.add_argument("--episodes", type=whole_number(1), default=400, help="held-out episodes of each policy")
+    parser.add_argument(
+        "--episodes", type=whole_number(1), default=400, help="held-out episodes of each policy"
+    )
     parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of the training")
     args = parser.parse_args(argv)
     writable_folder(args.out)
     started = time.monotonic()
-    for number, (title, words) in enumerate(steps(args.recipe, args.out, args.minutes, args.episodes, args.seed)):
+    for number, (title, words) in enumerate(
+        steps(args.recipe, args.out, args.minutes, args.episodes, args.seed)
+    ):
         print(f"\n== {title}\n   python -m {' '.join(words)}", flush=True)
         status = subprocess.run([sys.executable, "-m", *words], check=False).returncode
         if status:

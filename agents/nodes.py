@@ -1,11 +1,12 @@
-"""Collect trials on other machines with Ray Core: collectors on its nodes try closures for one learner.
+"""Collect trials on other machines with Ray Core: collectors on its nodes try closures for one
+learner.
 
-A collector has its own worlds and seeds. It gets the learner's networks and scaling as plain arrays, tries closures until a
-chunk of trials is complete, and returns the chunk. Each call has one result, which is added once; that of a collector or node
-that fails is never added.
+A collector has its own worlds and seeds. It gets the learner's networks and scaling as plain
+arrays, tries closures until a chunk of trials is complete, and returns the chunk. Each call has one
+result, which is added once; that of a collector or node that fails is never added.
 
-``python -m agents.nodes grasp --seeds 5 --out runs/sweep`` trains complete runs on the nodes instead, one per seed.
-"""
+``python -m agents.nodes grasp --seeds 5 --out runs/sweep`` trains complete runs on the nodes
+instead, one per seed."""
 
 from __future__ import annotations
 
@@ -36,17 +37,23 @@ from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 
-WAIT_S = 1.0  # longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training
+# longest wait of a step for a chunk [s], so that a time limit or Ctrl-C can end the training
+WAIT_S = 1.0
 SILENCE_S = 60.0  # time without a chunk after which a message is printed [s]
 QUIET = {
-    "RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_BACKEND_LOG_LEVEL": "fatal",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
-}  # fmt: skip
-"""Settings of Ray, read at its import: no usage reports, and no messages of its own, such as fifty lines about a lost node."""
+}
+"""Settings of Ray, read at its import: no usage reports, and no messages of its own, such as fifty
+lines about a lost node.
+"""
 
 
 def connected() -> Any:
-    """The module ray, connected to the cluster of ``ray start`` or RAY_ADDRESS, or else to a local one.
+    """The module ray, connected to the cluster of ``ray start`` or RAY_ADDRESS, or else to a local
+    one.
 
     Raises:
         RunError: Ray is not installed, or the cluster does not answer.
@@ -56,26 +63,40 @@ def connected() -> Any:
     try:
         import ray
     except ImportError:
-        raise RunError("collecting on nodes needs Ray, which is not installed: pip install 'hpac_gym[nodes]'") from None
+        raise RunError(
+            "collecting on nodes needs Ray, which is not installed: pip install 'hpac_gym[nodes]'"
+        ) from None
     try:
-        ray.init(include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR, ignore_reinit_error=True)
+        ray.init(
+            include_dashboard=False,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            ignore_reinit_error=True,
+        )
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise RunError(f"no connection to the Ray cluster: {f'{error}'.splitlines()[0]}") from None
     return ray
 
 
 def knowledge(learner: Learner) -> dict[str, Any]:
-    """State that a collector needs for decisions: networks, scaling and number of updates, as plain arrays."""
+    """State that a collector needs for decisions: networks, scaling and number of updates, as plain
+    arrays.
+    """
     networks = {"actor": learner.actor, "critics": learner.critics}
-    arrays = {name: {key: value.numpy() for key, value in network.state_dict().items()} for name, network in networks.items()}
+    arrays = {
+        name: {key: value.numpy() for key, value in network.state_dict().items()}
+        for name, network in networks.items()
+    }
     return arrays | {"mean": learner.mean, "scale": learner.scale, "updates": learner.updates}
 
 
 class Collector:
-    """The worlds of a node with a copy of the learner that decides in them. Ray runs it in a separate process.
+    """The worlds of a node with a copy of the learner that decides in them. Ray runs it in a
+    separate process.
 
     Args:
-        recipe: the settings of the run, among them the number of worlds; a chunk has at least as many trials.
+        recipe: the settings of the run, among them the number of worlds; a chunk has at least as
+            many trials.
         seed: seed of the first world and of the decisions.
         expected: the learner's `versions`.
 
@@ -91,16 +112,26 @@ class Collector:
         for worlds in self._all_worlds:
             worlds.start(seed)
         first = self._all_worlds[0]
-        self._learner = Learner(replace(recipe, episodes=1), first.observed, first.deployed, first.phases)
+        self._learner = Learner(
+            replace(recipe, episodes=1), first.observed, first.deployed, first.phases
+        )
         self._learner.reseed(seed)
         self._num_envs = recipe.num_envs
 
     def collect(self, known: dict[str, Any]) -> tuple[tuple[np.ndarray, ...], int, float]:
-        """Collect a chunk: its trials as arguments of `Trials.add`, its control steps and its processor time [s]."""
-        learner, begun = self._learner, time.process_time()
-        for network, arrays in ((learner.actor, known["actor"]), (learner.critics, known["critics"])):
+        """Collect a chunk: its trials as arguments of `Trials.add`, its control steps and its
+        processor time [s].
+        """
+        learner = self._learner
+        begun = time.process_time()
+        for network, arrays in (
+            (learner.actor, known["actor"]),
+            (learner.critics, known["critics"]),
+        ):
             network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
-        learner.mean, learner.scale, learner.updates = known["mean"], known["scale"], known["updates"]
+        learner.mean = known["mean"]
+        learner.scale = known["scale"]
+        learner.updates = known["updates"]
         parts: list[tuple[np.ndarray, ...]] = []
         while sum(len(part[0]) for part in parts) < self._num_envs:
             parts += [worlds.step(learner) for worlds in self._all_worlds]
@@ -112,8 +143,9 @@ class Collector:
 class Collectors:
     """Collectors on the nodes of a Ray cluster, with the interface of `Worlds`.
 
-    Each of the `count` collectors takes a free processor, spread over the nodes. A lost collector is replaced; its successor
-    waits for a free processor if necessary, while the others continue. A resumed run has `done` trials already.
+    Each of the `count` collectors takes a free processor, spread over the nodes. A lost collector
+    is replaced; its successor waits for a free processor if necessary, while the others continue. A
+    resumed run has `done` trials already.
 
     Attributes:
         steps: control steps of the chunk that the last `step` received.
@@ -123,20 +155,29 @@ class Collectors:
     def __init__(self, recipe: Recipe, count: int, done: int = 0) -> None:
         self._ray = connected()
         self.observed, self.deployed, self.phases = sizes_of(recipe)
-        self._none = tuple(Trials(0, self.observed, self.deployed, len(recipe.closures.names)).columns.values())
-        self._recipe, self._done, self._begun = recipe, done, 0
+        self._none = tuple(
+            Trials(0, self.observed, self.deployed, len(recipe.closures.names)).columns.values()
+        )
+        self._recipe = recipe
+        self._done = done
+        self._begun = 0
         self._make = self._ray.remote(num_cpus=1, scheduling_strategy="SPREAD")(Collector)
         self._idle = [self._start() for _ in range(count)]
         self._running: dict[Any, tuple[int, Any]] = {}
         self._heard = self._started = time.monotonic()
-        self.trials, self._seconds, self.steps = Counter[int](), Counter[int](), 0
+        self.trials = Counter[int]()
+        self._seconds = Counter[int]()
+        self.steps = 0
 
     def _start(self) -> tuple[int, Any]:
-        place, self._begun = self._begun, self._begun + 1
+        place = self._begun
+        self._begun = self._begun + 1
         seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
         return place, self._make.remote(self._recipe, seed, versions())
 
-    def step(self, learner: Learner, meanwhile: Callable[[], None] = lambda: None) -> tuple[np.ndarray, ...]:
+    def step(
+        self, learner: Learner, meanwhile: Callable[[], None] = lambda: None
+    ) -> tuple[np.ndarray, ...]:
         """Request chunks from idle collectors, call `meanwhile`, and wait briefly for a chunk.
 
         Returns:
@@ -155,11 +196,15 @@ class Collectors:
         ready, _ = self._ray.wait(list(self._running), timeout=WAIT_S)
         if time.monotonic() - self._heard > SILENCE_S:
             self._heard = time.monotonic()
-            _say(f"no chunk has come for {SILENCE_S:g} s: 'ray status' tells whether a processor is free")
+            _say(
+                f"no chunk has come for {SILENCE_S:g} s: 'ray status' tells whether a processor is free"
+            )
         return self._received(ready[0]) if ready else self._none
 
     def start(self, seed: int) -> None:
-        """Nothing: chunks in progress are kept, since the order of chunks is never the same twice."""
+        """Nothing: chunks in progress are kept, since the order of chunks is never the same
+        twice.
+        """
 
     def _received(self, reference: Any) -> tuple[np.ndarray, ...]:
         errors = self._ray.exceptions
@@ -169,11 +214,15 @@ class Collectors:
             trials, self.steps, seconds = self._ray.get(reference)
         except errors.RayError as error:
             if isinstance(error, errors.RayTaskError) or getattr(error, "actor_init_failed", False):
-                raise RunError(f"collector {place} failed: {f'{error}'.strip().splitlines()[-1]}") from error
+                raise RunError(
+                    f"collector {place} failed: {f'{error}'.strip().splitlines()[-1]}"
+                ) from error
             self._ray.kill(collector)
             self._idle.append(self._start())
-            _say(f"collector {place} is lost, and its chunk with it ({type(error).__name__}): collector {self._begun - 1} "
-                 "takes its place where a processor is free")  # fmt: skip
+            _say(
+                f"collector {place} is lost, and its chunk with it ({type(error).__name__}): collector {self._begun - 1} "
+                "takes its place where a processor is free"
+            )
             return self._none
         self.trials[place] += len(trials[0])
         self._seconds[place] += seconds
@@ -184,8 +233,10 @@ class Collectors:
         """End the collectors, and print the number of trials of each."""
         passed = time.monotonic() - self._started
         for place, trials in sorted(self.trials.items()):
-            _say(f"collector {place}: {trials:,} trials, {trials / passed:.1f}/s, "
-                 f"{trials / self._seconds[place]:.1f} per second of processor time")  # fmt: skip
+            _say(
+                f"collector {place}: {trials:,} trials, {trials / passed:.1f}/s, "
+                f"{trials / self._seconds[place]:.1f} per second of processor time"
+            )
         self._ray.shutdown()
 
 
@@ -194,10 +245,11 @@ def _say(text: str) -> None:
 
 
 def train_seed(recipe: Recipe, time_limit: float, name: str) -> dict[str, bytes]:
-    """Train a complete run in this process, so that it ends with the process; returns the files of its folder by name.
+    """Train a complete run in this process, so that it ends with the process; returns the files of
+    its folder by name.
 
-    The folder has this name among the node's temporary files. It outlives a killed process, and a second call on the same node
-    continues from its checkpoint.
+    The folder has this name among the node's temporary files. It outlives a killed process, and a
+    second call on the same node continues from its checkpoint.
 
     Raises:
         RunError: The training failed or was interrupted.
@@ -207,35 +259,69 @@ def train_seed(recipe: Recipe, time_limit: float, name: str) -> dict[str, bytes]
     try:
         if train(recipe, folder, time_limit=time_limit):
             raise RunError("the training was interrupted")
-        files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        files = {
+            str(path.relative_to(folder)): path.read_bytes()
+            for path in folder.rglob("*")
+            if path.is_file()
+        }
     except (HpacError, OSError) as error:
-        raise RunError(f"{error}; '{folder}' on node '{platform.node()}' keeps what was saved") from error
+        raise RunError(
+            f"{error}; '{folder}' on node '{platform.node()}' keeps what was saved"
+        ) from error
     rmtree(folder)
     return files
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Train complete runs on the nodes of a Ray cluster, one per seed; those that are in the folder already are kept."""
+    """Train complete runs on the nodes of a Ray cluster, one per seed; those that are in the folder
+    already are kept.
+    """
     parser = command_parser("agents.nodes", main.__doc__)
     parser.add_argument("recipe", help=f"one of {', '.join(sorted(RECIPES))}")
-    parser.add_argument("--seeds", type=whole_number(1), required=True, metavar="N", help="train with the seeds 0 to N - 1")
-    parser.add_argument("--out", type=Path, required=True, help="folder, in which each run gets a folder seed-N")
-    parser.add_argument("--time-limit", type=minutes, default=float("inf"), metavar="MINUTES", help="end each run after so long")
+    parser.add_argument(
+        "--seeds",
+        type=whole_number(1),
+        required=True,
+        metavar="N",
+        help="train with the seeds 0 to N - 1",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder, in which each run gets a folder seed-N"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=minutes,
+        default=float("inf"),
+        metavar="MINUTES",
+        help="end each run after so long",
+    )
     add_recipe(parser)
     args = parser.parse_args(argv)
     if hasattr(args, "seed"):
-        raise RecipeError(f"--seed is {args.seed}: --seeds gives the runs the seeds 0 to {args.seeds - 1}")
+        raise RecipeError(
+            f"--seed is {args.seed}: --seeds gives the runs the seeds 0 to {args.seeds - 1}"
+        )
     recipe = recipe_of(args)
     writable_folder(args.out)
     wanted = {args.out / f"seed-{seed}": replace(recipe, seed=seed) for seed in range(args.seeds)}
     for folder in [folder for folder in wanted if (folder / RUN).exists()]:
         if recipe_in(folder) != wanted.pop(folder):
-            raise RunError(f"folder '{folder}' holds a run with other settings: choose another --out, or remove it")
-        _say(f"{folder} was done before, with {saved_trials(folder):,} of {recipe.episodes:,} trials")
+            raise RunError(
+                f"folder '{folder}' holds a run with other settings: choose another --out, or remove it"
+            )
+        _say(
+            f"{folder} was done before, with {saved_trials(folder):,} of {recipe.episodes:,} trials"
+        )
     ray = connected()
-    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)  # a process per run
-    run_id, limit = uuid4().hex, 60 * args.time_limit
-    running = {task.remote(recipe, limit, f"hpac-{run_id}-{folder.name}"): folder for folder, recipe in wanted.items()}
+    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(
+        train_seed
+    )  # a process per run
+    run_id = uuid4().hex
+    limit = 60 * args.time_limit
+    running = {
+        task.remote(recipe, limit, f"hpac-{run_id}-{folder.name}"): folder
+        for folder, recipe in wanted.items()
+    }
     failed = 0
     while running:
         (reference, *_), _ = ray.wait(list(running))
@@ -247,7 +333,9 @@ def main(argv: list[str] | None = None) -> int:
             _say(f"{folder} failed: {f'{error}'.strip().splitlines()[-1]}")
             continue
         remove_run(folder)
-        for name, data in sorted(files.items(), key=lambda file: file[0] == RUN):  # the settings last: they mark a complete run
+        for name, data in sorted(
+            files.items(), key=lambda file: file[0] == RUN
+        ):  # the settings last: they mark a complete run
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(data)
         _say(f"{folder} is done")

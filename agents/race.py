@@ -1,8 +1,9 @@
-"""Train an algorithm of Stable-Baselines3, sb3-contrib or SBX for comparison: ``python -m agents.race ppo --out runs/NAME``.
+"""Train an algorithm of Stable-Baselines3, sb3-contrib or SBX for comparison: ``python -m
+agents.race ppo --out runs/NAME``.
 
-Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward and the same processor time. The folder gets
-``policy.zip``, updated every minute, and ``progress.csv``. A run cannot be resumed.
-"""
+Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward and the same
+processor time. The folder gets ``policy.zip``, updated every minute, and ``progress.csv``. A run
+cannot be resumed."""
 
 import sys
 import time
@@ -32,8 +33,12 @@ from hpac_gym.policies import Actor, PolicyFile, write_policy
 
 ENGINE = "mujoco"
 SAVE_EVERY_S = 60.0
-BOUND = 3.0  # bound of PPO's actions, since its normal distribution is unbounded; the environment gets their tanh
-RENORM_EPSILON = 1e-3  # added to the variance by CrossQ's batch normalisation, in sb3-contrib and in SBX
+# bound of PPO's actions, since its normal distribution is unbounded; the environment gets their
+# tanh
+BOUND = 3.0
+RENORM_EPSILON = (
+    1e-3  # added to the variance by CrossQ's batch normalisation, in sb3-contrib and in SBX
+)
 SATURATED = 20.0  # value beyond which tanh is 1 in single precision
 
 ALGORITHMS: Mapping[str, str] = {
@@ -45,12 +50,14 @@ ALGORITHMS: Mapping[str, str] = {
     "sbx-tqc": "sbx:TQC",
     "sbx-crossq": "sbx:CrossQ",
 }
-_REPLAY, _AVERAGED = tuple(ALGORITHMS)[1:], ("sac", "tqc", "sbx-sac", "sbx-tqc")
+_REPLAY = tuple(ALGORITHMS)[1:]
+_AVERAGED = ("sac", "tqc", "sbx-sac", "sbx-tqc")
 
 
 @dataclass(frozen=True, slots=True)
 class Contender:
-    """Settings of one training with an algorithm of `ALGORITHMS`; those with Stable-Baselines3's names are its arguments.
+    """Settings of one training with an algorithm of `ALGORITHMS`; those with Stable-Baselines3's
+    names are its arguments.
 
     Raises:
         RecipeError: A setting is out of bounds, or its algorithm has no such setting.
@@ -59,28 +66,64 @@ class Contender:
     algorithm: str
     seed: int = setting(0, "seed of the run", 0, 2**31 - 1)
     num_envs: int = setting(32, "number of parallel worlds", 1, 65_536)
-    action_repeat: int = setting(4, "control steps for which an action is held: one decision", 1, 64)
+    action_repeat: int = setting(
+        4, "control steps for which an action is held: one decision", 1, 64
+    )
     hidden: tuple[int, ...] = setting((128, 128), "widths of the layers", 1, 4_096)
-    learning_rate: float = setting(5e-4, "initial learning rate; it falls linearly to a twentieth, except in sbx-crossq", 1e-8, 1)
+    learning_rate: float = setting(
+        5e-4,
+        "initial learning rate; it falls linearly to a twentieth, except in sbx-crossq",
+        1e-8,
+        1,
+    )
     gamma: float = setting(0.95, "discount of a decision", 0, 1)
     batch_size: int = setting(256, "batch size of an update, in decisions", 2, 65_536)
-    n_steps: int = setting(4, "ppo: decisions in each world between updates; others: decisions of an n-step return", 1, 65_536)
+    n_steps: int = setting(
+        4,
+        "ppo: decisions in each world between updates; others: decisions of an n-step return",
+        1,
+        65_536,
+    )
     n_epochs: int = setting(10, "passes over the decisions of an update", 1, 1_000, of=("ppo",))
-    gae_lambda: float = setting(0.9, "lambda of the generalized advantage estimate", 0, 1, of=("ppo",))
-    clip_range: float = setting(0.2, "largest change of a probability ratio in an update", 1e-6, 10, of=("ppo",))
+    gae_lambda: float = setting(
+        0.9, "lambda of the generalized advantage estimate", 0, 1, of=("ppo",)
+    )
+    clip_range: float = setting(
+        0.2, "largest change of a probability ratio in an update", 1e-6, 10, of=("ppo",)
+    )
     ent_coef: float = setting(0.0, "weight of the entropy in the loss", 0, 10, of=("ppo",))
     vf_coef: float = setting(0.5, "weight of the value function in the loss", 0, 100, of=("ppo",))
     max_grad_norm: float = setting(0.5, "largest norm of a gradient", 1e-6, 1e6, of=("ppo",))
-    log_std_init: float = setting(-0.5, "initial logarithm of the actor's standard deviation", -10, 2, of=("ppo",))
-    buffer_size: int = setting(1_000_000, "capacity of the replay buffer, in decisions", 1, 10**9, of=_REPLAY)
-    learning_starts: int = setting(4_000, "random decisions before the first update", 1, 10**9, of=_REPLAY)
+    log_std_init: float = setting(
+        -0.5, "initial logarithm of the actor's standard deviation", -10, 2, of=("ppo",)
+    )
+    buffer_size: int = setting(
+        1_000_000, "capacity of the replay buffer, in decisions", 1, 10**9, of=_REPLAY
+    )
+    learning_starts: int = setting(
+        4_000, "random decisions before the first update", 1, 10**9, of=_REPLAY
+    )
     train_freq: int = setting(1, "decisions in each world between updates", 1, 65_536, of=_REPLAY)
     gradient_steps: int = setting(8, "gradient steps of an update", 1, 65_536, of=_REPLAY)
-    target_entropy: float = setting(-6.0, "target entropy of the actor [nats]", -100, 100, of=_REPLAY)
-    tau: float = setting(0.01, "step of the target networks towards the critics", 1e-6, 1, of=_AVERAGED)
-    target_update_interval: int = setting(1, "gradient steps for each step of the target networks", 1, 10**6, of=_AVERAGED[:2])
-    top_quantiles_to_drop_per_net: int = setting(2, "highest of a critic's 25 quantiles left out", 0, 24, of=("tqc", "sbx-tqc"))
-    policy_delay: int = setting(3, "updates of the critics for each update of the actor", 1, 1_000, of=("crossq", "sbx-crossq"))
+    target_entropy: float = setting(
+        -6.0, "target entropy of the actor [nats]", -100, 100, of=_REPLAY
+    )
+    tau: float = setting(
+        0.01, "step of the target networks towards the critics", 1e-6, 1, of=_AVERAGED
+    )
+    target_update_interval: int = setting(
+        1, "gradient steps for each step of the target networks", 1, 10**6, of=_AVERAGED[:2]
+    )
+    top_quantiles_to_drop_per_net: int = setting(
+        2, "highest of a critic's 25 quantiles left out", 0, 24, of=("tqc", "sbx-tqc")
+    )
+    policy_delay: int = setting(
+        3,
+        "updates of the critics for each update of the actor",
+        1,
+        1_000,
+        of=("crossq", "sbx-crossq"),
+    )
 
     def __post_init__(self) -> None:
         check(self)
@@ -88,14 +131,22 @@ class Contender:
             raise RecipeError("hidden needs at least one width")
         for entry in fields(self):
             if not applies(entry, self.algorithm) and getattr(self, entry.name) != entry.default:
-                raise RecipeError(f"{entry.name} is a setting of {', '.join(entry.metadata['of'])}, not of {self.algorithm}")
+                raise RecipeError(
+                    f"{entry.name} is a setting of {', '.join(entry.metadata['of'])}, not of {self.algorithm}"
+                )
         if self.algorithm == "ppo" and self.num_envs * self.n_steps < 2:
-            raise RecipeError("num_envs and n_steps are 1: an update of ppo needs at least 2 decisions")
+            raise RecipeError(
+                "num_envs and n_steps are 1: an update of ppo needs at least 2 decisions"
+            )
 
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that its algorithm has, by name."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(self) if applies(entry, self.algorithm)}
+        return {
+            entry.name: getattr(self, entry.name)
+            for entry in fields(self)
+            if applies(entry, self.algorithm)
+        }
 
 
 CONTENDERS: Mapping[str, Contender] = {
@@ -107,14 +158,17 @@ CONTENDERS: Mapping[str, Contender] = {
 class Decisions(VecEnvWrapper):
     """Wrapper that holds each action for several control steps and sums the rewards.
 
-    If an episode ends within the `repeat` steps, the next one waits with an open hand for the rest of them. With a `bound` of the
-    actions the worlds get their tanh; None passes actions in −1…1 unchanged.
-    """
+    If an episode ends within the `repeat` steps, the next one waits with an open hand for the rest
+    of them. With a `bound` of the actions the worlds get their tanh; None passes actions in −1…1
+    unchanged."""
 
     def __init__(self, worlds: VecEnv, repeat: int, bound: float | None) -> None:
         space = worlds.action_space
-        super().__init__(worlds, action_space=space if bound is None else type(space)(-bound, bound, space.shape))
-        self._repeat, self._bound = repeat, bound
+        super().__init__(
+            worlds, action_space=space if bound is None else type(space)(-bound, bound, space.shape)
+        )
+        self._repeat = repeat
+        self._bound = bound
 
     def reset(self) -> np.ndarray:
         """Start an episode in every world."""
@@ -129,7 +183,8 @@ class Decisions(VecEnvWrapper):
         seen, rewards, over, infos = self.venv.step(self._actions)
         for _ in range(self._repeat - 1):
             seen, gained, done, told = self.venv.step(np.where(over[:, None], -1.0, self._actions))
-            rewards, infos = rewards + gained * ~over, [a if o else b for a, b, o in zip(infos, told, over, strict=True)]
+            rewards = rewards + gained * ~over
+            infos = [a if o else b for a, b, o in zip(infos, told, over, strict=True)]
             over = over | done
         return seen, rewards, over, infos
 
@@ -143,51 +198,88 @@ def algorithm_of(name: str) -> type[BaseAlgorithm]:
     try:
         return resolve_name(ALGORITHMS[name])
     except ModuleNotFoundError as error:
-        raise RecipeError(f"{name} needs {error.name}, which is not installed: pip install 'hpac_gym[train,sbx]'") from None
+        raise RecipeError(
+            f"{name} needs {error.name}, which is not installed: pip install 'hpac_gym[train,sbx]'"
+        ) from None
 
 
 def learner_of(contender: Contender, share: Callable[[], float]) -> BaseAlgorithm:
     """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1."""
-    algorithm, squashed = algorithm_of(contender.algorithm), contender.algorithm != "ppo"
+    algorithm = algorithm_of(contender.algorithm)
+    squashed = contender.algorithm != "ppo"
     worlds = HandVecEnv(GRASP, contender.num_envs, engine=ENGINE)
     decisions = Decisions(worlds, contender.action_repeat, None if squashed else BOUND)
-    own = {name: value for name, value in contender.settings.items() if name in signature(algorithm).parameters}
+    own = {
+        name: value
+        for name, value in contender.settings.items()
+        if name in signature(algorithm).parameters
+    }
     network = {"net_arch": list(contender.hidden)}
     return algorithm(
-        "MlpPolicy", VecNormalize(decisions, norm_reward=not squashed, gamma=contender.gamma, epsilon=1e-4),
-        **own | {
+        "MlpPolicy",
+        VecNormalize(decisions, norm_reward=not squashed, gamma=contender.gamma, epsilon=1e-4),
+        **own
+        | {
             "learning_rate": lambda _: contender.learning_rate * max(0.05, 1.0 - share()),
             "seed": training_seed(contender.seed, 0, contender.num_envs),
         },
-        policy_kwargs=network if squashed else network | {"activation_fn": nn.ReLU, "log_std_init": contender.log_std_init},
+        policy_kwargs=network
+        if squashed
+        else network | {"activation_fn": nn.ReLU, "log_std_init": contender.log_std_init},
         device="cpu",
-    )  # fmt: skip
+    )
 
 
 def actor_of(model: BaseAlgorithm) -> Actor:
-    """The deterministic actor; CrossQ's batch normalisation before a layer becomes part of that layer."""
-    policy, scaling = model.policy, model.get_vec_normalize_env()
+    """The deterministic actor; CrossQ's batch normalisation before a layer becomes part of that
+    layer.
+    """
+    policy = model.policy
+    scaling = model.get_vec_normalize_env()
     if hasattr(policy, "actor_state"):  # of SBX
-        state, numbers = policy.actor_state, range(len(policy.net_arch_pi) + 1)
-        params, seen = state.params.get("params", state.params), getattr(state, "batch_stats", {})
-        dense = [(params[f"Dense_{number}"]["kernel"].T, params[f"Dense_{number}"]["bias"]) for number in numbers]
-        norms = [params[name] | seen[name] for name in (f"BatchRenorm_{number}" for number in numbers) if name in seen]
+        state = policy.actor_state
+        numbers = range(len(policy.net_arch_pi) + 1)
+        params = state.params.get("params", state.params)
+        seen = getattr(state, "batch_stats", {})
+        dense = [
+            (params[f"Dense_{number}"]["kernel"].T, params[f"Dense_{number}"]["bias"])
+            for number in numbers
+        ]
+        norms = [
+            params[name] | seen[name]
+            for name in (f"BatchRenorm_{number}" for number in numbers)
+            if name in seen
+        ]
     else:
         actor = policy.actor if policy.squash_output else None
-        parts = [*actor.latent_pi, actor.mu] if actor else [*policy.mlp_extractor.policy_net, policy.action_net]
+        parts = (
+            [*actor.latent_pi, actor.mu]
+            if actor
+            else [*policy.mlp_extractor.policy_net, policy.action_net]
+        )
         arrays = [part.state_dict() for part in parts]
         dense = [(array["weight"], array["bias"]) for array in arrays if "weight" in array]
-        norms = [{name.removeprefix("ra_"): array[name] for name in array} for array in arrays if "scale" in array]
+        norms = [
+            {name.removeprefix("ra_"): array[name] for name in array}
+            for array in arrays
+            if "scale" in array
+        ]
     layers = []
     for (weight, bias), norm in zip_longest(dense, norms, fillvalue={}):
-        weight, bias = np.asarray(weight, dtype=float), np.asarray(bias, dtype=float)
+        weight = np.asarray(weight, dtype=float)
+        bias = np.asarray(bias, dtype=float)
         if norm:
-            gain, offset, mean, variance = (np.asarray(norm[name], dtype=float) for name in ("scale", "bias", "mean", "var"))
+            gain, offset, mean, variance = (
+                np.asarray(norm[name], dtype=float) for name in ("scale", "bias", "mean", "var")
+            )
             gain /= np.sqrt(variance + RENORM_EPSILON)
             weight, bias = weight * gain, bias + weight @ (offset - gain * mean)
         layers.append((weight.astype(np.float32), bias.astype(np.float32)))
-    mean, scale = scaling.obs_rms.mean.copy(), np.sqrt(scaling.obs_rms.var + scaling.epsilon)
-    return Actor(mean, scale, scaling.clip_obs, tuple(layers), SATURATED if policy.squash_output else BOUND)
+    mean = scaling.obs_rms.mean.copy()
+    scale = np.sqrt(scaling.obs_rms.var + scaling.epsilon)
+    return Actor(
+        mean, scale, scaling.clip_obs, tuple(layers), SATURATED if policy.squash_output else BOUND
+    )
 
 
 def race(contender: Contender, out: Path, time_limit: float) -> None:
@@ -203,7 +295,9 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
     writable_folder(out)
     torch.set_num_threads(1)
     target = target_of(GRASP, engine=ENGINE)
-    progress = Progress(out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time)
+    progress = Progress(
+        out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time
+    )
     model = learner_of(contender, lambda: progress.share)
 
     def save() -> None:
@@ -225,19 +319,27 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
     saved_at = 0.0
 
     def step(now: dict[str, Any], _: Any) -> bool:
-        """Count the trials of a step, and save every minute; returns whether the training continues."""
+        """Count the trials of a step, and save every minute; returns whether the training
+        continues.
+        """
         nonlocal saved_at
         if progress.seconds > saved_at + SAVE_EVERY_S:
             saved_at += SAVE_EVERY_S
             save()
-        held = [told["is_success"] for told, done in zip(now["infos"], now["dones"], strict=True) if done]
+        held = [
+            told["is_success"]
+            for told, done in zip(now["infos"], now["dones"], strict=True)
+            if done
+        ]
         return progress.add(held, 0, float("nan"))  # no budget of control steps
 
     try:
         model.learn(sys.maxsize, callback=step)
         save()
     except ValueError as error:  # raised by PyTorch's distributions for values that are not finite
-        raise RunError(f"the training diverged: {str(error).splitlines()[0]}; '{out}' keeps its last policy") from error
+        raise RunError(
+            f"the training diverged: {str(error).splitlines()[0]}; '{out}' keeps its last policy"
+        ) from error
     progress.close()
     model.env.close()
     print(f"done after {progress.done:,} trials: {out / POLICY}", file=sys.stderr)
@@ -247,10 +349,16 @@ def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.race", __doc__)
     parser.add_argument("contender", choices=tuple(CONTENDERS), help="which algorithm")
     parser.add_argument("--out", type=Path, required=True, help="folder of the run")
-    parser.add_argument("--minutes", type=minutes, default=15.0, help="processor time of the training")
+    parser.add_argument(
+        "--minutes", type=minutes, default=15.0, help="processor time of the training"
+    )
     add_settings(parser, "settings of the algorithm", CONTENDERS)
     args = parser.parse_args(argv)
-    race(with_settings(CONTENDERS[args.contender], given_settings(args, Contender)), args.out, 60 * args.minutes)
+    race(
+        with_settings(CONTENDERS[args.contender], given_settings(args, Contender)),
+        args.out,
+        60 * args.minutes,
+    )
     return 0
 
 

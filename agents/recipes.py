@@ -1,4 +1,6 @@
-"""Settings of trainings: frozen dataclasses, from whose fields commands make their options; the recipes of ``agents.train``."""
+"""Settings of trainings: frozen dataclasses, from whose fields commands make their options; the
+recipes of ``agents.train``.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,20 @@ from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
 
 Settings = TypeVar("Settings")
-_KINDS = {int: "a whole number", float: "a number", tuple[int, ...]: "comma-separated whole numbers",
-          tuple[float, ...]: "comma-separated numbers"}  # fmt: skip
+_KINDS = {
+    int: "a whole number",
+    float: "a number",
+    tuple[int, ...]: "comma-separated whole numbers",
+    tuple[float, ...]: "comma-separated numbers",
+}
 
 
-def setting(default: Any, meaning: str, low: float = 0.0, high: float = inf, of: tuple[str, ...] = ()) -> Any:
-    """Field with a number or a tuple of numbers in `low`…`high`; `of`: the names to which it applies, if not to all."""
+def setting(
+    default: Any, meaning: str, low: float = 0.0, high: float = inf, of: tuple[str, ...] = ()
+) -> Any:
+    """Field with a number or a tuple of numbers in `low`…`high`; `of`: the names to which it
+    applies, if not to all.
+    """
     return field(default=default, metadata={"meaning": meaning, "low": low, "high": high, "of": of})
 
 
@@ -36,12 +46,17 @@ def check(settings: Any) -> None:
         RecipeError: A setting is out of bounds or not one of its choices.
     """
     for entry in fields(settings):
-        value, told = getattr(settings, entry.name), entry.metadata
+        value = getattr(settings, entry.name)
+        told = entry.metadata
         for part in value if isinstance(value, tuple) else (value,):
             if "choices" in told and part not in told["choices"]:
-                raise RecipeError(f"{entry.name} is '{part}': it must be one of {', '.join(told['choices'])}")
+                raise RecipeError(
+                    f"{entry.name} is '{part}': it must be one of {', '.join(told['choices'])}"
+                )
             if "low" in told and not told["low"] <= part <= told["high"]:
-                raise RecipeError(f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}")
+                raise RecipeError(
+                    f"{entry.name} is {part}: it must lie in {told['low']:g}…{told['high']:g}"
+                )
 
 
 def applies(entry: Field, name: str) -> bool:
@@ -51,18 +66,33 @@ def applies(entry: Field, name: str) -> bool:
 
 
 def add_settings(parser: ArgumentParser, title: str, named: Mapping[str, Any]) -> None:
-    """Add an option for each setting, with its meaning and its default in each of the `named` settings."""
+    """Add an option for each setting, with its meaning and its default in each of the `named`
+    settings.
+    """
     group = parser.add_argument_group(title)
     for entry in fields(next(iter(named.values()))):
-        shown = {name: _text(getattr(settings, entry.name)) for name, settings in named.items() if applies(entry, name)}
+        shown = {
+            name: _text(getattr(settings, entry.name))
+            for name, settings in named.items()
+            if applies(entry, name)
+        }
         if not entry.metadata or not shown:
             continue
         choices = entry.metadata.get("choices")
         text = entry.metadata["meaning"] + (f": {', '.join(choices)}" if choices else "")
         text = text if len(shown) == len(named) else f"{', '.join(shown)}: {text}"
-        default = next(iter(shown.values())) if len(set(shown.values())) == 1 else ", ".join(map(" ".join, shown.items()))
+        default = (
+            next(iter(shown.values()))
+            if len(set(shown.values())) == 1
+            else ", ".join(map(" ".join, shown.items()))
+        )
         option = f"--{entry.name.replace('_', '-')}"
-        group.add_argument(option, metavar="VALUE", default=SUPPRESS, help=f"{text} (default: {default})".replace("%", "%%"))
+        group.add_argument(
+            option,
+            metavar="VALUE",
+            default=SUPPRESS,
+            help=f"{text} (default: {default})".replace("%", "%%"),
+        )
 
 
 def _text(value: Any) -> str:
@@ -71,7 +101,11 @@ def _text(value: Any) -> str:
 
 def given_settings(args: Namespace, kind: type) -> dict[str, str]:
     """The settings given on the command line, as text."""
-    return {entry.name: getattr(args, entry.name) for entry in fields(kind) if entry.metadata and hasattr(args, entry.name)}
+    return {
+        entry.name: getattr(args, entry.name)
+        for entry in fields(kind)
+        if entry.metadata and hasattr(args, entry.name)
+    }
 
 
 def with_settings(settings: Settings, texts: Mapping[str, str]) -> Settings:
@@ -88,7 +122,9 @@ def with_settings(settings: Settings, texts: Mapping[str, str]) -> Settings:
             if kind in (str, int, float):
                 changes[name] = kind(text)
             else:
-                changes[name] = tuple(kind.__args__[0](word.strip()) for word in text.split(",") if word.strip())
+                changes[name] = tuple(
+                    kind.__args__[0](word.strip()) for word in text.split(",") if word.strip()
+                )
         except ValueError:
             raise RecipeError(f"{name} is '{text}': it must be {_KINDS[kind]}") from None
     return replace(settings, **changes)
@@ -103,35 +139,68 @@ class Recipe:
     """
 
     env_id: str = choice(GRASP, "environment", (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE))
-    set_ups: tuple[str, ...] = choice(("mujoco/twin",), "comma-separated engines and bodies with equal shares of worlds", SET_UPS)
+    set_ups: tuple[str, ...] = choice(
+        ("mujoco/twin",), "comma-separated engines and bodies with equal shares of worlds", SET_UPS
+    )
     randomize: str = choice("nominal", "randomization of the episodes", tuple(PRESETS))
-    contacts: str = choice("usual", "contacts in training; weak: without torsional friction, and with half to all of the skin's "
-                            "friction, so that grasps hold in engines whose contacts hold less", ("usual", "weak"))  # fmt: skip
+    contacts: str = choice(
+        "usual",
+        "contacts in training; weak: without torsional friction, and with half to all of the skin's "
+        "friction, so that grasps hold in engines whose contacts hold less",
+        ("usual", "weak"),
+    )
     episodes: int = setting(60_000, "total number of trials", 1, 10**8)
     env_steps: int = setting(10**12, "limit of control steps over all worlds", 1)
     seed: int = setting(0, "seed of the run", 0, 2**31 - 1)
     num_envs: int = setting(128, "number of parallel worlds", 1, 65_536)
     random_episodes: int = setting(2_500, "trials of random closures before the first update", 1)
-    spread: float = setting(0.0, "largest standard deviation of the first trials about the script, whose successes the actor "
-                             "imitates; 0: uniformly random closures, and critics instead of imitation", 0, 1)  # fmt: skip
+    spread: float = setting(
+        0.0,
+        "largest standard deviation of the first trials about the script, whose successes the actor "
+        "imitates; 0: uniformly random closures, and critics instead of imitation",
+        0,
+        1,
+    )
     updates_per_episode: float = setting(0.15, "updates per trial", 1e-4, 100)
     batch_size: int = setting(256, "batch size of each critic's update, in trials", 1, 65_536)
-    actor_batch_size: int = setting(128, "batch size of the actor's update, at most that of the critics", 1, 65_536)
+    actor_batch_size: int = setting(
+        128, "batch size of the actor's update, at most that of the critics", 1, 65_536
+    )
     learning_rate: float = setting(1e-3, "initial learning rate; it falls to a twentieth", 1e-8, 1)
     weight_decay: float = setting(0.03, "weight decay of the critics", 0, 10)
     dropout: float = setting(0.1, "dropout rate of the critics", 0, 0.9)
     hidden: tuple[int, ...] = setting((256, 256, 256), "widths of the layers", 1, 4_096)
     critics: int = setting(2, "number of critics", 1, 64)
     critic_obs: str = choice("privileged", "observation of the critics", ("privileged", "deploy"))
-    doubt: float = setting(0.5, "standard deviations over the critics that are subtracted from their mean prediction", 0, 10)
-    aftermath: float = setting(4.0, "weight of the loss on the predicted state at the end of the closing", 0, 1e3)
-    easy_share: float = setting(0.3, "least probability with which a trial of near-certain success is run", 0.01, 1)
-    entropy_first: float = setting(0.1, "target entropy of the actor at the beginning, in nats per number", -10, 0.69)
+    doubt: float = setting(
+        0.5,
+        "standard deviations over the critics that are subtracted from their mean prediction",
+        0,
+        10,
+    )
+    aftermath: float = setting(
+        4.0, "weight of the loss on the predicted state at the end of the closing", 0, 1e3
+    )
+    easy_share: float = setting(
+        0.3, "least probability with which a trial of near-certain success is run", 0.01, 1
+    )
+    entropy_first: float = setting(
+        0.1, "target entropy of the actor at the beginning, in nats per number", -10, 0.69
+    )
     entropy_last: float = setting(-1.0, "target entropy of the actor at the end", -10, 0.69)
-    begin: tuple[float, ...] = setting((), "range of the control step at which a closure begins; empty: immediately", 0, 1e6)
-    release: tuple[float, ...] = setting((), "range of the control step at which the hand opens again; empty: never", 0, 1e6)
-    sizes: tuple[float, ...] = setting((), f"range of factors of the objects' sizes in {GRASP_ANY}, so that a policy learns more "
-                                       "than its objects; empty: their own", 0.5, 2)  # fmt: skip
+    begin: tuple[float, ...] = setting(
+        (), "range of the control step at which a closure begins; empty: immediately", 0, 1e6
+    )
+    release: tuple[float, ...] = setting(
+        (), "range of the control step at which the hand opens again; empty: never", 0, 1e6
+    )
+    sizes: tuple[float, ...] = setting(
+        (),
+        f"range of factors of the objects' sizes in {GRASP_ANY}, so that a policy learns more "
+        "than its objects; empty: their own",
+        0.5,
+        2,
+    )
     hands: str = choice("nominal", f"hands of {GRASP_ANY} in training", ("nominal", "train"))
     checkpoint_every: int = setting(5_000, "trials between two checkpoints", 1)
     trials_of: tuple[str, ...] = ()
@@ -140,11 +209,15 @@ class Recipe:
     def __post_init__(self) -> None:
         check(self)
         if self.spread and self.env_id != GRASP_TYPE:
-            raise RecipeError(f"spread is {self.spread:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}")
+            raise RecipeError(
+                f"spread is {self.spread:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}"
+            )
         if not self.hidden or not self.set_ups:
             raise RecipeError("hidden and set_ups need at least one entry each")
         if self.num_envs < len(self.set_ups):
-            raise RecipeError(f"num_envs is {self.num_envs}: {len(self.set_ups)} set_ups need a world each")
+            raise RecipeError(
+                f"num_envs is {self.num_envs}: {len(self.set_ups)} set_ups need a world each"
+            )
         for name in ("begin", "release", "sizes"):
             bounds = getattr(self, name)
             if bounds and (len(bounds) != 2 or bounds[0] > bounds[1]):
@@ -152,11 +225,17 @@ class Recipe:
         if bool(self.begin) != bool(self.release):
             raise RecipeError("begin and release are given together, or not at all")
         if self.begin and self.begin[1] > self.release[0]:
-            raise RecipeError(f"begin is up to {self.begin[1]:g} steps, release from {self.release[0]:g} on: it must come later")
+            raise RecipeError(
+                f"begin is up to {self.begin[1]:g} steps, release from {self.release[0]:g} on: it must come later"
+            )
         if self.sizes and self.env_id != GRASP_ANY:
-            raise RecipeError(f"sizes are {self.sizes}: only {GRASP_ANY} has objects of other sizes, not {self.env_id}")
+            raise RecipeError(
+                f"sizes are {self.sizes}: only {GRASP_ANY} has objects of other sizes, not {self.env_id}"
+            )
         if self.hands != "nominal" and self.env_id != GRASP_ANY:
-            raise RecipeError(f"hands is '{self.hands}': only {GRASP_ANY} has other hands, not {self.env_id}")
+            raise RecipeError(
+                f"hands is '{self.hands}': only {GRASP_ANY} has other hands, not {self.env_id}"
+            )
 
     @property
     def closures(self) -> Closures:
@@ -169,15 +248,25 @@ class Recipe:
 RECIPES: Mapping[str, Recipe] = {
     "grasp": Recipe(),
     "grasp-robust": Recipe(set_ups=("mujoco/light",), contacts="weak"),
-    "grasp-any": Recipe(env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500, sizes=(0.6, 1.6)),
-    "grasp-type": Recipe(env_id=GRASP_TYPE, episodes=3_000, random_episodes=1_000, spread=0.1, updates_per_episode=0.6),
+    "grasp-any": Recipe(
+        env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500, sizes=(0.6, 1.6)
+    ),
+    "grasp-type": Recipe(
+        env_id=GRASP_TYPE,
+        episodes=3_000,
+        random_episodes=1_000,
+        spread=0.1,
+        updates_per_episode=0.6,
+    ),
     "pick-place": Recipe(env_id=PICK_PLACE, episodes=8_000, begin=(6, 18), release=(70, 95)),
 }
 
 
 def add_recipe(parser: ArgumentParser) -> None:
     """Add an option for each setting of a recipe, for `recipe_of`."""
-    add_settings(parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]})
+    add_settings(
+        parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]}
+    )
 
 
 def recipe_of(args: Namespace) -> Recipe:
@@ -199,8 +288,18 @@ def settings_of(saved: Mapping[str, Any]) -> Recipe:
         RecipeError: A setting is out of bounds.
     """
     if differing := {entry.name for entry in fields(Recipe)} ^ set(saved):
-        raise TypeError(f"it is of another version, whose settings differ in {', '.join(sorted(differing))}")
+        raise TypeError(
+            f"it is of another version, whose settings differ in {', '.join(sorted(differing))}"
+        )
     types = get_type_hints(Recipe)
-    if wrong := next((name for name, value in saved.items() if types[name] is int and type(value) is not int), None):
+    if wrong := next(
+        (name for name, value in saved.items() if types[name] is int and type(value) is not int),
+        None,
+    ):
         raise TypeError(f"{wrong} is {saved[wrong]!r}, not a whole number")
-    return Recipe(**{name: tuple(value) if isinstance(value, list) else value for name, value in saved.items()})
+    return Recipe(
+        **{
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in saved.items()
+        }
+    )

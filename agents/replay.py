@@ -1,9 +1,9 @@
 """Replay a policy over the wire: ``python -m agents.replay --policy FILE --out runs/NAME``.
 
-Every command goes policy → ServoCommand → serial frame → pseudo-terminal → firmware core → pulse widths → simulated
-servos: the simulated hand executes the pulses, not the policy's commands. The folder gets ``grasps.mp4``,
-``grasps.png`` (the end of each phase), ``wire.jsonl`` (every frame) and ``replay.json``.
-"""
+Every command goes policy → ServoCommand → serial frame → pseudo-terminal → firmware core → pulse
+widths → simulated servos: the simulated hand executes the pulses, not the policy's commands. The
+folder gets ``grasps.mp4``, ``grasps.png`` (the end of each phase), ``wire.jsonl`` (every frame) and
+``replay.json``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,15 @@ from PIL import Image, ImageDraw, ImageFont
 from agents import RunError, command_parser, make_task
 from agents.evaluate import task_of
 from hpac import run, whole_number
-from hpac_gym.bridge import FaultError, HandLink, HostBoard, LinkStatistics, VirtualHand, WireLog, servo_from_pulses
+from hpac_gym.bridge import (
+    FaultError,
+    HandLink,
+    HostBoard,
+    LinkStatistics,
+    VirtualHand,
+    WireLog,
+    servo_from_pulses,
+)
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -35,8 +43,11 @@ from hpac_gym.progress import progress
 from hpac_gym.tasks.task import CONTROL_HZ
 
 PULSE_TOLERANCE = 2e-4
-"""Tolerance between the pulses at the end of a move and the commanded angles [rad]: two steps of the wire."""
-WATCHDOG = 0.5  # watchdog period: longest time between two commands before the hand executes its safe action [s]
+"""Tolerance between the pulses at the end of a move and the commanded angles [rad]: two steps of
+the wire.
+"""
+# watchdog period: longest time between two commands before the hand executes its safe action [s]
+WATCHDOG = 0.5
 ATTEMPTS = 3  # attempts at an episode before a watchdog stop becomes an error
 HELD_PICTURES = CONTROL_HZ // 2  # pictures for which the film shows the end of an episode
 SHEET_WIDTH = 1200  # width of the sheet of stills [px]
@@ -63,17 +74,26 @@ class Report:
 
     def count(self, wire: Wire, statistics: LinkStatistics) -> None:
         """Take over the counts of the wire and of its link."""
-        self.moves, self.worst_pulse_error_rad = wire.moves, wire.worst_error
-        self.frames_sent, self.frames_acked = statistics.sent, statistics.acked
-        self.frames_rejected, self.frames_retried = statistics.rejected, statistics.retried
-        self.round_trip_p50_ms, self.round_trip_p99_ms = (1e3 * statistics.round_trip(share) for share in (50, 99))
+        self.moves = wire.moves
+        self.worst_pulse_error_rad = wire.worst_error
+        self.frames_sent = statistics.sent
+        self.frames_acked = statistics.acked
+        self.frames_rejected = statistics.rejected
+        self.frames_retried = statistics.retried
+        self.round_trip_p50_ms, self.round_trip_p99_ms = (
+            1e3 * statistics.round_trip(share) for share in (50, 99)
+        )
 
     @property
     def faults(self) -> list[str]:
-        """Violated requirements, one line each; a frame that was repeated on a busy machine is acknowledged once."""
+        """Violated requirements, one line each; a frame that was repeated on a busy machine is
+        acknowledged once.
+        """
         lines = []
         if self.worst_pulse_error_rad > PULSE_TOLERANCE:
-            lines.append(f"pulses are {self.worst_pulse_error_rad:.2e} rad off, above {PULSE_TOLERANCE:.0e} rad")
+            lines.append(
+                f"pulses are {self.worst_pulse_error_rad:.2e} rad off, above {PULSE_TOLERANCE:.0e} rad"
+            )
         if self.frames_acked + self.frames_retried != self.frames_sent or self.frames_rejected:
             lines.append(self.frames)
         return lines
@@ -93,32 +113,37 @@ class Report:
 
 
 class Wire:
-    """Sends each command to the firmware and returns the servo angles of its pulses at the end of the move.
+    """Sends each command to the firmware and returns the servo angles of its pulses at the end of
+    the move.
 
-    The pulses of a real hand at a port cannot be read: then the simulated hand executes the acknowledged command.
-    """
+    The pulses of a real hand at a port cannot be read: then the simulated hand executes the
+    acknowledged command."""
 
     def __init__(self, hand: HostBoard | VirtualHand | None, link: HandLink) -> None:
-        self._hand, self._link = hand, link
-        self.moves, self.worst_error = 0, 0.0
+        self._hand = hand
+        self._link = link
+        self.moves = 0
+        self.worst_error = 0.0
         self.arrived: list[ServoCommand] = []
 
     def begin(self, servo: np.ndarray) -> None:
         """Re-arm, which moves the servos to rest, and move to the start of an episode."""
         self._link.clear()
         self._link.arm(watchdog=WATCHDOG)
-        self._servo, self.arrived = np.zeros(len(SERVOS)), []
+        self._servo = np.zeros(len(SERVOS))
+        self.arrived = []
         self.transmit(ServoCommand(servo, 1 / CONTROL_HZ))
         self.arrived = []
 
     def transmit(self, command: ServoCommand) -> ServoCommand:
         """Send a command and return it as received by the servos.
 
-        The first one takes as long as it needs: with a free wrist, it is the preshape of a hand that is out of reach.
-        """
+        The first one takes as long as it needs: with a free wrist, it is the preshape of a hand
+        that is out of reach."""
         duration = command.duration
         if not self.arrived and (least := move_duration(self._servo, command.servo)) > duration:
-            # 10 % slower than the limit: the firmware rounds to milliseconds and refuses moves that are too fast.
+            # 10 % slower than the limit: the firmware rounds to milliseconds and refuses moves that
+            # are too fast.
             duration = 1.1 * least + 0.01
         self._servo = command.servo
         self._link.move(ServoCommand(command.servo, duration))
@@ -132,10 +157,14 @@ class Wire:
         return command
 
 
-def replay(policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report: Report) -> dict[int, list[ServoCommand]]:
-    """Run the episodes of these seeds with the wire between policy and simulated hand; returns the received commands of each.
+def replay(
+    policy: Policy, env: gymnasium.Env, wire: Wire, seeds: range, report: Report
+) -> dict[int, list[ServoCommand]]:
+    """Run the episodes of these seeds with the wire between policy and simulated hand; returns the
+    received commands of each.
 
-    If the machine is too busy to feed the hand's watchdog, the episode is repeated, at most twice, and counted.
+    If the machine is too busy to feed the hand's watchdog, the episode is repeated, at most twice,
+    and counted.
 
     Raises:
         FaultError: The watchdog tripped three times in one episode.
@@ -166,7 +195,13 @@ def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> b
     return bool(info["is_success"])
 
 
-def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, list[ServoCommand]], out: Path) -> None:
+def film(
+    policy: str,
+    env_id: str,
+    options: dict[str, str],
+    commands: dict[int, list[ServoCommand]],
+    out: Path,
+) -> None:
     """Render the episodes without the wire: the same commands and seed give a bit-identical motion.
 
     Raises:
@@ -174,7 +209,8 @@ def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, 
         OutputError: The film cannot be written.
     """
     rest: Iterator[ServoCommand] = iter(())
-    font, sheet = ImageFont.load_default(15), []
+    font = ImageFont.load_default(15)
+    sheet = []
 
     def add(picture: np.ndarray, text: str, count: int = 1) -> None:
         image = Image.fromarray(picture)
@@ -184,22 +220,39 @@ def film(policy: str, env_id: str, options: dict[str, str], commands: dict[int, 
 
     with ExitStack() as stack:
         temporary = stack.enter_context(replacing(out / "grasps.mp4"))
-        video = stack.enter_context(imageio.get_writer(temporary, fps=CONTROL_HZ, macro_block_size=None, quality=7))
-        env = stack.enter_context(gymnasium.make(env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options))
+        video = stack.enter_context(
+            imageio.get_writer(temporary, fps=CONTROL_HZ, macro_block_size=None, quality=7)
+        )
+        env = stack.enter_context(
+            gymnasium.make(
+                env_id, render_mode="rgb_array", transmit=lambda _: next(rest), **options
+            )
+        )
         actor = load_policy(policy, env)
         for seed, received in progress(commands.items(), "filming"):
-            rest, phase, picture, stills = iter(received), None, None, []
+            rest = iter(received)
+            phase = None
+            picture = None
+            stills = []
             for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
-                last, picture = picture, env.render()
+                last = picture
+                picture = env.render()
                 if (now := info.get("phase", "")) != phase:  # a task without phases has none
                     stills.append(picture if last is None else last)
                     phase = now
                 add(picture, f"seed {seed}   {phase}")
             stills.append(picture)
             sheet.append(stills)
-            add(picture, f"seed {seed}   {'success' if info['is_success'] else 'failure'}", HELD_PICTURES)
-    columns, blank = max(map(len, sheet)), np.full_like(sheet[0][0], 255)
-    image = Image.fromarray(np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in sheet]))
+            add(
+                picture,
+                f"seed {seed}   {'success' if info['is_success'] else 'failure'}",
+                HELD_PICTURES,
+            )
+    columns = max(map(len, sheet))
+    blank = np.full_like(sheet[0][0], 255)
+    image = Image.fromarray(
+        np.vstack([np.hstack([*row, *[blank] * (columns - len(row))]) for row in sheet])
+    )
     with replacing(out / "grasps.png") as temporary:
         size = SHEET_WIDTH, round(SHEET_WIDTH * image.height / image.width)
         image.resize(size, Image.Resampling.LANCZOS).save(temporary)
@@ -210,33 +263,56 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--policy", required=True, help="random, scripted, or a policy file")
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--episodes", type=whole_number(1), default=8, help="held-out episodes")
-    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=HELD_OUT_SEED,
+        help="seed of the first episode",
+    )
     parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
     parser.add_argument("--body", help="twin or light (default: the environment's own)")
     hands = parser.add_mutually_exclusive_group()
-    hands.add_argument("--virtual", action="store_true", help="firmware in this process, on a virtual clock")
-    hands.add_argument("--port", help="serial port of a hand, which then moves like the simulated one")
+    hands.add_argument(
+        "--virtual", action="store_true", help="firmware in this process, on a virtual clock"
+    )
+    hands.add_argument(
+        "--port", help="serial port of a hand, which then moves like the simulated one"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(argv)
     writable_folder(args.out)
     env_id = task_of(args.policy)
-    options = {name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None}
+    options = {
+        name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None
+    }
     report = Report(args.policy, env_id, args.seed_start)
     try:
         with ExitStack() as stack:
-            env = stack.enter_context(make_task(env_id, transmit=lambda command: wire.transmit(command), **options))
-            policy = load_policy(args.policy, env)  # errors are raised before an earlier log is replaced
-            hand = None if args.port else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
+            env = stack.enter_context(
+                make_task(env_id, transmit=lambda command: wire.transmit(command), **options)
+            )
+            policy = load_policy(
+                args.policy, env
+            )  # errors are raised before an earlier log is replaced
+            hand = (
+                None
+                if args.port
+                else stack.enter_context(VirtualHand() if args.virtual else HostBoard())
+            )
             log = stack.enter_context(WireLog(args.out / "wire.jsonl"))
             link = stack.enter_context(HandLink(hand.connect if hand else args.port, log=log))
             wire = Wire(hand, link)
-            commands = replay(policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report)
+            commands = replay(
+                policy, env, wire, range(args.seed_start, args.seed_start + args.episodes), report
+            )
             link.clear()
             report.count(wire, link.statistics)
     except OSError as error:
         if isinstance(error, HpacError) or error.filename:
             raise
-        raise RunError(f"cannot write '{args.out / 'wire.jsonl'}': {error.strerror or error}") from None
+        raise RunError(
+            f"cannot write '{args.out / 'wire.jsonl'}': {error.strerror or error}"
+        ) from None
     text = json.dumps(asdict(report), indent=2)
     write_text(args.out / "replay.json", text + "\n")
     try:

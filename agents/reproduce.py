@@ -1,11 +1,12 @@
-"""Reproduce a table of the documentation: ``python -m agents.reproduce elsewhere --policy FILE --policy FILE``.
+"""Reproduce a table of the documentation: ``python -m agents.reproduce elsewhere --policy FILE
+--policy FILE``.
 
-``elsewhere`` evaluates policies on every engine and body with every randomization. ``seeds`` evaluates runs on MuJoCo's *twin*,
-and ends with the median, the lowest and the interquartile mean, with its stratified-bootstrap interval, of each learner and
-number of trials with several runs. ``race`` does the same for the algorithms of `agents.race` and the recipe *grasp*: it reads
-their policies from the folders ``LEARNER-SEED`` of ``--runs`` and trains missing ones. All cells have the same held-out episodes
-and Wilson 95 % intervals; rows are printed when complete.
-"""
+``elsewhere`` evaluates policies on every engine and body with every randomization. ``seeds``
+evaluates runs on MuJoCo's *twin*, and ends with the median, the lowest and the interquartile mean,
+with its stratified-bootstrap interval, of each learner and number of trials with several runs.
+``race`` does the same for the algorithms of `agents.race` and the recipe *grasp*: it reads their
+policies from the folders ``LEARNER-SEED`` of ``--runs`` and trains missing ones. All cells have the
+same held-out episodes and Wilson 95 % intervals; rows are printed when complete."""
 
 import json
 import sys
@@ -42,24 +43,48 @@ def elsewhere(policies: Sequence[str], judge: Judge) -> Iterator[Row]:
         for engine, body in (set_up.split("/") for set_up in SET_UPS):
             if engine == "pybullet" and default_engine() != "pybullet":
                 continue  # not installed; the command reports it
-            options = [{"engine": engine, "body": body, "randomize": randomize} for randomize in RANDOMIZED]
-            cells = [{"policy": policy, **each, **judge(policy, task_of(policy), each)} for each in options]
+            options = [
+                {"engine": engine, "body": body, "randomize": randomize} for randomize in RANDOMIZED
+            ]
+            cells = [
+                {"policy": policy, **each, **judge(policy, task_of(policy), each)}
+                for each in options
+            ]
             yield (policy, f"{engine} {body}", *map(_rate, cells)), cells
 
 
 def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
-    """A row for each policy: its learner, seed and training, and its episodes on MuJoCo's *twin*."""
+    """A row for each policy: its learner, seed and training, and its episodes on MuJoCo's
+    *twin*.
+    """
     for policy in policies:
         about = read_policy(policy).about
         if missing := {"algorithm", "settings", "episodes"} - set(about):
             raise RunError(f"policy file '{policy}' does not tell its {', '.join(sorted(missing))}")
         told = {"learner": about["algorithm"], "seed": about["settings"]["seed"]}
-        trials = "of several runs" if len(about["settings"].get("trials_of", ())) > 1 else "of one run"
+        trials = (
+            "of several runs" if len(about["settings"].get("trials_of", ())) > 1 else "of one run"
+        )
         trained = {key: about.get(key) for key in ("episodes", "processor_seconds", "seconds")}
         asked = about["settings"].get("episodes")  # None if only time limits the training
-        cell = {**told, "asked": asked, "trained": trained, "trials": trials, **judge(policy, DEFAULT_TASK, {"engine": "mujoco"})}
+        cell = {
+            **told,
+            "asked": asked,
+            "trained": trained,
+            "trials": trials,
+            **judge(policy, DEFAULT_TASK, {"engine": "mujoco"}),
+        }
         lost = ", ".join(str(cell["failures_by_phase"].get(phase, 0)) for phase in PHASES)
-        yield (*told.values(), f"{about['episodes']:,}", f"{_seconds(about):,.0f}", _rate(cell), lost), [cell]
+        yield (
+            (
+                *told.values(),
+                f"{about['episodes']:,}",
+                f"{_seconds(about):,.0f}",
+                _rate(cell),
+                lost,
+            ),
+            [cell],
+        )
 
 
 def over_runs(cells: Sequence[dict[str, Any]]) -> str:
@@ -70,14 +95,17 @@ def over_runs(cells: Sequence[dict[str, Any]]) -> str:
 
 
 def middle(rates: np.ndarray) -> str:
-    """Interquartile mean of rates, shape (runs,), with its stratified-bootstrap interval, in percent."""
+    """Interquartile mean of rates, shape (runs,), with its stratified-bootstrap interval, in
+    percent.
+    """
     table = rates[:, None]
     low, high = stratified_bootstrap(interquartile_mean, table)
     return f"{100 * float(interquartile_mean(table)):.1f} [{100 * low:.1f}, {100 * high:.1f}]"
 
 
 def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iterator[str]:
-    """Policy files of learners, of all by default, for the seeds 0 to `number` − 1; missing ones are trained for `limit` minutes.
+    """Policy files of learners, of all by default, for the seeds 0 to `number` − 1; missing ones
+    are trained for `limit` minutes.
 
     Raises:
         RecipeError: A learner is unknown.
@@ -90,7 +118,9 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
     for name, seed in product(learners or known, range(number)):
         out = runs / f"{name}-{seed}"
         if not (out / POLICY).exists() and name == "grasp":
-            if train.main(["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)]):
+            if train.main(
+                ["grasp", "--out", str(out), "--seed", str(seed), "--time-limit", str(limit)]
+            ):
                 raise KeyboardInterrupt  # the training has taken Ctrl-C, and saved
         elif not (out / POLICY).exists():
             try:
@@ -100,7 +130,9 @@ def race(runs: Path, learners: Sequence[str], number: int, limit: float) -> Iter
                 continue
         about = read_policy(out / POLICY).about
         seconds = _seconds(about)
-        if seconds < 60 * limit and about["episodes"] < about["settings"].get("episodes", float("inf")):
+        if seconds < 60 * limit and about["episodes"] < about["settings"].get(
+            "episodes", float("inf")
+        ):
             told = f"'{out}' was interrupted after {seconds:.0f} s: remove it to train it again; its row is left out"
             print(told, file=sys.stderr)
             continue
@@ -120,16 +152,38 @@ def _rate(cell: dict[str, Any]) -> str:
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.reproduce", __doc__)
     parser.add_argument("table", choices=("elsewhere", "race", "seeds"), help="which table")
-    parser.add_argument("--policy", action="append", help="elsewhere, seeds: a policy file; may be repeated")
-    parser.add_argument("--runs", type=Path, default=Path("runs/race"), help="race: folder of the runs")
-    parser.add_argument("--learner", action="append", default=[], help="race: a learner; may be repeated; default: all")
-    parser.add_argument("--seeds", type=whole_number(1), default=1, help="race: number of trainings of each learner")
-    parser.add_argument("--minutes", type=minutes, default=15.0, help="race: time of each missing training")
-    parser.add_argument("--episodes", type=whole_number(1), default=400, help="held-out episodes per cell")
-    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, help="seed of the first episode")
+    parser.add_argument(
+        "--policy", action="append", help="elsewhere, seeds: a policy file; may be repeated"
+    )
+    parser.add_argument(
+        "--runs", type=Path, default=Path("runs/race"), help="race: folder of the runs"
+    )
+    parser.add_argument(
+        "--learner",
+        action="append",
+        default=[],
+        help="race: a learner; may be repeated; default: all",
+    )
+    parser.add_argument(
+        "--seeds", type=whole_number(1), default=1, help="race: number of trainings of each learner"
+    )
+    parser.add_argument(
+        "--minutes", type=minutes, default=15.0, help="race: time of each missing training"
+    )
+    parser.add_argument(
+        "--episodes", type=whole_number(1), default=400, help="held-out episodes per cell"
+    )
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=HELD_OUT_SEED,
+        help="seed of the first episode",
+    )
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     parser.add_argument("--out", type=Path, help="also write the numbers to this JSON file")
-    parser.add_argument("--picture", type=Path, help="race, seeds: also draw success over trials to this PNG file")
+    parser.add_argument(
+        "--picture", type=Path, help="race, seeds: also draw success over trials to this PNG file"
+    )
     args = parser.parse_args(argv)
     if (args.table != "race") != bool(args.policy):
         parser.error("elsewhere and seeds need at least one --policy, race takes none")
@@ -141,15 +195,19 @@ def main(argv: list[str] | None = None) -> int:
     def judge(policy: str, env_id: str, options: dict[str, str]) -> dict[str, Any]:
         """Evaluate one policy; returns its entry in the summary."""
         how = {"seed_start": args.seed_start, "workers": args.workers, "options": options}
-        return next(iter(evaluate([policy], env_id, args.episodes, **how).summary()["policies"].values()))
+        return next(
+            iter(evaluate([policy], env_id, args.episodes, **how).summary()["policies"].values())
+        )
 
     if args.table == "elsewhere":
-        columns, rows = ("policy", "judged on", *RANDOMIZED), elsewhere(args.policy, judge)
+        columns = ("policy", "judged on", *RANDOMIZED)
+        rows = elsewhere(args.policy, judge)
         if default_engine() != "pybullet":
             print("PyBullet is not installed: its rows are left out", file=sys.stderr)
     else:
         found = args.policy or race(args.runs, args.learner, args.seeds, args.minutes)
-        columns, rows = RACED, seeds(found, judge)
+        columns = RACED
+        rows = seeds(found, judge)
     cells: list[dict[str, Any]] = []
     for line, done in rows:
         if not cells:

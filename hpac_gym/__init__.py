@@ -1,8 +1,7 @@
 """Reinforcement learning and control of the H-PAC tendon hand, from simulation to the servo.
 
-Importing this package registers its Gymnasium environments; it does not load PyBullet, and works without
-Gymnasium.
-"""
+Importing this package registers its Gymnasium environments; it does not load PyBullet, and works
+without Gymnasium."""
 
 try:
     from gymnasium.envs.registration import register

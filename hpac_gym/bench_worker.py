@@ -1,8 +1,8 @@
 """Worker process of `hpac bench`: creates an environment and times it on request.
 
-It reads requests from standard input, one JSON object per line, and answers each with one. It runs as a script, also in the
-peers' virtual environment, and therefore imports this package only for this package's environments.
-"""
+It reads requests from standard input, one JSON object per line, and answers each with one. It runs
+as a script, also in the peers' virtual environment, and therefore imports this package only for
+this package's environments."""
 
 from __future__ import annotations
 
@@ -42,10 +42,13 @@ class Hands:
         self.env = HandVectorEnv(Grasp(), num_envs, engine=engine)
         if physics_hz != WorldSettings().physics_hz:
             change_physics(self.env, WorldSettings(physics_hz))
-        self.opened, self.closed = np.array([-1, -1, -1, -1, -1, 0.5]), np.array([0.3, 1, 1, 1, 1, 0.5])
-        self.inside, self.step_of_episode = 0.0, 0
+        self.opened = np.array([-1, -1, -1, -1, -1, 0.5])
+        self.closed = np.array([0.3, 1, 1, 1, 1, 0.5])
+        self.inside = 0.0
+        self.step_of_episode = 0
         physics = self.env.episodes.simulation.engine
-        physics.advance, physics.state = self._timed(physics.advance), self._timed(physics.state)
+        physics.advance = self._timed(physics.advance)
+        physics.state = self._timed(physics.state)
         self.env.reset(seed=0)
 
     def _timed(self, call: Any) -> Any:
@@ -72,14 +75,24 @@ class Hands:
                 self.step_of_episode = 0
                 for _ in range(WARM_UP_STEPS):
                     self._step()
-            self.inside, start, began = 0.0, process_time(), perf_counter()
+            self.inside = 0.0
+            start = process_time()
+            began = perf_counter()
             self._step()
-            cpu, wall, inside = cpu + process_time() - start, wall + perf_counter() - began, inside + self.inside
+            cpu = cpu + process_time() - start
+            wall = wall + perf_counter() - began
+            inside = inside + self.inside
         env_steps = steps * self.env.num_envs
-        return {"per_cpu_second": env_steps / cpu, "per_second": env_steps / wall, "outside": 1 - inside / cpu}
+        return {
+            "per_cpu_second": env_steps / cpu,
+            "per_second": env_steps / wall,
+            "outside": 1 - inside / cpu,
+        }
 
     def resets(self, count: int) -> dict[str, float]:
-        """CPU time per world of starting a random episode [ms]: least of the medians of `BLOCKS` blocks of `count` resets."""
+        """CPU time per world of starting a random episode [ms]: least of the medians of `BLOCKS`
+        blocks of `count` resets.
+        """
         times = np.empty((BLOCKS, count))
         for block, number in np.ndindex(times.shape):
             start = process_time()
@@ -105,11 +118,17 @@ class Peer:
         actions = self.rng.uniform(-1, 1, (WARM_UP_STEPS + steps, *shape)).astype(np.float32)
         for action in actions[:WARM_UP_STEPS]:
             self.env.step(action)
-        start, began = process_time(), perf_counter()
+        start = process_time()
+        began = perf_counter()
         for action in actions[WARM_UP_STEPS:]:
             self.env.step(action)
-        spent, passed = process_time() - start, perf_counter() - began
-        return {"per_cpu_second": steps / spent, "per_second": steps / passed, "control_hz": self.env.metadata["render_fps"]}
+        spent = process_time() - start
+        passed = perf_counter() - began
+        return {
+            "per_cpu_second": steps / spent,
+            "per_second": steps / passed,
+            "control_hz": self.env.metadata["render_fps"],
+        }
 
 
 class Arithmetic:
@@ -117,10 +136,15 @@ class Arithmetic:
 
     def measure(self, steps: int) -> dict[str, float]:
         """Rates of 1000 × steps multiplications."""
-        start, began, value = process_time(), perf_counter(), 1.0
+        start = process_time()
+        began = perf_counter()
+        value = 1.0
         for _ in range(1000 * steps):
             value = value * 1.0000001 + 1e-9
-        return {"per_cpu_second": steps / (process_time() - start), "per_second": steps / (perf_counter() - began)}
+        return {
+            "per_cpu_second": steps / (process_time() - start),
+            "per_second": steps / (perf_counter() - began),
+        }
 
 
 KINDS = {"hands": Hands, "peer": Peer, "arithmetic": Arithmetic}
@@ -136,7 +160,8 @@ def main() -> None:
         call = request.pop("call")
         try:
             if call == "make":
-                made, answer = KINDS[request.pop("kind")](**request), {}
+                made = KINDS[request.pop("kind")](**request)
+                answer = {}
             else:
                 answer = getattr(made, call)(**request)
         except Exception as error:

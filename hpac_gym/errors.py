@@ -21,7 +21,9 @@ class ParameterError(HpacError, ValueError):
 
 
 class EpisodeError(HpacError, RuntimeError):
-    """A call is invalid in the present state of an environment: before reset, after the end, or after close."""
+    """A call is invalid in the present state of an environment: before reset, after the end, or
+    after close.
+    """
 
 
 class PolicyError(HpacError, ValueError):

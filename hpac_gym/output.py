@@ -17,7 +17,8 @@ class OutputError(HpacError, OSError):
 
 @contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path next to `path`, which replaces `path` when the block ends and is removed if the block fails.
+    """Yield a temporary path next to `path`, which replaces `path` when the block ends and is
+    removed if the block fails.
 
     Raises:
         OutputError: The folder cannot be created or written to, or the disk is full.
@@ -25,7 +26,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent
+        )
     except OSError as error:
         raise OutputError(f"cannot write '{path}': {error.strerror or error}") from None
     os.close(handle)
@@ -42,7 +45,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def markdown(head: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
     """A table in Markdown."""
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in (head, ["---"] * len(head), *rows))
+    return "\n".join(
+        f"| {' | '.join(map(str, line))} |" for line in (head, ["---"] * len(head), *rows)
+    )
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -56,7 +61,8 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def writable_folder(path: Path) -> Path:
-    """Create a folder if needed and check that it is writable, so that a long run does not fail at its end.
+    """Create a folder if needed and check that it is writable, so that a long run does not fail at
+    its end.
 
     Raises:
         OutputError: The folder cannot be created or written to.

@@ -14,14 +14,17 @@ _PATIENCE = 2.0  # s, shorter loops show no bar
 
 
 def progress(items: Collection[Item], label: str, shown: bool = True) -> Iterator[Item]:
-    """Iterate over items, with a progress bar that appears after two seconds if standard error is a terminal.
+    """Iterate over items, with a progress bar that appears after two seconds if standard error is a
+    terminal.
 
     Args:
         items: the items.
         label: text in front of the bar.
         shown: False for no bar.
     """
-    start, drawn, shown = monotonic(), False, shown and sys.stderr.isatty()
+    start = monotonic()
+    drawn = False
+    shown = shown and sys.stderr.isatty()
     for done, item in enumerate(items):
         elapsed = monotonic() - start
         if shown and elapsed > _PATIENCE:
@@ -33,5 +36,7 @@ def progress(items: Collection[Item], label: str, shown: bool = True) -> Iterato
             print(text, end="", file=sys.stderr, flush=True)
         yield item
     if drawn:
-        text = f"\r{label} {'█' * _WIDTH} {len(items)}/{len(items)}, {monotonic() - start:.0f} s      "
+        text = (
+            f"\r{label} {'█' * _WIDTH} {len(items)}/{len(items)}, {monotonic() - start:.0f} s      "
+        )
         print(text, file=sys.stderr, flush=True)

@@ -1,4 +1,6 @@
-"""Settings of all tests: the same examples every time, one thread a process, and what runs without PyBullet."""
+"""Settings of all tests: the same examples every time, one thread a process, and what runs without
+PyBullet.
+"""
 
 import os
 import re
@@ -18,7 +20,8 @@ LEFT_OUT = pytest.StashKey[list[str]]()
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 if find_spec("triton"):
-    # Comes with PyTorch for CUDA. It and Mesa's OpenGL each bring an LLVM: loaded after a picture, it ends the process.
+    # Comes with PyTorch for CUDA. It and Mesa's OpenGL each bring an LLVM: loaded after a picture,
+    # it ends the process.
     import triton  # noqa: F401
 
 settings.register_profile("default", deadline=None, derandomize=True, max_examples=50)
@@ -26,12 +29,16 @@ settings.load_profile("default")
 
 
 def _needs_pybullet(path: Path) -> bool:
-    """Whether a test file cannot even be imported without PyBullet, since it or a helper that it imports names it."""
+    """Whether a test file cannot even be imported without PyBullet, since it or a helper that it
+    imports names it.
+    """
     text = path.read_text(encoding="utf-8")
     if re.search(r"^(import|from) (pybullet|hpac_gym\.physics\.pybullet)\b", text, re.M):
         return True
     helpers = re.findall(r"^from (tests\.[\w.]+) import", text, re.M)
-    return any(_needs_pybullet(ROOT.joinpath(*name.split(".")).with_suffix(".py")) for name in helpers)
+    return any(
+        _needs_pybullet(ROOT.joinpath(*name.split(".")).with_suffix(".py")) for name in helpers
+    )
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
@@ -49,7 +56,8 @@ def runs_here() -> Callable[[Path], bool]:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the longest tests; leave out those that need PyBullet, by their marker or a parameter, where it is missing.
+    """Begin with the longest tests; leave out those that need PyBullet, by their marker or a
+    parameter, where it is missing.
 
     Comes after pytest has left out the slow ones, which are not counted again.
     """
@@ -71,7 +79,9 @@ def _is_of_pybullet(item: pytest.Item) -> bool:
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node) -> None:
     """Take over what a worker of pytest-xdist left out; all of them collect the same."""
-    node.config.stash[LEFT_OUT] = node.workeroutput.get("left_out", []) if hasattr(node, "workeroutput") else []
+    node.config.stash[LEFT_OUT] = (
+        node.workeroutput.get("left_out", []) if hasattr(node, "workeroutput") else []
+    )
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
@@ -84,7 +94,11 @@ def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     """Name and count what was left out."""
     if PYBULLET:
         return
-    files = sorted(str(path.relative_to(ROOT)) for path in (ROOT / "tests").rglob("test_*.py") if _needs_pybullet(path))
+    files = sorted(
+        str(path.relative_to(ROOT))
+        for path in (ROOT / "tests").rglob("test_*.py")
+        if _needs_pybullet(path)
+    )
     tests = config.stash.get(LEFT_OUT, [])
     terminalreporter.section("left out: needs PyBullet, which is not installed")
     for name in (*files, *tests):

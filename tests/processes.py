@@ -13,7 +13,9 @@ def wait_for(condition, seconds: float = 120) -> None:
 
 
 def once_alive(function: Callable) -> Callable:
-    """The function, which raises KeyboardInterrupt when it is called again, as if the process were killed there."""
+    """The function, which raises KeyboardInterrupt when it is called again, as if the process were
+    killed there.
+    """
     called = []
 
     def dying(*given):

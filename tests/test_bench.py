@@ -10,7 +10,9 @@ from hpac_gym import bench
 
 
 def engine(one: float, many: float, reset_ms: float) -> dict:
-    rates, outside, resets = {"1": one, "64": many}, {"1": 0.4, "64": 0.1}, {"1": 0.3, "64": reset_ms}
+    rates = {"1": one, "64": many}
+    outside = {"1": 0.4, "64": 0.1}
+    resets = {"1": 0.3, "64": reset_ms}
     return {"env_steps_per_cpu_second": rates, "outside_engine": outside, "reset_ms": resets}
 
 
@@ -66,7 +68,23 @@ def test_what_is_not_measured_has_no_mark():
 def test_an_engine_is_measured(engine, capsys, monkeypatch):
     monkeypatch.setattr(bench, "STEPS", 8)
     monkeypatch.setattr(bench, "RESETS", 6)
-    assert main(["bench", "--engine", engine, "--num-envs", "1", "2", "--rounds", "1", "--no-peers", "--json"]) == 0
+    assert (
+        main(
+            [
+                "bench",
+                "--engine",
+                engine,
+                "--num-envs",
+                "1",
+                "2",
+                "--rounds",
+                "1",
+                "--no-peers",
+                "--json",
+            ]
+        )
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)
     assert found["two_processes_of_arithmetic"] > 0
     figures = found["engines"][engine]
@@ -81,16 +99,22 @@ def test_an_environment_that_fails_is_one_line(monkeypatch, capsys):
     assert main(["bench", "--engine", "mujoco"]) == 2
     assert capsys.readouterr().err == "error: engine 'mujoco' is not installed, only pybullet\n"
     worker = bench.Worker(bench.sys.executable, kind="arithmetic")
-    with pytest.raises(bench.BenchError, match="an environment of the benchmark failed: AttributeError"):
+    with pytest.raises(
+        bench.BenchError, match="an environment of the benchmark failed: AttributeError"
+    ):
         worker.ask("nonsense")
     worker.close()
 
 
 def a_python_whose_pip_fails(folder, **_) -> None:
-    """Instead of a virtual environment, which takes seconds to make; its last argument is the package."""
+    """Instead of a virtual environment, which takes seconds to make; its last argument is the
+    package.
+    """
     python = folder / "bin" / "python"
     python.parent.mkdir(parents=True)
-    python.write_text("#!/bin/sh\nshift $(($# - 1))\necho trying >&2\necho ERROR: Invalid requirement: $1 >&2\nexit 1\n")
+    python.write_text(
+        "#!/bin/sh\nshift $(($# - 1))\necho trying >&2\necho ERROR: Invalid requirement: $1 >&2\nexit 1\n"
+    )
     python.chmod(0o755)
 
 
@@ -98,5 +122,7 @@ def test_peers_that_cannot_be_installed_are_one_line(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(bench, "PEER_PACKAGES", ("/no/such/package",))
     monkeypatch.setattr(bench.venv, "create", a_python_whose_pip_fails)
-    with pytest.raises(bench.BenchError, match=r"the peers cannot be installed in .*/no/such/package"):
+    with pytest.raises(
+        bench.BenchError, match=r"the peers cannot be installed in .*/no/such/package"
+    ):
         bench.peers_python()

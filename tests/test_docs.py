@@ -1,4 +1,6 @@
-"""The documentation's links lead somewhere, and its pictures are drawn by commands that it names."""
+"""The documentation's links lead somewhere, and its pictures are drawn by commands that it
+names.
+"""
 
 import re
 from pathlib import Path
@@ -12,7 +14,9 @@ IMAGES = sorted((ROOT / "docs" / "images").iterdir())
 
 def without_code(page: Path) -> str:
     """The text of a page, less its programs and commands."""
-    return re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.sub(
+        r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
 
 
 def anchors(page: Path) -> set[str]:
@@ -23,7 +27,9 @@ def anchors(page: Path) -> set[str]:
 
 def links(page: Path) -> list[str]:
     """The relative links of a page."""
-    return [link for link in re.findall(r"\]\(([^)\s]+)\)", without_code(page)) if "://" not in link]
+    return [
+        link for link in re.findall(r"\]\(([^)\s]+)\)", without_code(page)) if "://" not in link
+    ]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -1,4 +1,6 @@
-"""The `hpac` command as a person types it: one line for a mistake, and an exit status that says what happened."""
+"""The `hpac` command as a person types it: one line for a mistake, and an exit status that says
+what happened.
+"""
 
 import argparse
 import os
@@ -55,7 +57,9 @@ def test_the_help_of_a_command_loads_no_engine_and_no_learner():
     assert re.findall(r"^usage: hpac (\w+)", done.stdout, re.M) == NAMES
     assert heavy(done) >= {"numpy", "gymnasium"}
     loaded = zip(NAMES, done.stderr.splitlines(), strict=True)
-    assert [name for name, modules in loaded if {"pybullet", "mujoco", "torch"} & set(modules.split())] == []
+    assert [
+        name for name, modules in loaded if {"pybullet", "mujoco", "torch"} & set(modules.split())
+    ] == []
 
 
 def test_help_lists_every_command_with_its_line():
@@ -131,7 +135,10 @@ def test_ctrl_c_has_its_own_status(capsys):
 def test_an_output_that_takes_no_more_is_one_line_and_status_2(words, unbuffered):
     with FULL.open("w") as full:
         done = hpac(words, stdout=full, env=os.environ | {"PYTHONUNBUFFERED": unbuffered})
-    assert (done.returncode, done.stderr) == (USAGE_ERROR, "error: cannot write to standard output: No space left on device\n")
+    assert (done.returncode, done.stderr) == (
+        USAGE_ERROR,
+        "error: cannot write to standard output: No space left on device\n",
+    )
 
 
 SCRIPT = """
@@ -152,7 +159,10 @@ def test_a_full_standard_output_is_one_line(times, flush):
     script = SCRIPT.format(words="word ", times=times, flush=flush, path=os.devnull)
     with FULL.open("w") as full:
         done = python(script, stdout=full)
-    assert (done.returncode, done.stderr) == (USAGE_ERROR, "error: cannot write to standard output: No space left on device\n")
+    assert (done.returncode, done.stderr) == (
+        USAGE_ERROR,
+        "error: cannot write to standard output: No space left on device\n",
+    )
 
 
 def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
@@ -165,7 +175,10 @@ def test_a_fault_of_another_file_is_not_taken_for_one_of_standard_output():
 def test_a_closed_output_is_one_line_and_status_2():
     command = f"exec {sys.executable} -m hpac --help >&-"
     done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=600)
-    assert (done.returncode, done.stderr) == (USAGE_ERROR, "error: cannot write to standard output: it is closed\n")
+    assert (done.returncode, done.stderr) == (
+        USAGE_ERROR,
+        "error: cannot write to standard output: it is closed\n",
+    )
 
 
 def test_a_reader_that_leaves_early_is_no_error():
@@ -186,13 +199,25 @@ hpac.main(["sweep"])
 
 
 def test_without_its_packages_a_command_says_what_it_needs():
-    """One after the other in one interpreter; a missing module of this package is a bug and no missing extra."""
-    study, grasps = ("study", "matplotlib"), ("grasps", "PIL")
-    needs = {"sweep": study, "calibrate --record x.csv y": study, "study --help": study, "posture": study, "grasps -n 1": grasps}
+    """One after the other in one interpreter; a missing module of this package is a bug and no
+    missing extra.
+    """
+    study = ("study", "matplotlib")
+    grasps = ("grasps", "PIL")
+    needs = {
+        "sweep": study,
+        "calibrate --record x.csv y": study,
+        "study --help": study,
+        "posture": study,
+        "grasps -n 1": grasps,
+    }
     done = python(WITHOUT_PACKAGES, *needs)
     assert done.stdout.split() == [str(USAGE_ERROR)] * len(needs)
     *told, bug = done.stderr.split("\n", len(needs))
-    assert told == [f"error: this command needs more: pip install 'hpac_gym[{e}]' (no module {p})" for e, p in needs.values()]
+    assert told == [
+        f"error: this command needs more: pip install 'hpac_gym[{e}]' (no module {p})"
+        for e, p in needs.values()
+    ]
     assert bug.startswith("Traceback")
     assert "ModuleNotFoundError" in bug
 
@@ -201,11 +226,16 @@ def test_the_parser_complains_in_one_line(capsys):
     with pytest.raises(SystemExit) as left:
         Parser(prog="hpac some").parse_args(["--nonsense"])
     assert left.value.code == USAGE_ERROR
-    assert capsys.readouterr().err == "error: unrecognized arguments: --nonsense (see hpac some --help)\n"
+    assert (
+        capsys.readouterr().err
+        == "error: unrecognized arguments: --nonsense (see hpac some --help)\n"
+    )
 
 
 @pytest.mark.parametrize("text", ["0", "-3", "1.5", "many", ""])
 def test_what_is_no_whole_number_of_that_size_is_refused(text):
     assert whole_number(1)("12") == 12
-    with pytest.raises(argparse.ArgumentTypeError, match=f"'{text}' is not a whole number of at least 1"):
+    with pytest.raises(
+        argparse.ArgumentTypeError, match=f"'{text}' is not a whole number of at least 1"
+    ):
         whole_number(1)(text)

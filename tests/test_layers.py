@@ -13,9 +13,10 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hpac_gym"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# What a layer may import of this package, and from outside of it beside the standard library. An engine's folder is a layer of
-# its own, and so is the adapter to Stable-Baselines3. The package's own __init__.py and its benchmark of speed stand above all
-# of them; `hpac` is the command beside it.
+# What a layer may import of this package, and from outside of it beside the standard library. An
+# engine's folder is a layer of its own, and so is the adapter to Stable-Baselines3. The package's
+# own __init__.py and its benchmark of speed stand above all of them; `hpac` is the command beside
+# it.
 BELOW_TASKS = {"errors", "model", "body", "physics"}
 BELOW_ENVS = BELOW_TASKS | {"tasks"}
 LAYERS = {
@@ -66,7 +67,9 @@ def module_name(path: Path) -> str:
 
 @cache
 def imports_of(path: Path, lazy: bool = True) -> tuple[str, ...]:
-    """The dotted names that a module imports, relative ones resolved and submodules spelled out; with those in functions."""
+    """The dotted names that a module imports, relative ones resolved and submodules spelled out;
+    with those in functions.
+    """
     return tuple(_imports_of(path, lazy))
 
 
@@ -74,7 +77,12 @@ def _imports_of(path: Path, lazy: bool) -> Iterator[str]:
     package = module_name(path).split(".")
     package = package if path.name == "__init__.py" else package[:-1]
     tree = ast.parse(path.read_text(encoding="utf-8"))
-    inside = {node for f in ast.walk(tree) if isinstance(f, ast.FunctionDef | ast.AsyncFunctionDef) for node in ast.walk(f)}
+    inside = {
+        node
+        for f in ast.walk(tree)
+        if isinstance(f, ast.FunctionDef | ast.AsyncFunctionDef)
+        for node in ast.walk(f)
+    }
     for node in ast.walk(tree):
         if node in inside and not lazy:
             continue
@@ -85,7 +93,10 @@ def _imports_of(path: Path, lazy: bool) -> Iterator[str]:
             parts += node.module.split(".") if node.module else []
             yield from (".".join([*parts, alias.name]) for alias in node.names)
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
-            if getattr(node.func, "attr", getattr(node.func, "id", "")) in {"import_module", "__import__"}:
+            if getattr(node.func, "attr", getattr(node.func, "id", "")) in {
+                "import_module",
+                "__import__",
+            }:
                 yield str(node.args[0].value)
 
 
@@ -111,14 +122,22 @@ def test_a_module_imports_only_layers_below_its_own(path):
 @pytest.mark.parametrize("path", IN_LAYERS, ids=module_name)
 def test_a_module_needs_only_what_its_layer_may(path):
     layer = layer_of(module_name(path))
-    outside = {name.split(".")[0] for name in imports_of(path)} - {"hpac_gym"} - sys.stdlib_module_names
-    assert outside <= NEEDS[layer], f"{module_name(path)} is in '{layer}' and imports {sorted(outside - NEEDS[layer])}"
+    outside = (
+        {name.split(".")[0] for name in imports_of(path)} - {"hpac_gym"} - sys.stdlib_module_names
+    )
+    assert outside <= NEEDS[layer], (
+        f"{module_name(path)} is in '{layer}' and imports {sorted(outside - NEEDS[layer])}"
+    )
 
 
 @pytest.mark.parametrize(("folder", "engine"), ENGINES.items())
 def test_only_its_folder_names_an_engine(folder, engine):
     modules = [*MODULES, *(ROOT / "agents").rglob("*.py")]
-    named = {module_name(path) for path in modules if any(name.split(".")[0].startswith(engine) for name in imports_of(path))}
+    named = {
+        module_name(path)
+        for path in modules
+        if any(name.split(".")[0].startswith(engine) for name in imports_of(path))
+    }
     assert {layer_of(name) for name in named} <= {folder}, named
 
 
@@ -130,11 +149,15 @@ def test_one_module_imports_the_engines_and_only_once_it_is_asked():
 
 def test_the_command_imports_without_the_package():
     """Nor anything else beside the standard library: the list of commands is there at once."""
-    assert {name.split(".")[0] for name in imports_of(ROOT / "hpac.py", lazy=False)} <= sys.stdlib_module_names
+    assert {
+        name.split(".")[0] for name in imports_of(ROOT / "hpac.py", lazy=False)
+    } <= sys.stdlib_module_names
 
 
 def test_the_package_does_not_know_the_workshop():
-    assert not [path for path in MODULES for name in imports_of(path) if name.split(".")[0] in WORKSHOP]
+    assert not [
+        path for path in MODULES for name in imports_of(path) if name.split(".")[0] in WORKSHOP
+    ]
 
 
 def test_what_names_no_engine_imports_without_one():
@@ -153,5 +176,7 @@ sys.meta_path.insert(0, Refuse())
 for name in {[name for name in names if not name.endswith("__main__")]!r}:
     importlib.import_module(name)
 """
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr

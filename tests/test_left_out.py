@@ -1,4 +1,6 @@
-"""Where PyBullet is not installed, the tests that need it are left out by name and counted, and no other."""
+"""Where PyBullet is not installed, the tests that need it are left out by name and counted, and no
+other.
+"""
 
 import subprocess
 import sys
@@ -19,7 +21,9 @@ sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", "--collect-only", *sys.arg
 def collected(*paths: str, without: bool) -> tuple[list[str], list[str]]:
     """Names of the tests that pytest would run, and the lines that it says at the end."""
     command = [sys.executable, "-c", SCRIPT.format(without=without), *paths]
-    lines = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120).stdout.splitlines()
+    lines = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, timeout=120
+    ).stdout.splitlines()
     assert not [line for line in lines if line.startswith("ERROR")], lines
     section = next((index for index, line in enumerate(lines) if "left out" in line), len(lines))
     return [line for line in lines[:section] if "::" in line], lines[section:]
@@ -33,7 +37,9 @@ def test_what_needs_pybullet_is_named_and_counted():
     files = {line for line in said if line.endswith(".py")}
     gone = set(with_it) - set(without_it)
     assert "tests/physics/test_urdf.py" in files
-    assert {name for name in gone if name.split("::")[0] not in files} == {line for line in said if "::" in line}
+    assert {name for name in gone if name.split("::")[0] not in files} == {
+        line for line in said if "::" in line
+    }
     assert without_it
     assert "tests/physics/test_conformance.py::test_marks_are_met[mujoco-twin-3]" in without_it
     assert "tests/physics/test_conformance.py::test_marks_are_met[pybullet-twin-3]" in said

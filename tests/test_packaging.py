@@ -15,7 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def run(*command, **options) -> str:
     """Standard output of a command that has to succeed."""
-    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False, **options)
+    done = subprocess.run(
+        [str(word) for word in command], capture_output=True, text=True, check=False, **options
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -24,22 +26,44 @@ def run(*command, **options) -> str:
 def wheel(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
-    run(*pip, "wheel", ROOT, "--no-deps", "--no-build-isolation", "--no-index", "--wheel-dir", folder)
+    run(
+        *pip,
+        "wheel",
+        ROOT,
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+        "--wheel-dir",
+        folder,
+    )
     (built,) = folder.glob("*.whl")
     return built
 
 
 @pytest.fixture(scope="module")
 def clean_python(wheel, tmp_path_factory) -> Path:
-    """A new environment that holds the wheel, and sees this one's dependencies but not its editable checkout.
+    """A new environment that holds the wheel, and sees this one's dependencies but not its editable
+    checkout.
 
-    A path that a .pth file adds has its own .pth files ignored, and an editable install is one of those.
-    """
+    A path that a .pth file adds has its own .pth files ignored, and an editable install is one of
+    those."""
     folder = tmp_path_factory.mktemp("clean")
     venv.create(folder, with_pip=False)
     python = folder / "bin" / "python"
-    site = Path(run(python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder).strip())
-    pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "--python", python)
+    site = Path(
+        run(
+            python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))", cwd=folder
+        ).strip()
+    )
+    pip = (
+        sys.executable,
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+        "--quiet",
+        "--python",
+        python,
+    )
     run(*pip, "install", "--no-deps", "--no-index", wheel)
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
     return python
@@ -47,10 +71,20 @@ def clean_python(wheel, tmp_path_factory) -> Path:
 
 def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    assert {name.split("/")[0] for name in names} == {"hpac.py", "hpac_gym", "hpac_gym-0.1.0.dist-info"}
+    assert {name.split("/")[0] for name in names} == {
+        "hpac.py",
+        "hpac_gym",
+        "hpac_gym-0.1.0.dist-info",
+    }
     packed = {name for name in names if name.startswith("hpac_gym/")}
-    source = {str(p.relative_to(ROOT)) for p in (ROOT / "hpac_gym").rglob("*") if p.suffix in {".py", ".toml"}}
-    assets = {f"hpac_gym/{p.relative_to(ROOT)}" for p in (ROOT / "assets").rglob("*") if p.is_file()}
+    source = {
+        str(p.relative_to(ROOT))
+        for p in (ROOT / "hpac_gym").rglob("*")
+        if p.suffix in {".py", ".toml"}
+    }
+    assets = {
+        f"hpac_gym/{p.relative_to(ROOT)}" for p in (ROOT / "assets").rglob("*") if p.is_file()
+    }
     assert assets
     assert source | assets <= packed
 
@@ -69,7 +103,8 @@ import hpac_gym
 absent = [name for name in ("agents", "tools") if importlib.util.find_spec(name) is None]
 print(json.dumps({{"reward": float(reward), "package": hpac_gym.__file__, "absent": absent}}))
 """
-    # -I: no PYTHONPATH, and an output that waits in buffers, where PyBullet's own prints must not come out at the end.
+    # -I: no PYTHONPATH, and an output that waits in buffers, where PyBullet's own prints must not
+    # come out at the end.
     seen = json.loads(run(clean_python, "-I", "-c", script, cwd=tmp_path).splitlines()[-1])
     package = Path(seen["package"]).parent
     assert package.is_relative_to(clean_python.parents[1])
@@ -77,7 +112,9 @@ print(json.dumps({{"reward": float(reward), "package": hpac_gym.__file__, "absen
     assert seen["absent"] == ["agents", "tools"]
 
 
-def test_without_pybullet_everything_runs_on_mujoco_and_asking_for_pybullet_is_one_line(clean_python, tmp_path):
+def test_without_pybullet_everything_runs_on_mujoco_and_asking_for_pybullet_is_one_line(
+    clean_python, tmp_path
+):
     script = """
 import sys
 sys.modules["pybullet"] = None

@@ -1,4 +1,6 @@
-"""The progress bar: passes every item on, and shows itself on standard error when its time has come."""
+"""The progress bar: passes every item on, and shows itself on standard error when its time has
+come.
+"""
 
 import sys
 

@@ -16,12 +16,25 @@ def test_there_are_programs():
     assert len(PROGRAMS) == 5
 
 
-@pytest.mark.parametrize("place", [
-    0, pytest.param(1, marks=pytest.mark.slow), 2, 3, 4,  # loading PyTorch for the second one alone takes seconds
-], ids=["environment", "training", "engines", "model", "wire"])  # fmt: skip
+@pytest.mark.parametrize(
+    "place",
+    [
+        0,
+        pytest.param(1, marks=pytest.mark.slow),
+        2,
+        3,
+        4,  # loading PyTorch for the second one alone takes seconds
+    ],
+    ids=["environment", "training", "engines", "model", "wire"],
+)
 def test_a_program_runs_and_prints(place):
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAMS[place]], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", PROGRAMS[place]],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()

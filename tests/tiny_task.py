@@ -1,4 +1,6 @@
-"""A task of ten steps that a few hundred updates learn: point the six actions the way the observation points."""
+"""A task of ten steps that a few hundred updates learn: point the six actions the way the
+observation points.
+"""
 
 import gymnasium
 import numpy as np

@@ -1,1 +1,3 @@
-"""Development tools: generators, searches and benchmarks, run from a checkout and not part of the wheel."""
+"""Development tools: generators, searches and benchmarks, run from a checkout and not part of the
+wheel.
+"""

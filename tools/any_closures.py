@@ -1,10 +1,10 @@
 """Headroom of HPAC-GraspAny-v1: ``python -m tools.any_closures script``, ``ceiling`` or ``touch``.
 
-``script`` searches better closures for the script, on training objects. ``ceiling`` counts the episodes of a split that at
-least one closure holds. ``touch`` learns from each observation of a closed hand whether to close again, with and without
-memory of the closing, and compares the observations. All on MuJoCo, with nominal hands unless ``touch`` gets ``--varied-hands``;
-an episode ends after the shake, which decides its success.
-"""
+``script`` searches better closures for the script, on training objects. ``ceiling`` counts the
+episodes of a split that at least one closure holds. ``touch`` learns from each observation of a
+closed hand whether to close again, with and without memory of the closing, and compares the
+observations. All on MuJoCo, with nominal hands unless ``touch`` gets ``--varied-hands``; an episode
+ends after the shake, which decides its success."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ from hpac_gym.tasks.terms import Layout
 Act = Callable[[int, NDArray], NDArray]
 """Function from a step and the observations, shape (n, observed), to actions, shape (n, 6)."""
 Closing = Callable[[float], NDArray]
-"""Function from the control steps since the closing began, in a closing's own time, to actions, shape (n, 6)."""
+"""Function from the control steps since the closing began, in a closing's own time, to actions,
+shape (n, 6).
+"""
 
 
 class Player:
@@ -55,24 +57,36 @@ class Player:
     """
 
     def __init__(self, objects: str, count: int = 64, hands: str = "nominal") -> None:
-        self.name, self.count = f"{objects}-{hands}", count
-        self.task = GraspAny(objects, hands=hands, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05))
+        self.name = f"{objects}-{hands}"
+        self.count = count
+        self.task = GraspAny(
+            objects, hands=hands, config=GraspAnyConfig(side_time=0.05, ramp_time=0.05)
+        )
         self.task.privileged_terms = (*LOAD_TERMS, *self.task.privileged_terms)
-        self._episodes = Episodes(self.task, count, checked_options(obs="privileged", engine="mujoco"))
+        self._episodes = Episodes(
+            self.task, count, checked_options(obs="privileged", engine="mujoco")
+        )
 
-    def play(self, seeds: Sequence[int], begin: Callable[[NDArray, NDArray], Act]) -> NDArray[np.bool_]:
+    def play(
+        self, seeds: Sequence[int], begin: Callable[[NDArray, NDArray], Act]
+    ) -> NDArray[np.bool_]:
         """Run the episodes of the seeds and return their successes, shape (len(seeds),).
 
         Args:
             seeds: any number of seeds.
-            begin: takes the first observations of n episodes and their indices in `seeds`, and returns the policy for them.
+            begin: takes the first observations of n episodes and their indices in `seeds`, and
+                returns the policy for them.
         """
-        won, count = np.zeros(len(seeds), bool), self.count
+        won = np.zeros(len(seeds), bool)
+        count = self.count
         for first in progress(range(0, len(seeds), count), "episodes"):
             part = range(first, min(first + count, len(seeds)))
             drawn = [*part, *[first] * (count - len(part))]  # surplus worlds repeat the first seed
-            self._episodes.reset(list(range(count)), [seeding.np_random(int(seeds[place]))[0] for place in drawn])
-            act, over = begin(self._episodes.observe(), np.array(drawn)), np.zeros(count, bool)
+            self._episodes.reset(
+                list(range(count)), [seeding.np_random(int(seeds[place]))[0] for place in drawn]
+            )
+            act = begin(self._episodes.observe(), np.array(drawn))
+            over = np.zeros(count, bool)
             for step in range(round(self.task.duration * CONTROL_HZ)):
                 self._episodes.step(act(step, self._episodes.observe()))
                 won[drawn] |= (self._episodes.outcome == SUCCESS) & ~over
@@ -87,7 +101,8 @@ def _rate(won: int, episodes: int) -> str:
     return f"{100 * won / episodes:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of {episodes}"
 
 
-# The ceiling -----------------------------------------------------------------------------------------------------------
+# The ceiling
+# -----------------------------------------------------------------------------------------------------------
 
 LOWEST = np.array([-0.5, 0.2, 0.2, 0.2, 0.2, -0.25, 10.0, -6.0])
 HIGHEST = np.array([0.8, 1.0, 1.0, 1.0, 1.0, 0.8, 28.0, 12.0])
@@ -102,11 +117,18 @@ def drawn_closure(seed: int, number: int) -> NDArray[np.float64]:
 
 
 def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, int]:
-    """Number of random closures up to the first success, at most ``most``, by seed; seeds without success are absent."""
-    tried, found = dict.fromkeys(seeds, 0), {}
+    """Number of random closures up to the first success, at most ``most``, by seed; seeds without
+    success are absent.
+    """
+    tried = dict.fromkeys(seeds, 0)
+    found = {}
     while left := [seed for seed in seeds if seed not in found and tried[seed] < most]:
         each = -(-player.count // len(left))  # keeps all worlds busy
-        jobs = [(seed, number) for seed in left for number in range(tried[seed], min(tried[seed] + each, most))]
+        jobs = [
+            (seed, number)
+            for seed in left
+            for number in range(tried[seed], min(tried[seed] + each, most))
+        ]
         decisions = np.array([drawn_closure(*job) for job in jobs])
         won = player.play([seed for seed, _ in jobs], partial(_closing, decisions))
         for (seed, number), held in zip(jobs, won, strict=True):
@@ -128,77 +150,114 @@ def ceiling(objects: str, seeds: range) -> Iterator[str]:
         yield f"{objects}, best of {most} random closures: {_rate(sum(n <= most for n in found.values()), len(seeds))}"
 
 
-# The script ------------------------------------------------------------------------------------------------------------
+# The script
+# ------------------------------------------------------------------------------------------------------------
 
 SPREAD = np.array([0.12, 0.12, 0.12, 0.12, 0.20])
-"""Initial standard deviations of the search around a kind's closure, in the order of `AnyClosure`'s numbers."""
+"""Initial standard deviations of the search around a kind's closure, in the order of `AnyClosure`'s
+numbers.
+"""
 BOUNDS = np.array([[0.3, 0.1, 0.6, -0.5, 0.4], [1.57, 1.2, 1.3, 0.6, 1.6]])
-ROUNDS, EPISODES, JUDGED_FROM = 6, 256, 500_000
+ROUNDS = 6
+EPISODES = 256
+JUDGED_FROM = 500_000
 """Number of rounds, training episodes per round, and first training seed of the evaluation."""
 
 Kind = tuple[bool, int]
 
 
-def play_script(player: Player, seeds: Sequence[int], closure: Callable[[Kind], AnyClosure]) -> tuple[list, NDArray]:
+def play_script(
+    player: Player, seeds: Sequence[int], closure: Callable[[Kind], AnyClosure]
+) -> tuple[list, NDArray]:
     """Run the script; returns kind and closure of each episode, and the successes."""
-    kinds, used = [], []
+    kinds = []
+    used = []
 
     def begin(first: NDArray, places: NDArray) -> Act:
         seen = [ScriptedGraspAny(player.task).kind(row) for row in first]
         chosen = [closure(kind) for kind in seen]
         kinds.extend(seen), used.extend(chosen)
-        scripts = [ScriptedGraspAny(player.task, {kind: one}) for kind, one in zip(seen, chosen, strict=True)]
+        scripts = [
+            ScriptedGraspAny(player.task, {kind: one})
+            for kind, one in zip(seen, chosen, strict=True)
+        ]
         for script in scripts:
             script.reset()
-        return lambda step, rows: np.array([script.act(row) for script, row in zip(scripts, rows, strict=True)])
+        return lambda step, rows: np.array(
+            [script.act(row) for script, row in zip(scripts, rows, strict=True)]
+        )
 
     won = player.play(seeds, begin)
     return list(zip(kinds, used, strict=True))[: len(seeds)], won
 
 
 def script() -> Iterator[str]:
-    """Search better closures of the kinds, moving each towards its successes; then compare both on the same episodes."""
-    player, rng, seed = Player("train"), np.random.default_rng(5), 10_000
+    """Search better closures of the kinds, moving each towards its successes; then compare both on
+    the same episodes.
+    """
+    player = Player("train")
+    rng = np.random.default_rng(5)
+    seed = 10_000
     means = {kind: np.array(astuple(closure)) for kind, closure in ANY_CLOSURES.items()}
     for number in range(ROUNDS):
         spread = SPREAD * 0.88**number
         tried, won = play_script(
-            player, range(seed, seed + EPISODES),
-            lambda kind: AnyClosure(*np.clip(means[kind] + spread * rng.standard_normal(5), *BOUNDS)),  # noqa: B023  used at once
-        )  # fmt: skip
+            player,
+            range(seed, seed + EPISODES),
+            lambda kind, spread=spread: AnyClosure(
+                *np.clip(means[kind] + spread * rng.standard_normal(5), *BOUNDS)
+            ),
+        )
         seed += EPISODES
         for kind in means:
             mine = np.array([entry[0] == kind for entry in tried])
             if (mine & won).sum() >= 8:
                 values = np.array([astuple(entry[1]) for entry in tried])
-                means[kind] = np.clip(means[kind] + 1.5 * (values[mine & won].mean(0) - values[mine].mean(0)), *BOUNDS)
+                means[kind] = np.clip(
+                    means[kind] + 1.5 * (values[mine & won].mean(0) - values[mine].mean(0)), *BOUNDS
+                )
         yield f"round {number + 1}: {_rate(int(won.sum()), EPISODES)}"
     found = {kind: AnyClosure(*mean.round(2).tolist()) for kind, mean in means.items()}
     judged = range(JUDGED_FROM, JUDGED_FROM + EPISODES)
-    before, after = (play_script(player, judged, table.__getitem__)[1] for table in (ANY_CLOSURES, found))
+    before, after = (
+        play_script(player, judged, table.__getitem__)[1] for table in (ANY_CLOSURES, found)
+    )
     yield from (f"{kind}: {closure}" for kind, closure in found.items())
     yield f"before {_rate(int(before.sum()), EPISODES)}, after {_rate(int(after.sum()), EPISODES)}"
-    difference = paired_difference(int((after & ~before).sum()), int((before & ~after).sum()), EPISODES)
+    difference = paired_difference(
+        int((after & ~before).sum()), int((before & ~after).sum()), EPISODES
+    )
     yield "difference {:+.3f} [{:+.3f}, {:+.3f}]".format(*difference)
 
 
-# A second decision -----------------------------------------------------------------------------------------------------
+# A second decision
+# -----------------------------------------------------------------------------------------------------
 
 LOOKS = (0, 6, 12, 18, 24, 30)
-"""Control steps whose observations a decision may use: all of them with memory, otherwise the first and the last."""
+"""Control steps whose observations a decision may use: all of them with memory, otherwise the first
+and the last.
+"""
 DECIDED = LOOKS[-1]
 """Control step of the second decision, when the hand has closed."""
 CHOICES = ("keep", "squeeze", "again")
-"""Keep still; close further by `SQUEEZE`; open for `OPENING` control steps, then close as the policy decides on what is seen by
-then, `HASTE` times as fast, so that the hand has closed before the lift."""
+"""Keep still; close further by `SQUEEZE`; open for `OPENING` control steps, then close as the
+policy decides on what is seen by then, `HASTE` times as fast, so that the hand has closed before
+the lift."""
 POLICY = Path(__file__).parents[1] / "agents" / "trained" / "grasp-any.zip"
-SQUEEZE, OPENING, HASTE = 0.3, 11, 1.5
+SQUEEZE = 0.3
+OPENING = 11
+HASTE = 1.5
 OPEN = np.append(-np.ones(5), 2 * THUMB_OPPOSED / HPAC.synergy_max[-1] - 1).astype(np.float32)
 """Action of the open hand with its thumb opposed."""
-RUNS, TRAINING_EPISODES = 3, 320
-"""Disjoint training sets and their episodes; each episode runs with every choice, 97 steps each: 93,000 steps a set."""
+RUNS = 3
+TRAINING_EPISODES = 320
+"""Disjoint training sets and their episodes; each episode runs with every choice, 97 steps each:
+93,000 steps a set.
+"""
 UPDATES = 80
-"""Updates of each network; chosen, like size and dropout, on training episodes only, one set predicting the next."""
+"""Updates of each network; chosen, like size and dropout, on training episodes only, one set
+predicting the next.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,16 +274,27 @@ class Trials:
 
 
 def trials_of(player: Player, first: str, seeds: range, folder: Path) -> Trials:
-    """Read trials with a first closure of `FIRST` from files in the folder, one per batch of seeds; missing ones are run."""
+    """Read trials with a first closure of `FIRST` from files in the folder, one per batch of seeds;
+    missing ones are run.
+    """
     parts = []
     for start in range(seeds.start, seeds.stop, player.count):
         part = range(start, min(start + player.count, seeds.stop))
         path = folder / f"{player.name}-{first}-{part.start}-{part.stop}.npz"
         if not path.exists():
             looks: dict[int, dict[int, NDArray]] = defaultdict(dict)
-            won = np.array([player.play(part, partial(_decided, player.task, first, choice, looks)) for choice in CHOICES]).T
+            won = np.array(
+                [
+                    player.play(part, partial(_decided, player.task, first, choice, looks))
+                    for choice in CHOICES
+                ]
+            ).T
             with replacing(path) as temporary:
-                np.savez(temporary, seen=np.array([[*looks[place].values()] for place in range(len(part))]), won=won)
+                np.savez(
+                    temporary,
+                    seen=np.array([[*looks[place].values()] for place in range(len(part))]),
+                    won=won,
+                )
         with np.load(path) as kept:
             parts.append((kept["seen"], kept["won"]))
     return Trials(*map(np.concatenate, zip(*parts, strict=True)))
@@ -232,17 +302,24 @@ def trials_of(player: Player, first: str, seeds: range, folder: Path) -> Trials:
 
 def by_policy(task: GraspAny, seen: NDArray, file: Path = POLICY) -> Closing:
     """The closures that a policy decides on first observations."""
-    policy, deployed = cached_policy(file), Layout(task.terms, 1).space.shape[0]
+    policy = cached_policy(file)
+    deployed = Layout(task.terms, 1).space.shape[0]
     decisions = np.array([policy.actor(row[:deployed]) for row in seen])
-    return lambda step: policy.closures.actions(decisions, np.full(len(seen), step)).astype(np.float32)
+    return lambda step: policy.closures.actions(decisions, np.full(len(seen), step)).astype(
+        np.float32
+    )
 
 
 def by_script(task: GraspAny, seen: NDArray) -> Closing:
-    """The closures that the script chooses on first observations; its steps are asked for in their order."""
+    """The closures that the script chooses on first observations; its steps are asked for in their
+    order.
+    """
     scripts = [ScriptedGraspAny(task) for _ in seen]
     for script in scripts:
         script.reset()
-    return lambda step: np.array([script.act(row) for script, row in zip(scripts, seen, strict=True)])
+    return lambda step: np.array(
+        [script.act(row) for script, row in zip(scripts, seen, strict=True)]
+    )
 
 
 cached_policy = cache(read_policy)
@@ -250,14 +327,23 @@ FIRST = {"policy": by_policy, "script": by_script}
 """Who decides on the first closure."""
 
 
-def _decided(task: GraspAny, first: str, choice: str, looks: dict[int, dict], seen_first: NDArray, places: NDArray) -> Act:
-    """A first closure and a choice after `DECIDED` steps; `looks` gets the observations at the steps `LOOKS` of each episode.
+def _decided(
+    task: GraspAny,
+    first: str,
+    choice: str,
+    looks: dict[int, dict],
+    seen_first: NDArray,
+    places: NDArray,
+) -> Act:
+    """A first closure and a choice after `DECIDED` steps; `looks` gets the observations at the
+    steps `LOOKS` of each episode.
 
     The policy decides again as at the start of an episode: all but the object is as it was then.
     """
     slices = Layout(task.terms, 1).slices
     columns = slice(slices["object_pos"].start, slices["object_seen"].stop)
-    closing, again = FIRST[first](task, seen_first), None
+    closing = FIRST[first](task, seen_first)
+    again = None
 
     def act(step: int, seen: NDArray) -> NDArray:
         nonlocal again
@@ -274,7 +360,9 @@ def _decided(task: GraspAny, first: str, choice: str, looks: dict[int, dict], se
             return again(HASTE * (step - DECIDED - OPENING))
         actions = closing(step)
         if choice == "squeeze" and step >= DECIDED:
-            actions[:, :5] = np.minimum(actions[:, :5] + SQUEEZE * min((step - DECIDED + 1) / 8, 1.0), 1.0)
+            actions[:, :5] = np.minimum(
+                actions[:, :5] + SQUEEZE * min((step - DECIDED + 1) / 8, 1.0), 1.0
+            )
         return actions
 
     return act
@@ -297,11 +385,21 @@ def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
 
     torch.manual_seed(seed)
     torch.set_num_threads(1)
-    mean, scale = seen.mean(0), np.maximum(seen.std(0), 0.05)
-    known, new = (torch.tensor(np.clip((values - mean) / scale, -5, 5), dtype=torch.float32) for values in (seen, asked))
-    target, found = torch.tensor(won, dtype=torch.float32), np.zeros((len(asked), won.shape[1]))
+    mean = seen.mean(0)
+    scale = np.maximum(seen.std(0), 0.05)
+    known, new = (
+        torch.tensor(np.clip((values - mean) / scale, -5, 5), dtype=torch.float32)
+        for values in (seen, asked)
+    )
+    target = torch.tensor(won, dtype=torch.float32)
+    found = np.zeros((len(asked), won.shape[1]))
     for _ in range(5):
-        net = nn.Sequential(nn.Dropout(0.5), nn.Linear(known.shape[1], 16), nn.SiLU(), nn.Linear(16, target.shape[1]))
+        net = nn.Sequential(
+            nn.Dropout(0.5),
+            nn.Linear(known.shape[1], 16),
+            nn.SiLU(),
+            nn.Linear(16, target.shape[1]),
+        )
         optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=0.3)
         for _ in range(UPDATES):
             optimizer.zero_grad()
@@ -313,71 +411,124 @@ def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
 
 
 def arms(seen: NDArray, task: GraspAny) -> dict[str, NDArray]:
-    """Inputs of the decision by their name, each of shape (n, k), from observations of shape (n, len(LOOKS), observed)."""
+    """Inputs of the decision by their name, each of shape (n, k), from observations of shape (n,
+    len(LOOKS), observed).
+    """
     deploy = sum(len(term.labels) for term in task.terms)
     load = deploy + sum(len(term.labels) for term in LOAD_TERMS)
     everything = np.arange(seen.shape[2])
-    parts = {"deploy": everything[:deploy], "load": everything[:load], "privileged": np.delete(everything, range(deploy, load))}
+    parts = {
+        "deploy": everything[:deploy],
+        "load": everything[:load],
+        "privileged": np.delete(everything, range(deploy, load)),
+    }
     times = {"": [0, -1], ", memory": slice(None)}
-    pairs = ((name + memory, seen[:, looks][..., part]) for name, part in parts.items() for memory, looks in times.items())
+    pairs = (
+        (name + memory, seen[:, looks][..., part])
+        for name, part in parts.items()
+        for memory, looks in times.items()
+    )
     return {name: values.reshape(len(seen), -1) for name, values in pairs}
 
 
 def _mean(values: NDArray) -> str:
-    """Mean over runs and episodes, shape (runs, episodes), with a 95 % bootstrap interval over both."""
-    rng, (runs, episodes) = np.random.default_rng(0), values.shape
-    drawn = [values[rng.integers(runs, size=runs)][:, rng.integers(episodes, size=episodes)].mean() for _ in range(2_000)]
+    """Mean over runs and episodes, shape (runs, episodes), with a 95 % bootstrap interval over
+    both.
+    """
+    rng = np.random.default_rng(0)
+    (runs, episodes) = values.shape
+    drawn = [
+        values[rng.integers(runs, size=runs)][:, rng.integers(episodes, size=episodes)].mean()
+        for _ in range(2_000)
+    ]
     low, high = np.percentile(drawn, (2.5, 97.5))
     return f"{values.mean():.3f} [{low:.3f}, {high:.3f}]"
 
 
 def touch(episodes: int, folder: Path, first: str, varied_hands: bool) -> Iterator[str]:
-    """Markdown table of the success of the second decision by its observation, on held-out and on real objects.
+    """Markdown table of the success of the second decision by its observation, on held-out and on
+    real objects.
 
-    With ``varied_hands``, the decision is learned with the training hands and evaluated with the held-out ones. The last
-    columns measure how well each observation predicts success if the hand keeps still: the loss is the mean
-    negative log-likelihood of the outcome.
-    """
+    With ``varied_hands``, the decision is learned with the training hands and evaluated with the
+    held-out ones. The last columns measure how well each observation predicts success if the hand
+    keeps still: the loss is the mean negative log-likelihood of the outcome."""
     hands = ("train", "test") if varied_hands else ("nominal", "nominal")
     player = Player("train", hands=hands[0])
     trained = trials_of(player, first, range(RUNS * TRAINING_EPISODES), folder)
     runs = [slice(run * TRAINING_EPISODES, (run + 1) * TRAINING_EPISODES) for run in range(RUNS)]
     seeds = range(BENCHMARK_SEED, BENCHMARK_SEED + episodes)
-    parts = [trials_of(Player(objects, hands=hands[1]), first, seeds, folder) for objects in ("test", "real")]
-    judged, places = np.concatenate([part.won for part in parts]), np.arange(2 * episodes)
+    parts = [
+        trials_of(Player(objects, hands=hands[1]), first, seeds, folder)
+        for objects in ("test", "real")
+    ]
+    judged = np.concatenate([part.won for part in parts])
+    places = np.arange(2 * episodes)
     known = arms(trained.seen, player.task)
     asked = arms(np.concatenate([part.seen for part in parts]), player.task)
     best = [int(trained.won[run].mean(0).argmax()) for run in runs]
-    won = {f"nothing: {choice}": np.tile(held, (RUNS, 1)) for choice, held in zip(CHOICES, judged.T, strict=True)}
+    won = {
+        f"nothing: {choice}": np.tile(held, (RUNS, 1))
+        for choice, held in zip(CHOICES, judged.T, strict=True)
+    }
     won["nothing: what was best in training"] = judged[:, best].T
     loss = {}
     for name in known:
-        odds = np.array([chances(known[name][run], trained.won[run], asked[name], seed) for seed, run in enumerate(runs)])
+        odds = np.array(
+            [
+                chances(known[name][run], trained.won[run], asked[name], seed)
+                for seed, run in enumerate(runs)
+            ]
+        )
         won[name] = judged[places, odds.argmax(2)]
         loss[name] = -np.log(np.where(judged[:, 0], odds[:, :, 0], 1 - odds[:, :, 0]))
     won["the outcome itself"] = np.tile(judged.any(1), (RUNS, 1))
     yield "| decided on | held-out objects | over *deploy* | real objects | over *deploy* | loss of foretelling | over *deploy* |"
     yield "| --- " * 7 + "|"
     for name, values in won.items():
-        halves = [(values[:, part].astype(float), won["deploy"][:, part]) for part in (slice(episodes), slice(episodes, None))]
+        halves = [
+            (values[:, part].astype(float), won["deploy"][:, part])
+            for part in (slice(episodes), slice(episodes, None))
+        ]
         cells = [text for mine, deploy in halves for text in (_mean(mine), _mean(mine - deploy))]
-        cells += [_mean(loss[name]), _mean(loss[name] - loss["deploy"])] if name in loss else ["", ""]
+        cells += (
+            [_mean(loss[name]), _mean(loss[name] - loss["deploy"])] if name in loss else ["", ""]
+        )
         yield f"| {name} | {' | '.join(cells)} |"
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.any_closures", __doc__)
-    parser.add_argument("what", choices=("script", "ceiling", "touch"), help="which result to compute")
+    parser.add_argument(
+        "what", choices=("script", "ceiling", "touch"), help="which result to compute"
+    )
     parser.add_argument("--objects", choices=SPLITS, default="real", help="split of the ceiling")
-    parser.add_argument("--episodes", type=whole_number(1), default=200, help="evaluation episodes per split")
-    parser.add_argument("--seed-start", type=whole_number(0), default=BENCHMARK_SEED, help="first seed of the ceiling")
-    parser.add_argument("--trials", type=Path, default=Path("runs/touch"), help="folder of the trials of touch")
-    parser.add_argument("--first", choices=FIRST, default="policy", help="touch: who decides on the first closure")
-    parser.add_argument("--varied-hands", action="store_true", help="touch: hands that differ, training and held-out ones")
+    parser.add_argument(
+        "--episodes", type=whole_number(1), default=200, help="evaluation episodes per split"
+    )
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=BENCHMARK_SEED,
+        help="first seed of the ceiling",
+    )
+    parser.add_argument(
+        "--trials", type=Path, default=Path("runs/touch"), help="folder of the trials of touch"
+    )
+    parser.add_argument(
+        "--first", choices=FIRST, default="policy", help="touch: who decides on the first closure"
+    )
+    parser.add_argument(
+        "--varied-hands",
+        action="store_true",
+        help="touch: hands that differ, training and held-out ones",
+    )
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)
-    found = {"script": script, "ceiling": partial(ceiling, args.objects, seeds),
-             "touch": partial(touch, args.episodes, args.trials, args.first, args.varied_hands)}  # fmt: skip
+    found = {
+        "script": script,
+        "ceiling": partial(ceiling, args.objects, seeds),
+        "touch": partial(touch, args.episodes, args.trials, args.first, args.varied_hands),
+    }
     for line in found[args.what]():
         print(line, flush=True)
     return 0

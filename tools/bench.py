@@ -1,7 +1,8 @@
-"""Speed of the model and of the command line: ``python -m tools.bench``. ``hpac bench`` measures the environments.
+"""Speed of the model and of the command line: ``python -m tools.bench``. ``hpac bench`` measures
+the environments.
 
-Every figure is compared with a bare one of the same run: the same map without checks and names, or an interpreter's own start.
-"""
+Every figure is compared with a bare one of the same run: the same map without checks and names, or
+an interpreter's own start."""
 
 from __future__ import annotations
 
@@ -49,7 +50,9 @@ def seconds_per_call(call: Callable[[], object], calls: int, rounds: int = ROUND
 def bare_servo_from_joints(joint_pos: np.ndarray) -> np.ndarray:
     """Eq. (15) as one vectorised map without checks and limits."""
     synergy = joint_pos @ HPAC.synergy_projection.T
-    chord = np.sqrt(HPAC.guide_sum - HPAC.guide_product * np.cos(HPAC.guide_alpha - synergy[..., :5]))
+    chord = np.sqrt(
+        HPAC.guide_sum - HPAC.guide_product * np.cos(HPAC.guide_alpha - synergy[..., :5])
+    )
     synergy[..., :5] = (HPAC.rest_chord - chord) / HPAC.servo_radius
     return synergy
 
@@ -71,7 +74,9 @@ def model_rows() -> list[Row]:
     bare_rate = BATCH / seconds_per_call(lambda: bare_servo_from_joints(posture), 1) / 1e6
     return [
         Row("servo_from_action, one command", one, "µs", bare_one, one / bare_one),
-        Row(f"servo_from_joints, {BATCH:,} postures", rate, "million/s", bare_rate, bare_rate / rate),
+        Row(
+            f"servo_from_joints, {BATCH:,} postures", rate, "million/s", bare_rate, bare_rate / rate
+        ),
     ]
 
 
@@ -88,13 +93,16 @@ def cpu_seconds(*words: str) -> float:
 
 def start_row() -> Row:
     """Time the list of commands, compared with an idle interpreter."""
-    start, bare = 1e3 * cpu_seconds("-m", "hpac", "--help"), 1e3 * cpu_seconds("-c", "pass")
+    start = 1e3 * cpu_seconds("-m", "hpac", "--help")
+    bare = 1e3 * cpu_seconds("-c", "pass")
     return Row("hpac --help", start, "ms", bare, start / bare)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command: measure and print."""
-    parser = argparse.ArgumentParser(prog="python -m tools.bench", description="Speed of the model and of the command line.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.bench", description="Speed of the model and of the command line."
+    )
     parser.add_argument("--json", action="store_true", help="print one list of objects")
     as_json = parser.parse_args(argv).json
     rows = [*model_rows(), start_row()]
@@ -102,7 +110,9 @@ def main(argv: list[str] | None = None) -> int:
         print(json.dumps([asdict(row) for row in rows], indent=2))
         return 0
     for row in rows:
-        print(f"{row.name:<40} {row.value:8.1f} {row.unit:<10} bare {row.bare:6.1f}   × {row.ratio:.1f}")
+        print(
+            f"{row.name:<40} {row.value:8.1f} {row.unit:<10} bare {row.bare:6.1f}   × {row.ratio:.1f}"
+        )
     return 0
 
 

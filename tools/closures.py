@@ -1,9 +1,10 @@
-"""Search a successful closure for every held-out seed of HPAC-Grasp-v0, or the best blind one: ``python -m tools.closures``.
+"""Search a successful closure for every held-out seed of HPAC-Grasp-v0, or the best blind one:
+``python -m tools.closures``.
 
-For each seed, closures are sampled from the seed's own generator until one holds the object or `--tries` is reached. Results are
-written seed by seed, and a second call resumes where the first one ended. ``--blind`` instead prints the closure that holds the
-most episodes of training seeds, found by successive elimination, and evaluates it on the held-out seeds.
-"""
+For each seed, closures are sampled from the seed's own generator until one holds the object or
+`--tries` is reached. Results are written seed by seed, and a second call resumes where the first
+one ended. ``--blind`` instead prints the closure that holds the most episodes of training seeds,
+found by successive elimination, and evaluates it on the held-out seeds."""
 
 from __future__ import annotations
 
@@ -25,7 +26,9 @@ from hpac_gym.evaluation.workers import worker_pool
 ENV_ID = "HPAC-Grasp-v0"
 TARGET = Path(closures.__file__).parent / "data" / FILE
 ROUNDS = ((128, 4), (32, 12), (8, 40), (2, 120))
-"""Remaining closures and additional episodes per closure in each round of the search for a blind one."""
+"""Remaining closures and additional episodes per closure in each round of the search for a blind
+one.
+"""
 
 _env: gymnasium.Env
 
@@ -39,7 +42,8 @@ def prepare(engine: str) -> None:
 def holds(closure: Closure, seed: int) -> bool:
     """Whether a closure succeeds in the episode of a seed."""
     _env.reset(seed=seed)
-    step, over = 0, False
+    step = 0
+    over = False
     while not over:
         step += 1
         *_, over, _, info = _env.step(closure.action(step))
@@ -63,7 +67,9 @@ def wins(closure: Closure, first_seed: int, episodes: int) -> int:
 
 def search_all(work, seeds: range, most: int) -> None:
     """Search and write the closures that are missing in the file."""
-    rows = TARGET.read_text(encoding="utf-8").splitlines() if TARGET.exists() else [",".join(COLUMNS)]
+    rows = (
+        TARGET.read_text(encoding="utf-8").splitlines() if TARGET.exists() else [",".join(COLUMNS)]
+    )
     known = {found.seed: found for found in map(Try.of_row, rows[1:])}
     missing = [seed for seed in seeds if seed not in known]
     for found in work(search, ((seed, most) for seed in missing)):
@@ -72,20 +78,29 @@ def search_all(work, seeds: range, most: int) -> None:
         TARGET.write_text("\n".join([",".join(COLUMNS), *ordered, ""]), encoding="utf-8")
     tries = [known[seed] for seed in seeds]
     for within in sorted({1, 4, 16, 64, most}):
-        print(f"best of {within}: {rate_text(round(share_found(tries, within) * len(tries)), len(tries))}")
+        print(
+            f"best of {within}: {rate_text(round(share_found(tries, within) * len(tries)), len(tries))}"
+        )
 
 
 def search_blind(work, seeds: range) -> None:
     """Search the best blind closure in ``ROUNDS`` and print it."""
-    rng, met = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    met = 0
     field = [(0, Closure.drawn(rng)) for _ in range(ROUNDS[0][0])]
     for left, episodes in ROUNDS:
         field = field[:left]
         won = work(wins, [(closure, met, episodes) for _, closure in field])
-        field = sorted(((held + more, closure) for (held, closure), more in zip(field, won, strict=True)),
-                       key=lambda entry: -entry[0])  # fmt: skip
+        field = sorted(
+            ((held + more, closure) for (held, closure), more in zip(field, won, strict=True)),
+            key=lambda entry: -entry[0],
+        )
         met += episodes
-        print(f"{left} closures: the best has held {field[0][0]} of {met} episodes", file=sys.stderr, flush=True)
+        print(
+            f"{left} closures: the best has held {field[0][0]} of {met} episodes",
+            file=sys.stderr,
+            flush=True,
+        )
     best = field[0][1]
     held = sum(work(wins, [(best, seed, 1) for seed in seeds]))
     print(f"{best}\nbest blind closure: {rate_text(held, len(seeds))}")
@@ -93,9 +108,18 @@ def search_blind(work, seeds: range) -> None:
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.closures", __doc__)
-    parser.add_argument("--blind", action="store_true", help="search the best blind closure instead")
-    parser.add_argument("--seeds", type=whole_number(1), default=400, help=f"number of seeds, from {HELD_OUT_SEED} on")
-    parser.add_argument("--tries", type=whole_number(1), default=256, help="maximal number of closures per seed")
+    parser.add_argument(
+        "--blind", action="store_true", help="search the best blind closure instead"
+    )
+    parser.add_argument(
+        "--seeds",
+        type=whole_number(1),
+        default=400,
+        help=f"number of seeds, from {HELD_OUT_SEED} on",
+    )
+    parser.add_argument(
+        "--tries", type=whole_number(1), default=256, help="maximal number of closures per seed"
+    )
     parser.add_argument("--engine", default="pybullet", help="physics engine")
     parser.add_argument("--workers", type=whole_number(1), default=1, help="number of processes")
     args = parser.parse_args(argv)

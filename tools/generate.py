@@ -1,10 +1,10 @@
-"""Write every generated file of the checkout: ``make generate``. ``--check`` compares; status 1 if one is out of date. ``--hand
-FILE`` writes the firmware's limits for another hand.
+"""Write every generated file of the checkout: ``make generate``. ``--check`` compares; status 1 if
+one is out of date. ``--hand FILE`` writes the firmware's limits for another hand.
 
-Model files come from ``hpac_gym/body/data`` and the hand's parameters, the procedural objects from ``tools/object_families.py``,
-the firmware's header, ``docs/wire.md`` and its test vectors from the protocol and the hand's parameters, the tables of
-``docs/environments`` and ``docs/grasps.md`` from the tasks, those of ``docs/benchmark.md`` from ``docs/results``.
-"""
+Model files come from ``hpac_gym/body/data`` and the hand's parameters, the procedural objects from
+``tools/object_families.py``, the firmware's header, ``docs/wire.md`` and its test vectors from the
+protocol and the hand's parameters, the tables of ``docs/environments`` and ``docs/grasps.md`` from
+the tasks, those of ``docs/benchmark.md`` from ``docs/results``."""
 
 from __future__ import annotations
 
@@ -32,12 +32,20 @@ _NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
 
 def generated() -> dict[Path, str]:
     """Path and required contents of every generated file."""
-    urdf, mjcf, geometry = ROOT / "assets" / "urdf", ROOT / "assets" / "mjcf", load_geometry()
+    urdf = ROOT / "assets" / "urdf"
+    mjcf = ROOT / "assets" / "mjcf"
+    geometry = load_geometry()
     return {
         urdf / HAND_URDF: hand_urdf(geometry),
         urdf / HAND_ON_WRIST_URDF: hand_urdf(geometry, on_wrist=True),
-        **{urdf / "objects" / f"{name}.urdf": object_urdf(model) for name, model in load_object_models().items()},
-        **{mjcf / name: hand_mjcf(geometry, BODIES[body], on_wrist) for name, (body, on_wrist) in FILES.items()},
+        **{
+            urdf / "objects" / f"{name}.urdf": object_urdf(model)
+            for name, model in load_object_models().items()
+        },
+        **{
+            mjcf / name: hand_mjcf(geometry, BODIES[body], on_wrist)
+            for name, (body, on_wrist) in FILES.items()
+        },
         ROOT / "hpac_gym" / "body" / "data" / "procedural_objects.toml": procedural_objects(),
         **wire_files(),
         **documents(),
@@ -47,29 +55,40 @@ def generated() -> dict[Path, str]:
 def is_stale(path: Path, text: str) -> bool:
     """Whether a file is missing or has other contents.
 
-    Numbers of a model file may differ after the eighth digit, since the last digit of a sine depends on the processor.
-    """
+    Numbers of a model file may differ after the eighth digit, since the last digit of a sine
+    depends on the processor."""
     if not path.exists():
         return True
     committed = path.read_text(encoding="utf-8")
     if committed == text:
         return False
-    if path.suffix not in (".urdf", ".xml") or _NUMBER.sub("#", committed) != _NUMBER.sub("#", text):
+    if path.suffix not in (".urdf", ".xml") or _NUMBER.sub("#", committed) != _NUMBER.sub(
+        "#", text
+    ):
         return True
-    one, other = ([float(number) for number in _NUMBER.findall(version)] for version in (committed, text))
+    one, other = (
+        [float(number) for number in _NUMBER.findall(version)] for version in (committed, text)
+    )
     return not np.allclose(one, other, rtol=1e-8, atol=1e-14)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Write or check the files; the exit status is 1 if ``--check`` finds one out of date."""
-    parser = argparse.ArgumentParser(prog="python -m tools.generate", description="Write every generated file.")
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.generate", description="Write every generated file."
+    )
     parser.add_argument("--check", action="store_true", help="compare, write nothing")
-    parser.add_argument("--hand", metavar="FILE", help="only the firmware's files, for the hand of this file (TOML)")
+    parser.add_argument(
+        "--hand", metavar="FILE", help="only the firmware's files, for the hand of this file (TOML)"
+    )
     options = parser.parse_args(argv)
-    check, wanted = options.check, wire_files(load_hand(options.hand)) if options.hand else generated()
+    check = options.check
+    wanted = wire_files(load_hand(options.hand)) if options.hand else generated()
     stale = {path: text for path, text in wanted.items() if is_stale(path, text)}
     for path, text in stale.items():
-        print(f"{path.relative_to(ROOT)}: {'out of date, run make generate' if check else 'written'}")
+        print(
+            f"{path.relative_to(ROOT)}: {'out of date, run make generate' if check else 'written'}"
+        )
         if not check:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")

@@ -1,9 +1,10 @@
-"""Optimise a grasp type: ``python -m tools.grasp_search NAME`` varies posture, object position and wrist rotation.
+"""Optimise a grasp type: ``python -m tools.grasp_search NAME`` varies posture, object position and
+wrist rotation.
 
-An evolution strategy: each generation samples candidates around a mean, runs each in the given engines, on seeds that no later
-evaluation uses, with the nominal hand and with ``randomize="hand"``, and moves the mean towards the best quarter. ``--write``
-writes the result to the data of posture and type; ``python -m tools.grasp_types`` evaluates it on other seeds.
-"""
+An evolution strategy: each generation samples candidates around a mean, runs each in the given
+engines, on seeds that no later evaluation uses, with the nominal hand and with
+``randomize="hand"``, and moves the mean towards the best quarter. ``--write`` writes the result to
+the data of posture and type; ``python -m tools.grasp_types`` evaluates it on other seeds."""
 
 from __future__ import annotations
 
@@ -22,11 +23,14 @@ from hpac_gym.model.checks import Array
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspType
 
 ROOT = Path(__file__).parents[1] / "hpac_gym"
-POSTURES_FILE, TYPES_FILE = ROOT / "model/data/postures.toml", ROOT / "tasks/data/grasp_types.toml"
+POSTURES_FILE = ROOT / "model/data/postures.toml"
+TYPES_FILE = ROOT / "tasks/data/grasp_types.toml"
 SEARCH_SEED = 5_000_000
 """First seed of the search; evaluations start at 1,000,000 and stay far below."""
 SPREAD = np.array([0.15] * 6 + [0.10] * 6 + [0.005] * 3 + [0.10] * 3)
-"""Initial standard deviations of closed synergy and preshape [rad], position [m], and rotation [rad]."""
+"""Initial standard deviations of closed synergy and preshape [rad], position [m], and rotation
+[rad].
+"""
 SHRINK = 0.9
 ELITE = 4
 """One in this many candidates is kept."""
@@ -37,38 +41,64 @@ def candidate(kind: GraspType, numbers: Array) -> GraspType:
 
     Args:
         kind: the type.
-        numbers: closed synergy (6,), preshape (6,) [rad], position (3,) [m], rotation vector of the wrist (3,) [rad].
+        numbers: closed synergy (6,), preshape (6,) [rad], position (3,) [m], rotation vector of the
+            wrist (3,) [rad].
     """
-    closed, preshape = (np.clip(part, HPAC.synergy_min, HPAC.synergy_max).round(3) for part in np.split(numbers[:12], 2))
+    closed, preshape = (
+        np.clip(part, HPAC.synergy_min, HPAC.synergy_max).round(3)
+        for part in np.split(numbers[:12], 2)
+    )
     turn = Rotation.from_euler("xyz", kind.start.hand_rpy) * Rotation.from_rotvec(numbers[15:])
-    position, rpy = numbers[12:15].round(4).tolist(), np.radians(np.degrees(turn.as_euler("xyz")).round(1)).tolist()
-    start = replace(kind.start, closed=closed, preshape=preshape, position=tuple(position), hand_rpy=tuple(rpy))
+    position = numbers[12:15].round(4).tolist()
+    rpy = np.radians(np.degrees(turn.as_euler("xyz")).round(1)).tolist()
+    start = replace(
+        kind.start, closed=closed, preshape=preshape, position=tuple(position), hand_rpy=tuple(rpy)
+    )
     return replace(kind, start=start)
 
 
 def score(trial: TypeTrial) -> float:
-    """Score of an episode, 0 to about 5, graded also for failures so that the search has a gradient."""
+    """Score of an episode, 0 to about 5, graded also for failures so that the search has a
+    gradient.
+    """
     kept = [*trial.clauses.values(), 1.0]
-    return 2.0 * trial.success + 0.5 * trial.held + trial.share + float(np.mean(kept)) + min(kept) - 2.0 * (not trial.free)
+    return (
+        2.0 * trial.success
+        + 0.5 * trial.held
+        + trial.share
+        + float(np.mean(kept))
+        + min(kept)
+        - 2.0 * (not trial.free)
+    )
 
 
 def search(options: argparse.Namespace) -> GraspType:
     """Run the search with the options of `main` and return the resulting type."""
-    name, generations, population, engines = options.name, options.generations, options.population, options.engines
-    kind, rng = GRASP_TYPES[name], np.random.default_rng(options.seed)
-    mean = np.concatenate([kind.start.closed, kind.start.preshape, kind.start.position, np.zeros(3)])
+    name = options.name
+    generations = options.generations
+    population = options.population
+    engines = options.engines
+    kind = GRASP_TYPES[name]
+    rng = np.random.default_rng(options.seed)
+    mean = np.concatenate(
+        [kind.start.closed, kind.start.preshape, kind.start.position, np.zeros(3)]
+    )
     sigma = options.spread * SPREAD
     sigma[options.fixed] = 0.0
     for generation in range(generations):
         drawn = mean + sigma * rng.standard_normal((population, len(mean)))
         drawn[0] = mean
-        points, wins, spoiled = np.zeros(population), np.zeros(population), 0
+        points = np.zeros(population)
+        wins = np.zeros(population)
+        spoiled = 0
         for number, engine in enumerate(engines):
             engine, body, randomize = engine.split("/")
             seeds = [SEARCH_SEED + 100 * generation + number] * population
             worlds = population if engine == "mujoco" else 1
             types = [candidate(kind, numbers) for numbers in drawn]
-            for index, trial in run_types(types, seeds, engine=engine, body=body, randomize=randomize, num_worlds=worlds):
+            for index, trial in run_types(
+                types, seeds, engine=engine, body=body, randomize=randomize, num_worlds=worlds
+            ):
                 points[index] += score(trial) / len(engines)
                 wins[index] += trial.success
                 spoiled += not trial.free
@@ -79,26 +109,35 @@ def search(options: argparse.Namespace) -> GraspType:
         print(
             f"{name} {generation + 1}/{generations}: best {points[best[0]]:.2f}, mean {points[0]:.2f}, successes "
             f"{wins[0]:.0f} and {wins[best[0]]:.0f} of {len(engines)}, elite {wins[best].sum():.0f} of "
-            f"{len(engines) * len(best)}, {spoiled} start in touch", file=sys.stderr, flush=True,
-        )  # fmt: skip
+            f"{len(engines) * len(best)}, {spoiled} start in touch",
+            file=sys.stderr,
+            flush=True,
+        )
     return candidate(kind, mean)
 
 
 def write(found: GraspType) -> None:
     """Write the result to the data of the posture and the type."""
-    name, start = found.start.name, found.start
-    joints = np.minimum(joints_from_synergy(start.closed).round(3), np.floor(1e3 * HPAC.joint_max) / 1e3)
+    name = found.start.name
+    start = found.start
+    joints = np.minimum(
+        joints_from_synergy(start.closed).round(3), np.floor(1e3 * HPAC.joint_max) / 1e3
+    )
     parts = {"thumb": ("ip", "mp", "cmc"), **dict.fromkeys(FINGERS, ("dip", "pip", "mcp"))}
-    targets = {digit: [joints[JOINT_INDEX[f"{digit}_{part}"]] for part in names] for digit, names in parts.items()}
+    targets = {
+        digit: [joints[JOINT_INDEX[f"{digit}_{part}"]] for part in names]
+        for digit, names in parts.items()
+    }
     _replace(POSTURES_FILE, name, targets)
     _replace(
-        TYPES_FILE, name,
+        TYPES_FILE,
+        name,
         {
             "hand_rpy_deg": np.degrees(start.hand_rpy).round(1).tolist(),
             "position": list(start.position),
             "preshape": start.preshape.tolist(),
         },
-    )  # fmt: skip
+    )
 
 
 def _replace(path: Path, table: str, values: dict[str, list[float]]) -> None:
@@ -114,20 +153,36 @@ def _replace(path: Path, table: str, values: dict[str, list[float]]) -> None:
 
 def main() -> None:
     """Search one type, and print or write the result."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("name", choices=list(GRASP_TYPES), metavar="NAME")
     parser.add_argument("--generations", type=int, default=12)
     parser.add_argument("--population", type=int, default=24)
-    parser.add_argument("--engines", nargs="+", default=["mujoco/twin/nominal", "mujoco/light/hand", "pybullet/twin/hand"],
-                        help="ENGINE/BODY/RANDOMIZE, with one episode per candidate each (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--fixed", nargs="*", type=int, default=[], help="indices of a candidate's numbers that stay fixed")
-    parser.add_argument("--spread", type=float, default=1.0, help="factor of the initial standard deviations")
+    parser.add_argument(
+        "--engines",
+        nargs="+",
+        default=["mujoco/twin/nominal", "mujoco/light/hand", "pybullet/twin/hand"],
+        help="ENGINE/BODY/RANDOMIZE, with one episode per candidate each (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--fixed",
+        nargs="*",
+        type=int,
+        default=[],
+        help="indices of a candidate's numbers that stay fixed",
+    )
+    parser.add_argument(
+        "--spread", type=float, default=1.0, help="factor of the initial standard deviations"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true", help="write the result to the data")
     options = parser.parse_args()
     found = search(options)
     start = found.start
-    print(f"closed = {start.closed.tolist()}\npreshape = {start.preshape.tolist()}\nposition = {list(start.position)}")
+    print(
+        f"closed = {start.closed.tolist()}\npreshape = {start.preshape.tolist()}\nposition = {list(start.position)}"
+    )
     print(f"hand_rpy_deg = {np.degrees(start.hand_rpy).round(1).tolist()}")
     if options.write:
         write(found)

@@ -1,8 +1,9 @@
-"""Evaluate the sixteen grasp types: ``python -m tools.grasp_types`` writes ``docs/grasp_types.json`` for the tables of the page.
+"""Evaluate the sixteen grasp types: ``python -m tools.grasp_types`` writes
+``docs/grasp_types.json`` for the tables of the page.
 
-Every type is run on the same held-out seeds, which no search has used, in every engine and body, on the nominal hand and on
-randomized ones. The file contains a fingerprint of the data: a test fails if the data has changed since.
-"""
+Every type is run on the same held-out seeds, which no search has used, in every engine and body, on
+the nominal hand and on randomized ones. The file contains a fingerprint of the data: a test fails
+if the data has changed since."""
 
 from __future__ import annotations
 
@@ -35,26 +36,53 @@ WORLDS = 20
 
 
 def fingerprint(name: str) -> str:
-    """Fingerprint of the data that determines a type's results: its posture and its entry in the file of types."""
+    """Fingerprint of the data that determines a type's results: its posture and its entry in the
+    file of types.
+    """
     entry = data_text().split(f"[{name}]\n")[1].split("\n[")
-    body = "[".join(part for index, part in enumerate(entry) if index == 0 or part.startswith(f"{name}."))
-    return hashlib.sha256(POSTURES[name].target_joint_pos.tobytes() + body.strip().encode()).hexdigest()[:16]
+    body = "[".join(
+        part for index, part in enumerate(entry) if index == 0 or part.startswith(f"{name}.")
+    )
+    return hashlib.sha256(
+        POSTURES[name].target_joint_pos.tobytes() + body.strip().encode()
+    ).hexdigest()[:16]
 
 
 def judge(name: str, set_up: str, hand: str, episodes: int) -> dict[str, Any]:
-    """Run episodes of one type in one set-up; returns successes, holds, failed clauses and contacting parts."""
+    """Run episodes of one type in one set-up; returns successes, holds, failed clauses and
+    contacting parts.
+    """
     engine, body, *variation = set_up.split("/")
     world = VARIATIONS[variation[0]] if variation else WorldSettings()
     seeds = [HELD_OUT_SEED + index for index in range(episodes)]
     worlds = WORLDS if engine == "mujoco" else 1
     types = [GRASP_TYPES[name]] * episodes
-    options = {"engine": engine, "body": body, "randomize": hand, "num_worlds": worlds, "world": world}
+    options = {
+        "engine": engine,
+        "body": body,
+        "randomize": hand,
+        "num_worlds": worlds,
+        "world": world,
+    }
     trials = [trial for _, trial in run_types(types, seeds, **options)]
     wins = [trial for trial in trials if trial.success]
-    failed = Counter(clause for trial in trials if trial.held for clause, kept in trial.clauses.items() if kept < 1)
+    failed = Counter(
+        clause
+        for trial in trials
+        if trial.held
+        for clause, kept in trial.clauses.items()
+        if kept < 1
+    )
 
     def mean(what: str) -> dict[str, float]:
-        return {part: round(float(np.mean([getattr(trial, what)[part] for trial in wins])), 2) for part in PARTS} if wins else {}
+        return (
+            {
+                part: round(float(np.mean([getattr(trial, what)[part] for trial in wins])), 2)
+                for part in PARTS
+            }
+            if wins
+            else {}
+        )
 
     return {
         "episodes": episodes,
@@ -78,7 +106,9 @@ def text_of(found: dict[str, Any]) -> str:
     for name, entry in found.items():
         rows = [f'  "data": "{entry["data"]}"']
         for hand in filter(entry.__contains__, HANDS):
-            cells = ",\n".join(f'   "{set_up}": {json.dumps(row)}' for set_up, row in entry[hand].items())
+            cells = ",\n".join(
+                f'   "{set_up}": {json.dumps(row)}' for set_up, row in entry[hand].items()
+            )
             rows.append(f'  "{hand}": {{\n{cells}\n  }}')
         types.append(f' "{name}": {{\n' + ",\n".join(rows) + "\n }")
     return "{\n" + ",\n".join(types) + "\n}\n"
@@ -89,15 +119,28 @@ def rule_table() -> str:
     rows = []
     for name, kind in GRASP_TYPES.items():
         words = "; ".join(term for term, _ in kind.rule.terms())
-        rows.append([f"`{name}`", str(POSTURES[name].panel), kind.start.object.about, kind.start.about, words])
+        rows.append(
+            [
+                f"`{name}`",
+                str(POSTURES[name].panel),
+                kind.start.object.about,
+                kind.start.about,
+                words,
+            ]
+        )
     return markdown(["grasp", "panel", "object", "held as", "rule"], rows)
 
 
 def success_table(hand: str) -> str:
-    """Success with its Wilson 95 % interval in every engine and body, with the number of holds in brackets where it differs."""
+    """Success with its Wilson 95 % interval in every engine and body, with the number of holds in
+    brackets where it differs.
+    """
     found = {name: entry[hand] for name, entry in results().items()}
     whole = {
-        set_up: {key: sum(entry[set_up][key] for entry in found.values()) for key in ("successes", "held", "episodes")}
+        set_up: {
+            key: sum(entry[set_up][key] for entry in found.values())
+            for key in ("successes", "held", "episodes")
+        }
         for set_up in SET_UPS
     }
     rows = []
@@ -106,7 +149,9 @@ def success_table(hand: str) -> str:
         for row in (entry[set_up] for set_up in SET_UPS):
             low, high = wilson_interval(row["successes"], row["episodes"])
             besides = f" (held {row['held']})" if row["held"] > row["successes"] else ""
-            cells.append(f"{row['successes']} of {row['episodes']}, {low:.0%} … {high:.0%}{besides}")
+            cells.append(
+                f"{row['successes']} of {row['episodes']}, {low:.0%} … {high:.0%}{besides}"
+            )
         rows.append([f"`{name}`" if name in GRASP_TYPES else name, *cells])
     return markdown(["grasp", *SET_UPS], rows)
 
@@ -116,7 +161,10 @@ def contact_table() -> str:
     rows = []
     for name, entry in results().items():
         shares, forces = (entry["nominal"][SET_UPS[0]][key] for key in ("touched", "force_newton"))
-        cells = [f"{shares[part]:.0%}, {forces[part]:.1f} N" if shares.get(part) else "–" for part in PARTS]
+        cells = [
+            f"{shares[part]:.0%}, {forces[part]:.1f} N" if shares.get(part) else "–"
+            for part in PARTS
+        ]
         rows.append([f"`{name}`", *cells])
     return markdown(["grasp", *PARTS], rows)
 
@@ -131,26 +179,58 @@ TABLES = {
 
 def main() -> None:
     """Evaluate types and write the file."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--types", nargs="+", default=list(GRASP_TYPES), choices=list(GRASP_TYPES), metavar="NAME")
-    parser.add_argument("-n", "--episodes", type=int, default=20, help="per type on the nominal hand (default: %(default)s)")
-    parser.add_argument("-m", "--randomized", type=int, default=10, help="per type with randomization (default: %(default)s)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--types", nargs="+", default=list(GRASP_TYPES), choices=list(GRASP_TYPES), metavar="NAME"
+    )
+    parser.add_argument(
+        "-n",
+        "--episodes",
+        type=int,
+        default=20,
+        help="per type on the nominal hand (default: %(default)s)",
+    )
+    parser.add_argument(
+        "-m",
+        "--randomized",
+        type=int,
+        default=10,
+        help="per type with randomization (default: %(default)s)",
+    )
     parser.add_argument("--hands", nargs="+", default=list(HANDS), choices=HANDS)
-    parser.add_argument("--set-ups", nargs="+", default=list(SET_UPS), metavar="ENGINE/BODY",
-                        choices=[*SET_UPS, *(f"{set_up}/{name}" for set_up in SET_UPS for name in VARIATIONS)],
-                        help="engines and bodies; ENGINE/BODY/VARIATION, physics as of hpac agree, is printed alone")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="file to update (default: %(default)s)")
+    parser.add_argument(
+        "--set-ups",
+        nargs="+",
+        default=list(SET_UPS),
+        metavar="ENGINE/BODY",
+        choices=[*SET_UPS, *(f"{set_up}/{name}" for set_up in SET_UPS for name in VARIATIONS)],
+        help="engines and bodies; ENGINE/BODY/VARIATION, physics as of hpac agree, is printed alone",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=RESULTS, help="file to update (default: %(default)s)"
+    )
     options = parser.parse_args()
     found = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
-    cells = [(name, set_up, hand) for name in options.types for hand in options.hands for set_up in options.set_ups]
+    cells = [
+        (name, set_up, hand)
+        for name in options.types
+        for hand in options.hands
+        for set_up in options.set_ups
+    ]
     for name, set_up, hand in progress(cells, "types"):
-        entry, count = found.setdefault(name, {}), options.episodes if hand == "nominal" else options.randomized
+        entry = found.setdefault(name, {})
+        count = options.episodes if hand == "nominal" else options.randomized
         if entry.get("data") != fingerprint(name):
             entry.clear()
             entry["data"] = fingerprint(name)  # results for other data are invalid
         row = judge(name, set_up, hand, count)
-        print(f"{name} {hand} {set_up}: {row['successes']} of {row['episodes']}, held {row['held']}, "
-              f"in touch {row['in_touch_at_the_start']} {row['failed_clauses_of_held']}", flush=True)  # fmt: skip
+        print(
+            f"{name} {hand} {set_up}: {row['successes']} of {row['episodes']}, held {row['held']}, "
+            f"in touch {row['in_touch_at_the_start']} {row['failed_clauses_of_held']}",
+            flush=True,
+        )
         if set_up not in SET_UPS:
             continue
         entry.setdefault(hand, {})[set_up] = row

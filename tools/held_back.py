@@ -1,8 +1,9 @@
-"""Choose settings of the recipe grasp-any on training objects alone: ``python -m tools.held_back --out runs/NAME``.
+"""Choose settings of the recipe grasp-any on training objects alone: ``python -m tools.held_back
+--out runs/NAME``.
 
-Trains on 160 of the 200 training objects and evaluates on the other 40, four whole families. Further arguments are those of
-``agents.train``. A folder that already holds a policy is only evaluated.
-"""
+Trains on 160 of the 200 training objects and evaluates on the other 40, four whole families.
+Further arguments are those of ``agents.train``. A folder that already holds a policy is only
+evaluated."""
 
 import sys
 from pathlib import Path
@@ -14,9 +15,12 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from tools.any_closures import Player, by_policy
 
-OF_EACH, FAMILIES = 10, (1, 6, 11, 16)
+OF_EACH = 10
+FAMILIES = (1, 6, 11, 16)
 """Objects of a family, and the families that are held back, in the order of the set."""
-HELD_BACK = {f"train_{OF_EACH * family + number:03}" for family in FAMILIES for number in range(OF_EACH)}
+HELD_BACK = {
+    f"train_{OF_EACH * family + number:03}" for family in FAMILIES for number in range(OF_EACH)
+}
 """Names of the objects that are held back."""
 
 
@@ -28,15 +32,23 @@ def keep(task: GraspAny, back: bool) -> GraspAny:
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.held_back", __doc__)
-    parser.add_argument("--episodes", type=whole_number(1), default=1_500, help="episodes of each evaluation")
+    parser.add_argument(
+        "--episodes", type=whole_number(1), default=1_500, help="episodes of each evaluation"
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder of the training")
     args, settings = parser.parse_known_args(argv)
     if not (args.out / POLICY).exists():
         words = ["grasp-any", "--out", str(args.out), *settings]
-        if status := train.main(words, make=lambda recipe: keep(closures.training_task(recipe), back=False)):
+        if status := train.main(
+            words, make=lambda recipe: keep(closures.training_task(recipe), back=False)
+        ):
             return status
     print("| objects | hands | success [%] |\n| --- | --- | --- |")
-    for title, back, hands in (("trained on", False, "nominal"), ("held back", True, "nominal"), ("held back", True, "train")):
+    for title, back, hands in (
+        ("trained on", False, "nominal"),
+        ("held back", True, "nominal"),
+        ("held back", True, "train"),
+    ):
         player = Player("train", min(64, args.episodes), hands)
         keep(player.task, back)
 
@@ -46,7 +58,10 @@ def main(argv: list[str] | None = None) -> int:
 
         won = player.play(range(HELD_OUT_SEED, HELD_OUT_SEED + args.episodes), begin)
         low, high = wilson_interval(int(won.sum()), len(won))
-        print(f"| {title} | {hands} | {100 * won.mean():.1f} [{100 * low:.1f}, {100 * high:.1f}] |", flush=True)
+        print(
+            f"| {title} | {hands} | {100 * won.mean():.1f} [{100 * low:.1f}, {100 * high:.1f}] |",
+            flush=True,
+        )
     return 0
 
 

@@ -1,11 +1,12 @@
-"""Finds the stable poses of the objects of `hpac_gym.body.object_sets`: ``python -m tools.resting_poses``.
+"""Finds the stable poses of the objects of `hpac_gym.body.object_sets`: ``python -m
+tools.resting_poses``.
 
-Every object is dropped in MuJoCo onto a level table in `DROPS` random orientations, and set down on each of its six sides.
-The orientations in which it comes to rest are candidate poses; poses of equal heights are merged. A pose is kept if the object
-returns to it from a tilt by `NUDGE` in each of eight directions, and if it stays at rest in both engines of `hpac_gym`. Writes
-``hpac_gym/body/data/resting_poses.toml``, whose last digits depend on the processor, so no test compares it; tests check that
-the poses are stable in both engines.
-"""
+Every object is dropped in MuJoCo onto a level table in `DROPS` random orientations, and set down on
+each of its six sides. The orientations in which it comes to rest are candidate poses; poses of
+equal heights are merged. A pose is kept if the object returns to it from a tilt by `NUDGE` in each
+of eight directions, and if it stays at rest in both engines of `hpac_gym`. Writes
+``hpac_gym/body/data/resting_poses.toml``, whose last digits depend on the processor, so no test
+compares it; tests check that the poses are stable in both engines."""
 
 from __future__ import annotations
 
@@ -28,32 +29,49 @@ from hpac_gym.body.object_sets import RestingObject, RestingPose, resting, split
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
-from hpac_gym.physics.engine import HAND_POSITION, POST, SUPPORT_FRICTION, Engine, SceneSetup, matrix_from_quaternion
+from hpac_gym.physics.engine import (
+    HAND_POSITION,
+    POST,
+    SUPPORT_FRICTION,
+    Engine,
+    SceneSetup,
+    matrix_from_quaternion,
+)
 from hpac_gym.physics.mjcf import CONTACT
 from hpac_gym.physics.mujoco.model import exact_text, quaternion_from_matrix, size_of
 from hpac_gym.physics.simulation import ENGINES, make_engine
 from hpac_gym.progress import progress
 
 FILE = Path(__file__).parents[1] / "hpac_gym" / "body" / "data" / "resting_poses.toml"
-DROPS, SEED = 40, 12
+DROPS = 40
+SEED = 12
 NUDGE = math.radians(5)
 """Tilt from which an object must return [rad]."""
 SAME = 0.0015
-"""Poses are the same if the heights of origin, centre of mass and top differ by less than this [m]."""
+"""Poses are the same if the heights of origin, centre of mass and top differ by less than this [m].
+"""
 MAX_POSES = 4
 HIGH = 0.120
-"""Least height for a side grip above a table, since the hand is 90 mm wide [m]. Lower objects that stand upright, with their
-z axis vertical, get a stand."""
+"""Least height for a side grip above a table, since the hand is 90 mm wide [m]. Lower objects that
+stand upright, with their z axis vertical, get a stand."""
 HEADER = """\
 # Written by python -m tools.resting_poses: the ways in which objects stay by themselves, found by letting them come to rest.
 # poses: quaternion xyzw of the object in the world, then the share of random drops that ended like this (0: set down so alone).
 """
-_SIDES = Rotation.from_rotvec(np.array([[0, 0, 0], [math.pi, 0, 0], *((a * math.pi / 2, b * math.pi / 2, 0) for a, b in
-                                        ((1, 0), (-1, 0), (0, 1), (0, -1)))]))  # fmt: skip
+_SIDES = Rotation.from_rotvec(
+    np.array(
+        [
+            [0, 0, 0],
+            [math.pi, 0, 0],
+            *((a * math.pi / 2, b * math.pi / 2, 0) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))),
+        ]
+    )
+)
 _PLACE = np.array([-0.30, 0.0, 0.20])
 """Position of an object in the world, behind the wrist [m]."""
 _STEPS = 20
-"""Physics steps of 2 ms between speed checks; an object is at rest after five slow checks in a row."""
+"""Physics steps of 2 ms between speed checks; an object is at rest after five slow checks in a row.
+"""
 _ROLLING = "0.002 0.0005"
 """Torsional and rolling friction [m], without which a ball would never come to rest."""
 
@@ -71,7 +89,10 @@ class Found:
     def of(cls, model: ObjectModel, rotation: Array) -> Found:
         """The pose of an object whose lowest point is on the table."""
         low, high = model.turned_bounds(rotation)
-        return cls(rotation, np.array([-low[2], (rotation @ model.center_of_mass)[2] - low[2], high[2] - low[2]]))
+        return cls(
+            rotation,
+            np.array([-low[2], (rotation @ model.center_of_mass)[2] - low[2], high[2] - low[2]]),
+        )
 
     def same_as(self, other: Found) -> bool:
         """Whether both are the same pose up to yaw and symmetries of the object."""
@@ -87,26 +108,45 @@ class Table:
         world = Xml.SubElement(root, "worldbody")
         size = " ".join(map(repr, (*POST.half_width, 0.1))) if post else "0.5 0.5 0.1"
         contact = CONTACT | {"condim": "6", "friction": f"{SUPPORT_FRICTION * friction} {_ROLLING}"}
-        Xml.SubElement(world, "geom", type="box", size=size, pos="0 0 -0.1", priority="1", **contact)
+        Xml.SubElement(
+            world, "geom", type="box", size=size, pos="0 0 -0.1", priority="1", **contact
+        )
         if post:
-            Xml.SubElement(world, "geom", type="box", size="0.5 0.5 0.01", pos="0 0 -0.4", priority="1", **contact)
+            Xml.SubElement(
+                world,
+                "geom",
+                type="box",
+                size="0.5 0.5 0.01",
+                pos="0 0 -0.4",
+                priority="1",
+                **contact,
+            )
         body = Xml.SubElement(world, "body", name="object")
         Xml.SubElement(body, "freejoint")
         inertia = model.inertia
         entries = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-        numbers = {"pos": exact_text(model.center_of_mass), "mass": repr(model.mass), "fullinertia": exact_text(entries)}
+        numbers = {
+            "pos": exact_text(model.center_of_mass),
+            "mass": repr(model.mass),
+            "fullinertia": exact_text(entries),
+        }
         Xml.SubElement(body, "inertial", numbers)
         for solid in model.solids:
             size, _ = size_of(solid.kind, *np.divide(solid.size, 2).tolist())
             shape = {"type": solid.kind, "size": exact_text(size), "pos": exact_text(solid.center)}
-            Xml.SubElement(body, "geom", shape | {"quat": exact_text(quaternion_from_matrix(solid.rotation))})
+            Xml.SubElement(
+                body, "geom", shape | {"quat": exact_text(quaternion_from_matrix(solid.rotation))}
+            )
         self.object = model
         self.model = mujoco.MjModel.from_xml_string(Xml.tostring(root, encoding="unicode"))
         self.data = mujoco.MjData(self.model)
 
     def rest(self, rotation: Array, drop: float = 0.0, seconds: float = 4.0) -> Found | None:
-        """Drop the object with its lowest point at height `drop` [m]; returns its pose at rest, or None if it does not settle."""
-        model, data = self.model, self.data
+        """Drop the object with its lowest point at height `drop` [m]; returns its pose at rest, or
+        None if it does not settle.
+        """
+        model = self.model
+        data = self.data
         mujoco.mj_resetData(model, data)
         data.qpos[2] = drop - self.object.turned_bounds(rotation)[0][2]
         data.qpos[3:] = quaternion_from_matrix(rotation)
@@ -122,7 +162,10 @@ class Table:
         return found if still and abs(data.qpos[2] - found.heights[0]) < SAME else None
 
     def keeps(self, pose: Found) -> bool:
-        """Whether a pose is stable: the object stays in it, and returns to it from a tilt in each of eight directions."""
+        """Whether a pose is stable: the object stays in it, and returns to it from a tilt in each
+        of eight directions.
+        """
+
         def comes_back(turn: Rotation) -> bool:
             found = self.rest((turn * Rotation.from_matrix(pose.rotation)).as_matrix())
             return found is not None and found.same_as(pose)
@@ -132,9 +175,14 @@ class Table:
         return all(comes_back(Rotation.from_rotvec(nudge)) for nudge in [np.zeros(3), *nudges])
 
 
-def stable_poses(model: ObjectModel, friction: float, drops: int = DROPS) -> list[tuple[Found, float]]:
-    """The stable poses of an object on a table with the share of random drops that end in each, the most frequent first."""
-    rng, table = np.random.default_rng([SEED, *model.name.encode()]), Table(model, friction)
+def stable_poses(
+    model: ObjectModel, friction: float, drops: int = DROPS
+) -> list[tuple[Found, float]]:
+    """The stable poses of an object on a table with the share of random drops that end in each, the
+    most frequent first.
+    """
+    rng = np.random.default_rng([SEED, *model.name.encode()])
+    table = Table(model, friction)
     # The sides first, so that equal poses are represented by these.
     sides = [(table.rest(turn.as_matrix(), 0.001), 0) for turn in _SIDES]
     dropped = [(table.rest(turn.as_matrix(), 0.02), 1) for turn in Rotation.random(drops, rng)]
@@ -157,7 +205,9 @@ def _merged(counts: Iterable[tuple[Found, int]]) -> list[list]:
 
 
 def _levelled(model: ObjectModel, found: Found) -> Found:
-    """The pose with an axis within 1.5 degrees of the vertical made exactly vertical, and the longer side along the world's x."""
+    """The pose with an axis within 1.5 degrees of the vertical made exactly vertical, and the
+    longer side along the world's x.
+    """
     down = found.rotation.T @ [0.0, 0.0, -1.0]
     axis = np.zeros(3)
     axis[np.argmax(np.abs(down))] = np.sign(down[np.argmax(np.abs(down))])
@@ -169,7 +219,9 @@ def _levelled(model: ObjectModel, found: Found) -> Found:
 
 
 def _footprint(model: ObjectModel, turn: Rotation, angle: int) -> tuple[float, float]:
-    low, high = model.turned_bounds((Rotation.from_euler("z", angle, degrees=True) * turn).as_matrix())
+    low, high = model.turned_bounds(
+        (Rotation.from_euler("z", angle, degrees=True) * turn).as_matrix()
+    )
     x, y = (high - low)[:2]
     return round(x * y, 7), round(-x, 5)
 
@@ -190,7 +242,9 @@ def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
     if not poses:
         raise RuntimeError(f"{model.name} has no stable pose")
     on_post = Table(model, friction, post=True)
-    raised = [(pose, share) for pose, share in poses if needs_stand(pose, model) and on_post.keeps(pose)]
+    raised = [
+        (pose, share) for pose, share in poses if needs_stand(pose, model) and on_post.keeps(pose)
+    ]
     numbers = []
     for pose, share in raised or poses:
         quaternion = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
@@ -201,7 +255,9 @@ def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
 def setup_of(thing: RestingObject, pose: RestingPose) -> SceneSetup:
     """Setup with the object at rest behind the wrist, away from the hand, on a board or a post."""
     rotation = matrix_from_quaternion(pose.quaternion)
-    side = pose.height / np.abs(rotation[2]).sum()  # half-side of a cube whose centre is as high as the object's origin
+    side = (
+        pose.height / np.abs(rotation[2]).sum()
+    )  # half-side of a cube whose centre is as high as the object's origin
     spec = ObjectSpec("box", (side, side, side), thing.model.mass, thing.friction, thing.model)
     place = SceneSetup(None).hand_rotation.T @ (_PLACE - HAND_POSITION)
     support = POST if thing.stand else Support((0.15, 0.15))
@@ -209,36 +265,53 @@ def setup_of(thing: RestingObject, pose: RestingPose) -> SceneSetup:
 
 
 def restless(physics: Engine, entries: list[tuple[RestingObject, RestingPose]]) -> list[int]:
-    """Indices of the objects that leave their pose, or move by more than 5 mm (round ones may roll), within 2 s.
+    """Indices of the objects that leave their pose, or move by more than 5 mm (round ones may
+    roll), within 2 s.
 
     Args:
         physics: an engine with at least len(entries) worlds.
         entries: objects and poses.
     """
-    worlds, k = physics.num_worlds, round(2.0 / physics.dt)
+    worlds = physics.num_worlds
+    k = round(2.0 / physics.dt)
     setups = [setup_of(*entry) for entry in entries]
     physics.reset(range(worlds), [*setups, *setups[:1] * (worlds - len(setups))])
-    before, still = physics.state(), np.zeros((worlds, k, 6))
+    before = physics.state()
+    still = np.zeros((worlds, k, 6))
     physics.advance(still, still, np.zeros((worlds, k, 3)))
     after = physics.state()
-    to_world, found = SceneSetup(None).hand_rotation, []
+    to_world = SceneSetup(None).hand_rotation
+    found = []
     for index, (thing, _) in enumerate(entries):
         way = np.linalg.norm(after.object_pos[index] - before.object_pos[index])
-        first, last = (Found.of(thing.model, to_world @ state.object_rotation[index]) for state in (before, after))
+        first, last = (
+            Found.of(thing.model, to_world @ state.object_rotation[index])
+            for state in (before, after)
+        )
         if way > 0.005 or not last.same_as(first):
             found.append(index)
     return found
 
 
-def without_restless(models: list[tuple[ObjectModel, float]], entries: dict[str, dict[str, Any]]) -> None:
+def without_restless(
+    models: list[tuple[ObjectModel, float]], entries: dict[str, dict[str, Any]]
+) -> None:
     """Remove poses that are not stable in both engines.
 
     Raises:
         RuntimeError: An object has no stable pose left.
     """
-    jobs = [(model.name, numbers, resting(model, friction, {"stand": entries[model.name]["stand"], "poses": [numbers]}))
-            for model, friction in models for numbers in entries[model.name]["poses"]]  # fmt: skip
-    bad, engines = set(), [make_engine(name, 8) for name in ENGINES]
+    jobs = [
+        (
+            model.name,
+            numbers,
+            resting(model, friction, {"stand": entries[model.name]["stand"], "poses": [numbers]}),
+        )
+        for model, friction in models
+        for numbers in entries[model.name]["poses"]
+    ]
+    bad = set()
+    engines = [make_engine(name, 8) for name in ENGINES]
     for start in progress(range(0, len(jobs), 8), "Both engines"):
         things = [(thing, thing.poses[0]) for *_, thing in jobs[start : start + 8]]
         bad |= {start + index for physics in engines for index in restless(physics, things)}
@@ -253,19 +326,30 @@ def without_restless(models: list[tuple[ObjectModel, float]], entries: dict[str,
 
 def main(argv: list[str] | None = None) -> int:
     """Find the poses and write the file."""
-    parser = argparse.ArgumentParser(prog="python -m tools.resting_poses", description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help="names or name prefixes of the objects to update (default: all)")
-    parser.add_argument("--recheck", action="store_true", help="only check the poses of the file in both engines")
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.resting_poses", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument(
+        "names", nargs="*", help="names or name prefixes of the objects to update (default: all)"
+    )
+    parser.add_argument(
+        "--recheck", action="store_true", help="only check the poses of the file in both engines"
+    )
     given = parser.parse_args(argv)
-    names, objects = tuple(given.names) or ("",), [entry for models in split_models().values() for entry in models.values()]
+    names = tuple(given.names) or ("",)
+    objects = [entry for models in split_models().values() for entry in models.values()]
     entries = tomllib.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {}
     wanted = [entry for entry in objects if entry[0].name.startswith(names)]
     if not given.recheck:
-        entries |= {model.name: poses_of(model, friction) for model, friction in progress(wanted, "Resting poses")}
+        entries |= {
+            model.name: poses_of(model, friction)
+            for model, friction in progress(wanted, "Resting poses")
+        }
     without_restless(wanted, entries)
     text = HEADER
     for name in (model.name for model, _ in objects if model.name in entries):
-        stand, poses = str(entries[name]["stand"]).lower(), "".join(f"    {numbers},\n" for numbers in entries[name]["poses"])
+        stand = str(entries[name]["stand"]).lower()
+        poses = "".join(f"    {numbers},\n" for numbers in entries[name]["poses"])
         text += f"\n[{name}]\nstand = {stand}\nposes = [\n{poses}]\n"
     write_text(FILE, text)
     print(f"{FILE}: poses of {len(wanted)} objects of {len(objects)}")

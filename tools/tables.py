@@ -1,7 +1,8 @@
-"""Tables of ``docs``, generated from the code and from ``docs/results``; ``make generate`` writes them.
+"""Tables of ``docs``, generated from the code and from ``docs/results``; ``make generate`` writes
+them.
 
-A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by hand.
-"""
+A table stands between ``<!-- NAME -->`` and ``<!-- /NAME -->``; all else in the page is written by
+hand."""
 
 from __future__ import annotations
 
@@ -35,37 +36,55 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 def span(values: Any) -> str:
     """Text of a range or of a single number."""
-    return " … ".join(f"{value:g}" for value in values) if isinstance(values, tuple) else f"{values:g}"
+    return (
+        " … ".join(f"{value:g}" for value in values) if isinstance(values, tuple) else f"{values:g}"
+    )
 
 
 def summary_table(env_id: str, task: Task) -> str:
     """Table of id, spaces and episode length."""
     rows = [["make", f'`gymnasium.make("hpac_gym:{env_id}")`']]
-    for obs in next(option for option in OPTIONS if option.name == "obs" and env_id in option.ids).values:
+    for obs in next(
+        option for option in OPTIONS if option.name == "obs" and env_id in option.ids
+    ).values:
         with gymnasium.make(env_id, obs=obs) as env:
             if len(rows) == 1:
                 rows.append(["action space", f"`{env.action_space}`"])
-            rows.append([f'observation space, `obs="{obs}"`', f"`{space_in_words(env.observation_space)}`"])
-    return markdown(["", ""], [*rows, ["length", f"{round(task.duration * CONTROL_HZ)} steps, {task.duration:g} s"]])
+            rows.append(
+                [f'observation space, `obs="{obs}"`', f"`{space_in_words(env.observation_space)}`"]
+            )
+    return markdown(
+        ["", ""],
+        [*rows, ["length", f"{round(task.duration * CONTROL_HZ)} steps, {task.duration:g} s"]],
+    )
 
 
 def space_in_words(space: gymnasium.Space) -> str:
     """Text of a space without the bounds of its entries."""
     if isinstance(space, gymnasium.spaces.Dict):
-        return f"Dict({', '.join(f'{name}: {space_in_words(part)}' for name, part in space.items())})"
+        return (
+            f"Dict({', '.join(f'{name}: {space_in_words(part)}' for name, part in space.items())})"
+        )
     return f"Box({space.shape}, {space.dtype})"
 
 
 def option_table(env_id: str) -> str:
     """Table of the arguments of an id."""
     taken = [option for option in OPTIONS if env_id in option.ids]
-    rows = [[f"`{option.name}`", values_of(option), shown(option.default), option.meaning] for option in taken]
+    rows = [
+        [f"`{option.name}`", values_of(option), shown(option.default), option.meaning]
+        for option in taken
+    ]
     return markdown(["argument", "values", "default", "meaning"], rows)
 
 
 def values_of(option: Option) -> str:
     """Values of an option; the sixteen grasps are listed on a separate page."""
-    named = ["None", "[a name](../grasps.md)"] if option.name == "grasp" else list(map(shown, option.values))
+    named = (
+        ["None", "[a name](../grasps.md)"]
+        if option.name == "grasp"
+        else list(map(shown, option.values))
+    )
     return ", ".join([*named, *filter(None, [option.others])])
 
 
@@ -79,7 +98,12 @@ def shown(value: Any) -> str:
 def action_table() -> str:
     """Table of the six numbers of an action."""
     rows = [
-        [str(index), f"`{name}`", f"{HPAC.synergy_min[index]:.4g}", f"{HPAC.synergy_max[index]:.4g}"]
+        [
+            str(index),
+            f"`{name}`",
+            f"{HPAC.synergy_min[index]:.4g}",
+            f"{HPAC.synergy_max[index]:.4g}",
+        ]
         for index, name in enumerate(SERVOS)
     ]
     return markdown(["index", "joint that the servo drives", "at −1 [rad]", "at 1 [rad]"], rows)
@@ -91,20 +115,34 @@ def term_table(terms: Sequence[Term], start: int = 0) -> str:
     for term in terms:
         end = start + len(term.labels) - 1
         index = str(start) if end == start else f"{start}–{end}"
-        rows.append([index, f"`{term.name}`", ", ".join(term.labels), term.unit, span((term.low, term.high)), term.meaning])
+        rows.append(
+            [
+                index,
+                f"`{term.name}`",
+                ", ".join(term.labels),
+                term.unit,
+                span((term.low, term.high)),
+                term.meaning,
+            ]
+        )
         start = end + 1
     return markdown(["index", "field", "entries", "unit", "bounds", "meaning"], rows)
 
 
 def reward_table(task: Task) -> str:
     """Table of the terms of the dense reward."""
-    return markdown(["term", "value"], [[f"`{term.name}`", term.meaning] for term in task.reward_terms])
+    return markdown(
+        ["term", "value"], [[f"`{term.name}`", term.meaning] for term in task.reward_terms]
+    )
 
 
 def config_table(task: Task) -> str:
     """Table of the settings for sampling and judging episodes."""
     described = [field for field in fields(task.config) if "meaning" in field.metadata]
-    rows = [[f"`{field.name}`", span(getattr(task.config, field.name)), field.metadata["meaning"]] for field in described]
+    rows = [
+        [f"`{field.name}`", span(getattr(task.config, field.name)), field.metadata["meaning"]]
+        for field in described
+    ]
     return markdown(["name", "value", "meaning"], rows)
 
 
@@ -125,24 +163,50 @@ def randomization_table() -> str:
     for quantity in fields(Randomization):
         given = [getattr(preset, quantity.name) for preset in presets.values()]
         cells = ["–" if value == quantity.default else span(value) for value in given]
-        rows.append([f"`{quantity.name}`", quantity.metadata["meaning"], span(quantity.metadata["bounds"]), *cells])
+        rows.append(
+            [
+                f"`{quantity.name}`",
+                quantity.metadata["meaning"],
+                span(quantity.metadata["bounds"]),
+                *cells,
+            ]
+        )
     return markdown(["name", "meaning", "bounds", *(f'"{name}"' for name in presets)], rows)
 
 
 def object_table() -> str:
-    """Table of the object of every grasp, its published data, and its replacement in the shape variant."""
+    """Table of the object of every grasp, its published data, and its replacement in the shape
+    variant.
+    """
     rows = []
     for name, grasp in GRASPS.items():
         shape = grasp.variant("shape").object
-        model, sides = grasp.object, " × ".join(f"{1e3 * side:.3g}" for side in dict.fromkeys(grasp.object.size))
-        rows.append([f"`{name}`", model.about, sides, f"{1e3 * model.mass:.3g}", model.source, model.chosen, shape.about])
-    return markdown(["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'], rows)
+        model = grasp.object
+        sides = " × ".join(f"{1e3 * side:.3g}" for side in dict.fromkeys(grasp.object.size))
+        rows.append(
+            [
+                f"`{name}`",
+                model.about,
+                sides,
+                f"{1e3 * model.mass:.3g}",
+                model.source,
+                model.chosen,
+                shape.about,
+            ]
+        )
+    return markdown(
+        ["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'],
+        rows,
+    )
 
 
 def scale_table() -> str:
-    """Table of the success of the best of n random closures on held-out seeds of `HPAC-Grasp-v0`, and its score."""
+    """Table of the success of the best of n random closures on held-out seeds of `HPAC-Grasp-v0`,
+    and its score.
+    """
     tries = winning_closures()
-    scale, rows = scale_of(GRASP), []
+    scale = scale_of(GRASP)
+    rows = []
     for within in (1, 4, 16, 64, max(found.tries for found in tries)):
         won = round(share_found(tries, within) * len(tries))
         name = "a random closure: the floor" if within == 1 else f"best of {within} random closures"
@@ -152,7 +216,9 @@ def scale_table() -> str:
 
 
 def result_tables() -> str:
-    """Every results file as printed by ``python -m agents.benchmark --check``, with the command that produced it."""
+    """Every results file as printed by ``python -m agents.benchmark --check``, with the command
+    that produced it.
+    """
     files = [benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))]
     return "\n\n".join(f"{benchmark.table(results)}\n\n`{results['command']}`" for results in files)
 
@@ -171,7 +237,11 @@ def task_tables(env_id: str, task: Task) -> Makers:
         "reward": lambda: reward_table(task),
         "arguments": lambda: option_table(env_id),
     }
-    more = {name: lambda terms=terms: term_table(terms, deployed) for name, terms in task.sensed_terms.items() if terms}
+    more = {
+        name: lambda terms=terms: term_table(terms, deployed)
+        for name, terms in task.sensed_terms.items()
+        if terms
+    }
     makers |= more
     if task.goal_terms:
         return makers | {"goal": lambda: term_table(task.goal_terms)}
@@ -198,7 +268,8 @@ def filled(page: str, tables: Makers) -> str:
         ValueError: The page has no placeholder for a table.
     """
     for name, make in tables.items():
-        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        begin = f"<!-- {name} -->"
+        end = f"<!-- /{name} -->"
         if page.count(begin) != 1 or page.count(end) != 1:
             raise ValueError(f"the page needs '{begin}' and '{end}' once")
         before, rest = page.split(begin)
@@ -208,4 +279,7 @@ def filled(page: str, tables: Makers) -> str:
 
 def documents() -> dict[Path, str]:
     """All pages with regenerated tables."""
-    return {DOCS / name: filled((DOCS / name).read_text(encoding="utf-8"), tables) for name, tables in PAGES.items()}
+    return {
+        DOCS / name: filled((DOCS / name).read_text(encoding="utf-8"), tables)
+        for name, tables in PAGES.items()
+    }

@@ -1,9 +1,9 @@
-"""Opposition of the thumb to each finger: ``python -m tools.thumb_search`` prints postures and distances.
+"""Opposition of the thumb to each finger: ``python -m tools.thumb_search`` prints postures and
+distances.
 
-Run it after a change to the body and copy the printed postures to ``hpac_gym/body/data/geometry.toml``. The search varies thumb
-MP, CMC and the finger's MCP; the other joints follow on the elastic manifold, so the six servos can reach every posture
-found.
-"""
+Run it after a change to the body and copy the printed postures to
+``hpac_gym/body/data/geometry.toml``. The search varies thumb MP, CMC and the finger's MCP; the
+other joints follow on the elastic manifold, so the six servos can reach every posture found."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ class Opposition:
 
 
 def find_opposition(geometry: Geometry, finger: str) -> Opposition:
-    """Find the posture with the thumb's pad opposite a finger's, surfaces `CLEARANCE` apart: the best of a few starts."""
+    """Find the posture with the thumb's pad opposite a finger's, surfaces `CLEARANCE` apart: the
+    best of a few starts.
+    """
     moved = [SERVO_INDEX[name] for name in ("thumb_cmc", "thumb_mp", f"{finger}_mcp")]
     bounds = HPAC.synergy_min[moved], HPAC.synergy_max[moved]
 
@@ -50,17 +52,26 @@ def find_opposition(geometry: Geometry, finger: str) -> Opposition:
         offset, gap, _ = _contact(geometry, finger, synergy_of(coordinates))
         return np.array([*offset, _GAP_WEIGHT * (gap - CLEARANCE)])
 
-    # Lengths are in metres and angles in radians: tolerances relative to a cost of about 1e-6 m² must be tight.
-    fits = [least_squares(residual, start, bounds=bounds, ftol=1e-12, xtol=1e-12, gtol=1e-15) for start in _STARTS]
+    # Lengths are in metres and angles in radians: tolerances relative to a cost of about 1e-6 m²
+    # must be tight.
+    fits = [
+        least_squares(residual, start, bounds=bounds, ftol=1e-12, xtol=1e-12, gtol=1e-15)
+        for start in _STARTS
+    ]
     synergy = synergy_of(min(fits, key=lambda fit: fit.cost).x)
     offset, gap, angle = _contact(geometry, finger, synergy)
     return Opposition(synergy, gap, float(np.linalg.norm(offset)), angle)
 
 
 def _contact(geometry: Geometry, finger: str, synergy: Array) -> tuple[Array, float, float]:
-    """Offset between the pads (3,) [m], gap between the distal links [m], angle between the pads' normals [rad]."""
+    """Offset between the pads (3,) [m], gap between the distal links [m], angle between the pads'
+    normals [rad].
+    """
     angles = joints_from_synergy(synergy)
-    pads, normals, segments, reach = [], [], [], 0.0
+    pads = []
+    normals = []
+    segments = []
+    reach = 0.0
     for digit in (geometry.digit("thumb"), geometry.digit(finger)):
         own = np.array([angles[JOINT_INDEX[phalanx.joint]] for phalanx in digit.phalanges])
         position, rotation = link_poses(digit, own)[-1]

@@ -1,11 +1,12 @@
-"""Compare variants of the recipe *grasp* over seeds: ``python -m tools.variants conditions --out runs/variants``.
+"""Compare variants of the recipe *grasp* over seeds: ``python -m tools.variants conditions --out
+runs/variants``.
 
-``learner``: the recipe as it is; ``critics see deploy``, without the asymmetric critics; ``near objects first``, a curriculum, in
-which the largest distance of the object grows over the first third of the trials. ``conditions``: what the episodes of the
-training have. Every policy is evaluated on held-out episodes, on the *twin*; with ``conditions`` elsewhere too. Median and
-lowest are those on the *twin*, the other columns interquartile means, with their bootstrap interval. A repeated call skips
-finished trainings, and begins an interrupted one again.
-"""
+``learner``: the recipe as it is; ``critics see deploy``, without the asymmetric critics; ``near
+objects first``, a curriculum, in which the largest distance of the object grows over the first
+third of the trials. ``conditions``: what the episodes of the training have. Every policy is
+evaluated on held-out episodes, on the *twin*; with ``conditions`` elsewhere too. Median and lowest
+are those on the *twin*, the other columns interquartile means, with their bootstrap interval. A
+repeated call skips finished trainings, and begins an interrupted one again."""
 
 import os
 import sys
@@ -33,15 +34,21 @@ from hpac_gym.tasks.task import Task
 NEAR = 0.25
 """Share of the range of distances with which the curriculum begins."""
 GROW = 0.4
-"""Episodes drawn for each trial of the training until all distances occur: a third of the trials, since a few are rejected."""
+"""Episodes drawn for each trial of the training until all distances occur: a third of the trials,
+since a few are rejected.
+"""
 
 
 class NearFirst(Grasp):
-    """Grasp with objects near the wrist first; the range of distances grows with each episode of a recipe's training."""
+    """Grasp with objects near the wrist first; the range of distances grows with each episode of a
+    recipe's training.
+    """
 
     def __init__(self, recipe: Recipe) -> None:
         super().__init__()
-        self._all, self._grow, self._drawn = self.config.beyond_wrist, GROW * recipe.episodes, 0
+        self._all = self.config.beyond_wrist
+        self._grow = GROW * recipe.episodes
+        self._drawn = 0
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         low, high = self._all
@@ -77,7 +84,9 @@ JUDGED: dict[str, dict[str, dict[str, str]]] = {
         "PyBullet": {"engine": "pybullet"},
     },
 }
-"""Options of the environments in which the policies are evaluated; the first is that of median and lowest."""
+"""Options of the environments in which the policies are evaluated; the first is that of median and
+lowest.
+"""
 
 
 def task_maker(name: str) -> Callable[[Recipe], Task]:
@@ -85,28 +94,54 @@ def task_maker(name: str) -> Callable[[Recipe], Task]:
     return NearFirst if name == "near objects first" else training_task
 
 
-def success(policies: list[str], options: dict[str, str], episodes: int, workers: int) -> np.ndarray:
+def success(
+    policies: list[str], options: dict[str, str], episodes: int, workers: int
+) -> np.ndarray:
     """Success of policies in the same episodes, shape (policies,)."""
-    judged = evaluate(policies, DEFAULT_TASK, episodes, workers=workers, options=options).summary()["policies"]
+    judged = evaluate(policies, DEFAULT_TASK, episodes, workers=workers, options=options).summary()[
+        "policies"
+    ]
     return np.array([cell["success_rate"] for cell in judged.values()])
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("tools.variants", __doc__)
     parser.add_argument("what", choices=VARIANTS, help="what differs between the variants")
-    parser.add_argument("--seeds", type=whole_number(1), default=5, help="number of trainings of each variant")
-    parser.add_argument("--trials", type=whole_number(3_000), default=8_000, help="trials per training")
-    parser.add_argument("--episodes", type=whole_number(1), default=1_000, help="held-out episodes of each policy and cell")
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, help="processes of an evaluation")
+    parser.add_argument(
+        "--seeds", type=whole_number(1), default=5, help="number of trainings of each variant"
+    )
+    parser.add_argument(
+        "--trials", type=whole_number(3_000), default=8_000, help="trials per training"
+    )
+    parser.add_argument(
+        "--episodes",
+        type=whole_number(1),
+        default=1_000,
+        help="held-out episodes of each policy and cell",
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole_number(1),
+        default=os.cpu_count() or 1,
+        help="processes of an evaluation",
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder of the trainings")
     args = parser.parse_args(argv)
     policies: dict[str, list[str]] = {}
     for seed, (name, settings) in product(range(args.seeds), VARIANTS[args.what].items()):
         out = args.out / f"{name.replace(', ', ' ').replace(' ', '-')}-{seed}"
         policies.setdefault(name, []).append(str(out / POLICY))
-        recipe = replace(RECIPES["grasp"], seed=seed, episodes=args.trials, checkpoint_every=args.trials, **settings)
+        recipe = replace(
+            RECIPES["grasp"],
+            seed=seed,
+            episodes=args.trials,
+            checkpoint_every=args.trials,
+            **settings,
+        )
         if (out / RUN).exists() and recipe_in(out) != recipe:
-            raise RunError(f"'{out}' holds a training with other settings than '{name}' with {args.trials} trials")
+            raise RunError(
+                f"'{out}' holds a training with other settings than '{name}' with {args.trials} trials"
+            )
         if saved_trials(out) < args.trials:
             writable_folder(out)
             if status := train(recipe, out, fresh=True, make=task_maker(name)):
@@ -115,7 +150,11 @@ def main(argv: list[str] | None = None) -> int:
     print(markdown(("variant", "median [%]", "lowest", *cells), ()))
     for name, files in policies.items():
         rates = [success(files, options, args.episodes, args.workers) for options in cells.values()]
-        texts = [f"{100 * np.median(rates[0]):.1f}", f"{100 * rates[0].min():.1f}", *map(middle, rates)]
+        texts = [
+            f"{100 * np.median(rates[0]):.1f}",
+            f"{100 * rates[0].min():.1f}",
+            *map(middle, rates),
+        ]
         print(f"| {name} | {' | '.join(texts)} |", flush=True)
     return 0
 

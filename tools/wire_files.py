@@ -1,6 +1,5 @@
-"""Files generated from the protocol description and the hand's parameters: the C header, the tables of docs/wire.md,
-and the test vectors, as a CSV file and as a C header for the firmware's tests.
-"""
+"""Files generated from the protocol description and the hand's parameters: the C header, the tables
+of docs/wire.md, and the test vectors, as a CSV file and as a C header for the firmware's tests."""
 
 from __future__ import annotations
 
@@ -23,7 +22,8 @@ DOCUMENT = _ROOT / "docs" / "wire.md"
 VECTORS = _ROOT / "docs" / "wire_vectors.csv"
 VECTORS_HEADER = _ROOT / "firmware" / "test" / "unit" / "vectors.h"
 _PARTS = ("MAJOR", "MINOR", "PATCH")
-_BEGIN, _END = "<!-- generated: begin -->\n", "<!-- generated: end -->\n"
+_BEGIN = "<!-- generated: begin -->\n"
+_END = "<!-- generated: end -->\n"
 
 
 def protocol_header(hand: Hand = HPAC) -> str:
@@ -35,7 +35,10 @@ def protocol_header(hand: Hand = HPAC) -> str:
         "#define HPAC_PROTOCOL_H",
         "",
         f"#define HPAC_VERSION {protocol.VERSION}u",
-        *(f"#define HPAC_FIRMWARE_{part} {value}u" for part, value in zip(_PARTS, protocol.FIRMWARE_VERSION, strict=True)),
+        *(
+            f"#define HPAC_FIRMWARE_{part} {value}u"
+            for part, value in zip(_PARTS, protocol.FIRMWARE_VERSION, strict=True)
+        ),
         f"#define HPAC_SERVOS {len(SERVOS)}",
         f"#define HPAC_LIMITS_HASH 0x{limits_hash(hand):08x}u /* of the table below; hpac_config_hash() of the table in use */",
         "",
@@ -49,7 +52,11 @@ def protocol_header(hand: Hand = HPAC) -> str:
         "",
         "/* Messages: code, payload length, and each field's offset in the payload. */",
         *_message_lines(),
-        *(line for name, members in protocol.DESCRIPTION["enum"].items() for line in _enum_lines(name, members)),
+        *(
+            line
+            for name, members in protocol.DESCRIPTION["enum"].items()
+            for line in _enum_lines(name, members)
+        ),
         f"#define HPAC_NO_SERVO {protocol.NO_SERVO}u",
         "",
         *_constant_lines("", protocol.CONSTANTS),
@@ -72,13 +79,20 @@ def _message_lines() -> list[str]:
     lines = []
     for message in MESSAGES.values():
         name = f"HPAC_{message.name.upper()}"
-        lines += [f"#define {name} 0x{message.code:02x}u", f"#define {name}_LENGTH {message.length}u"]
-        lines += [f"#define {name}_AT_{field.name.upper()} {field.offset}u" for field in message.fields]
+        lines += [
+            f"#define {name} 0x{message.code:02x}u",
+            f"#define {name}_LENGTH {message.length}u",
+        ]
+        lines += [
+            f"#define {name}_AT_{field.name.upper()} {field.offset}u" for field in message.fields
+        ]
     return [*lines, ""]
 
 
 def _enum_lines(name: str, members: dict[str, int]) -> list[str]:
-    rows = [f"    HPAC_{name.upper()}_{member.upper()} = {value}," for member, value in members.items()]
+    rows = [
+        f"    HPAC_{name.upper()}_{member.upper()} = {value}," for member, value in members.items()
+    ]
     return ["typedef enum {", *rows, f"}} hpac_{name}_t;", ""]
 
 
@@ -99,19 +113,39 @@ def _servo_rows(hand: Hand) -> list[str]:
 
 
 def wire_tables(hand: Hand, rows: Vectors) -> str:
-    """The tables of docs/wire.md: messages with their fields, enums, constants, servo limits, test vectors."""
-    lines = [*_message_rows("message", MESSAGES), "", *_message_rows("planned", protocol.PLANNED), ""]
+    """The tables of docs/wire.md: messages with their fields, enums, constants, servo limits, test
+    vectors.
+    """
+    lines = [
+        *_message_rows("message", MESSAGES),
+        "",
+        *_message_rows("planned", protocol.PLANNED),
+        "",
+    ]
     for name, values in protocol.DESCRIPTION["enum"].items():
         lines += [f"| {name} | code | meaning |", "| --- | --- | --- |"]
-        lines += [f"| {key} | {value} | {_comment('enum.' + name, key)} |" for key, value in values.items()]
+        lines += [
+            f"| {key} | {value} | {_comment('enum.' + name, key)} |"
+            for key, value in values.items()
+        ]
         lines.append("")
     lines += ["| constant | value | meaning |", "| --- | --- | --- |"]
     for table in ("constants", "pulse", "load"):
         prefix = "" if table == "constants" else f"{table}."
-        lines += [f"| {prefix}{key} | {value:,} | {_comment(table, key)} |" for key, value in protocol.DESCRIPTION[table].items()]
-    lines += ["", "| servo | range [rad] | rate limit [rad/s] | pulse at either end [µs] |", "| --- | --- | --- | --- |"]
+        lines += [
+            f"| {prefix}{key} | {value:,} | {_comment(table, key)} |"
+            for key, value in protocol.DESCRIPTION[table].items()
+        ]
+    lines += [
+        "",
+        "| servo | range [rad] | rate limit [rad/s] | pulse at either end [µs] |",
+        "| --- | --- | --- | --- |",
+    ]
     for s in servo_limits(hand):
-        ends = [(s.centre_ns + (end - s.centre_urad) * s.ns_per_rad / 1e6) / 1e3 for end in (s.min_urad, s.max_urad)]
+        ends = [
+            (s.centre_ns + (end - s.centre_urad) * s.ns_per_rad / 1e6) / 1e3
+            for end in (s.min_urad, s.max_urad)
+        ]
         lines.append(
             f"| {s.name} | {s.min_urad / 1e6:g} … {s.max_urad / 1e6:g} | {s.rate_urad_s / 1e6:g} "
             f"| {ends[0]:.1f} … {ends[1]:.1f} |"
@@ -123,11 +157,16 @@ def wire_tables(hand: Hand, rows: Vectors) -> str:
 
 
 def _message_rows(title: str, messages: dict[str, protocol.Message]) -> list[str]:
-    lines = [f"| {title} | code | from | payload | bytes | meaning |", "| --- | --- | --- | --- | --- | --- |"]
+    lines = [
+        f"| {title} | code | from | payload | bytes | meaning |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     for message in messages.values():
         fields = ", ".join(f"`{_type_name(field)} {field.name}`" for field in message.fields) or "–"
         source = "host" if message.from_host else "hand"
-        lines.append(f"| {message.name} | 0x{message.code:02x} | {source} | {fields} | {message.length} | {message.meaning} |")
+        lines.append(
+            f"| {message.name} | 0x{message.code:02x} | {source} | {fields} | {message.length} | {message.meaning} |"
+        )
     return lines
 
 
@@ -141,20 +180,52 @@ _SESSION = 0x12345678
 
 
 def _example(name: str, hand: Hand) -> Frame:
-    """Example frame of a message with distinctive values: the bytes of a field differ, and some are zero."""
+    """Example frame of a message with distinctive values: the bytes of a field differ, and some are
+    zero.
+    """
     values: dict[str, int | tuple[int, ...]] = {
-        "nonce": _SESSION, "session": _SESSION, "limits_hash": limits_hash(hand), "watchdog_ms": 250, "action": 1,
-        "duration_ms": 1000, "servo": (0, 1, 255, 256, 8191, 13000), "period_ms": 100, "firmware_version": (0, 2, 0),
-        "trim_ns": (0, -1, 1, -20000, 20000, 256), "reversed": 0b100010, "reset": 0, "boot_count": 258, "state": 2,
-        "acked": MESSAGES["move"].code, "reason": 5, "uptime_ms": 0x01020304, "fault": 2, "attached": 0b111111, "moving": 1,
-        "heat_percent": (0, 1, 2, 99, 100, 255), "rate_permille": 1000, "supply_mv": 5000, "last_seq": 0xABCD,
-        "accepted": 70000, "refused": 1, "bad_crc": 2, "bad_frame": 3, "bad_version": 4, "overrun": 5, "dropped": 6,
+        "nonce": _SESSION,
+        "session": _SESSION,
+        "limits_hash": limits_hash(hand),
+        "watchdog_ms": 250,
+        "action": 1,
+        "duration_ms": 1000,
+        "servo": (0, 1, 255, 256, 8191, 13000),
+        "period_ms": 100,
+        "firmware_version": (0, 2, 0),
+        "trim_ns": (0, -1, 1, -20000, 20000, 256),
+        "reversed": 0b100010,
+        "reset": 0,
+        "boot_count": 258,
+        "state": 2,
+        "acked": MESSAGES["move"].code,
+        "reason": 5,
+        "uptime_ms": 0x01020304,
+        "fault": 2,
+        "attached": 0b111111,
+        "moving": 1,
+        "heat_percent": (0, 1, 2, 99, 100, 255),
+        "rate_permille": 1000,
+        "supply_mv": 5000,
+        "last_seq": 0xABCD,
+        "accepted": 70000,
+        "refused": 1,
+        "bad_crc": 2,
+        "bad_frame": 3,
+        "bad_version": 4,
+        "overrun": 5,
+        "dropped": 6,
         "watchdog_trips": 65535,
-    }  # fmt: skip
+    }
     one_servo = {"ack": 3, "fault": 255}  # here `servo` is an index
     fields = {field.name: values[field.name] for field in MESSAGES[name].fields}
     fields |= {"servo": one_servo[name]} if name in one_servo else {}
-    return Frame(name, seq=0 if name == "fault" else 0x0102, flags=protocol.FLAG_MINIMUM_JERK * (name == "move"), fields=fields)
+    return Frame(
+        name,
+        seq=0 if name == "fault" else 0x0102,
+        flags=protocol.FLAG_MINIMUM_JERK * (name == "move"),
+        fields=fields,
+    )
 
 
 def _sealed(body: bytes) -> bytes:
@@ -164,9 +235,9 @@ def _sealed(body: bytes) -> bytes:
 def vectors(hand: Hand = HPAC) -> Vectors:
     """The test vectors.
 
-    The verdict is `ok` for a frame of every message, the cause for which a receiver drops a damaged one (`cobs`, `short`,
-    `crc`, `overrun`), or the reason for which a hand in session 0x12345678 refuses an intact one.
-    """
+    The verdict is `ok` for a frame of every message, the cause for which a receiver drops a damaged
+    one (`cobs`, `short`, `crc`, `overrun`), or the reason for which a hand in session 0x12345678
+    refuses an intact one."""
     frames = [(name, "ok", encode(_example(name, hand))) for name in MESSAGES]
     wire = encode(_example("move", hand))
     move = cobs_decode(wire[1:-1])[: -protocol.CRC_LENGTH]
@@ -180,12 +251,20 @@ def vectors(hand: Hand = HPAC) -> Vectors:
         ("longer than any frame", "overrun", _sealed(move + bytes(range(1, 64)))),
         ("payload one byte short", "length", _sealed(move[:-1])),
         ("unknown type", "type", _sealed(bytes([move[0], 0x70]) + move[2:])),
-        ("a planned LOAD", "type", _sealed(move[:1] + bytes([protocol.PLANNED["load"].code]) + move[2:5] + b"\x64\0")),
+        (
+            "a planned LOAD",
+            "type",
+            _sealed(move[:1] + bytes([protocol.PLANNED["load"].code]) + move[2:5] + b"\x64\0"),
+        ),
         ("unknown flag", "flags", _sealed(move[:4] + b"\x80" + move[5:])),
         ("another session", "session", _sealed(other_session)),
         ("a MOVE of version 3", "version", _sealed(bytes([3]) + move[1:])),
         ("HELLO of version 1", "look", _sealed(old_hello)),
-        ("ESTOP of version 9 with flags and payload", "estop", _sealed(bytes([9, MESSAGES["estop"].code, 7, 0, 0xFF, 1, 2, 0]))),
+        (
+            "ESTOP of version 9 with flags and payload",
+            "estop",
+            _sealed(bytes([9, MESSAGES["estop"].code, 7, 0, 0xFF, 1, 2, 0])),
+        ),
     ]
     return frames + broken
 
@@ -200,7 +279,10 @@ def vectors_header(rows: Vectors) -> str:
         f"    uint8_t wire[{max(len(wire) for _, _, wire in rows)}];",
         "} vectors[] = {",
     ]
-    lines += [f'    {{ "{name}", "{verdict}", {len(wire)}, {{ {", ".join(map(str, wire))} }} }},' for name, verdict, wire in rows]
+    lines += [
+        f'    {{ "{name}", "{verdict}", {len(wire)}, {{ {", ".join(map(str, wire))} }} }},'
+        for name, verdict, wire in rows
+    ]
     return "\n".join([*lines, "};"]) + "\n"
 
 
@@ -216,6 +298,7 @@ def wire_files(hand: Hand = HPAC) -> dict[Path, str]:
     return {
         HEADER: protocol_header(hand),
         DOCUMENT: head + _BEGIN + wire_tables(hand, rows) + _END + rest.split(_END)[1],
-        VECTORS: "name,verdict,wire\n" + "".join(f"{name},{verdict},{wire.hex()}\n" for name, verdict, wire in rows),
+        VECTORS: "name,verdict,wire\n"
+        + "".join(f"{name},{verdict},{wire.hex()}\n" for name, verdict, wire in rows),
         VECTORS_HEADER: vectors_header(rows),
     }

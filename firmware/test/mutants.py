@@ -1,14 +1,17 @@
-"""Mutants: small faults made by rule in the firmware's sources, each of which the tests must notice.
+"""Mutants: small faults made by rule in the firmware's sources, each of which the tests must
+notice.
 
-`make -C firmware mutants` makes them all over core and ESP32 port and prints the score; it takes tens of minutes. What it has
-found stands in build/mutants.txt, and a run that was cut short goes on from there: a mutant that was noticed is not tried again
-while its source stays as it is, a survivor is. `--sample N` draws N of them. `--controls` tries the named faults below alone, in
-seconds: the negative controls of the tests themselves.
+`make -C firmware mutants` makes them all over core and ESP32 port and prints the score; it takes
+tens of minutes. What it has found stands in build/mutants.txt, and a run that was cut short goes on
+from there: a mutant that was noticed is not tried again while its source stays as it is, a survivor
+is. `--sample N` draws N of them. `--controls` tries the named faults below alone, in seconds: the
+negative controls of the tests themselves.
 
-Rules: delete a statement, flip a comparison, exchange `&&` and `||`, add one to a constant, swap two arguments. A mutant
-that compiles to the same object code is no mutant. The judges run in turn, the quickest first, until one notices: the unit
-tests, the hostile host, the flipped bits (core) or the chips that are not there (port); and once more with sanitizers.
-"""
+Rules: delete a statement, flip a comparison, exchange `&&` and `||`, add one to a constant, swap
+    two arguments. A mutant
+that compiles to the same object code is no mutant. The judges run in turn, the quickest first,
+until one notices: the unit tests, the hostile host, the flipped bits (core) or the chips that are
+not there (port); and once more with sanitizers."""
 
 from __future__ import annotations
 
@@ -33,16 +36,22 @@ FRAMES = {"glance": "15000", "driver": "150000"}
 """A glance is the hostile host for a moment."""
 VARIANTS = {
     "esp32": ("-DSTUB_TARGET=32",),
-    "c6": ("-DSTUB_TARGET=6", "-DESTOP_PIN=11", "-DSUPPLY_ADC_CHANNEL=0", "-DSERVO_TRIMS_NS=0, -1, 1, -20000, 20000, 300",
-           "-DSERVO_DIRECTIONS=1, -1, 1, 1, -1, 1"),
+    "c6": (
+        "-DSTUB_TARGET=6",
+        "-DESTOP_PIN=11",
+        "-DSUPPLY_ADC_CHANNEL=0",
+        "-DSERVO_TRIMS_NS=0, -1, 1, -20000, 20000, 300",
+        "-DSERVO_DIRECTIONS=1, -1, 1, 1, -1, 1",
+    ),
     "c3": ("-DSTUB_TARGET=13", "-DPORT_IS_USB=1", "-DESTOP_PIN=0"),
     "s3": ("-DSTUB_TARGET=3", "-DSERVOS_ON_PCA9685=1", "-DESTOP_PIN=18", "-DSUPPLY_ADC_CHANNEL=0"),
-}  # fmt: skip
+}
 """The chips and wirings of board/esp32/test/check.sh, which the port is tested with."""
 
 EQUIVALENT = FIRMWARE / "test" / "mutants.txt"
-"""Survivors that were looked at: one line each, `file: rule: code | reason`; `=` before it if nothing that the hand does
-differs. Those are not tried again and left out of the score, the others count against it."""
+"""Survivors that were looked at: one line each, `file: rule: code | reason`; `=` before it if
+nothing that the hand does differs. Those are not tried again and left out of the score, the others
+count against it."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +71,9 @@ class Mutant:
     def describe(self, code: str) -> str:
         """One line that does not change with line numbers."""
         begin = code.rfind("\n", 0, self.start) + 1
-        line = self.mutated(code)[begin : code.find("\n", self.end) + len(self.text) - (self.end - self.start)]
+        line = self.mutated(code)[
+            begin : code.find("\n", self.end) + len(self.text) - (self.end - self.start)
+        ]
         return f"{self.source.name}: {self.rule}: {' '.join(line.split())}"
 
 
@@ -84,13 +95,23 @@ _CALL = re.compile(r"\b([a-z_]\w*)\(((?:[^(),]|\([^()]*\))+), ((?:[^(),]|\([^()]
 def mutants_of(source: Path) -> list[Mutant]:
     """Every mutant of one file."""
     code = source.read_text()
-    body = re.sub(r"/\*.*?\*/|^#.*?(?<!\\)$|\"[^\"\n]*\"", lambda m: " " * len(m[0]), code, flags=re.M | re.S)
-    body = re.sub(r"\[(?:16|256)\] = \{.*?\};", lambda m: " " * len(m[0]), body, flags=re.S)  # tables of a CRC
+    body = re.sub(
+        r"/\*.*?\*/|^#.*?(?<!\\)$|\"[^\"\n]*\"", lambda m: " " * len(m[0]), code, flags=re.M | re.S
+    )
+    body = re.sub(
+        r"\[(?:16|256)\] = \{.*?\};", lambda m: " " * len(m[0]), body, flags=re.S
+    )  # tables of a CRC
     found = []
     for m in _STATEMENT.finditer(body):
         if not _DECLARATION.match(m[1].strip()) and m[1].count("(") == m[1].count(")"):
             found.append(
-                Mutant(source, "deleted", m.start(1), m.end(1), "/* " + " ".join(code[m.start(1) : m.end(1)].split()) + " */")
+                Mutant(
+                    source,
+                    "deleted",
+                    m.start(1),
+                    m.end(1),
+                    "/* " + " ".join(code[m.start(1) : m.end(1)].split()) + " */",
+                )
             )
     least = [m.start(2) for m in _LEAST.finditer(body)]  # of two equal ones either may be taken
     found += [
@@ -98,11 +119,20 @@ def mutants_of(source: Path) -> list[Mutant]:
         for m in _COMPARISON.finditer(body)
         if m.start(1) not in least
     ]
-    found += [Mutant(source, "and/or", m.start(1), m.end(1), "||" if m[1] == "&&" else "&&") for m in _LOGIC.finditer(body)]
-    found += [Mutant(source, "constant", m.start(1), m.end(1), f"({m[1]} + 1)") for m in _CONSTANT.finditer(body)]
+    found += [
+        Mutant(source, "and/or", m.start(1), m.end(1), "||" if m[1] == "&&" else "&&")
+        for m in _LOGIC.finditer(body)
+    ]
+    found += [
+        Mutant(source, "constant", m.start(1), m.end(1), f"({m[1]} + 1)")
+        for m in _CONSTANT.finditer(body)
+    ]
     for m in _CALL.finditer(body):
-        first, second = code[m.start(2) : m.end(2)], code[m.start(3) : m.end(3)]
-        if first != second and not re.search(r"\n\w[^;{]*$", body[: m.start()]):  # not a function's own head
+        first = code[m.start(2) : m.end(2)]
+        second = code[m.start(3) : m.end(3)]
+        if first != second and not re.search(
+            r"\n\w[^;{]*$", body[: m.start()]
+        ):  # not a function's own head
             found.append(Mutant(source, "swapped", m.start(2), m.end(3), f"{second}, {first}"))
     return found
 
@@ -111,27 +141,95 @@ PATIENCE = {"plain": 15, "sanitized": 60}
 """A judge that takes more processor time hangs; the slowest takes a few seconds [s]."""
 
 CONTROLS = [  # name, file, text, replacement, the judge that must notice
-    ("hold: a move runs on after the watchdog", "state", "        hpac_motion_stop(hand);\n    }\n    if", "    }\n    if", "driver"),
-    ("watchdog: strangers feed it", "dispatch", "    hand->count.accepted++;\n    if", "    hand->heard_us = hand->now_us;\n    if", "driver"),
-    ("watchdog: the wrong action", "state", "(hpac_action_t)hand->action", "HPAC_ACTION_HOLD", "driver"),
-    ("relax: too fast", "motion", "limits->rate_urad_s * HPAC_RELAX_PERMILLE", "limits->rate_urad_s * 1000", "driver"),
-    ("start: two servos at once", "state", "hand->start_left_us = hpac_motion_start_us(hand, i);", ";", "driver"),
-    ("late tick: the motion jumps", "state", "late_us < room_us ? (uint32_t)late_us : room_us", "(uint32_t)late_us", "driver"),
-    ("stream: the credit never ends", "motion", "return left + filled - used;", "return credit_max(limits) + filled;", "driver"),
-    ("e-stop: out of the session", "dispatch", "if (type == HPAC_ESTOP) {\n        estop(hand, seq);\n        return;", "if (type == HPAC_ESTOP && hand->session != 0u) {\n        estop(hand, seq);\n        return;", "driver"),
+    (
+        "hold: a move runs on after the watchdog",
+        "state",
+        "        hpac_motion_stop(hand);\n    }\n    if",
+        "    }\n    if",
+        "driver",
+    ),
+    (
+        "watchdog: strangers feed it",
+        "dispatch",
+        "    hand->count.accepted++;\n    if",
+        "    hand->heard_us = hand->now_us;\n    if",
+        "driver",
+    ),
+    (
+        "watchdog: the wrong action",
+        "state",
+        "(hpac_action_t)hand->action",
+        "HPAC_ACTION_HOLD",
+        "driver",
+    ),
+    (
+        "relax: too fast",
+        "motion",
+        "limits->rate_urad_s * HPAC_RELAX_PERMILLE",
+        "limits->rate_urad_s * 1000",
+        "driver",
+    ),
+    (
+        "start: two servos at once",
+        "state",
+        "hand->start_left_us = hpac_motion_start_us(hand, i);",
+        ";",
+        "driver",
+    ),
+    (
+        "late tick: the motion jumps",
+        "state",
+        "late_us < room_us ? (uint32_t)late_us : room_us",
+        "(uint32_t)late_us",
+        "driver",
+    ),
+    (
+        "stream: the credit never ends",
+        "motion",
+        "return left + filled - used;",
+        "return credit_max(limits) + filled;",
+        "driver",
+    ),
+    (
+        "e-stop: out of the session",
+        "dispatch",
+        "if (type == HPAC_ESTOP) {\n        estop(hand, seq);\n        return;",
+        "if (type == HPAC_ESTOP && hand->session != 0u) {\n        estop(hand, seq);\n        return;",
+        "driver",
+    ),
     ("stale: an old number after CLEAR", "state", "    hand->repeatable = false;\n", "", "driver"),
-    ("flipped bit: no slew limit", "motion", "|| credit_now(hand, i) < -(int64_t)ROUNDING_URAD * NRAD_PER_URAD", "", "flips"),
-    ("flipped bit: no table", "motion", "!within(limits_of(hand, i), hpac_motion_angle(hand, i))\n            ||", "", "flips"),
+    (
+        "flipped bit: no slew limit",
+        "motion",
+        "|| credit_now(hand, i) < -(int64_t)ROUNDING_URAD * NRAD_PER_URAD",
+        "",
+        "flips",
+    ),
+    (
+        "flipped bit: no table",
+        "motion",
+        "!within(limits_of(hand, i), hpac_motion_angle(hand, i))\n            ||",
+        "",
+        "flips",
+    ),
     ("flipped bit: state not looked at", "state", "if (!sound(hand)) {", "if (false) {", "flips"),
-    ("flipped bit: clock not looked at", "state", "hand->now_us != ~hand->not_now_us || ", "", "flips"),
-]  # fmt: skip
+    (
+        "flipped bit: clock not looked at",
+        "state",
+        "hand->now_us != ~hand->not_now_us || ",
+        "",
+        "flips",
+    ),
+]
 
 
 class Workshop:
     """Compiles mutants beside objects of all that stays as it is."""
 
     def __init__(self, folder: Path, compiler: str, flags: tuple[str, ...]) -> None:
-        self.folder, self.compiler, self.flags = folder, compiler, ("-std=gnu11", *flags, "-g0", "-w")
+        self.folder = folder
+        self.compiler = compiler
+        self.flags = ("-std=gnu11", *flags, "-g0", "-w")
         test = FIRMWARE / "test"
         self.core = sorted((FIRMWARE / "core").glob("*.c"))
         self.port = sorted((PORT / "main").glob("*.c"))
@@ -152,34 +250,64 @@ class Workshop:
                 self.objects[path, variant] = self.compile(path, path, variant)
             return self.objects[path, variant]
 
-    def compile(self, path: Path, origin: Path, variant: str, name: str | None = None) -> Path | None:
+    def compile(
+        self, path: Path, origin: Path, variant: str, name: str | None = None
+    ) -> Path | None:
         """The object file of a source, compiled as its origin is; None if it does not compile."""
         target = self.folder / f"{name or origin.parent.name + '_' + origin.stem}{variant}.o"
         test = FIRMWARE / "test"
         folders = [FIRMWARE / "core", test, test / "unit", origin.parent]
         folders += [PORT / "test", PORT / "test" / "stubs", PORT / "main"] if variant else []
         includes = [f"-I{folder}" for folder in folders]
-        command = [self.compiler, *self.flags, *VARIANTS.get(variant, ()), *includes, "-c", path, "-o", target]
-        return target if subprocess.run(command, capture_output=True, check=False).returncode == 0 else None
+        command = [
+            self.compiler,
+            *self.flags,
+            *VARIANTS.get(variant, ()),
+            *includes,
+            "-c",
+            path,
+            "-o",
+            target,
+        ]
+        return (
+            target
+            if subprocess.run(command, capture_output=True, check=False).returncode == 0
+            else None
+        )
 
     def notices(self, judge: str, mutated: Path, instead_of: Path, name: str) -> bool:
         """Whether a judge fails, crashes or hangs with one object put in another one's place."""
-        ours = [(path, "") for path in self.core] + [(path, judge) for path in self.port if judge in VARIANTS]
+        ours = [(path, "") for path in self.core] + [
+            (path, judge) for path in self.port if judge in VARIANTS
+        ]
         ours += [(path, judge if PORT in path.parents else "") for path in self.harness[judge]]
-        objects = [mutated if path == instead_of else self.object_of(path, variant) for path, variant in ours]
+        objects = [
+            mutated if path == instead_of else self.object_of(path, variant)
+            for path, variant in ours
+        ]
         program = self.folder / f"{name}_{judge}"
         link = [self.compiler, *self.flags, "-o", program, *objects, "-lm"]
         if subprocess.run(link, capture_output=True, check=False).returncode != 0:
             return True
-        arguments = [FRAMES[judge], "3"] if judge in FRAMES else ["first"] if judge == "flips" else []
-        limited = ["sh", "-c", f'ulimit -t {PATIENCE[self.folder.name]}; exec "$0" "$@"', program, *arguments]
+        arguments = (
+            [FRAMES[judge], "3"] if judge in FRAMES else ["first"] if judge == "flips" else []
+        )
+        limited = [
+            "sh",
+            "-c",
+            f'ulimit -t {PATIENCE[self.folder.name]}; exec "$0" "$@"',
+            program,
+            *arguments,
+        ]
         answer = subprocess.run(limited, capture_output=True, check=False)
         program.unlink()
         return answer.returncode != 0
 
 
 def judge_mutant(workshops: list[Workshop], mutant: Mutant, number: int) -> str:
-    """Who noticed a mutant: a judge's name, `same` for the same object code, `none` if it does not compile, or ``."""
+    """Who noticed a mutant: a judge's name, `same` for the same object code, `none` if it does not
+    compile, or ``.
+    """
     for workshop in workshops:
         source = workshop.folder / f"m{number}.c"
         source.write_text(mutant.mutated(mutant.source.read_text()))
@@ -207,10 +335,14 @@ def _line(mutant: Mutant) -> str:
 
 def _key(mutant: Mutant) -> str:
     """What a verdict holds for: the mutated source, to the letter."""
-    return hashlib.sha256((mutant.source.name + mutant.mutated(mutant.source.read_text())).encode()).hexdigest()[:20]
+    return hashlib.sha256(
+        (mutant.source.name + mutant.mutated(mutant.source.read_text())).encode()
+    ).hexdigest()[:20]
 
 
-def _judge_once(workshops: list[Workshop], mutant: Mutant, number: int, record: Path, noticed: dict[str, str]) -> str:
+def _judge_once(
+    workshops: list[Workshop], mutant: Mutant, number: int, record: Path, noticed: dict[str, str]
+) -> str:
     """A mutant's verdict, taken from the record or written into it."""
     if _key(mutant) not in noticed:
         verdict = judge_mutant(workshops, mutant, number)
@@ -225,20 +357,34 @@ def _judge_once(workshops: list[Workshop], mutant: Mutant, number: int, record: 
 
 def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
     """Wilson's 95 % interval of a share."""
-    share, square = hits / count, z * z / count
-    middle, half = share + square / 2, z * sqrt(share * (1 - share) / count + square / (4 * count))
+    share = hits / count
+    square = z * z / count
+    middle = share + square / 2
+    half = z * sqrt(share * (1 - share) / count + square / (4 * count))
     return (middle - half) / (1 + square), (middle + half) / (1 + square)
 
 
-def judge_all(workshops: list[Workshop], mutants: list[Mutant], jobs: int, record: Path, sampled: bool) -> int:
+def judge_all(
+    workshops: list[Workshop], mutants: list[Mutant], jobs: int, record: Path, sampled: bool
+) -> int:
     """Judge mutants and print the score and the survivors."""
-    lines = [line for line in EQUIVALENT.read_text().splitlines() if line and not line.startswith("#")]
+    lines = [
+        line for line in EQUIVALENT.read_text().splitlines() if line and not line.startswith("#")
+    ]
     known = dict(line.rsplit(" | ", 1) for line in lines)
-    noticed_before = dict(line.split() for line in record.read_text().splitlines()) if record.exists() else {}
-    noticed_before |= {_key(mutant): "equivalent" for mutant in mutants if "= " + _line(mutant) in known}
+    noticed_before = (
+        dict(line.split() for line in record.read_text().splitlines()) if record.exists() else {}
+    )
+    noticed_before |= {
+        _key(mutant): "equivalent" for mutant in mutants if "= " + _line(mutant) in known
+    }
     with ThreadPoolExecutor(jobs) as pool:
         pairs = enumerate(mutants)
-        verdicts = list(pool.map(lambda pair: _judge_once(workshops, pair[1], pair[0], record, noticed_before), pairs))
+        verdicts = list(
+            pool.map(
+                lambda pair: _judge_once(workshops, pair[1], pair[0], record, noticed_before), pairs
+            )
+        )
     tally: dict[str, Counter] = {}
     unlisted = 0
     for mutant, verdict in zip(mutants, verdicts, strict=True):
@@ -254,12 +400,16 @@ def judge_all(workshops: list[Workshop], mutants: list[Mutant], jobs: int, recor
         total += counts if counts is not total else Counter()
         equivalent = counts["equivalent"] + counts["same"]
         noticed = sum(counts[judge] for judge in (*JUDGES["plain"], *VARIANTS))
-        print(f"{name:20} {noticed + counts['survived']:8} {noticed:8} {counts['survived']:8} {equivalent:10}")
+        print(
+            f"{name:20} {noticed + counts['survived']:8} {noticed:8} {counts['survived']:8} {equivalent:10}"
+        )
     noticed = sum(total[judge] for judge in (*JUDGES["plain"], *VARIANTS))
     share = 100 * noticed / (noticed + total["survived"])
     low, high = wilson(noticed, noticed + total["survived"])
     of = f", a sample: 95 % interval {100 * low:.1f} to {100 * high:.1f} %" if sampled else ""
-    print(f"mutants: {noticed} of {noticed + total['survived']} that change behaviour noticed, {share:.1f} % (mark: 95){of}")
+    print(
+        f"mutants: {noticed} of {noticed + total['survived']} that change behaviour noticed, {share:.1f} % (mark: 95){of}"
+    )
     return 0 if share >= 95 and not unlisted else 1
 
 
@@ -279,23 +429,34 @@ def judge_controls(workshop: Workshop) -> int:
         if mutated is None or not workshop.notices(judge, mutated, source, f"c{number}"):
             missed += 1
             print(f"not noticed by {judge}: {name}")
-    print(f"controls: {len(CONTROLS) - missed} of {len(CONTROLS)} named faults noticed by the judge that must")
+    print(
+        f"controls: {len(CONTROLS) - missed} of {len(CONTROLS)} named faults noticed by the judge that must"
+    )
     return 1 if missed else 0
 
 
 def main() -> int:
-    """Judge mutants or controls; the exit status tells whether the mark is reached and every survivor has a reason."""
+    """Judge mutants or controls; the exit status tells whether the mark is reached and every
+    survivor has a reason.
+    """
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cc", default="cc", help="C compiler")
     parser.add_argument("--controls", action="store_true", help="the named faults alone")
     parser.add_argument("--quick", action="store_true", help="leave the sanitizers out")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
     parser.add_argument(
-        "--only", type=Path, help="judge only the mutants whose lines stand in this file, survivors of a run before say"
+        "--only",
+        type=Path,
+        help="judge only the mutants whose lines stand in this file, survivors of a run before say",
     )
     parser.add_argument("--sample", type=int, help="so many of them, drawn at random")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
-    parser.add_argument("--record", type=Path, default=FIRMWARE / "build" / "mutants.txt", help="what was noticed before")
+    parser.add_argument(
+        "--record",
+        type=Path,
+        default=FIRMWARE / "build" / "mutants.txt",
+        help="what was noticed before",
+    )
     parser.add_argument("files", nargs="*", help="mutate these files only, by name")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -316,7 +477,9 @@ def main() -> int:
         if options.sample is not None:
             mutants = random.Random(options.seed).sample(mutants, min(options.sample, len(mutants)))
         options.record.parent.mkdir(exist_ok=True)
-        return judge_all(workshops, mutants, options.jobs, options.record, options.sample is not None)
+        return judge_all(
+            workshops, mutants, options.jobs, options.record, options.sample is not None
+        )
 
 
 if __name__ == "__main__":

@@ -1,1 +1,3 @@
-"""Geometry of the hand and of objects as data, and the writers of their model files. Imports no simulator."""
+"""Geometry of the hand and of objects as data, and the writers of their model files. Imports no
+simulator.
+"""

@@ -40,8 +40,8 @@ class Capsule:
 class Phalanx:
     """One moving link: its joint, and a capsule along +z from that joint.
 
-    ``origin`` and ``rpy`` place the link in its parent's frame at joint angle zero; ``axis`` is in the link's own frame.
-    """
+    ``origin`` and ``rpy`` place the link in its parent's frame at joint angle zero; ``axis`` is in
+    the link's own frame."""
 
     joint: str
     parent: str
@@ -59,7 +59,9 @@ class Phalanx:
 
 @dataclass(frozen=True, slots=True)
 class Digit:
-    """Three phalanges from the palm outwards; ``pad`` is the fingertip's contact point, in the last link's frame."""
+    """Three phalanges from the palm outwards; ``pad`` is the fingertip's contact point, in the last
+    link's frame.
+    """
 
     name: str
     phalanges: tuple[Phalanx, Phalanx, Phalanx]
@@ -67,22 +69,29 @@ class Digit:
     pad_normal: Vector
 
     def scaled(self, lengths: Array, thickness: float) -> "Digit":
-        """A copy with the link lengths multiplied by ``lengths``, shape (3,), and the radii by ``thickness``."""
+        """A copy with the link lengths multiplied by ``lengths``, shape (3,), and the radii by
+        ``thickness``.
+        """
         phalanges = []
         for phalanx, factor in zip(self.phalanges, lengths.tolist(), strict=True):
-            length, radius = factor * phalanx.length, thickness * phalanx.capsule.radius
+            length = factor * phalanx.length
+            radius = thickness * phalanx.capsule.radius
             end = length - radius if phalanx is self.phalanges[-1] else length
             origin = (0.0, 0.0, phalanges[-1].length) if phalanges else phalanx.origin
             capsule = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, end), radius)
             mass = factor * thickness**2 * phalanx.mass
-            phalanges.append(replace(phalanx, origin=origin, length=length, mass=mass, capsule=capsule))
+            phalanges.append(
+                replace(phalanx, origin=origin, length=length, mass=mass, capsule=capsule)
+            )
         pad = tuple(np.add(capsule.end, np.multiply(radius, self.pad_normal)).tolist())
         return replace(self, phalanges=tuple(phalanges), pad=pad)
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Geometry of one hand: palm, digits, and the joints' effort limit [N·m] and velocity limit [rad/s]."""
+    """Geometry of one hand: palm, digits, and the joints' effort limit [N·m] and velocity limit
+    [rad/s].
+    """
 
     palm_mass: float
     palm_solids: tuple[Box | Capsule, ...]
@@ -93,7 +102,9 @@ class Geometry:
     """Synergies that bring the thumb pad onto a finger's pad, by finger, 6 values each [rad]."""
 
     def __hash__(self) -> int:
-        return hash(tuple(digit.pad for digit in self.digits))  # hashing all fields would take fifty times as long
+        return hash(
+            tuple(digit.pad for digit in self.digits)
+        )  # hashing all fields would take fifty times as long
 
     @property
     def phalanges(self) -> tuple[Phalanx, ...]:
@@ -109,7 +120,9 @@ def load_geometry() -> Geometry:
     table = tomllib.loads(GEOMETRY_FILE.read_text(encoding="utf-8"))
     palm = table["palm"]
     boxes = tuple(Box(tuple(box["center"]), tuple(box["size"])) for box in palm["boxes"])
-    capsules = tuple(Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in palm["capsules"])
+    capsules = tuple(
+        Capsule(tuple(c["start"]), tuple(c["end"]), c["radius"]) for c in palm["capsules"]
+    )
     pad_tilt = np.deg2rad(table["pad"]["tilt_deg"])
     return Geometry(
         palm_mass=palm["mass"],
@@ -122,20 +135,29 @@ def load_geometry() -> Geometry:
 
 
 def _digit(name: str, table: dict, pad_tilt: float) -> Digit:
-    joints, axis, phalanges = digit_joints(name), FLEXION_AXIS, []
+    joints = digit_joints(name)
+    axis = FLEXION_AXIS
+    phalanges = []
     if name == "thumb":
-        joints, rpy = ("thumb_cmc", *joints), tuple(table["rpy"])
+        joints = ("thumb_cmc", *joints)
+        rpy = tuple(table["rpy"])
         axis = rotation_from_rpy(rpy).T @ table["axis"]
         axis = tuple(axis / np.linalg.norm(axis))
     else:
         rpy = (-np.deg2rad(table["fan_deg"]), 0.0, 0.0)
-    parent, origin = "palm", tuple(table["base"])
-    for joint, length, radius, mass in zip(joints, table["lengths"], table["radii"], table["masses"], strict=True):
+    parent = "palm"
+    origin = tuple(table["base"])
+    for joint, length, radius, mass in zip(
+        joints, table["lengths"], table["radii"], table["masses"], strict=True
+    ):
         end = length - radius if joint == joints[-1] else length
         capsule = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, end), radius)
         phalanx = Phalanx(joint, parent, origin, rpy, axis, length, mass, capsule)
         phalanges.append(phalanx)
-        parent, origin, rpy, axis = phalanx.link, (0.0, 0.0, length), (0.0, 0.0, 0.0), FLEXION_AXIS
+        parent = phalanx.link
+        origin = (0.0, 0.0, length)
+        rpy = (0.0, 0.0, 0.0)
+        axis = FLEXION_AXIS
     normal = (float(np.cos(pad_tilt)), 0.0, float(np.sin(pad_tilt)))
     pad = tuple(np.add(capsule.end, np.multiply(capsule.radius, normal)).tolist())
     return Digit(name, tuple(phalanges), pad, normal)
@@ -144,11 +166,17 @@ def _digit(name: str, table: dict, pad_tilt: float) -> Digit:
 def rotation_from_rpy(rpy: Vector) -> Array:
     """The rotation matrix of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
     roll, pitch, yaw = rpy
-    return rotation_about((0, 0, 1), yaw) @ rotation_about((0, 1, 0), pitch) @ rotation_about((1, 0, 0), roll)
+    return (
+        rotation_about((0, 0, 1), yaw)
+        @ rotation_about((0, 1, 0), pitch)
+        @ rotation_about((1, 0, 0), roll)
+    )
 
 
 def rotation_about(axis: Vector | Array, angle: float) -> Array:
-    """Rotation matrix, shape (3, 3), for a rotation by ``angle`` [rad] about a unit ``axis`` (Rodrigues)."""
+    """Rotation matrix, shape (3, 3), for a rotation by ``angle`` [rad] about a unit ``axis``
+    (Rodrigues).
+    """
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -161,7 +189,9 @@ def link_poses(digit: Digit, angles: Array) -> list[tuple[Array, Array]]:
         digit: the digit.
         angles: its joint angles from the palm outwards, shape (3,) [rad].
     """
-    position, rotation, poses = np.zeros(3), np.eye(3), []
+    position = np.zeros(3)
+    rotation = np.eye(3)
+    poses = []
     for phalanx, angle in zip(digit.phalanges, angles, strict=True):
         position = position + rotation @ phalanx.origin
         rotation = rotation @ rotation_from_rpy(phalanx.rpy) @ rotation_about(phalanx.axis, angle)

@@ -1,8 +1,9 @@
-"""Models of the named grasps' objects as data: dimensions of the real objects and the solids that approximate them.
+"""Models of the named grasps' objects as data: dimensions of the real objects and the solids that
+approximate them.
 
-Independent of any simulator. Real objects, their numbers and sources are in ``data/objects.toml``; the fictitious objects
-that replace them in the held-out shape variants are in ``data/held_out_objects.toml``.
-"""
+Independent of any simulator. Real objects, their numbers and sources are in ``data/objects.toml``;
+the fictitious objects that replace them in the held-out shape variants are in
+``data/held_out_objects.toml``."""
 
 from __future__ import annotations
 
@@ -28,7 +29,11 @@ HELD_OUT_FILE = Path(__file__).parent / "data" / "held_out_objects.toml"
 STAVES = 16
 """Default number of flat staves that make up a ring."""
 
-_AXES = {"x": rotation_about((0, 1, 0), math.pi / 2), "y": rotation_about((1, 0, 0), -math.pi / 2), "z": np.eye(3)}
+_AXES = {
+    "x": rotation_about((0, 1, 0), math.pi / 2),
+    "y": rotation_about((1, 0, 0), -math.pi / 2),
+    "z": np.eye(3),
+}
 FIELDS = {"about", "size", "mass", "shape", "color", "solids"}
 SOURCE_FIELDS = {"source", "published", "chosen"}
 
@@ -43,13 +48,19 @@ class Hull:
     """Corners of each triangle, counter-clockwise seen from outside, shape (m, 3)."""
 
     def moments(self) -> tuple[float, Array, Array]:
-        """Volume [m³], centroid, shape (3,) [m], and ∫ r rᵀ dV about the origin, shape (3, 3) [m⁵]."""
+        """Volume [m³], centroid, shape (3,) [m], and ∫ r rᵀ dV about the origin, shape (3, 3)
+        [m⁵].
+        """
         corners = self.vertices[self.faces]
-        sixfold = np.linalg.det(corners)  # six times the volume of the tetrahedron between a face and the origin
+        sixfold = np.linalg.det(
+            corners
+        )  # six times the volume of the tetrahedron between a face and the origin
         total = corners.sum(axis=1)
         volume = sixfold.sum() / 6
         centre = (sixfold[:, None] * total).sum(axis=0) / 24 / volume
-        squares = np.einsum("fki,fkj->fij", corners, corners) + np.einsum("fi,fj->fij", total, total)
+        squares = np.einsum("fki,fkj->fij", corners, corners) + np.einsum(
+            "fi,fj->fij", total, total
+        )
         return float(volume), centre, (sixfold[:, None, None] * squares).sum(axis=0) / 120
 
 
@@ -110,10 +121,12 @@ class Solid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObjectModel:
-    """One object: dimensions of the real object, and the solids that approximate it. Compared by identity.
+    """One object: dimensions of the real object, and the solids that approximate it. Compared by
+    identity.
 
     Raises:
-        ParameterError: The solids' masses do not add up to the object's, or their bounding box is not centred at the origin.
+        ParameterError: The solids' masses do not add up to the object's, or their bounding box is
+            not centred at the origin.
     """
 
     name: str
@@ -136,10 +149,14 @@ class ObjectModel:
     def __post_init__(self) -> None:
         total = sum(solid.mass for solid in self.solids)
         if not math.isclose(total, self.mass, rel_tol=1e-6):
-            raise ParameterError(f"solids of {self.name} weigh {total:.6g} kg, the object {self.mass:.6g} kg")
+            raise ParameterError(
+                f"solids of {self.name} weigh {total:.6g} kg, the object {self.mass:.6g} kg"
+            )
         low, high = self.bounds
         if np.abs(low + high).max() > 2e-4:
-            raise ParameterError(f"solids of {self.name} have their middle at {(low + high) / 2} m, not at the origin")
+            raise ParameterError(
+                f"solids of {self.name} have their middle at {(low + high) / 2} m, not at the origin"
+            )
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -147,12 +164,16 @@ class ObjectModel:
         return self.turned_bounds(np.eye(3))
 
     def turned_bounds(self, rotation: Array) -> tuple[Array, Array]:
-        """Lower and upper corner of the bounding box of the solids after a rotation about the origin, shapes (3,) [m].
+        """Lower and upper corner of the bounding box of the solids after a rotation about the
+        origin, shapes (3,) [m].
 
         Args:
             rotation: rotation from the object's axes to those of the box, shape (3, 3).
         """
-        turned = (replace(solid, center=rotation @ solid.center, rotation=rotation @ solid.rotation) for solid in self.solids)
+        turned = (
+            replace(solid, center=rotation @ solid.center, rotation=rotation @ solid.rotation)
+            for solid in self.solids
+        )
         return bounds_of(turned)
 
     @property
@@ -177,25 +198,32 @@ class ObjectModel:
         total = np.zeros((3, 3))
         for solid in self.solids:
             offset = solid.center - self.center_of_mass
-            total += solid.inertia + solid.mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+            total += solid.inertia + solid.mass * (
+                offset @ offset * np.eye(3) - np.outer(offset, offset)
+            )
         return total
 
 
 def bounds_of(solids: Iterable[Solid]) -> tuple[Array, Array]:
-    """Lower and upper corner of the bounding box of solids along the object's axes, shapes (3,) [m]."""
+    """Lower and upper corner of the bounding box of solids along the object's axes, shapes (3,)
+    [m].
+    """
     lows, highs = zip(*(solid.bounds for solid in solids), strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 @cache
 def load_object_models() -> Mapping[str, ObjectModel]:
-    """Objects of the named grasps by name: the real ones, then the held-out ones. Every call returns the same objects.
+    """Objects of the named grasps by name: the real ones, then the held-out ones. Every call
+    returns the same objects.
 
     Raises:
         ParameterError: A field is missing or unknown, or an object does not add up.
     """
     real = object_models_from_toml(REAL_FILE.read_text(encoding="utf-8"), FIELDS | SOURCE_FIELDS)
-    return MappingProxyType(real | object_models_from_toml(HELD_OUT_FILE.read_text(encoding="utf-8"), FIELDS))
+    return MappingProxyType(
+        real | object_models_from_toml(HELD_OUT_FILE.read_text(encoding="utf-8"), FIELDS)
+    )
 
 
 def object_models_from_toml(text: str, fields: set[str]) -> dict[str, ObjectModel]:
@@ -214,19 +242,27 @@ def object_model(name: str, entry: Mapping[str, Any], fields: set[str]) -> Objec
         ParameterError: A field is missing or unknown, or the object does not add up.
     """
     if set(entry) != fields:
-        raise ParameterError(f"object {name}: fields {', '.join(sorted(set(entry) ^ fields))} are missing or unknown")
+        raise ParameterError(
+            f"object {name}: fields {', '.join(sorted(set(entry) ^ fields))} are missing or unknown"
+        )
     try:
         solids = tuple(part for solid in entry["solids"] for part in solids_from(solid))
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterError(f"object {name}: bad solid: {error}") from None
     published = {key: _interval(value) for key, value in entry.get("published", {}).items()}
     if not published.keys() <= {"x", "y", "z", "mass"}:
-        raise ParameterError(f"object {name}: published has {', '.join(published)}, not x, y, z and mass alone")
+        raise ParameterError(
+            f"object {name}: published has {', '.join(published)}, not x, y, z and mass alone"
+        )
     plain = {key: entry[key] for key in fields - {"size", "color", "solids", "published"}}
     return ObjectModel(
-        name, size=tuple(entry["size"]), color=tuple(entry["color"]), solids=solids,
-        published=published, **plain,
-    )  # fmt: skip
+        name,
+        size=tuple(entry["size"]),
+        color=tuple(entry["color"]),
+        solids=solids,
+        published=published,
+        **plain,
+    )
 
 
 def _interval(value: float | list[float]) -> tuple[float, float]:
@@ -236,28 +272,43 @@ def _interval(value: float | list[float]) -> tuple[float, float]:
 
 def solids_from(solid: Mapping[str, Any]) -> Iterator[Solid]:
     """Solids described by one entry of `solids` in an object file; a ring yields several."""
-    kind, mass = solid["kind"], solid["mass"]
-    center, axis = np.array(solid.get("center", (0.0, 0.0, 0.0))), _AXES[solid.get("axis", "z")]
+    kind = solid["kind"]
+    mass = solid["mass"]
+    center = np.array(solid.get("center", (0.0, 0.0, 0.0)))
+    axis = _AXES[solid.get("axis", "z")]
     if kind == "box":
-        yield Solid("box", mass, tuple(solid["size"]), center, rotation_about((0, 0, 1), solid.get("turn", 0.0)))
+        yield Solid(
+            "box",
+            mass,
+            tuple(solid["size"]),
+            center,
+            rotation_about((0, 0, 1), solid.get("turn", 0.0)),
+        )
     elif kind == "ring":
         yield from _ring(solid, center, axis)
     elif kind in ("cylinder", "sphere", "capsule"):
         width = 2 * solid["radius"]
         length = width if kind == "sphere" else solid["length"]
-        yield Solid(kind, mass, (width, width, length), center, axis, solid.get("inner_radius", 0.0))
+        yield Solid(
+            kind, mass, (width, width, length), center, axis, solid.get("inner_radius", 0.0)
+        )
     else:
         raise ValueError(f"kind {kind!r} is not one of box, cylinder, sphere, capsule, ring")
 
 
 def _ring(solid: Mapping[str, Any], center: Array, axis: Array) -> Iterator[Solid]:
-    """Staves of a ring; their centres lie on the circle midway between both radii, stretched along the ring's own y.
+    """Staves of a ring; their centres lie on the circle midway between both radii, stretched along
+    the ring's own y.
 
-    Few staves can model a bar: six with a radius ratio of 1 : 0.268 have the inertia of a solid hexagonal bar.
-    """
-    outer, inner, stretch = solid["radius"], solid["inner_radius"], solid.get("stretch", 1.0)
-    staves, turned = solid.get("staves", STAVES), rotation_about((0, 0, 1), solid.get("turn", 0.0))
-    wall, middle = outer - inner, (outer + inner) / 2
+    Few staves can model a bar: six with a radius ratio of 1 : 0.268 have the inertia of a solid
+    hexagonal bar."""
+    outer = solid["radius"]
+    inner = solid["inner_radius"]
+    stretch = solid.get("stretch", 1.0)
+    staves = solid.get("staves", STAVES)
+    turned = rotation_about((0, 0, 1), solid.get("turn", 0.0))
+    wall = outer - inner
+    middle = (outer + inner) / 2
     # The midpoint of a chord lies inside its arc; this factor puts it on the ellipse.
     radii = np.array([middle, outer * stretch - wall / 2, 0.0]) / math.cos(math.pi / staves)
     angles = [(index - 0.5) * 2 * math.pi / staves for index in range(staves + 1)]
@@ -265,16 +316,30 @@ def _ring(solid: Mapping[str, Any], center: Array, axis: Array) -> Iterator[Soli
     for start, end in itertools.pairwise(corners):
         chord = end - start
         turn = rotation_about((0, 0, 1), math.atan2(chord[1], chord[0]))
-        size = (float(np.linalg.norm(chord)) * outer / middle, wall, solid["length"])  # so that the outer edges meet
-        yield Solid("box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn)
+        size = (
+            float(np.linalg.norm(chord)) * outer / middle,
+            wall,
+            solid["length"],
+        )  # so that the outer edges meet
+        yield Solid(
+            "box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn
+        )
 
 
-def principal_inertia(kind: str, mass: float, size: tuple[float, float, float], inner: float = 0.0) -> list[float]:
-    """Principal moments of inertia of a primitive `Solid` about its own centre, from its fields, 3 values [kg·m²]."""
+def principal_inertia(
+    kind: str, mass: float, size: tuple[float, float, float], inner: float = 0.0
+) -> list[float]:
+    """Principal moments of inertia of a primitive `Solid` about its own centre, from its fields, 3
+    values [kg·m²].
+    """
     x, y, z = size
     outer = x / 2
     if kind == "box":
-        return [mass / 12 * (y * y + z * z), mass / 12 * (x * x + z * z), mass / 12 * (x * x + y * y)]
+        return [
+            mass / 12 * (y * y + z * z),
+            mass / 12 * (x * x + z * z),
+            mass / 12 * (x * x + y * y),
+        ]
     if kind == "sphere":
         return [2 / 5 * mass * (outer**5 - inner**5) / (outer**3 - inner**3)] * 3
     if kind == "cylinder":
@@ -283,5 +348,7 @@ def principal_inertia(kind: str, mass: float, size: tuple[float, float, float], 
     length = z - 2 * outer
     tube = mass * length / (length + 4 / 3 * outer)
     caps = mass - tube
-    across = tube * (length**2 / 12 + outer**2 / 4) + caps * (2 / 5 * outer**2 + length**2 / 4 + 3 / 8 * length * outer)
+    across = tube * (length**2 / 12 + outer**2 / 4) + caps * (
+        2 / 5 * outer**2 + length**2 / 4 + 3 / 8 * length * outer
+    )
     return [across, across, (tube / 2 + 2 / 5 * caps) * outer**2]

@@ -1,8 +1,8 @@
-"""Object sets for tasks with arbitrary objects: 200 procedural training objects, 50 held-out ones, and real ones.
+"""Object sets for tasks with arbitrary objects: 200 procedural training objects, 50 held-out ones,
+and real ones.
 
-Every object has its stable poses. The procedural objects are drawn by ``tools/object_families.py``; the poses
-were found by simulation (``tools/resting_poses.py``) and are stored as data.
-"""
+Every object has its stable poses. The procedural objects are drawn by ``tools/object_families.py``;
+the poses were found by simulation (``tools/resting_poses.py``) and are stored as data."""
 
 from __future__ import annotations
 
@@ -15,13 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.body.object_models import FIELDS, SOURCE_FIELDS, ObjectModel, load_object_models, object_model
+from hpac_gym.body.object_models import (
+    FIELDS,
+    SOURCE_FIELDS,
+    ObjectModel,
+    load_object_models,
+    object_model,
+)
 from hpac_gym.errors import ParameterError
 
 SPLITS = ("train", "test", "real")
-"""Procedural training objects, held-out procedural objects, and real objects, which are never used in training."""
+"""Procedural training objects, held-out procedural objects, and real objects, which are never used
+in training.
+"""
 SPAN = 0.082
-"""Largest object width that the hand is asked to span [m]: that of the puck's large variant in the named grasps."""
+"""Largest object width that the hand is asked to span [m]: that of the puck's large variant in the
+named grasps.
+"""
 
 _DATA = Path(__file__).parent / "data"
 
@@ -37,7 +47,9 @@ class RestingPose:
     size: tuple[float, float, float]
     """Extents along the world's axes [m]."""
     share: float
-    """Fraction of drops in random orientations that came to rest in this pose; 0 if it is stable only when placed."""
+    """Fraction of drops in random orientations that came to rest in this pose; 0 if it is stable
+    only when placed.
+    """
 
     @property
     def width(self) -> float:
@@ -55,7 +67,9 @@ class RestingObject:
     poses: tuple[RestingPose, ...]
     """Stable poses, the most frequent first."""
     stand: bool
-    """True if it stands upright on a narrow post, which leaves room for a hand beside it; False if it is on the table."""
+    """True if it stands upright on a narrow post, which leaves room for a hand beside it; False if
+    it is on the table.
+    """
 
     @property
     def name(self) -> str:
@@ -75,7 +89,9 @@ def object_set(split: str) -> tuple[RestingObject, ...]:
 
 
 def difference(one: ObjectModel, other: ObjectModel) -> float:
-    """Largest relative difference between two objects in their sorted side lengths and their mass; 0.1 is 10 %."""
+    """Largest relative difference between two objects in their sorted side lengths and their mass;
+    0.1 is 10 %.
+    """
     measures = np.array([[*sorted(model.size), model.mass] for model in (one, other)])
     return float((measures.max(axis=0) / measures.min(axis=0)).max() - 1)
 
@@ -85,11 +101,24 @@ def split_models() -> dict[str, dict[str, tuple[ObjectModel, float]]]:
     drawn = _table("procedural_objects.toml")
     real = _table("real_objects.toml")
     friction = real.pop("friction_of_named_objects")
-    named = {name: (model, friction[name]) for name, model in load_object_models().items() if name in friction}
+    named = {
+        name: (model, friction[name])
+        for name, model in load_object_models().items()
+        if name in friction
+    }
     return {
-        "train": {name: _entry(name, entry, FIELDS) for name, entry in drawn.items() if name.startswith("train")},
-        "test": {name: _entry(name, entry, FIELDS) for name, entry in drawn.items() if name.startswith("test")},
-        "real": named | {name: _entry(name, entry, FIELDS | SOURCE_FIELDS) for name, entry in real.items()},
+        "train": {
+            name: _entry(name, entry, FIELDS)
+            for name, entry in drawn.items()
+            if name.startswith("train")
+        },
+        "test": {
+            name: _entry(name, entry, FIELDS)
+            for name, entry in drawn.items()
+            if name.startswith("test")
+        },
+        "real": named
+        | {name: _entry(name, entry, FIELDS | SOURCE_FIELDS) for name, entry in real.items()},
     }
 
 
@@ -97,7 +126,9 @@ def split_models() -> dict[str, dict[str, tuple[ObjectModel, float]]]:
 def _object_sets() -> dict[str, tuple[RestingObject, ...]]:
     poses = _table("resting_poses.toml")
     return {
-        split: tuple(resting(model, friction, poses[name]) for name, (model, friction) in models.items())
+        split: tuple(
+            resting(model, friction, poses[name]) for name, (model, friction) in models.items()
+        )
         for split, models in split_models().items()
     }
 
@@ -108,7 +139,9 @@ def resting(model: ObjectModel, friction: float, entry: Mapping[str, Any]) -> Re
     return RestingObject(model, friction, poses, entry["stand"])
 
 
-def resting_pose(model: ObjectModel, quaternion: tuple[float, float, float, float], share: float) -> RestingPose:
+def resting_pose(
+    model: ObjectModel, quaternion: tuple[float, float, float, float], share: float
+) -> RestingPose:
     """The resting pose of an object in a given orientation, with its lowest point on the surface.
 
     Args:

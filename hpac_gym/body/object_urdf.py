@@ -1,8 +1,8 @@
 """An object's URDF as text; ``make generate`` writes the committed files.
 
-Dimensions, masses and their sources come from ``data/objects.toml`` and ``data/held_out_objects.toml``. An object's
-frame has its origin at the centre of its bounding box; its centre of mass follows from its solids.
-"""
+Dimensions, masses and their sources come from ``data/objects.toml`` and
+``data/held_out_objects.toml``. An object's frame has its origin at the centre of its bounding box;
+its centre of mass follows from its solids."""
 
 from __future__ import annotations
 
@@ -35,13 +35,17 @@ def asset_path(name: str) -> Path:
     for folder in ASSET_FOLDERS:
         if (folder / name).is_file():
             return folder / name
-    raise AssetError(f"no model file {name!r} in {' or '.join(str(folder) for folder in ASSET_FOLDERS)}")
+    raise AssetError(
+        f"no model file {name!r} in {' or '.join(str(folder) for folder in ASSET_FOLDERS)}"
+    )
 
 
 def object_urdf(model: ObjectModel) -> str:
     """An object as URDF text: one link, with the same shapes for display and collision."""
     robot = Xml.Element("robot", name=model.name)
-    Xml.SubElement(Xml.SubElement(robot, "material", name="surface"), "color", rgba=text_of(model.color))
+    Xml.SubElement(
+        Xml.SubElement(robot, "material", name="surface"), "color", rgba=text_of(model.color)
+    )
     link = Xml.SubElement(robot, "link", name=model.name)
     add_inertial(link, model.center_of_mass, model.inertia, model.mass)
     for index, solid in enumerate(model.solids):
@@ -55,7 +59,9 @@ def object_urdf(model: ObjectModel) -> str:
 
 @cache
 def object_urdf_file(model: ObjectModel) -> Path:
-    """URDF file of an object: the committed file for a named grasp's object, otherwise a temporary one for this process."""
+    """URDF file of an object: the committed file for a named grasp's object, otherwise a temporary
+    one for this process.
+    """
     if load_object_models().get(model.name) is model:
         return asset_path(f"objects/{model.name}.urdf")
     folder = Path(tempfile.mkdtemp(dir=_folder().name))
@@ -90,8 +96,14 @@ def _form(solid: Solid, index: int) -> tuple[str, dict[str, str]]:
 
 
 def _rpy(rotation: Array) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation matrix, Rz(yaw) Ry(pitch) Rx(roll); pitch within ±π/2 [rad]."""
+    """Roll, pitch and yaw of a rotation matrix, Rz(yaw) Ry(pitch) Rx(roll); pitch within ±π/2
+    [rad].
+    """
     pitch = np.arcsin(-np.clip(rotation[2, 0], -1.0, 1.0))
     if abs(rotation[2, 0]) > 1 - 1e-12:
         return 0.0, float(pitch), float(np.arctan2(-rotation[0, 1], rotation[1, 1]))
-    return float(np.arctan2(rotation[2, 1], rotation[2, 2])), float(pitch), float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+    return (
+        float(np.arctan2(rotation[2, 1], rotation[2, 2])),
+        float(pitch),
+        float(np.arctan2(rotation[1, 0], rotation[0, 0])),
+    )

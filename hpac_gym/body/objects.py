@@ -1,4 +1,6 @@
-"""Objects to grasp and their supports as data: rigid primitives, or the named objects of `object_models`."""
+"""Objects to grasp and their supports as data: rigid primitives, or the named objects of
+`object_models`.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,8 @@ class ObjectSpec:
     """A primitive object, or a modelled object with the primitive that is nearest to it.
 
     Raises:
-        ValueError: An unknown shape, a size, mass or friction that is not positive and finite, or a round shape with
-            unequal radii.
+        ValueError: An unknown shape, a size, mass or friction that is not positive and finite, or a
+            round shape with unequal radii.
     """
 
     shape: Shape
@@ -41,17 +43,26 @@ class ObjectSpec:
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
             raise ValueError(f"shape {self.shape!r} is not one of {', '.join(SHAPES)}")
-        if not all(0 < value < math.inf for value in (*self.half_extents, self.mass, self.friction, self.scale)):
-            raise ValueError(f"half extents, mass, friction and scale of {self} must be positive and finite")
+        if not all(
+            0 < value < math.inf
+            for value in (*self.half_extents, self.mass, self.friction, self.scale)
+        ):
+            raise ValueError(
+                f"half extents, mass, friction and scale of {self} must be positive and finite"
+            )
         x, y, z = self.half_extents
         if (self.shape != "box" and x != y) or (self.shape == "sphere" and x != z):
             raise ValueError(f"half extents {self.half_extents} m do not fit a {self.shape}")
         if isinstance(self.model, str):
             if self.model not in load_object_models():
-                raise ValueError(f"model {self.model!r} is not one of {', '.join(load_object_models())}")
+                raise ValueError(
+                    f"model {self.model!r} is not one of {', '.join(load_object_models())}"
+                )
             object.__setattr__(self, "model", load_object_models()[self.model])
         if self.model is not None and self.model.has_hulls and self.scale != 1:
-            raise ValueError(f"scale {self.scale:g} of {self.model.name}: an object of one's own has the scale 1 here")
+            raise ValueError(
+                f"scale {self.scale:g} of {self.model.name}: an object of one's own has the scale 1 here"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +80,8 @@ class Support:
     offset: tuple[float, float] = (0.0, 0.0)
     """Horizontal offset of the post's centre from the object's centre [m]."""
     gap: tuple[float, float] | None = None
-    """Half of the distance between opposite walls along x and y [m]; None or infinity for no walls."""
+    """Half of the distance between opposite walls along x and y [m]; None or infinity for no walls.
+    """
     wall_height: float = 0.02
     """Height of the walls above the post [m]."""
     spread: tuple[float, float] = (0.0, 0.0)
@@ -81,20 +93,33 @@ class Support:
         if not min(*self.half_width, *(self.gap or ()), self.wall_height) > 0:
             raise ValueError(f"lengths of {self} must be greater than 0 m")
 
-    def boxes(self, height: float) -> list[tuple[tuple[float, float, float], tuple[float, float, float]]]:
-        """Half-extents and centre of every box [m], relative to the point of the table below the object.
+    def boxes(
+        self, height: float
+    ) -> list[tuple[tuple[float, float, float], tuple[float, float, float]]]:
+        """Half-extents and centre of every box [m], relative to the point of the table below the
+        object.
 
         Args:
             height: height of the object's underside above the table [m].
         """
-        (x, y), (gap_x, gap_y) = self.half_width, self.gap or (np.inf, np.inf)
-        tall, half, found = height + self.wall_height, WALL_THICKNESS / 2, []
-        for across, along in {(sign * self.spread[0], sign * self.spread[1]): None for sign in (-1, 1)}:
-            across, along = across + self.offset[0], along + self.offset[1]
+        (x, y) = self.half_width
+        (gap_x, gap_y) = self.gap or (np.inf, np.inf)
+        tall = height + self.wall_height
+        half = WALL_THICKNESS / 2
+        found = []
+        for across, along in {
+            (sign * self.spread[0], sign * self.spread[1]): None for sign in (-1, 1)
+        }:
+            across = across + self.offset[0]
+            along = along + self.offset[1]
             found.append(((x, y, height / 2), (across, along, height / 2)))
             for side in (-1, 1):
                 if np.isfinite(gap_x):
-                    found.append(((half, y, tall / 2), (across + side * (gap_x + half), along, tall / 2)))
+                    found.append(
+                        ((half, y, tall / 2), (across + side * (gap_x + half), along, tall / 2))
+                    )
                 if np.isfinite(gap_y):
-                    found.append(((x, half, tall / 2), (across, along + side * (gap_y + half), tall / 2)))
+                    found.append(
+                        ((x, half, tall / 2), (across, along + side * (gap_y + half), tall / 2))
+                    )
         return found

@@ -1,7 +1,8 @@
-"""User-supplied objects: a mesh or URDF file, decomposed into convex parts that both engines collide.
+"""User-supplied objects: a mesh or URDF file, decomposed into convex parts that both engines
+collide.
 
-CoACD computes the parts once; they are cached in a file beside the mesh, so that only the first call is slow.
-"""
+CoACD computes the parts once; they are cached in a file beside the mesh, so that only the first
+call is slow."""
 
 from __future__ import annotations
 
@@ -25,14 +26,24 @@ from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
 
 MESHES = (".stl", ".obj", ".ply", ".off")
-MIN_SIDE, MAX_SIDE = 0.002, 0.4
-"""Smallest and largest side of the bounding box [m]: limited by contact softness and by the observation bounds."""
-MAX_MASS, MAX_FRICTION = 5.0, 2.0
+MIN_SIDE = 0.002
+MAX_SIDE = 0.4
+"""Smallest and largest side of the bounding box [m]: limited by contact softness and by the
+observation bounds.
+"""
+MAX_MASS = 5.0
+MAX_FRICTION = 2.0
 """Largest mass [kg] and Coulomb coefficient."""
 MAX_SCALE = 1000.0
 COLOR = (0.45, 0.52, 0.62, 1.0)
 
-_DECOMPOSITION = {"threshold": 0.05, "max_convex_hull": 32, "decimate": True, "max_ch_vertex": 64, "seed": 0}
+_DECOMPOSITION = {
+    "threshold": 0.05,
+    "max_convex_hull": 32,
+    "decimate": True,
+    "max_ch_vertex": 64,
+    "seed": 0,
+}
 _CONVEX = 0.99
 """A mesh that fills at least this fraction of its convex hull is not decomposed."""
 _UP = {"z": np.eye(3), "y": rotation_about((1, 0, 0), math.pi / 2)}
@@ -46,7 +57,8 @@ def own_object(
     up: str = "z",
     folder: str | os.PathLike[str] | None = None,
 ) -> ObjectSpec:
-    """Load an object from a file, for ``gymnasium.make("HPAC-Grasp-v0", object=...)`` or a `SceneSetup`.
+    """Load an object from a file, for ``gymnasium.make("HPAC-Grasp-v0", object=...)`` or a
+    `SceneSetup`.
 
     Args:
         path: a closed mesh (.stl, .obj, .ply, .off), or a URDF in which all joints are fixed.
@@ -54,17 +66,23 @@ def own_object(
         friction: Coulomb coefficient of its surface, to be multiplied by the skin's.
         scale: factor from the file's lengths to metres: 0.001 for a mesh in mm.
         up: axis of the file that points up: "z" or "y".
-        folder: folder in which the convex parts of meshes are cached, as ``{stem}.hulls.json``; None is beside each mesh.
+        folder: folder in which the convex parts of meshes are cached, as ``{stem}.hulls.json``;
+            None is beside each mesh.
 
     Raises:
-        ParameterError: No such file, mesh not closed, no volume, too small or too large, an inadmissible mass, friction, scale or
-            axis, or the packages of ``pip install 'hpac_gym[objects]'`` are missing.
+        ParameterError: No such file, mesh not closed, no volume, too small or too large, an
+            inadmissible mass, friction, scale or axis, or the packages of ``pip install
+            'hpac_gym[objects]'`` are missing.
         OutputError: The parts cannot be written.
     """
     path = Path(path)
     if not path.is_file():
         raise ParameterError(f"no object file '{path}'")
-    for name, value, most in (("friction", friction, MAX_FRICTION), ("scale", scale, MAX_SCALE), ("mass", mass, MAX_MASS)):
+    for name, value, most in (
+        ("friction", friction, MAX_FRICTION),
+        ("scale", scale, MAX_SCALE),
+        ("mass", mass, MAX_MASS),
+    ):
         if name != "mass" or mass is not None:
             _check_positive(path, name, value, most)
     if up not in list(_UP):
@@ -84,18 +102,27 @@ def _check_positive(path: Path, name: str, value: Any, most: float) -> None:
     """Refuse a value that is not a positive number of at most `most`."""
     if not (isinstance(value, Real) and 0 < value <= most):
         unit = " kg" if name == "mass" else ""
-        raise ParameterError(f"{name} {value!r}{unit} of '{path}' must be a number greater than 0 and at most {most:g}{unit}")
+        raise ParameterError(
+            f"{name} {value!r}{unit} of '{path}' must be a number greater than 0 and at most {most:g}{unit}"
+        )
 
 
 def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> ObjectSpec:
-    """Spec of an object of given mass [kg], made of solids whose mass fields still hold their volumes."""
+    """Spec of an object of given mass [kg], made of solids whose mass fields still hold their
+    volumes.
+    """
     low, high = bounds_of(solids)
     size = high - low
     if not (size.min() >= MIN_SIDE and size.max() <= MAX_SIDE):
         sides = " x ".join(f"{side:.3g}" for side in size)
-        raise ParameterError(f"'{path}' is {sides} m: sides must be {MIN_SIDE} to {MAX_SIDE} m; scale=0.001 is for a file in mm")
-    density, middle = mass / sum(solid.mass for solid in solids), (low + high) / 2
-    parts = tuple(replace(solid, mass=density * solid.mass, center=solid.center - middle) for solid in solids)
+        raise ParameterError(
+            f"'{path}' is {sides} m: sides must be {MIN_SIDE} to {MAX_SIDE} m; scale=0.001 is for a file in mm"
+        )
+    density = mass / sum(solid.mass for solid in solids)
+    middle = (low + high) / 2
+    parts = tuple(
+        replace(solid, mass=density * solid.mass, center=solid.center - middle) for solid in solids
+    )
     x, y, z = size.tolist()
     model = ObjectModel(path.stem, f"own object {path.name}", (x, y, z), mass, "box", COLOR, parts)
     return ObjectSpec("box", model.half_extents, mass, friction, model)
@@ -103,14 +130,18 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
 
 def _moved(solid: Solid, rotation: Array, place: Array) -> Solid:
     """A solid rotated about the origin, then translated."""
-    return replace(solid, center=rotation @ solid.center + place, rotation=rotation @ solid.rotation)
+    return replace(
+        solid, center=rotation @ solid.center + place, rotation=rotation @ solid.rotation
+    )
 
 
 # Meshes ------------------------------------------------------------------------
 
 
 def _of_mesh(path: Path, scale: Array, folder: str | os.PathLike[str] | None) -> list[Solid]:
-    """The convex parts of a mesh, each with its volume as its mass; a mirroring scale turns the faces over."""
+    """The convex parts of a mesh, each with its volume as its mass; a mirroring scale turns the
+    faces over.
+    """
     if path.suffix.lower() not in MESHES:
         raise ParameterError(f"'{path}' is not one of {', '.join(MESHES)}, nor a .urdf")
     kept = (path.parent if folder is None else Path(folder)) / f"{path.stem}.hulls.json"
@@ -120,7 +151,9 @@ def _of_mesh(path: Path, scale: Array, folder: str | os.PathLike[str] | None) ->
         parts = _decomposed(path)
         write_text(kept, json.dumps(made_from | {"parts": parts}))
     order = -1 if np.prod(scale) < 0 else 1
-    return [_hull(np.array(corners) * scale, np.array(faces)[:, ::order]) for corners, faces in parts]
+    return [
+        _hull(np.array(corners) * scale, np.array(faces)[:, ::order]) for corners, faces in parts
+    ]
 
 
 def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
@@ -129,7 +162,9 @@ def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    same = isinstance(found, dict) and all(found.get(key) == value for key, value in made_from.items())
+    same = isinstance(found, dict) and all(
+        found.get(key) == value for key, value in made_from.items()
+    )
     return found.get("parts") if same else None
 
 
@@ -139,17 +174,25 @@ def _decomposed(path: Path) -> list:
         import coacd
         import trimesh
     except ImportError as error:
-        raise ParameterError(f"own_object needs the package {error.name}: pip install 'hpac_gym[objects]'") from None
+        raise ParameterError(
+            f"own_object needs the package {error.name}: pip install 'hpac_gym[objects]'"
+        ) from None
     try:
         mesh = trimesh.load_mesh(path)
     except Exception as error:  # the reader may raise anything on a broken file
-        raise ParameterError(f"'{path}' cannot be read as a mesh: {next(iter(str(error).splitlines()), repr(error))}") from None
-    if not (isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all()):
+        raise ParameterError(
+            f"'{path}' cannot be read as a mesh: {next(iter(str(error).splitlines()), repr(error))}"
+        ) from None
+    if not (
+        isinstance(mesh, trimesh.Trimesh) and len(mesh.faces) and np.isfinite(mesh.vertices).all()
+    ):
         raise ParameterError(f"'{path}' has no triangles with finite corners")
     if np.ptp(mesh.vertices, axis=0).min() < 1e-9 * np.ptp(mesh.vertices, axis=0).max():
         raise ParameterError(f"'{path}' is flat: it has no volume")
     if not mesh.is_watertight:
-        raise ParameterError(f"'{path}' is not watertight: every edge must belong to two triangles; close its holes first")
+        raise ParameterError(
+            f"'{path}' is not watertight: every edge must belong to two triangles; close its holes first"
+        )
     if not mesh.is_volume:
         mesh.fix_normals()
     if not mesh.volume > 1e-9 * np.prod(mesh.extents):
@@ -172,8 +215,12 @@ def _hull(corners: Array, faces: Array) -> Solid:
 # URDF --------------------------------------------------------------------------
 
 
-def _of_urdf(path: Path, scale: float, folder: str | os.PathLike[str] | None) -> tuple[list[Solid], float | None]:
-    """Collision shapes of a URDF, each with its volume as its mass, and the sum of its link masses; None if it has none."""
+def _of_urdf(
+    path: Path, scale: float, folder: str | os.PathLike[str] | None
+) -> tuple[list[Solid], float | None]:
+    """Collision shapes of a URDF, each with its volume as its mass, and the sum of its link masses;
+    None if it has none.
+    """
     try:
         robot = Xml.parse(path).getroot()
         solids, mass = _of_links(path, robot, folder)
@@ -186,19 +233,27 @@ def _of_urdf(path: Path, scale: float, folder: str | os.PathLike[str] | None) ->
     return [_scaled(solid, scale) for solid in solids], mass or None
 
 
-def _of_links(path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | None) -> tuple[list[Solid], float]:
+def _of_links(
+    path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | None
+) -> tuple[list[Solid], float]:
     parents = {}
     for joint in robot.findall("joint"):
         if joint.get("type") != "fixed":
-            raise ParameterError(f"joint {joint.get('name')!r} of '{path}' is {joint.get('type')}: all joints must be fixed")
+            raise ParameterError(
+                f"joint {joint.get('name')!r} of '{path}' is {joint.get('type')}: all joints must be fixed"
+            )
         parents[joint.find("child").get("link")] = joint.find("parent").get("link"), *_origin(joint)
-    solids, mass = [], 0.0
+    solids = []
+    mass = 0.0
     for link in robot.findall("link"):
-        rotation, place, name = np.eye(3), np.zeros(3), link.get("name")
+        rotation = np.eye(3)
+        place = np.zeros(3)
+        name = link.get("name")
         for _ in parents:
             if name in parents:
                 name, turn, offset = parents[name]
-                rotation, place = turn @ rotation, turn @ place + offset
+                rotation = turn @ rotation
+                place = turn @ place + offset
         if name in parents:
             raise ParameterError(f"joints of '{path}' form a ring through link {name!r}")
         for shape in link.findall("collision"):
@@ -207,7 +262,9 @@ def _of_links(path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | N
             for solid in found:
                 if not np.all(np.array(solid.size) > 0):
                     sides = " x ".join(f"{side:g}" for side in solid.size)
-                    raise ParameterError(f"a {solid.kind} of '{path}' is {sides} m: sides must be greater than 0 m")
+                    raise ParameterError(
+                        f"a {solid.kind} of '{path}' is {sides} m: sides must be greater than 0 m"
+                    )
             solids += [_moved(solid, rotation @ turn, rotation @ offset + place) for solid in found]
         mass += sum(float(entry.get("value")) for entry in link.findall("inertial/mass"))
     return solids, mass
@@ -216,11 +273,16 @@ def _of_links(path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | N
 def _origin(element: Xml.Element) -> tuple[Array, Array]:
     """Rotation, shape (3, 3), and translation, shape (3,), of an element's origin."""
     origin = element.find("origin")
-    xyz, rpy = ((0.0,) * 3 if origin is None else _numbers(origin.get(key, "0 0 0")) for key in ("xyz", "rpy"))
+    xyz, rpy = (
+        (0.0,) * 3 if origin is None else _numbers(origin.get(key, "0 0 0"))
+        for key in ("xyz", "rpy")
+    )
     return rotation_from_rpy(rpy), np.array(xyz)
 
 
-def _of_geometry(path: Path, form: Xml.Element, folder: str | os.PathLike[str] | None) -> list[Solid]:
+def _of_geometry(
+    path: Path, form: Xml.Element, folder: str | os.PathLike[str] | None
+) -> list[Solid]:
     if form.tag == "mesh":
         name = form.get("filename", "")
         mesh = path.parent / name.removeprefix("file://")
@@ -231,17 +293,28 @@ def _of_geometry(path: Path, form: Xml.Element, folder: str | os.PathLike[str] |
         x, y, z = _numbers(form.get("size"))
         return [Solid("box", x * y * z, (x, y, z), np.zeros(3), np.eye(3))]
     if form.tag not in ("sphere", "cylinder", "capsule"):
-        raise ParameterError(f"'{path}' has a shape {form.tag!r}, which is not one of box, cylinder, sphere, capsule, mesh")
-    radius, length = float(form.get("radius")), float(form.get("length", 0.0))
-    ball, tube, wide = 4 / 3 * math.pi * radius**3, math.pi * radius**2 * length, 2 * radius
-    whole, volume = {"sphere": (wide, ball), "cylinder": (length, tube), "capsule": (length + wide, ball + tube)}[form.tag]
+        raise ParameterError(
+            f"'{path}' has a shape {form.tag!r}, which is not one of box, cylinder, sphere, capsule, mesh"
+        )
+    radius = float(form.get("radius"))
+    length = float(form.get("length", 0.0))
+    ball = 4 / 3 * math.pi * radius**3
+    tube = math.pi * radius**2 * length
+    wide = 2 * radius
+    whole, volume = {
+        "sphere": (wide, ball),
+        "cylinder": (length, tube),
+        "capsule": (length + wide, ball + tube),
+    }[form.tag]
     return [Solid(form.tag, volume, (wide, wide, whole), np.zeros(3), np.eye(3))]
 
 
 def _scaled(solid: Solid, scale: float) -> Solid:
     x, y, z = (scale * side for side in solid.size)
     hull = None if solid.hull is None else Hull(scale * solid.hull.vertices, solid.hull.faces)
-    return replace(solid, mass=scale**3 * solid.mass, size=(x, y, z), center=scale * solid.center, hull=hull)
+    return replace(
+        solid, mass=scale**3 * solid.mass, size=(x, y, z), center=scale * solid.center, hull=hull
+    )
 
 
 def _numbers(text: str) -> tuple[float, ...]:

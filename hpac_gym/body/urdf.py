@@ -1,9 +1,9 @@
 """The hand's URDF as text; ``make generate`` writes the committed files.
 
-Joint names and limits come from the model, the body from ``data/geometry.toml``; nothing is typed twice. Every link
-has the inertia of its own solids: PyBullet assumes 1 kg for a link without ``<inertial>``. Joint damping and friction
-are zero: Bullet integrates them explicitly, which oscillates on links this light.
-"""
+Joint names and limits come from the model, the body from ``data/geometry.toml``; nothing is typed
+twice. Every link has the inertia of its own solids: PyBullet assumes 1 kg for a link without
+``<inertial>``. Joint damping and friction are zero: Bullet integrates them explicitly, which
+oscillates on links this light."""
 
 from collections.abc import Iterable
 from xml.etree import ElementTree as Xml
@@ -41,7 +41,8 @@ def hand_urdf(geometry: Geometry, on_wrist: bool = False) -> str:
 
     Args:
         geometry: the hand's body.
-        on_wrist: mount the palm on three prismatic joints ``wrist_x wrist_y wrist_z`` from a link ``wrist_base``.
+        on_wrist: mount the palm on three prismatic joints ``wrist_x wrist_y wrist_z`` from a link
+            ``wrist_base``.
     """
     robot = Xml.Element("robot", name="hpac_hand")
     for name, rgba in COLORS.items():
@@ -58,7 +59,8 @@ def hand_urdf(geometry: Geometry, on_wrist: bool = False) -> str:
 
 
 def solid_inertia(solids: tuple[Solid, ...], mass: float) -> tuple[Array, Array]:
-    """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²], of solids of equal density.
+    """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²], of solids of
+    equal density.
 
     Overlapping volume counts twice, so a rounded body is slightly heavier at its seams.
     """
@@ -68,7 +70,9 @@ def solid_inertia(solids: tuple[Solid, ...], mass: float) -> tuple[Array, Array]
     center = masses @ centers / mass
     inertia = np.zeros((3, 3))
     for solid, part, offset in zip(solids, masses, centers - center, strict=True):
-        inertia += _inertia(solid, part) + part * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        inertia += _inertia(solid, part) + part * (
+            offset @ offset * np.eye(3) - np.outer(offset, offset)
+        )
     return center, inertia
 
 
@@ -94,23 +98,35 @@ def _add_hinge(robot: Xml.Element, phalanx: Phalanx, geometry: Geometry) -> None
     index = JOINTS.index(phalanx.joint)
     limits = HPAC.joint_min[index], HPAC.joint_max[index], geometry.effort, geometry.velocity
     origin = {"xyz": text_of(phalanx.origin), "rpy": text_of(phalanx.rpy)}
-    _add_joint(robot, phalanx.joint, "revolute", phalanx.parent, phalanx.link, phalanx.axis, limits, origin)
+    _add_joint(
+        robot, phalanx.joint, "revolute", phalanx.parent, phalanx.link, phalanx.axis, limits, origin
+    )
 
 
 def _add_wrist(robot: Xml.Element) -> None:
     ball = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), WRIST_SLIDE_RADIUS)
     links = ("wrist_base", "wrist_x_link", "wrist_y_link", "palm")
     for name in links[:-1]:
-        add_inertial(Xml.SubElement(robot, "link", name=name), *solid_inertia((ball,), WRIST_SLIDE_MASS), WRIST_SLIDE_MASS)
+        add_inertial(
+            Xml.SubElement(robot, "link", name=name),
+            *solid_inertia((ball,), WRIST_SLIDE_MASS),
+            WRIST_SLIDE_MASS,
+        )
     for name, axis, parent, child in zip("xyz", np.eye(3), links, links[1:], strict=False):
         limits = -WRIST_RANGE, WRIST_RANGE, WRIST_EFFORT, WRIST_VELOCITY
         _add_joint(robot, f"wrist_{name}", "prismatic", parent, child, axis, limits)
 
 
 def _add_joint(
-    robot: Xml.Element, name: str, kind: str, parent: str, child: str, axis: Vector | Array,
-    limits: tuple[float, float, float, float], origin: dict[str, str] | None = None,
-) -> None:  # fmt: skip
+    robot: Xml.Element,
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    axis: Vector | Array,
+    limits: tuple[float, float, float, float],
+    origin: dict[str, str] | None = None,
+) -> None:
     joint = Xml.SubElement(robot, "joint", name=name, type=kind)
     Xml.SubElement(joint, "parent", link=parent)
     Xml.SubElement(joint, "child", link=child)
@@ -124,11 +140,15 @@ def _add_joint(
 
 
 def add_inertial(link: Xml.Element, center: Array, inertia: Array, mass: float) -> None:
-    """Add mass [kg], centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²], to a link."""
+    """Add mass [kg], centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²], to
+    a link.
+    """
     inertial = Xml.SubElement(link, "inertial")
     Xml.SubElement(inertial, "origin", xyz=text_of(center), rpy="0 0 0")
     Xml.SubElement(inertial, "mass", value=text_of((mass,)))
-    entries = {f"i{'xyz'[i]}{'xyz'[j]}": text_of((inertia[i, j],)) for i in range(3) for j in range(i, 3)}
+    entries = {
+        f"i{'xyz'[i]}{'xyz'[j]}": text_of((inertia[i, j],)) for i in range(3) for j in range(i, 3)
+    }
     Xml.SubElement(inertial, "inertia", entries)
 
 
@@ -140,21 +160,37 @@ def _add_collision(link: Xml.Element, solid: Solid) -> None:
         add_shape(link, "collision", _center(solid), _rpy(solid), "capsule", **size)
 
 
-def _add_visual(link: Xml.Element, solid: Solid, material: str, end_material: str | None = None) -> None:
-    """Add a capsule as a cylinder and two spheres, which PyBullet renders more smoothly than its own capsule."""
+def _add_visual(
+    link: Xml.Element, solid: Solid, material: str, end_material: str | None = None
+) -> None:
+    """Add a capsule as a cylinder and two spheres, which PyBullet renders more smoothly than its
+    own capsule.
+    """
     if isinstance(solid, Box):
-        shape = add_shape(link, "visual", solid.center, _rpy(solid), "box", size=text_of(solid.size))
+        shape = add_shape(
+            link, "visual", solid.center, _rpy(solid), "box", size=text_of(solid.size)
+        )
         Xml.SubElement(shape, "material", name=material)
         return
     radius = text_of((solid.radius,))
-    tube = add_shape(link, "visual", _center(solid), _rpy(solid), "cylinder", radius=radius, length=text_of((_length(solid),)))
+    tube = add_shape(
+        link,
+        "visual",
+        _center(solid),
+        _rpy(solid),
+        "cylinder",
+        radius=radius,
+        length=text_of((_length(solid),)),
+    )
     start = add_shape(link, "visual", solid.start, _rpy(solid), "sphere", radius=radius)
     end = add_shape(link, "visual", solid.end, _rpy(solid), "sphere", radius=radius)
     for shape, name in ((tube, material), (start, material), (end, end_material or material)):
         Xml.SubElement(shape, "material", name=name)
 
 
-def add_shape(link: Xml.Element, kind: str, center: Vector | Array, rpy: Vector, body: str, **size: str) -> Xml.Element:
+def add_shape(
+    link: Xml.Element, kind: str, center: Vector | Array, rpy: Vector, body: str, **size: str
+) -> Xml.Element:
     """Add a visual or collision shape to a link."""
     shape = Xml.SubElement(link, kind)
     Xml.SubElement(shape, "origin", xyz=text_of(center), rpy=text_of(rpy))
@@ -172,13 +208,18 @@ def _inertia(solid: Solid, mass: float) -> Array:
     """Inertia of one solid about its own centre, axes of the link, shape (3, 3) [kg m²]."""
     if isinstance(solid, Box):
         return np.diag(principal_inertia("box", mass, solid.size))
-    width, axis = 2 * solid.radius, _axis(solid)
+    width = 2 * solid.radius
+    axis = _axis(solid)
     across, _, along = principal_inertia("capsule", mass, (width, width, _length(solid) + width))
     return across * np.eye(3) + (along - across) * np.outer(axis, axis)
 
 
 def _center(solid: Solid) -> Array:
-    return np.array(solid.center) if isinstance(solid, Box) else (np.array(solid.start) + solid.end) / 2
+    return (
+        np.array(solid.center)
+        if isinstance(solid, Box)
+        else (np.array(solid.start) + solid.end) / 2
+    )
 
 
 def _length(capsule: Capsule) -> float:

@@ -1,4 +1,5 @@
-"""The serial link: from a `ServoCommand` to the pulses of six servos. Needs the model, numpy and pyserial.
+"""The serial link: from a `ServoCommand` to the pulses of six servos. Needs the model, numpy and
+pyserial.
 
 ```python
 from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, servo_from_pulses

@@ -1,4 +1,6 @@
-"""The bridge's commands of `hpac`: clear, conform, doctor, estop, safety, wiggle; and the sender of `hpac posture`."""
+"""The bridge's commands of `hpac`: clear, conform, doctor, estop, safety, wiggle; and the sender of
+`hpac posture`.
+"""
 
 from __future__ import annotations
 
@@ -30,25 +32,55 @@ PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this pr
 
 def add_safety(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac safety`."""
-    parser.add_argument("--json", action="store_true", help="print a list of claim, figure, limit, unit, tried, control, holds")
-    parser.add_argument("--frames", type=whole_number(1), default=10_000_000, help="hostile frames (default: %(default)s)")
-    parser.add_argument("--trials", type=whole_number(1), default=20, help="wall-clock repetitions (default: %(default)s)")
-    parser.add_argument("--sessions", type=whole_number(1), default=10_000, help="random sessions (default: %(default)s)")
-    parser.add_argument("--seed", type=whole_number(1), default=1, help="of frames and sessions (default: %(default)s)")
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        help="print a list of claim, figure, limit, unit, tried, control, holds",
+    )
+    parser.add_argument(
+        "--frames",
+        type=whole_number(1),
+        default=10_000_000,
+        help="hostile frames (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--trials",
+        type=whole_number(1),
+        default=20,
+        help="wall-clock repetitions (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--sessions",
+        type=whole_number(1),
+        default=10_000,
+        help="random sessions (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=whole_number(1),
+        default=1,
+        help="of frames and sessions (default: %(default)s)",
+    )
     parser.set_defaults(run=_safety)
 
 
 def add_conform(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac conform`."""
     _add_hand(parser, _conform)
-    parser.add_argument("--json", action="store_true", help="print a JSON list of rule, tried, holds, failure")
+    parser.add_argument(
+        "--json", action="store_true", help="print a JSON list of rule, tried, holds, failure"
+    )
 
 
 def add_wiggle(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac wiggle`."""
     _add_hand(parser, _wiggle)
-    parser.add_argument("--servo", choices=SERVOS, action="append", help="only this servo; may be repeated")
-    parser.add_argument("--angle", type=float, default=0.3, help="angle from rest [rad] (default: %(default)s)")
+    parser.add_argument(
+        "--servo", choices=SERVOS, action="append", help="only this servo; may be repeated"
+    )
+    parser.add_argument(
+        "--angle", type=float, default=0.3, help="angle from rest [rad] (default: %(default)s)"
+    )
 
 
 def add_estop(parser: argparse.ArgumentParser) -> None:
@@ -64,18 +96,28 @@ def add_clear(parser: argparse.ArgumentParser) -> None:
 def add_doctor(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac doctor`."""
     _add_hand(parser, _doctor, required=False)
-    parser.add_argument("--json", action="store_true", help="print a JSON list of port, healthy, what, advice")
+    parser.add_argument(
+        "--json", action="store_true", help="print a JSON list of port, healthy, what, advice"
+    )
 
 
 def _add_hand(parser: argparse.ArgumentParser, run: Callable, required: bool = True) -> None:
     """The arguments of every command that talks to a hand."""
-    parser.add_argument("--port", required=required, help=PORT_HELP if required else f"check only this port: {PORT_HELP}")
-    parser.add_argument("--hand", metavar="FILE", help="hand parameters (TOML) of the firmware (default: nominal)")
+    parser.add_argument(
+        "--port",
+        required=required,
+        help=PORT_HELP if required else f"check only this port: {PORT_HELP}",
+    )
+    parser.add_argument(
+        "--hand", metavar="FILE", help="hand parameters (TOML) of the firmware (default: nominal)"
+    )
     parser.set_defaults(run=run)
 
 
 def connector(port: str, hand: Hand, stack: ExitStack) -> str | Callable[[], Transport]:
-    """The `port` argument of a `HandLink` for a `--port`; starts the firmware for `virtual` and `host`."""
+    """The `port` argument of a `HandLink` for a `--port`; starts the firmware for `virtual` and
+    `host`.
+    """
     if port == "virtual":
         return VirtualHand(config=config_of(hand)).connect
     if port == "host":
@@ -89,12 +131,20 @@ def _hand(options: argparse.Namespace) -> Hand:
 
 def _print_json(rows: list[object], *names: str) -> None:
     """Print rows as a JSON list of objects with the named attributes."""
-    print(json.dumps([{name: getattr(row, name) for name in names} for row in rows], indent=2, ensure_ascii=False))
+    print(
+        json.dumps(
+            [{name: getattr(row, name) for name in names} for row in rows],
+            indent=2,
+            ensure_ascii=False,
+        )
+    )
 
 
 def _safety(options: argparse.Namespace) -> int:
     claims = safety.measure(options.frames, options.trials, options.sessions, options.seed)
-    return _verdict(claims, options.json, "claim", "figure", "limit", "unit", "tried", "control", "holds")
+    return _verdict(
+        claims, options.json, "claim", "figure", "limit", "unit", "tried", "control", "holds"
+    )
 
 
 def _conform(options: argparse.Namespace) -> int:
@@ -105,12 +155,19 @@ def _conform(options: argparse.Namespace) -> int:
 
 
 def _verdict(rows: Iterable[safety.Claim | Row], as_json: bool, *names: str) -> int:
-    """Print each row as soon as it is known, or all of them as JSON with the named attributes; returns 1 unless all hold."""
+    """Print each row as soon as it is known, or all of them as JSON with the named attributes;
+    returns 1 unless all hold.
+    """
     known = []
     for row in rows:
         known.append(row)
         if not as_json:
-            print("holds " if row.holds else "BROKEN" if row.tried else "NOT TRIED", row, sep="  ", flush=True)
+            print(
+                "holds " if row.holds else "BROKEN" if row.tried else "NOT TRIED",
+                row,
+                sep="  ",
+                flush=True,
+            )
     if as_json:
         _print_json(known, *names)
     return 0 if all(row.holds for row in known) else 1
@@ -121,7 +178,9 @@ def _wiggle(options: argparse.Namespace) -> int:
     rest = np.clip(0.0, hand.servo_min, hand.servo_max)
     room = min(hand.servo_max - rest)
     if not 0 < options.angle <= room:
-        raise WorkspaceError(f"--angle {options.angle} rad must be above 0 and at most {room:.3f} rad")
+        raise WorkspaceError(
+            f"--angle {options.angle} rad must be above 0 and at most {room:.3f} rad"
+        )
     with ExitStack() as stack:
         link = stack.enter_context(HandLink(connector(options.port, hand, stack), hand=hand))
         link.arm()
@@ -130,7 +189,9 @@ def _wiggle(options: argparse.Namespace) -> int:
             print(f"servo {index + 1} of {len(SERVOS)}: {name} flexes and returns", flush=True)
             target = rest.copy()
             target[index] += options.angle
-            duration = max(_WIGGLE_TIME, 2 * move_duration(rest, target, hand))  # minimum jerk peaks at 1.875 times the mean
+            duration = max(
+                _WIGGLE_TIME, 2 * move_duration(rest, target, hand)
+            )  # minimum jerk peaks at 1.875 times the mean
             for pose in (target, rest):
                 link.move(ServoCommand(pose, duration), minimum_jerk=True)
                 link.wait()
@@ -139,15 +200,21 @@ def _wiggle(options: argparse.Namespace) -> int:
 
 
 def _estop(options: argparse.Namespace) -> int:
-    """Send ESTOP without a handshake: the hand accepts it from any sender. An unreadable hand file is reported afterwards."""
+    """Send ESTOP without a handshake: the hand accepts it from any sender. An unreadable hand file
+    is reported afterwards.
+    """
     with ExitStack() as stack:
         try:
             hand = _hand(options) if options.port == "virtual" else HPAC
             transport = open_transport(connector(options.port, hand, stack))
             stack.callback(transport.close)
-            Exchange(transport, LinkStatistics(), KnownState()).request("estop", attempts=_ESTOP_ATTEMPTS)
+            Exchange(transport, LinkStatistics(), KnownState()).request(
+                "estop", attempts=_ESTOP_ATTEMPTS
+            )
         except (LinkTimeout, PortError) as error:
-            raise type(error)(f"ESTOP is not confirmed, switch the servo supply off: {error}") from None
+            raise type(error)(
+                f"ESTOP is not confirmed, switch the servo supply off: {error}"
+            ) from None
     print("stopped: no pulses, fault estop; `hpac clear` leaves it", flush=True)
     _hand(options)
     return 0
@@ -155,7 +222,9 @@ def _estop(options: argparse.Namespace) -> int:
 
 def _clear(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
-        link = stack.enter_context(HandLink(connector(options.port, _hand(options), stack), hand=_hand(options)))
+        link = stack.enter_context(
+            HandLink(connector(options.port, _hand(options), stack), hand=_hand(options))
+        )
         fault = link.last_status.fault if link.last_status else "none"
         link.clear()
         status = link.status()
@@ -181,7 +250,8 @@ def _doctor(options: argparse.Namespace) -> int:
 
 
 def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
-    """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until Ctrl-C, unless it is virtual.
+    """Arm the hand at a port, move it from rest, wait until it has arrived, and hold it until
+    Ctrl-C, unless it is virtual.
 
     Args:
         port: as in the commands.
@@ -189,14 +259,18 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
         hand: the hand with whose limits the firmware must have been built.
 
     Raises:
-        BridgeError: The port, the hand or the firmware failed; the hand is then without pulses, or an `UnconfirmedWarning`
-            was issued.
+        BridgeError: The port, the hand or the firmware failed; the hand is then without pulses, or
+            an `UnconfirmedWarning` was issued.
     """
     with ExitStack() as stack:
         link = stack.enter_context(HandLink(connector(port, hand, stack), hand=hand))
         link.arm()
         rest = np.clip(0.0, hand.servo_min, hand.servo_max)
-        link.move(ServoCommand(command.servo, max(command.duration, 1.1 * move_duration(rest, command.servo, hand))))
+        link.move(
+            ServoCommand(
+                command.servo, max(command.duration, 1.1 * move_duration(rest, command.servo, hand))
+            )
+        )
         link.wait()
         if port == "virtual":  # held, its clock would run on to the overload at once
             print("arrived", file=sys.stderr)

@@ -32,11 +32,15 @@ _PREEMPT_TIMEOUT = 3.0
 
 _LAST_WORDS = ("clear",) * 6 + ("estop",) * 4
 _LAST_WORDS_UNGREETED = ("hello", "clear") * 3
-"""Messages to a device that never answered: not a hand, perhaps, or one that an earlier session left holding in a fault."""
+"""Messages to a device that never answered: not a hand, perhaps, or one that an earlier session
+left holding in a fault.
+"""
 
 
 class Turns:
-    """Mutual exclusion of calls: they wait for each other, except `estop` and `close`, which pre-empt."""
+    """Mutual exclusion of calls: they wait for each other, except `estop` and `close`, which
+    pre-empt.
+    """
 
     def __init__(self) -> None:
         self._lock = RLock()
@@ -68,11 +72,13 @@ class Turns:
 
     @contextmanager
     def preempt(self, by: str, insist: Callable[[], None]) -> Iterator[None]:
-        """Take the turn from the current call, which runs in another thread or was interrupted by a signal handler in this one.
+        """Take the turn from the current call, which runs in another thread or was interrupted by a
+        signal handler in this one.
 
         Args:
             by: name of the pre-empting call for the `StoppedError`.
-            insist: called every 20 ms until another thread's call has ended; after 3 s it is ignored.
+            insist: called every 20 ms until another thread's call has ended; after 3 s it is
+                ignored.
         """
         deadline = monotonic() + _PREEMPT_TIMEOUT
         taken = self._lock.acquire(blocking=False)
@@ -156,7 +162,9 @@ class Connection:
             raise self._handshake_error(patience) from None
         if answer.name == "ack":
             reason = name_of(Reason, answer.fields["reason"])
-            raise HandshakeError(f"the device answers HELLO with an ACK ({reason}): it does not run this hand's firmware")
+            raise HandshakeError(
+                f"the device answers HELLO with an ACK ({reason}): it does not run this hand's firmware"
+            )
         self.info = HandInfo.from_frame(answer)
         self._statistics.connections += 1
         self._statistics.acked += 1
@@ -165,10 +173,18 @@ class Connection:
     def _handshake_error(self, patience: float) -> HandshakeError:
         heard = self.exchange.splitter
         if heard.other_version is not None:
-            return HandshakeError(f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them")
-        what = f"{heard.received_bytes} bytes received that are no answer" if heard.received_bytes else "silence"
+            return HandshakeError(
+                f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them"
+            )
+        what = (
+            f"{heard.received_bytes} bytes received that are no answer"
+            if heard.received_bytes
+            else "silence"
+        )
         what = "an echo of what is sent" if self.exchange.host_frames else what
-        return HandshakeError(f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details")
+        return HandshakeError(
+            f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details"
+        )
 
     def request(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
         """Send a message and require that the hand executes it.
@@ -182,8 +198,11 @@ class Connection:
         self._statistics.acked += 1
 
     def raise_unasked(self, what: str) -> None:
-        """Raise a fault, or the refusal of an unacknowledged message, that the hand has reported in the meantime."""
-        refused, self.exchange.refused = self.exchange.refused, None
+        """Raise a fault, or the refusal of an unacknowledged message, that the hand has reported in
+        the meantime.
+        """
+        refused = self.exchange.refused
+        self.exchange.refused = None
         if refused is not None:
             message, answer = refused
             raise self._refusal(message.name, message.fields, answer)
@@ -206,10 +225,12 @@ class Connection:
     def end(self, error: BaseException | None = None) -> None:
         """Leave the hand without pulses and release the port, whatever happens meanwhile.
 
-        If the hand does not confirm, an `UnconfirmedWarning` is issued and a note is added to `error`, the propagating exception.
+        If the hand does not confirm, an `UnconfirmedWarning` is issued and a note is added to
+        `error`, the propagating exception.
 
         Raises:
-            KeyboardInterrupt, SystemExit: Received during the release; raised at its end, unless `error` is one already.
+            KeyboardInterrupt, SystemExit: Received during the release; raised at its end, unless
+            `error` is one already.
         """
         if self.ended:
             return
@@ -239,17 +260,20 @@ class Connection:
         """Send CLEAR, then ESTOP, until the hand confirms that its pulses are off.
 
         Returns:
-            A sentence on the failed attempts, empty if the hand has confirmed; and the interrupt received in the meantime
-            (`KeyboardInterrupt`, `SystemExit`), or None.
+            A sentence on the failed attempts, empty if the hand has confirmed; and the interrupt
+            received in the meantime (`KeyboardInterrupt`, `SystemExit`), or None.
         """
         sent_before = dict(self.exchange.sent)
-        failure, interrupt = "no answer", None
+        failure = "no answer"
+        interrupt = None
         for name in _LAST_WORDS if self.info is not None else _LAST_WORDS_UNGREETED:
             try:
                 if self.known.may_have_power:
                     self.exchange.request(name, timeout=self._timeout, attempts=1)
                 if self.known.may_have_power:  # refused, or only HELLO: query the state
-                    self.exchange.request("status", {"period_ms": 0}, timeout=self._timeout, attempts=1)
+                    self.exchange.request(
+                        "status", {"period_ms": 0}, timeout=self._timeout, attempts=1
+                    )
             except LinkTimeout:
                 pass
             except Exception as error:
@@ -258,7 +282,12 @@ class Connection:
                 interrupt = interrupt or error
         if not self.known.may_have_power:
             return "", interrupt
-        counts = ((name.upper(), count - sent_before[name]) for name, count in self.exchange.sent.items())
+        counts = (
+            (name.upper(), count - sent_before[name]) for name, count in self.exchange.sent.items()
+        )
         tried = ", ".join(f"{name} × {count}" for name, count in counts if count)
         advice = "if the servos hold, switch their supply off; the hand's watchdog acts by itself if it was armed"
-        return f"the hand has not confirmed that it has no pulses (sent {tried or 'nothing'}: {failure}); {advice}", interrupt
+        return (
+            f"the hand has not confirmed that it has no pulses (sent {tried or 'nothing'}: {failure}); {advice}",
+            interrupt,
+        )

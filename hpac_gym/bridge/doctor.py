@@ -1,4 +1,6 @@
-"""Find hands and report the fault and first remedy of each. Read-only: no hand is taken over, moved or disarmed."""
+"""Find hands and report the fault and first remedy of each. Read-only: no hand is taken over, moved
+or disarmed.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ class Finding:
 
     def __str__(self) -> str:
         mark = "ok " if self.healthy else "BAD"
-        return f"{mark} {self.port}: {self.what}" + (f"\n      → {self.advice}" if self.advice else "")
+        return f"{mark} {self.port}: {self.what}" + (
+            f"\n      → {self.advice}" if self.advice else ""
+        )
 
 
 def find_ports() -> list[str]:
@@ -50,7 +54,8 @@ def find_ports() -> list[str]:
 
 
 def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) -> Finding:
-    """Query the device at a port with HELLO 0, which changes nothing, and with STATUS unless the hand is armed.
+    """Query the device at a port with HELLO 0, which changes nothing, and with STATUS unless the
+    hand is armed.
 
     Args:
         name: name of the port in the finding.
@@ -71,7 +76,12 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         info = HandInfo.from_frame(answer)
         if info.state == "armed":
             what = f"hand with firmware {info.firmware_version}, armed by session {info.session:08x}: left alone"
-            return Finding(name, True, what, "stop the program that controls it before you start another, or run hpac estop")
+            return Finding(
+                name,
+                True,
+                what,
+                "stop the program that controls it before you start another, or run hpac estop",
+            )
         answer = exchange.request("status", {"period_ms": 0})
         if answer.name == "ack":
             return _refused(name, "STATUS", answer)
@@ -79,19 +89,36 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
     except LinkTimeout:
         if exchange.host_frames:
             what = f"an echo: what is sent comes back ({exchange.splitter.received_bytes} bytes)"
-            return Finding(name, False, what, "take off a jumper between TX and RX, or switch the device's echo off")
+            return Finding(
+                name,
+                False,
+                what,
+                "take off a jumper between TX and RX, or switch the device's echo off",
+            )
         return _unanswered(name, exchange.splitter)
     except PortError as error:
-        return Finding(name, False, _without_name(error, name), "plug it in again, and look for a loose cable")
+        return Finding(
+            name, False, _without_name(error, name), "plug it in again, and look for a loose cable"
+        )
     except BridgeError as error:
-        return Finding(name, False, str(error), "frames get lost: try a shorter cable, and another USB port without a hub")
+        return Finding(
+            name,
+            False,
+            str(error),
+            "frames get lost: try a shorter cable, and another USB port without a hub",
+        )
     finally:
         transport.close()
 
 
 def _refused(name: str, message: str, ack: Frame) -> Finding:
     reason = name_of(Reason, ack.fields["reason"])
-    return Finding(name, False, f"answers {message} with an ACK ({reason})", "flash the hand's firmware of this version")
+    return Finding(
+        name,
+        False,
+        f"answers {message} with an ACK ({reason})",
+        "flash the hand's firmware of this version",
+    )
 
 
 def _without_name(error: PortError, name: str) -> str:
@@ -99,7 +126,9 @@ def _without_name(error: PortError, name: str) -> str:
 
 
 def _look(exchange: Exchange) -> Frame:
-    """Get the answer to HELLO 0, waiting long enough for a board that resets when its port opens."""
+    """Get the answer to HELLO 0, waiting long enough for a board that resets when its port
+    opens.
+    """
     deadline = exchange.transport.now() + _PATIENCE
     while True:
         try:
@@ -113,26 +142,40 @@ def _unanswered(name: str, splitter: FrameSplitter) -> Finding:
     heard = splitter.tail
     if splitter.other_version is not None:
         step = "flash the firmware of this version of hpac_gym, or install the version that the firmware came with"
-        return Finding(name, False, f"a hand that speaks protocol {splitter.other_version}, this library {VERSION}", step)
+        return Finding(
+            name,
+            False,
+            f"a hand that speaks protocol {splitter.other_version}, this library {VERSION}",
+            step,
+        )
     if not heard:
         step = "is the board powered and flashed with the hand's firmware? see firmware/board/esp32/README.md"
         return Finding(name, False, f"silence for {_PATIENCE:g} s", step)
     if sum(byte in b"\r\n\t" or 32 <= byte < 127 for byte in heard) >= _TEXT_SHARE * len(heard):
         line = max(heard.decode("ascii", "replace").split("\n"), key=len).strip()[:60]
         step = "another firmware, or log text on the command port: flash the hand's, or move its console (sdkconfig.defaults)"
-        return Finding(name, False, f"text instead of frames ({len(heard)} bytes, such as {line!r})", step)
+        return Finding(
+            name, False, f"text instead of frames ({len(heard)} bytes, such as {line!r})", step
+        )
     step = "another baud rate, or noise: check the rate (460,800), ground, and that TX meets RX"
     return Finding(name, False, f"{len(heard)} bytes that are neither frames nor text", step)
 
 
-def _judge(name: str, info: HandInfo, status: HandStatus, statistics: LinkStatistics, hand: Hand) -> Finding:
+def _judge(
+    name: str, info: HandInfo, status: HandStatus, statistics: LinkStatistics, hand: Hand
+) -> Finding:
     what = f"hand with firmware {info.firmware_version}, state {status.state}, reset {info.reset}, boot {info.boot_count}"
     what += f", supply {status.supply:.2f} V" if status.supply > 0 else ""
     what += f", heat up to {max(status.heat):.0%}" if any(status.heat) else ""
     what += f", trims {' '.join(map(str, info.trim_ns))} ns" if any(info.trim_ns) else ""
     if status.fault != "none":
         pulses = f", pulses on {len(status.attached)} servos" if status.attached else ""
-        return Finding(name, False, f"{what}, fault {status.fault}{pulses}", _FAULT_STEPS.get(status.fault, "hpac clear"))
+        return Finding(
+            name,
+            False,
+            f"{what}, fault {status.fault}{pulses}",
+            _FAULT_STEPS.get(status.fault, "hpac clear"),
+        )
     try:
         info.check_limits(hand)
     except HandshakeError as error:
@@ -140,5 +183,10 @@ def _judge(name: str, info: HandInfo, status: HandStatus, statistics: LinkStatis
         return Finding(name, False, f"{what}; {limits}", advice)
     bad = status.counters["bad_crc"] + status.counters["bad_frame"] + status.counters["overrun"]
     if bad > 10 and bad > status.counters["accepted"] // 100:
-        return Finding(name, False, f"{what}; {bad} damaged frames", "line noise: a shorter cable, away from the servo wires")
+        return Finding(
+            name,
+            False,
+            f"{what}; {bad} damaged frames",
+            "line noise: a shorter cable, away from the servo wires",
+        )
     return Finding(name, True, f"{what}; round trip {1e3 * statistics.round_trip(50):.1f} ms")

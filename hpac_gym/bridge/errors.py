@@ -1,4 +1,6 @@
-"""The bridge's exceptions: subclasses of `HpacError`, each also of the built-in type that a caller would expect."""
+"""The bridge's exceptions: subclasses of `HpacError`, each also of the built-in type that a caller
+would expect.
+"""
 
 from __future__ import annotations
 
@@ -57,11 +59,15 @@ class FaultError(RejectedError):
 
 
 class StoppedError(BridgeError, RuntimeError):
-    """The call was interrupted by `HandLink.estop` or `HandLink.close`, from a signal handler or another thread."""
+    """The call was interrupted by `HandLink.estop` or `HandLink.close`, from a signal handler or
+    another thread.
+    """
 
 
 class UnconfirmedWarning(UserWarning):
-    """A link was closed without confirmation that the pulses are off. The text states what was tried and what to do."""
+    """A link was closed without confirmation that the pulses are off. The text states what was
+    tried and what to do.
+    """
 
 
 class LogWarning(UserWarning):

@@ -1,4 +1,6 @@
-"""Requests and answers over one transport: sequence numbers, repeats, time-outs, counters, the log of every frame."""
+"""Requests and answers over one transport: sequence numbers, repeats, time-outs, counters, the log
+of every frame.
+"""
 
 from __future__ import annotations
 
@@ -49,20 +51,25 @@ class LinkStatistics:
     """Frames missing from the log."""
     connections: int = 0
     """Successful handshakes."""
-    round_trips: deque[float] = field(default_factory=lambda: deque(maxlen=_ROUND_TRIPS_KEPT), repr=False)
+    round_trips: deque[float] = field(
+        default_factory=lambda: deque(maxlen=_ROUND_TRIPS_KEPT), repr=False
+    )
     """Times from writing a frame to its answer, without repeated frames [s]."""
 
     def round_trip(self, percentile: float) -> float:
         """A percentile of the round trips [s]; NaN before the first."""
-        return float(np.percentile(self.round_trips, percentile)) if self.round_trips else float("nan")
+        return (
+            float(np.percentile(self.round_trips, percentile)) if self.round_trips else float("nan")
+        )
 
 
 class WireLog:
     """Logs all frames, one JSON object per line; a context manager.
 
-    Each line has `t` [s], `direction` (`sent` or `received`), `hex` (the frame between its zeros), `message`, `seq`,
-    `flags` and `fields` (raw integers, units in docs/wire.md). An ACK's line also has `acked`, `reason` and `state` by
-    name, and every answer `round_trip` [s]. If the log fails, the link warns once and continues without it.
+    Each line has `t` [s], `direction` (`sent` or `received`), `hex` (the frame between its zeros),
+    `message`, `seq`, `flags` and `fields` (raw integers, units in docs/wire.md). An ACK's line also
+    has `acked`, `reason` and `state` by name, and every answer `round_trip` [s]. If the log fails,
+    the link warns once and continues without it.
 
     Raises:
         OSError: The file cannot be written.
@@ -81,7 +88,14 @@ class WireLog:
             if kind is None:  # do not hide the program's own exception
                 raise
 
-    def record(self, time: float, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None) -> None:
+    def record(
+        self,
+        time: float,
+        direction: str,
+        encoded: bytes,
+        frame: Frame,
+        round_trip: float | None = None,
+    ) -> None:
         """Write one line; `round_trip` [s] if the frame is an answer."""
         line = {
             "t": round(time, 6),
@@ -124,7 +138,8 @@ class Exchange:
     Attributes:
         session: nonce of this controller's HELLO, which its other messages carry.
         sent: number of frames written, by message name.
-        refused: the latest refused message that was sent without waiting for an answer, and its refusal; or None.
+        refused: the latest refused message that was sent without waiting for an answer, and its
+            refusal; or None.
         host_frames: number of received frames of host message types, which indicate an echo.
     """
 
@@ -160,7 +175,8 @@ class Exchange:
     ) -> Frame:
         """Send a message and return its answer: an ACK, or the specific answer to this message.
 
-        The same frame is sent up to `attempts` times, `timeout` [s] apart; the hand executes it only once.
+        The same frame is sent up to `attempts` times, `timeout` [s] apart; the hand executes it
+        only once.
 
         Raises:
             LinkTimeout: No answer.
@@ -183,7 +199,9 @@ class Exchange:
         self._statistics.timeouts += 1
         raise LinkTimeout(f"no answer to {name}: {attempts} times, {timeout:g} s each")
 
-    def send(self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None = None, flags: int = 0) -> None:
+    def send(
+        self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None = None, flags: int = 0
+    ) -> None:
         """Send a message without waiting for an answer.
 
         Raises:
@@ -202,9 +220,15 @@ class Exchange:
         """
         self._receive_until(self.transport.now() + seconds, None)
 
-    def _frame(self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None, flags: int) -> Frame:
+    def _frame(
+        self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None, flags: int
+    ) -> Frame:
         self._seq = self._seq % _SEQ_MAX + 1  # 0 is reserved for unsolicited messages of the hand
-        ours = {part.name: self.session for part in MESSAGES[name].fields if part.name in ("session", "nonce")}
+        ours = {
+            part.name: self.session
+            for part in MESSAGES[name].fields
+            if part.name in ("session", "nonce")
+        }
         return Frame(name, self._seq, flags, ours | dict(fields or {}))
 
     def _write(self, frame: Frame) -> None:
@@ -227,7 +251,8 @@ class Exchange:
             try:
                 data = self.transport.read(max(left, 0.0))
             except PortError:
-                self._check()  # a read in a signal handler makes this one fail as if the port were gone
+                # a read in a signal handler makes this one fail as if the port were gone
+                self._check()
                 raise
             for encoded, frame in self.splitter.push(data):
                 self._take_in(encoded, frame)
@@ -243,16 +268,22 @@ class Exchange:
         round_trip = answered = None
         waiting = self._open.get(frame.seq)
         if waiting is not None and waiting.answer is None and _is_answer(frame, waiting.name):
-            waiting.answer, answered = frame, waiting.name
+            waiting.answer = frame
+            answered = waiting.name
             round_trip = self.transport.now() - waiting.sent_at
             if not waiting.repeated:
                 self._statistics.round_trips.append(round_trip)
         elif frame.name == "ack" and frame.fields["reason"] != Reason.ok:
-            self.refused = next(((sent, frame) for sent in self._unacknowledged if sent.seq == frame.seq), self.refused)
+            self.refused = next(
+                ((sent, frame) for sent in self._unacknowledged if sent.seq == frame.seq),
+                self.refused,
+            )
         self._known.take_in(frame, answered)
         self._record("received", encoded, frame, round_trip)
 
-    def _record(self, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None) -> None:
+    def _record(
+        self, direction: str, encoded: bytes, frame: Frame, round_trip: float | None = None
+    ) -> None:
         if self._log is None:
             return
         try:
@@ -260,7 +291,11 @@ class Exchange:
         except Exception as error:  # a failing log must not affect the link
             self._statistics.unlogged += 1
             if self._statistics.unlogged == 1:
-                tell(LogWarning(f"the wire log cannot be written, the link continues without it: {error}"))
+                tell(
+                    LogWarning(
+                        f"the wire log cannot be written, the link continues without it: {error}"
+                    )
+                )
 
 
 def _is_answer(frame: Frame, name: str) -> bool:

@@ -1,4 +1,5 @@
-"""The codec: conversion between frames and bytes. Pure functions and one splitter; no I/O, no clock, no thread.
+"""The codec: conversion between frames and bytes. Pure functions and one splitter; no I/O, no
+clock, no thread.
 
 On the wire a frame is COBS between zero bytes: header, payload of a fixed length, CRC-32 over both.
 """
@@ -48,7 +49,8 @@ def encode(frame: Frame, version: int = VERSION) -> bytes:
     """Encode a frame for the wire, with a zero before and after.
 
     Raises:
-        FrameError: The message is unknown, a field is missing or superfluous, or a value does not fit its field.
+        FrameError: The message is unknown, a field is missing or superfluous, or a value does not
+            fit its field.
     """
     message = MESSAGES.get(frame.name)
     if message is None:
@@ -58,14 +60,22 @@ def encode(frame: Frame, version: int = VERSION) -> bytes:
         value = frame.fields.get(part.name)
         value = value if part.is_array else (value,)
         if value is None or len(value) != part.count or None in value:
-            raise FrameError(f"{frame.name}.{part.name} takes {part.count} integer(s), got {frame.fields.get(part.name)}")
+            raise FrameError(
+                f"{frame.name}.{part.name} takes {part.count} integer(s), got {frame.fields.get(part.name)}"
+            )
         values.extend(value)
     if len(frame.fields) > len(message.fields):
-        raise FrameError(f"{frame.name} has no field {sorted(set(frame.fields) - {f.name for f in message.fields})}")
+        raise FrameError(
+            f"{frame.name} has no field {sorted(set(frame.fields) - {f.name for f in message.fields})}"
+        )
     try:
-        body = _HEADER.pack(version, message.code, frame.seq, frame.flags) + _payload(message).pack(*values)
+        body = _HEADER.pack(version, message.code, frame.seq, frame.flags) + _payload(message).pack(
+            *values
+        )
     except struct.error as error:
-        raise FrameError(f"{frame.name} {dict(frame.fields)}, sequence {frame.seq}: {error}") from None
+        raise FrameError(
+            f"{frame.name} {dict(frame.fields)}, sequence {frame.seq}: {error}"
+        ) from None
     return b"\0" + cobs_encode(body + zlib.crc32(body).to_bytes(CRC_LENGTH, "little")) + b"\0"
 
 
@@ -73,12 +83,16 @@ def decode(encoded: bytes) -> Frame:
     """Decode the bytes between two zero bytes.
 
     Raises:
-        FrameError: Not COBS, too short or too long, damaged, or of another version, an unknown type or a wrong length.
+        FrameError: Not COBS, too short or too long, damaged, or of another version, an unknown type
+            or a wrong length.
     """
     data = cobs_decode(encoded)
     if not HEADER_LENGTH + CRC_LENGTH <= len(data) <= FRAME_MAX:
-        raise FrameError(f"a frame of {len(data)} bytes; they have {HEADER_LENGTH + CRC_LENGTH} to {FRAME_MAX}")
-    body, crc = data[:-CRC_LENGTH], int.from_bytes(data[-CRC_LENGTH:], "little")
+        raise FrameError(
+            f"a frame of {len(data)} bytes; they have {HEADER_LENGTH + CRC_LENGTH} to {FRAME_MAX}"
+        )
+    body = data[:-CRC_LENGTH]
+    crc = int.from_bytes(data[-CRC_LENGTH:], "little")
     if zlib.crc32(body) != crc:
         raise FrameError(f"damaged: CRC is {crc:08x}, must be {zlib.crc32(body):08x}")
     version, code, seq, flags = _HEADER.unpack_from(body)
@@ -88,14 +102,21 @@ def decode(encoded: bytes) -> Frame:
     if message is None:
         raise FrameError(f"unknown message type 0x{code:02x}")
     if len(body) != HEADER_LENGTH + message.length:
-        raise FrameError(f"{message.name} with {len(body) - HEADER_LENGTH} bytes of payload, must be {message.length}")
+        raise FrameError(
+            f"{message.name} with {len(body) - HEADER_LENGTH} bytes of payload, must be {message.length}"
+        )
     values = iter(_payload(message).unpack_from(body, HEADER_LENGTH))
-    fields = {part.name: tuple(islice(values, part.count)) if part.is_array else next(values) for part in message.fields}
+    fields = {
+        part.name: tuple(islice(values, part.count)) if part.is_array else next(values)
+        for part in message.fields
+    }
     return Frame(message.name, seq, flags, fields)
 
 
 def cobs_encode(data: bytes) -> bytes:
-    """Consistent overhead byte stuffing: `data`, shorter than 254 bytes as every frame is, without a zero byte."""
+    """Consistent overhead byte stuffing: `data`, shorter than 254 bytes as every frame is, without
+    a zero byte.
+    """
     return b"".join(bytes([len(run) + 1]) + run for run in data.split(b"\0"))
 
 

@@ -1,8 +1,9 @@
-"""The firmware on this computer, as two kinds of hand: a process in real time, and a library in virtual time.
+"""The firmware on this computer, as two kinds of hand: a process in real time, and a library in
+virtual time.
 
-`HostBoard` runs behind a pseudo-terminal. `VirtualHand` runs in this process: the same C code with a clock that advances only
-while a link waits, so it is deterministic and faster than real time. Both are the firmware itself, not a model of it.
-"""
+`HostBoard` runs behind a pseudo-terminal. `VirtualHand` runs in this process: the same C code with
+a clock that advances only while a link waits, so it is deterministic and faster than real time.
+Both are the firmware itself, not a model of it."""
 
 from __future__ import annotations
 
@@ -43,12 +44,15 @@ def firmware_file(name: str) -> Path:
     checkout = Path(__file__).parents[2] / "firmware" / "build"
     path = Path(os.environ.get(BUILD_VARIABLE, checkout)) / name
     if not path.exists():
-        raise FirmwareMissing(f"{path} is missing: run `make firmware` in a checkout, or set {BUILD_VARIABLE}")
+        raise FirmwareMissing(
+            f"{path} is missing: run `make firmware` in a checkout, or set {BUILD_VARIABLE}"
+        )
     return path
 
 
 class HostBoard:
-    """Starts the host firmware on entry and ends it on exit; it also ends by itself when this process ends.
+    """Starts the host firmware on entry and ends it on exit; it also ends by itself when this
+    process ends.
 
     Args:
         arguments: additional command-line arguments of `hpac_host`, for example `("--boot-text",)`.
@@ -98,7 +102,8 @@ class HostBoard:
         """A serial transport to this board, for `HandLink(board.connect)`.
 
         Raises:
-            PortError: The board has ended; its pseudo-terminal may belong to another program by now.
+            PortError: The board has ended; its pseudo-terminal may belong to another program by
+                now.
         """
         if self.process.poll() is not None:
             raise PortError(f"{self.port}: no such port; the board behind it has ended")
@@ -107,16 +112,17 @@ class HostBoard:
     def pulses(self) -> np.ndarray:
         """The present pulse widths, shape (6,) [ns]; 0 means no pulses.
 
-        The firmware logs a change before it sends the answer that reports it: after `HandLink.wait` or
-        `HandLink.status` this is at least as new as that answer.
-        """
+        The firmware logs a change before it sends the answer that reports it: after `HandLink.wait`
+        or `HandLink.status` this is at least as new as that answer."""
         changes = self.pulse_changes()
         if len(changes):
             self._pulses = changes[-1, 1:]
         return self._pulses.copy()
 
     def pulse_changes(self) -> np.ndarray:
-        """All changes of the pulse widths since the last call, shape (n, 7): time [µs], then six widths [ns]."""
+        """All changes of the pulse widths since the last call, shape (n, 7): time [µs], then six
+        widths [ns].
+        """
         with self._log.open("rb") as log:
             log.seek(self._read_to)
             lines, newline, _ = log.read().rpartition(b"\n")
@@ -126,7 +132,9 @@ class HostBoard:
 
 
 class ServoConfig(ctypes.Structure):
-    """`hpac_servo_t` of firmware/core/hpac_servo.h: the limits, in their order, then trim and direction."""
+    """`hpac_servo_t` of firmware/core/hpac_servo.h: the limits, in their order, then trim and
+    direction.
+    """
 
     _limits = tuple(field.name for field in fields(ServoLimits))[1:]
     _fields_ = [(name, ctypes.c_int32) for name in (*_limits, "trim_ns", "direction")]
@@ -143,8 +151,12 @@ def load_library() -> ctypes.CDLL:
     Raises:
         FirmwareMissing: The library has not been built.
     """
-    library = ctypes.PyDLL(str(firmware_file("libhpac.so")))  # holds the GIL, so that only one thread is in the core
-    pointer, size, u64 = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64
+    library = ctypes.PyDLL(
+        str(firmware_file("libhpac.so"))
+    )  # holds the GIL, so that only one thread is in the core
+    pointer = ctypes.c_void_p
+    size = ctypes.c_size_t
+    u64 = ctypes.c_uint64
     signatures = {
         "hpac_library_hand_size": (size, []),
         "hpac_library_config_size": (size, []),
@@ -163,7 +175,9 @@ def load_library() -> ctypes.CDLL:
 
 
 def default_config() -> ctypes.Array[ServoConfig]:
-    """Copy of the servo table that the firmware was built with, whose trims and directions a test may change."""
+    """Copy of the servo table that the firmware was built with, whose trims and directions a test
+    may change.
+    """
     config = Config()
     load_library().hpac_config_default(config)
     return config
@@ -241,7 +255,9 @@ class VirtualHand:
             self._on_pulses(self.now_us, self.pulses())
 
     def run(self, seconds: float) -> bytes:
-        """Advance the clock in ticks until the firmware sends bytes or `seconds` have passed; returns the bytes."""
+        """Advance the clock in ticks until the firmware sends bytes or `seconds` have passed;
+        returns the bytes.
+        """
         said = self.transmit()
         until_us = self.now_us + math.ceil(seconds * 1e6)
         while not said and self.now_us < until_us:
@@ -250,7 +266,9 @@ class VirtualHand:
                 self.tick()
             else:
                 until = (until_us, self._period_us, self._pulses)
-                self.now_us = self._library.hpac_library_run(self._hand, self._config, self.now_us, *until)
+                self.now_us = self._library.hpac_library_run(
+                    self._hand, self._config, self.now_us, *until
+                )
             said = self.transmit()
         return said
 

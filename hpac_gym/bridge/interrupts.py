@@ -1,4 +1,6 @@
-"""Handling of signals that would end the program: they raise, so that the hand is released, and wait during the release."""
+"""Handling of signals that would end the program: they raise, so that the hand is released, and
+wait during the release.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +18,18 @@ _SAME_INTENT = 1.0
 
 
 class _Interrupts:
-    """Handles SIGINT, SIGTERM and SIGHUP while links are open, unless the program has its own handlers.
+    """Handles SIGINT, SIGTERM and SIGHUP while links are open, unless the program has its own
+    handlers.
 
-    The first signal raises (`KeyboardInterrupt`, or `SystemExit` with 128 + its number), so that every `with` releases its
-    hand. Signals that arrive while a link is being closed are delayed until it is closed. A second signal within a second is
-    a repetition, and must not interrupt the clean-up that the first started.
-    """
+    The first signal raises (`KeyboardInterrupt`, or `SystemExit` with 128 + its number), so that
+    every `with` releases its hand. Signals that arrive while a link is being closed are delayed
+    until it is closed. A second signal within a second is a repetition, and must not interrupt the
+    clean-up that the first started."""
 
     def __init__(self) -> None:
-        self._links: WeakSet[object] = WeakSet()  # weak: a link lost to an interrupt in its constructor is dropped
+        self._links: WeakSet[object] = (
+            WeakSet()
+        )  # weak: a link lost to an interrupt in its constructor is dropped
         self._raised_at: float  # set with the first link
         self._held: list[int] = []
         self._before: dict[int, object] = {}
@@ -46,7 +51,10 @@ class _Interrupts:
         self._owner = os.getpid()
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            if number is not None and signal.getsignal(number) in (
+                signal.SIG_DFL,
+                signal.default_int_handler,
+            ):
                 self._before[number] = signal.signal(number, self._on_signal)
 
     def link_closed(self, link: object) -> None:
@@ -58,8 +66,11 @@ class _Interrupts:
                     signal.signal(number, before)
 
     def deliver(self, already_ending: bool) -> None:
-        """Raise the delayed signal, unless the program is already ending because of an earlier one."""
-        held, self._held = self._held, []
+        """Raise the delayed signal, unless the program is already ending because of an earlier
+        one.
+        """
+        held = self._held
+        self._held = []
         if held and not already_ending:
             self._raise(held[0])
 

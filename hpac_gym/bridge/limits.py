@@ -1,7 +1,8 @@
-"""The servo table on the wire: limits in integer units, taken from the hand's parameters, their hash, and the pulses of an angle.
+"""The servo table on the wire: limits in integer units, taken from the hand's parameters, their
+hash, and the pulses of an angle.
 
-Host and firmware compare the hash in the handshake, so that a host drives only a hand with the limits that it knows.
-"""
+Host and firmware compare the hash in the handshake, so that a host drives only a hand with the
+limits that it knows."""
 
 from __future__ import annotations
 
@@ -18,7 +19,13 @@ from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, PULSE, VERSION
 from hpac_gym.model import HPAC, SERVOS, Hand
 
 HASHED_PULSE = ("period_ns", "min_ns", "max_ns")
-HASHED_CONSTANTS = ("angle_tolerance_urad", "time_tolerance_us", "rate_excess_permille", "step_max_ms", "relax_permille")
+HASHED_CONSTANTS = (
+    "angle_tolerance_urad",
+    "time_tolerance_us",
+    "rate_excess_permille",
+    "step_max_ms",
+    "relax_permille",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +45,8 @@ class ServoLimits:
 def servo_limits(hand: Hand = HPAC) -> tuple[ServoLimits, ...]:
     """The servo table of a hand, in the order of `SERVOS`.
 
-    Angles are rounded to the wire's step, so that a command for exactly the limit is accepted. Rest is 0 rad, or the
-    limit closest to it; the centre pulse corresponds to the middle of the range.
+    Angles are rounded to the wire's step, so that a command for exactly the limit is accepted. Rest
+    is 0 rad, or the limit closest to it; the centre pulse corresponds to the middle of the range.
     """
     step = round(ANGLE_UNIT * 1e6)
     lower = np.rint(hand.servo_min / ANGLE_UNIT).astype(int) * step
@@ -60,14 +67,20 @@ def servo_limits(hand: Hand = HPAC) -> tuple[ServoLimits, ...]:
     )
 
 
-def limits_hash(hand: Hand = HPAC, trim_ns: Sequence[int] = (0,) * len(SERVOS), reversed_mask: int = 0) -> int:
+def limits_hash(
+    hand: Hand = HPAC, trim_ns: Sequence[int] = (0,) * len(SERVOS), reversed_mask: int = 0
+) -> int:
     """CRC-32 of all limits of the hand's output, in the byte order of docs/wire.md.
 
     Args:
         trim_ns: zero trims of the individual hand, from its DEVICE_HELLO, shape (6,) [ns].
         reversed_mask: bit i is set if servo i is mounted in reverse, from its DEVICE_HELLO.
     """
-    numbers = [VERSION, *(PULSE[name] for name in HASHED_PULSE), *(CONSTANTS[name] for name in HASHED_CONSTANTS)]
+    numbers = [
+        VERSION,
+        *(PULSE[name] for name in HASHED_PULSE),
+        *(CONSTANTS[name] for name in HASHED_CONSTANTS),
+    ]
     for i, servo in enumerate(servo_limits(hand)):
         _, *row = astuple(servo)
         numbers += [*row, trim_ns[i], -1 if reversed_mask >> i & 1 else 1]
@@ -84,7 +97,9 @@ def pulses_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
         Integers, shape (..., 6) [ns].
     """
     centre = np.array([limits.centre_urad for limits in servo_limits(hand)]) * 1e-6
-    return np.rint(PULSE["centre_ns"] + (np.asarray(servo, dtype=float) - centre) * PULSE["ns_per_rad"]).astype(np.int64)
+    return np.rint(
+        PULSE["centre_ns"] + (np.asarray(servo, dtype=float) - centre) * PULSE["ns_per_rad"]
+    ).astype(np.int64)
 
 
 def servo_from_pulses(pulses: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
@@ -101,7 +116,11 @@ def servo_from_pulses(pulses: ArrayLike, hand: Hand = HPAC) -> np.ndarray:
     """
     pulses = np.asarray(pulses)
     if np.any(pulses == 0):
-        silent = [name for name, width in zip(SERVOS, pulses.reshape(-1, len(SERVOS))[-1], strict=True) if width == 0]
+        silent = [
+            name
+            for name, width in zip(SERVOS, pulses.reshape(-1, len(SERVOS))[-1], strict=True)
+            if width == 0
+        ]
         raise FrameError(f"no pulses on {', '.join(silent) or 'some servo'}: the hand is not armed")
     centre = np.array([limits.centre_urad for limits in servo_limits(hand)]) * 1e-6
     return centre + (pulses - PULSE["centre_ns"]) / PULSE["ns_per_rad"]

@@ -1,4 +1,5 @@
-"""The link to one hand: connecting, arming, moves, heartbeat, e-stop; on closing it leaves the hand without pulses.
+"""The link to one hand: connecting, arming, moves, heartbeat, e-stop; on closing it leaves the hand
+without pulses.
 
 No call blocks indefinitely.
 """
@@ -16,11 +17,25 @@ from typing import ParamSpec, Self, TypeVar
 import numpy as np
 
 from hpac_gym.bridge.connection import Connection, Turns
-from hpac_gym.bridge.errors import BridgeError, FrameError, HandshakeError, LinkTimeout, PortError, StoppedError
+from hpac_gym.bridge.errors import (
+    BridgeError,
+    FrameError,
+    HandshakeError,
+    LinkTimeout,
+    PortError,
+    StoppedError,
+)
 from hpac_gym.bridge.exchange import LinkStatistics, WireLog
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.limits import servo_limits
-from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, FLAG_MINIMUM_JERK, FLAG_NO_ACK, Action, State
+from hpac_gym.bridge.protocol import (
+    ANGLE_UNIT,
+    CONSTANTS,
+    FLAG_MINIMUM_JERK,
+    FLAG_NO_ACK,
+    Action,
+    State,
+)
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand
@@ -44,7 +59,9 @@ def milliseconds(name: str, seconds: float, rounded: Callable[[float], int] = ro
 
 
 def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
-    """Decorate a method that talks to the hand: one call at a time, only in the process that opened the link."""
+    """Decorate a method that talks to the hand: one call at a time, only in the process that opened
+    the link.
+    """
 
     @wraps(method)
     def call(self: Line, *args: object, **kwargs: object) -> _Result:
@@ -62,7 +79,9 @@ def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
 
 
 class Line:
-    """The part of `HandLink` that works in every state of the hand: query, e-stop, clear, and a safe end."""
+    """The part of `HandLink` that works in every state of the hand: query, e-stop, clear, and a
+    safe end.
+    """
 
     def __init__(
         self,
@@ -108,11 +127,12 @@ class Line:
 
     @interrupts.closing
     def close(self) -> None:
-        """Leave the hand without pulses and release the port. May be called repeatedly, from any thread or signal handler.
+        """Leave the hand without pulses and release the port. May be called repeatedly, from any
+        thread or signal handler.
 
-        If the hand does not confirm this, an `UnconfirmedWarning` is issued; no error is raised. Signals are delayed until the
-        end. A link that was not closed is closed when it is garbage-collected or the program ends.
-        """
+        If the hand does not confirm this, an `UnconfirmedWarning` is issued; no error is raised.
+        Signals are delayed until the end. A link that was not closed is closed when it is
+        garbage-collected or the program ends."""
         self._end(None)
 
     def _end(self, error: BaseException | None) -> None:
@@ -121,14 +141,21 @@ class Line:
             self._when_forgotten.detach()
 
     def connect(self) -> HandInfo:
-        """Open the port and perform the handshake. Afterwards the hand is not armed, whatever its state was before.
+        """Open the port and perform the handshake. Afterwards the hand is not armed, whatever its
+        state was before.
 
         Raises:
             PortError: The port cannot be opened.
             HandshakeError: Nothing answers, or the firmware has another protocol version.
         """
         self.close()
-        connection = Connection(open_transport(self._port), self._turns, self.statistics, log=self._log, **self._patience)
+        connection = Connection(
+            open_transport(self._port),
+            self._turns,
+            self.statistics,
+            log=self._log,
+            **self._patience,
+        )
         self._connection = connection
         self._when_forgotten = weakref.finalize(self, connection.end)
         try:
@@ -140,7 +167,8 @@ class Line:
         return connection.info
 
     def reconnect(self, timeout: float = 10.0) -> HandInfo:
-        """Wait for the port for up to `timeout` [s, wall clock], and connect. The hand is then not armed.
+        """Wait for the port for up to `timeout` [s, wall clock], and connect. The hand is then not
+        armed.
 
         Raises:
             PortError, HandshakeError: The port did not return in time; the last reason is given.
@@ -155,8 +183,8 @@ class Line:
                 sleep(0.05)
 
     def estop(self) -> None:
-        """Stop all pulses now and latch a fault, in any state, from any thread or signal handler. A call in progress ends with
-        `StoppedError`.
+        """Stop all pulses now and latch a fault, in any state, from any thread or signal handler. A
+        call in progress ends with `StoppedError`.
 
         Raises:
             LinkTimeout, PortError: The stop is not confirmed: switch the servo supply off.
@@ -201,17 +229,20 @@ class HandLink(Line):
             link.move(command)
         link.wait()
     ```
-    There is no background thread: if the program hangs, the watchdog expires and the hand executes the safe action given
-    to `arm`. Use `sleep` instead of `time.sleep` while armed; it sends heartbeats. Calls from several threads
-    wait for each other; `estop` and `close` do not wait, and may be called from a signal handler: the call that they
-    interrupt raises `StoppedError`. A forked child cannot use its parent's link, and does not disturb it.
+    There is no background thread: if the program hangs, the watchdog expires and the hand executes
+    the safe action given to `arm`. Use `sleep` instead of `time.sleep` while armed; it sends
+    heartbeats. Calls from several threads wait for each other; `estop` and `close` do not wait, and
+    may be called from a signal handler: the call that they interrupt raises `StoppedError`. A
+    forked child cannot use its parent's link, and does not disturb it.
 
     Args:
-        port: name of a port (see `open_transport`), or a function that opens a transport, such as `VirtualHand.connect`.
+        port: name of a port (see `open_transport`), or a function that opens a transport, such as
+            `VirtualHand.connect`.
         hand: the hand with whose limits the firmware must have been built.
         timeout: time-out of one answer [s].
         attempts: number of times that a frame is sent before `LinkTimeout`.
-        handshake_timeout: time-out of HELLO [s]; boards that reset when the port opens need 1 to 2 s.
+        handshake_timeout: time-out of HELLO [s]; boards that reset when the port opens need 1 to 2
+            s.
         log: log of every frame.
 
     Attributes:
@@ -219,17 +250,21 @@ class HandLink(Line):
     """
 
     @turn
-    def arm(self, action: Action = Action.relax, watchdog: float = CONSTANTS["watchdog_ms"] * 1e-3) -> None:
+    def arm(
+        self, action: Action = Action.relax, watchdog: float = CONSTANTS["watchdog_ms"] * 1e-3
+    ) -> None:
         """Arm the hand and wait until all servos have pulses, one after the other, and are at rest.
 
         Args:
-            action: safe action of the hand when this program stops sending. `hold` also relaxes, after 30 s. If the link fails,
-                `relax` keeps the pulses for up to 3.2 s after the watchdog, `hold` for up to 33.2 s; `detach` stops them at once.
+            action: safe action of the hand when this program stops sending. `hold` also relaxes,
+                after 30 s. If the link fails, `relax` keeps the pulses for up to 3.2 s after the
+                watchdog, `hold` for up to 33.2 s; `detach` stops them at once.
             watchdog: longest silence before the safe action, 0.1 to 2 [s].
 
         Raises:
             HandshakeError: The firmware was built with other limits than those of `hand`.
-            RejectedError: Not in IDLE, a servo is too hot, or `watchdog` is out of bounds. FaultError: a fault is latched.
+            RejectedError: Not in IDLE, a servo is too hot, or `watchdog` is out of bounds.
+                FaultError: a fault is latched.
             ValueError, FrameError: No such action, or a `watchdog` beyond 65.535 s.
             LinkTimeout: No answer, or not all servos got pulses.
         """
@@ -237,38 +272,56 @@ class HandLink(Line):
         connection.info.check_limits(self._hand)
         connection.known.limits = servo_limits(self._hand)
         watchdog_ms = milliseconds("watchdog", watchdog)
-        fields = {"limits_hash": self.info.limits_hash, "watchdog_ms": watchdog_ms, "action": int(Action(action))}
+        fields = {
+            "limits_hash": self.info.limits_hash,
+            "watchdog_ms": watchdog_ms,
+            "action": int(Action(action)),
+        }
         self._feed("arm", fields)
         connection.watchdog = watchdog
         deadline = self._now() + CONSTANTS["start_max_ms"] * 1e-3
         while len(self.status().attached) < len(SERVOS) or self.last_status.moving:
             if self._now() > deadline:
-                raise LinkTimeout(f"after {CONSTANTS['start_max_ms'] * 1e-3:g} s pulses at {self.last_status.attached} alone")
+                raise LinkTimeout(
+                    f"after {CONSTANTS['start_max_ms'] * 1e-3:g} s pulses at {self.last_status.attached} alone"
+                )
             self.sleep(_ARM_POLL)
         connection.busy_until = self._now()
 
     @turn
-    def move(self, command: ServoCommand, *, minimum_jerk: bool = False, acknowledge: bool = True, pace: bool = True) -> None:
+    def move(
+        self,
+        command: ServoCommand,
+        *,
+        minimum_jerk: bool = False,
+        acknowledge: bool = True,
+        pace: bool = True,
+    ) -> None:
         """Send one synchronised move, and wait for the hand's ACK.
 
-        The duration is sent in whole ms, rounded up, so that no move gets faster; angles in units of 1e-4 rad.
+        The duration is sent in whole ms, rounded up, so that no move gets faster; angles in units
+        of 1e-4 rad.
 
         Args:
-            minimum_jerk: a smooth move from the present pose and velocity, instead of a linear one from the pose.
-            acknowledge: False requests no ACK and does not wait; a refusal or a fault is raised by the first call after its
-                arrival.
+            minimum_jerk: a smooth move from the present pose and velocity, instead of a linear one
+                from the pose.
+            acknowledge: False requests no ACK and does not wait; a refusal or a fault is raised by
+                the first call after its arrival.
             pace: first wait until the previous move has ended. False pre-empts it.
 
         Raises:
             FrameError: An angle beyond ±3.2767 rad, or a duration beyond 65.535 s.
-            RejectedError: Outside the limits, too fast, or not armed. FaultError: a fault is latched.
+            RejectedError: Outside the limits, too fast, or not armed. FaultError: a fault is
+                latched.
             LinkTimeout, PortError: No answer; the port is gone.
         """
         duration_ms = milliseconds("duration", command.duration, lambda ms: math.ceil(ms - 1e-6))
         steps = np.rint(np.asarray(command.servo) / ANGLE_UNIT).astype(int)
         if np.abs(steps).max() > _STEP_MAX:
             worst = max(command.servo, key=abs)
-            raise FrameError(f"a servo angle of {worst:g} rad, allowed ±{_STEP_MAX * ANGLE_UNIT:g} rad")
+            raise FrameError(
+                f"a servo angle of {worst:g} rad, allowed ±{_STEP_MAX * ANGLE_UNIT:g} rad"
+            )
         fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
         flags = FLAG_MINIMUM_JERK if minimum_jerk else 0
         connection = self._connected()
@@ -312,7 +365,9 @@ class HandLink(Line):
         period = connection.watchdog / _HEARTBEATS_PER_WATCHDOG
         while (left := deadline - self._now()) > 0:
             due = connection.fed_at + period
-            connection.exchange.listen(min(left, max(due - self._now(), 0.0)) if was_armed else left)
+            connection.exchange.listen(
+                min(left, max(due - self._now(), 0.0)) if was_armed else left
+            )
             if was_armed and self._now() >= due:
                 self.heartbeat()
             if was_armed:

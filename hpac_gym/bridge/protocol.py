@@ -1,7 +1,7 @@
 """The protocol description as Python values, read from `protocol.toml` in this folder.
 
-Pure data: names, codes and layouts. `frame` encodes them as bytes, `tools.wire_files` writes the C header.
-"""
+Pure data: names, codes and layouts. `frame` encodes them as bytes, `tools.wire_files` writes the C
+header."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ _TYPE = re.compile(r"([ui])(8|16|32)(?:\[(\d+)\])?")
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a frame: `count` little-endian integers of `size` bytes each, starting at byte `offset`."""
+    """One field of a frame: `count` little-endian integers of `size` bytes each, starting at byte
+    `offset`.
+    """
 
     name: str
     signed: bool
@@ -56,7 +58,16 @@ def _read_fields(pairs: list[list[str]]) -> tuple[Field, ...]:
     fields: list[Field] = []
     for name, type_name in pairs:
         sign, bits, count = _TYPE.fullmatch(type_name).groups()
-        fields.append(Field(name, sign == "i", int(bits) // 8, int(count or 1), _length(tuple(fields)), bool(count)))
+        fields.append(
+            Field(
+                name,
+                sign == "i",
+                int(bits) // 8,
+                int(count or 1),
+                _length(tuple(fields)),
+                bool(count),
+            )
+        )
     return tuple(fields)
 
 
@@ -87,7 +98,11 @@ LOAD: dict[str, int] = DESCRIPTION["load"]
 def _messages(table: str) -> dict[str, Message]:
     return {
         entry["name"]: Message(
-            entry["name"], entry["code"], entry["from"] == "host", entry["meaning"], _read_fields(entry["fields"])
+            entry["name"],
+            entry["code"],
+            entry["from"] == "host",
+            entry["meaning"],
+            _read_fields(entry["fields"]),
         )
         for entry in DESCRIPTION[table]
     }

@@ -14,7 +14,16 @@ from hpac_gym.bridge.limits import ServoLimits, limits_hash
 from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, Fault, Reason, Reset, State, name_of
 from hpac_gym.model import SERVOS, Hand
 
-COUNTERS = ("accepted", "refused", "bad_crc", "bad_frame", "bad_version", "overrun", "dropped", "watchdog_trips")
+COUNTERS = (
+    "accepted",
+    "refused",
+    "bad_crc",
+    "bad_frame",
+    "bad_version",
+    "overrun",
+    "dropped",
+    "watchdog_trips",
+)
 """Names of the firmware's counters, as in firmware/core/hpac_hand.h."""
 
 
@@ -119,9 +128,10 @@ class KnownState:
         state: name of `protocol.State`; `boot` if not connected.
         fault: name of `protocol.Fault`; also `none` if the kind of a fault is not known yet.
         status: the latest STATUS, or None.
-        limits: the servo limits that host and hand have agreed on; empty before the first `HandLink.arm`.
-        may_have_power: False once the hand has confirmed, in answer to a message sent after the last ARM, that its pulses
-            are off.
+        limits: the servo limits that host and hand have agreed on; empty before the first
+            `HandLink.arm`.
+        may_have_power: False once the hand has confirmed, in answer to a message sent after the
+            last ARM, that its pulses are off.
     """
 
     def __init__(self) -> None:
@@ -140,7 +150,9 @@ class KnownState:
         self.may_have_power = self.may_have_power or name == "arm"
 
     def take_in(self, frame: Frame, answered: str | None = None) -> None:
-        """Update the state from a frame of the hand; `answered` names the message that it answers."""
+        """Update the state from a frame of the hand; `answered` names the message that it
+        answers.
+        """
         if "state" in frame.fields:
             self.state = name_of(State, frame.fields["state"])
         if frame.name == "device_status":
@@ -166,35 +178,56 @@ class KnownState:
         return self.state == State.fault.name
 
     def refusal(self, name: str, fields: Mapping, ack: Frame) -> RejectedError:
-        """The error for an ACK with a reason, which names the refused value of the message's fields and its bound."""
+        """The error for an ACK with a reason, which names the refused value of the message's fields
+        and its bound.
+        """
         reason = name_of(Reason, ack.fields["reason"])
         servo = SERVOS[ack.fields["servo"]] if ack.fields["servo"] < len(SERVOS) else None
         if self.in_fault:
             return self.fault_error(f"{name} refused", reason, servo)
-        where = (f" at servo {servo}" if servo else "") + self._bound(reason, fields, ack.fields["servo"])
+        where = (f" at servo {servo}" if servo else "") + self._bound(
+            reason, fields, ack.fields["servo"]
+        )
         if reason == Reason.session.name:
             where = ": another program has greeted the hand since, or the board has restarted"
-        return RejectedError(f"the hand refused {name}: {reason}{where} (state {self.state})", reason, servo, self.state)
+        return RejectedError(
+            f"the hand refused {name}: {reason}{where} (state {self.state})",
+            reason,
+            servo,
+            self.state,
+        )
 
     def _bound(self, reason: str, fields: Mapping, servo: int) -> str:
-        """Value, bound and unit of the field that a message was refused for; empty if it is not about a value."""
+        """Value, bound and unit of the field that a message was refused for; empty if it is not
+        about a value.
+        """
         if reason == Reason.duration.name and "duration_ms" in fields:
             return f": {fields['duration_ms']} ms, allowed {CONSTANTS['move_min_ms']} to {CONSTANTS['move_max_ms']} ms"
         if reason == Reason.period.name and "watchdog_ms" in fields:
             bounds = f"{CONSTANTS['watchdog_min_ms']} to {CONSTANTS['watchdog_max_ms']} ms"
             return f": watchdog {fields['watchdog_ms']} ms, allowed {bounds}"
         if reason == Reason.period.name and "period_ms" in fields:
-            return f": {fields['period_ms']} ms, allowed 0 or at least {CONSTANTS['status_min_ms']} ms"
+            return (
+                f": {fields['period_ms']} ms, allowed 0 or at least {CONSTANTS['status_min_ms']} ms"
+            )
         if servo >= len(self.limits) or "servo" not in fields:
             return ""
-        limit, target = self.limits[servo], fields["servo"][servo] * ANGLE_UNIT
+        limit = self.limits[servo]
+        target = fields["servo"][servo] * ANGLE_UNIT
         if reason == Reason.angle.name:
             return f": {target:g} rad, allowed {limit.min_urad * 1e-6:g} to {limit.max_urad * 1e-6:g} rad on the whole way"
         return f": {target:g} rad within {fields['duration_ms']} ms, allowed {limit.rate_urad_s * 1e-6:g} rad/s"
 
-    def fault_error(self, what: str, reason: str = Reason.state.name, servo: str | None = None) -> FaultError:
+    def fault_error(
+        self, what: str, reason: str = Reason.state.name, servo: str | None = None
+    ) -> FaultError:
         """The error for a latched fault."""
-        return FaultError(f"the hand is in fault ({self.fault}): {what}; clear() leaves it", reason, servo, self.state)
+        return FaultError(
+            f"the hand is in fault ({self.fault}): {what}; clear() leaves it",
+            reason,
+            servo,
+            self.state,
+        )
 
 
 def _without_pulses(frame: Frame, answered: str) -> bool:

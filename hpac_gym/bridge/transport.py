@@ -1,7 +1,8 @@
-"""Byte transports: a serial port or pseudo-terminal, or a TCP socket. The in-process transport is in `hands`.
+"""Byte transports: a serial port or pseudo-terminal, or a TCP socket. The in-process transport is
+in `hands`.
 
-A transport also owns the clock, so that a link to a virtual hand runs in virtual time without sleeping.
-"""
+A transport also owns the clock, so that a link to a virtual hand runs in virtual time without
+sleeping."""
 
 from __future__ import annotations
 
@@ -38,7 +39,8 @@ class Transport(Protocol):
 class SerialTransport(Transport):
     """A serial port or pseudo-terminal through pyserial, locked against other programs.
 
-    DTR and RTS are set low before the port opens; otherwise many boards reset or stay in their boot loader.
+    DTR and RTS are set low before the port opens; otherwise many boards reset or stay in their boot
+    loader.
 
     Args:
         port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, or any URL that pyserial takes.
@@ -48,10 +50,14 @@ class SerialTransport(Transport):
         PortError: The port does not exist, access is denied, or another program uses it.
     """
 
-    def __init__(self, port: str, baud: int = CONSTANTS["baud"], write_timeout: float = 1.0) -> None:
+    def __init__(
+        self, port: str, baud: int = CONSTANTS["baud"], write_timeout: float = 1.0
+    ) -> None:
         self.port = port
         try:
-            self._serial = serial.serial_for_url(port, do_not_open=True, timeout=0, write_timeout=write_timeout)
+            self._serial = serial.serial_for_url(
+                port, do_not_open=True, timeout=0, write_timeout=write_timeout
+            )
             self._serial.baudrate = baud
             self._serial.dtr = False
             self._serial.rts = False
@@ -67,7 +73,10 @@ class SerialTransport(Transport):
                 self._serial.timeout = timeout
             first = self._serial.read(1)
             return first + self._serial.read(self._serial.in_waiting) if first else b""
-        except (OSError, TypeError) as error:  # TypeError: raised by pyserial if the port was closed meanwhile
+        except (
+            OSError,
+            TypeError,
+        ) as error:  # TypeError: raised by pyserial if the port was closed meanwhile
             raise PortError(f"{self.port} has gone: {error}") from error
 
     def write(self, data: bytes) -> None:
@@ -131,7 +140,8 @@ class SocketTransport(Transport):
 
 
 def open_transport(port: str | Callable[[], Transport]) -> Transport:
-    """Open a port: `socket://HOST:PORT`, the name of a serial port, or a function that opens a transport.
+    """Open a port: `socket://HOST:PORT`, the name of a serial port, or a function that opens a
+    transport.
 
     Raises:
         PortError: The name is malformed, or the port cannot be opened.

@@ -1,4 +1,6 @@
-"""n episodes of a task as arrays: action, servos, physics, observation and reward. Both environment classes use it."""
+"""n episodes of a task as arrays: action, servos, physics, observation and reward. Both environment
+classes use it.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,14 @@ from hpac_gym.model import (
     streamed_servo,
 )
 from hpac_gym.model.checks import Array, as_bounded_array
-from hpac_gym.physics.engine import HAND_POSITION, PhysicsError, PhysicsWarning, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import (
+    HAND_POSITION,
+    PhysicsError,
+    PhysicsWarning,
+    SceneSetup,
+    SceneState,
+    Viewpoint,
+)
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.quality import grasp_quality
@@ -53,10 +62,12 @@ class Episodes:
         task: draws episodes, judges them and shapes the reward.
         num_worlds: n.
         options: options of the environment.
-        transmit: function applied to a command on its way to the servos, for n = 1; None is the identity.
+        transmit: function applied to a command on its way to the servos, for n = 1; None is the
+            identity.
 
     Raises:
-        ParameterError: The task does not have the requested observation, or the physics' rate is no multiple of the commands'.
+        ParameterError: The task does not have the requested observation, or the physics' rate is no
+            multiple of the commands'.
 
     Attributes:
         observation_space: observation space of one world.
@@ -65,15 +76,25 @@ class Episodes:
         outcome: status of each episode, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
     """
 
-    def __init__(self, task: Task, num_worlds: int, options: Options, transmit: Transmit | None = None) -> None:
+    def __init__(
+        self, task: Task, num_worlds: int, options: Options, transmit: Transmit | None = None
+    ) -> None:
         if (rate := options.world.physics_hz) % CONTROL_HZ:
-            raise ParameterError(f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands")
+            raise ParameterError(
+                f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands"
+            )
         kinds = ("deploy", "privileged", "image", *task.sensed_terms)
         if options.obs not in kinds:
-            raise ParameterError(f"obs {options.obs!r} is not one of {', '.join(kinds)}, which this task has")
-        self.task, self.options, self._transmit = task, options, transmit
+            raise ParameterError(
+                f"obs {options.obs!r} is not one of {', '.join(kinds)}, which this task has"
+            )
+        self.task = task
+        self.options = options
+        self._transmit = transmit
         visuals = options.visuals or options.obs == "image"
-        self.simulation = Simulation(make_engine(options.engine, num_worlds, options.world, visuals))
+        self.simulation = Simulation(
+            make_engine(options.engine, num_worlds, options.world, visuals)
+        )
         try:
             self.simulation.engine.require(BODIES[options.body])
             self._camera = task.prepare(num_worlds, options.noise)
@@ -88,18 +109,26 @@ class Episodes:
         self._layout = Layout((*task.terms, *more.get(options.obs, ())), num_worlds)
         self._goals = Layout(task.goal_terms, num_worlds) if task.goal_terms else None
         self.observation_space = self._space()
-        self.action_space = spaces.Box(-1.0, 1.0, (len(SERVOS) + len(task.wrist_actions),), np.float32)
+        self.action_space = spaces.Box(
+            -1.0, 1.0, (len(SERVOS) + len(task.wrist_actions),), np.float32
+        )
         self.setups: list[SceneSetup | None] = [None] * num_worlds
         self.randomizations = [options.randomization] * num_worlds
         self.outcome = np.full(num_worlds, RUNNING)
-        self._wrist, self._time = np.zeros((num_worlds, count, 3)), np.array(self._times)
+        self._wrist = np.zeros((num_worlds, count, 3))
+        self._time = np.array(self._times)
         self._step = np.zeros(num_worlds, dtype=int)
-        self._servo, self._arrived = np.zeros((num_worlds, len(SERVOS))), np.zeros((num_worlds, len(SERVOS)))
+        self._servo = np.zeros((num_worlds, len(SERVOS)))
+        self._arrived = np.zeros((num_worlds, len(SERVOS)))
         self._lost_share = np.zeros(num_worlds)
         self._losses: list[np.random.Generator | None] = [None] * num_worlds
-        self._last_action, self._predicted = np.zeros((num_worlds, len(SERVOS))), np.zeros((num_worlds, len(JOINTS)))
-        self._start_of = lru_cache(maxsize=16)(partial(_start_of, options.hand))  # most tasks begin with the same posture
-        self._rotation, self._down = np.zeros((num_worlds, 3, 3)), np.zeros((num_worlds, 3))
+        self._last_action = np.zeros((num_worlds, len(SERVOS)))
+        self._predicted = np.zeros((num_worlds, len(JOINTS)))
+        self._start_of = lru_cache(maxsize=16)(
+            partial(_start_of, options.hand)
+        )  # most tasks begin with the same posture
+        self._rotation = np.zeros((num_worlds, 3, 3))
+        self._down = np.zeros((num_worlds, 3))
         self.now: Moment | None = None
         self.terms: dict[str, Array] = {}
         self._episode = object()
@@ -116,10 +145,14 @@ class Episodes:
             parts["points"] = spaces.Box(-POINTS_BOUND, POINTS_BOUND, (POINTS, 4), np.float32)
         return self._layout.space if set(parts) == {"deploy"} else spaces.Dict(parts)
 
-    # Episodes ------------------------------------------------------------------------------------------------------
+    # Episodes
+    # ------------------------------------------------------------------------------------------------------
 
     def reset(
-        self, worlds: Sequence[int], generators: Sequence[np.random.Generator], given: SceneSetup | None = None
+        self,
+        worlds: Sequence[int],
+        generators: Sequence[np.random.Generator],
+        given: SceneSetup | None = None,
     ) -> list[Mapping[str, Array]]:
         """Start episodes in some worlds.
 
@@ -131,9 +164,16 @@ class Episodes:
         Returns:
             Values drawn by the randomization, by name, for each of the worlds.
         """
-        options, body = self.options, BODIES[self.options.body]
-        inertia = {} if body == _NO_CHOICE else {"armature": body.armature, "hub_inertia": body.hub_inertia}
-        setups, values, cameras = [], [], []
+        options = self.options
+        body = BODIES[self.options.body]
+        inertia = (
+            {}
+            if body == _NO_CHOICE
+            else {"armature": body.armature, "hub_inertia": body.hub_inertia}
+        )
+        setups = []
+        values = []
+        cameras = []
         for world, generator in zip(worlds, generators, strict=True):
             setup_rng, camera_rng = generator.spawn(2)
             drawn = self.randomizations[world].draw(setup_rng)
@@ -142,14 +182,18 @@ class Episodes:
                 setup = replace(setup, hand_settings=replace(setup.hand_settings, **inertia))
             setups.append(changed_setup(setup, drawn))
             values.append(drawn)
-            cameras.append((world, setups[-1], float(drawn.get("sensor_noise", [1.0])[0]), camera_rng))
+            cameras.append(
+                (world, setups[-1], float(drawn.get("sensor_noise", [1.0])[0]), camera_rng)
+            )
             self._lost_share[world] = share = float(drawn.get("dropped_frames", [0.0])[0])
             self._losses[world] = stream(setup_rng, "losses") if share else None
         for camera in cameras:
             self._camera.start(*camera)
         self._begin(worlds, setups)
         index = np.asarray(worlds)
-        self._step[index], self.outcome[index], self.terms = 0, RUNNING, {}
+        self._step[index] = 0
+        self.outcome[index] = RUNNING
+        self.terms = {}
         self._episode = object()
         self._look(self.simulation.state(), np.zeros_like(self._last_action), worlds)
         return values
@@ -163,12 +207,14 @@ class Episodes:
                 layout.start(worlds, setups)
         self._predicted = self._predicted.copy()  # the previous `Moment` keeps its array
         for world, setup in zip(worlds, setups, strict=True):
-            self.setups[world], self._rotation[world] = setup, setup.hand_rotation
+            self.setups[world] = setup
+            self._rotation[world] = setup.hand_rotation
             self._wrist[world] = self.task.wrist_path(setup, self._times)
             start = self._start_of(*setup.synergy.tolist())
             self._servo[world], self._predicted[world], self._last_action[world] = start
         index = np.asarray(worlds)
-        self._down[index], self._arrived[index] = -self._rotation[index, 2], self._servo[index]
+        self._down[index] = -self._rotation[index, 2]
+        self._arrived[index] = self._servo[index]
 
     def step(self, actions: NDArray) -> Array:
         """Carry out one action in every world for one control period, and judge it.
@@ -181,29 +227,43 @@ class Episodes:
 
         Raises:
             ShapeError: Wrong shape.
-            WorkspaceError: NaN, or an action that leaves −1…1: wrap in `gymnasium.wrappers.ClipAction`.
+            WorkspaceError: NaN, or an action that leaves −1…1: wrap in
+                `gymnasium.wrappers.ClipAction`.
             PhysicsError: A simulation failed, and the engine cannot continue.
 
         Warns:
-            PhysicsWarning: A world's simulation failed: its episode ends as a failure, and the others continue.
+            PhysicsWarning: A world's simulation failed: its episode ends as a failure, and the
+                others continue.
         """
         every = actions
-        actions, choices = every[:, : len(SERVOS)], every[:, len(SERVOS) :]
+        actions = every[:, : len(SERVOS)]
+        choices = every[:, len(SERVOS) :]
         try:
             target = servo_from_action(actions, self.options.hand)
             if self.task.wrist_actions:
                 one = np.ones(len(self.task.wrist_actions))
-                as_bounded_array(choices, -one, one, self.task.wrist_actions, "action", "(no unit)", 1e-6)
-                if first := np.flatnonzero((self._step == 0) & (self.outcome == RUNNING)).tolist():  # places the wrist
-                    self._begin(first, [self.task.chosen(self.setups[world], every[world]) for world in first])
+                as_bounded_array(
+                    choices, -one, one, self.task.wrist_actions, "action", "(no unit)", 1e-6
+                )
+                if first := np.flatnonzero(
+                    (self._step == 0) & (self.outcome == RUNNING)
+                ).tolist():  # places the wrist
+                    self._begin(
+                        first,
+                        [self.task.chosen(self.setups[world], every[world]) for world in first],
+                    )
         except WorkspaceError as error:
             if np.isnan(every).any():
                 raise
-            raise WorkspaceError(f"{error}; wrap in gymnasium.wrappers.ClipAction, which clips it") from None
+            raise WorkspaceError(
+                f"{error}; wrap in gymnasium.wrappers.ClipAction, which clips it"
+            ) from None
         self._servo = streamed_servo(self._servo, target, self.dt, self.options.hand)
         self._arrive()
         self.simulation.command(self._arrived, self.dt)
-        row = np.minimum(self._step[:, None] * self._substeps + np.arange(self._substeps), len(self._times) - 1)
+        row = np.minimum(
+            self._step[:, None] * self._substeps + np.arange(self._substeps), len(self._times) - 1
+        )
         push = self.task.push(self._time[row])
         failed: tuple[int, ...] = ()
         try:
@@ -215,7 +275,8 @@ class Episodes:
             warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=2)
         self._step += 1
 
-        state, phase = self.simulation.state(), self.now.phase
+        state = self.simulation.state()
+        phase = self.now.phase
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
         self.outcome = self.task.judge(state, self.dt)
         if failed:
@@ -225,14 +286,23 @@ class Episodes:
         self._last_action = np.array(actions, dtype=float)  # the caller may reuse its array
         self._predicted = elastic_joints_from_servo(self._servo, self.options.hand)
         self._look(state, change, range(len(self.setups)))
-        self.now.phase, after = phase, self.now.phase  # a step's reward belongs to the phase in which it began
+        self.now.phase, after = (
+            phase,
+            self.now.phase,
+        )  # a step's reward belongs to the phase in which it began
         self.terms = {term.name: term.value(self.now) for term in self.task.reward_terms}
-        reward = sum(self.terms.values()) if self.options.reward == "dense" else self.task.sparse_reward(self.now)
+        reward = (
+            sum(self.terms.values())
+            if self.options.reward == "dense"
+            else self.task.sparse_reward(self.now)
+        )
         self.now.phase = after
         return reward
 
     def _arrive(self) -> None:
-        """Compute the angles that reach the servos; after a lost command they keep the previous ones."""
+        """Compute the angles that reach the servos; after a lost command they keep the previous
+        ones.
+        """
         lost = np.zeros(len(self._servo), dtype=bool)
         for world in np.flatnonzero(self._lost_share):
             lost[world] = self._losses[world].random() < self._lost_share[world]
@@ -242,16 +312,27 @@ class Episodes:
             self._arrived = np.where(lost[:, None], self._arrived, self._servo)
 
     def _look(self, state: SceneState, change: Array, worlds: Iterable[int]) -> None:
-        """Record a state; the camera measures only the given worlds anew, so that no world's noise depends on the others."""
+        """Record a state; the camera measures only the given worlds anew, so that no world's noise
+        depends on the others.
+        """
         self.now = Moment(
-            state, self._servo, self._predicted, self._down,
-            self.task.phase(state.time), self._last_action, change, self._camera.look(state, worlds), self.task.grip,
+            state,
+            self._servo,
+            self._predicted,
+            self._down,
+            self.task.phase(state.time),
+            self._last_action,
+            change,
+            self._camera.look(state, worlds),
+            self.task.grip,
             self.outcome,
-        )  # fmt: skip
+        )
         if self._goals:
             self.achieved = self._goals.see(self.now)
             box = self._goals.space
-            self.desired = np.minimum(np.maximum(self.task.goal, box.low), box.high, dtype=np.float32)
+            self.desired = np.minimum(
+                np.maximum(self.task.goal, box.low), box.high, dtype=np.float32
+            )
             self.task.measure(self.achieved, self.desired)
 
     @property
@@ -264,15 +345,23 @@ class Episodes:
         """Slices of the observation vector, by field name."""
         return dict(self._layout.slices)
 
-    # Snapshots -----------------------------------------------------------------------------------------------------
+    # Snapshots
+    # -----------------------------------------------------------------------------------------------------
 
     def save(self) -> Any:
         """A snapshot of a single world, which `restore` continues bit-exactly.
 
-        The mutable state of an episode is arrays and generators of the task, the camera, the servos and this object.
-        """
+        The mutable state of an episode is arrays and generators of the task, the camera, the servos
+        and this object."""
         values = [(owner, name, deepcopy(vars(owner)[name])) for owner, name in _changing(self)]
-        return self._episode, self.setups[0], self.simulation.engine.save(0), values, self.now, self.terms
+        return (
+            self._episode,
+            self.setups[0],
+            self.simulation.engine.save(0),
+            values,
+            self.now,
+            self.terms,
+        )
 
     def restore(self, snapshot: Any) -> None:
         """Restore the world to a snapshot, which is not modified.
@@ -282,14 +371,18 @@ class Episodes:
         """
         episode, setup, physics, values, now, terms = snapshot
         if episode is not self._episode:
-            raise EpisodeError("a state can be restored only in the episode that it was saved in, not after another reset()")
+            raise EpisodeError(
+                "a state can be restored only in the episode that it was saved in, not after another reset()"
+            )
         self.setups[0] = setup  # the wrist may have been placed since then
         self.simulation.engine.restore(0, physics)
         for owner, name, value in values:
             setattr(owner, name, deepcopy(value))
-        self.now, self.terms = now, terms
+        self.now = now
+        self.terms = terms
 
-    # Outputs -------------------------------------------------------------------------------------------------------
+    # Outputs
+    # -------------------------------------------------------------------------------------------------------
 
     def observe(self) -> NDArray[np.float32] | dict[str, NDArray]:
         """Current observations, with a leading axis n."""
@@ -301,7 +394,9 @@ class Episodes:
             parts |= {"achieved_goal": self.achieved, "desired_goal": self.desired}
         if self.options.obs == "image":
             small = replace(self.task.viewpoint, width=IMAGE_SIZE, height=IMAGE_SIZE)
-            parts["image"] = np.stack([self.picture(world, small) for world in range(len(self.setups))])
+            parts["image"] = np.stack(
+                [self.picture(world, small) for world in range(len(self.setups))]
+            )
         if self.options.obs == "points":
             parts["points"] = self._camera.points(self.now.state)
         return parts
@@ -311,25 +406,38 @@ class Episodes:
         return dict(self.task.report(self.now))
 
     def quality(self, world: int) -> float:
-        """Grasp quality epsilon of a world [N]; since it takes milliseconds, it is reported only in an episode's last step."""
-        if not self.now.state.touching[world].any():  # most failed episodes; reading the contacts takes milliseconds
+        """Grasp quality epsilon of a world [N]; since it takes milliseconds, it is reported only in
+        an episode's last step.
+        """
+        if not self.now.state.touching[
+            world
+        ].any():  # most failed episodes; reading the contacts takes milliseconds
             return 0.0
         return grasp_quality(self.simulation.engine.contacts(world), self.setups[world].object)
 
-    def picture(self, world: int, viewpoint: Viewpoint | None = None, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
-        """RGB image of a world, shape (height, width, 3), centred on a point of the hand frame, shape (3,) [m]."""
+    def picture(
+        self, world: int, viewpoint: Viewpoint | None = None, centre: Array = VIEW_TARGET
+    ) -> NDArray[np.uint8]:
+        """RGB image of a world, shape (height, width, 3), centred on a point of the hand frame,
+        shape (3,) [m].
+        """
         target = HAND_POSITION + self.now.state.palm_offset[world] + self._rotation[world] @ centre
         return self.simulation.engine.picture(world, viewpoint or self.task.viewpoint, target)
 
     def pictures(self, render_mode: str | None) -> list[NDArray[np.uint8]] | None:
-        """A picture of every world; None without a render mode, and with "human", which shows every step by itself.
+        """A picture of every world; None without a render mode, and with "human", which shows every
+        step by itself.
 
         Raises:
             EpisodeError: Before the first `reset`.
         """
         if render_mode is not None and self.now is None:
             raise EpisodeError("nothing to render: call reset() first")
-        return [self.picture(world) for world in range(len(self.setups))] if render_mode == "rgb_array" else None
+        return (
+            [self.picture(world) for world in range(len(self.setups))]
+            if render_mode == "rgb_array"
+            else None
+        )
 
     def show(self) -> None:
         """Show an image of world 0 on the page of `render_mode="human"`, in real time."""
@@ -356,7 +464,9 @@ def open_episodes(env: Any) -> Episodes:
 
 
 def change_physics(env: Any, world: WorldSettings) -> None:
-    """Give an environment, before its first episode, physics with other settings. For measurements: its id has its own."""
+    """Give an environment, before its first episode, physics with other settings. For measurements:
+    its id has its own.
+    """
     episodes = open_episodes(env)
     options = replace(episodes.options, world=world)
     episodes.close()
@@ -364,17 +474,29 @@ def change_physics(env: Any, world: WorldSettings) -> None:
 
 
 def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
-    """Servo angles [rad], predicted joint angles [rad] and action of a hand that starts at a synergy [rad]."""
+    """Servo angles [rad], predicted joint angles [rad] and action of a hand that starts at a
+    synergy [rad].
+    """
     servo = servo_from_synergy(synergy, hand)
     return servo, elastic_joints_from_servo(servo, hand), action_from_synergy(synergy, hand)
 
 
 def _changing(owner: Any) -> Iterator[tuple[Any, str]]:
-    """Attributes that hold arrays, numbers or generators, of an object and of its hpac_gym objects except the engine."""
+    """Attributes that hold arrays, numbers or generators, of an object and of its hpac_gym objects
+    except the engine.
+    """
     for name, value in vars(owner).items():
-        generators = isinstance(value, list) and all(isinstance(entry, np.random.Generator) for entry in value)
-        arrays = isinstance(value, dict) and all(isinstance(entry, np.ndarray) for entry in value.values())
+        generators = isinstance(value, list) and all(
+            isinstance(entry, np.random.Generator) for entry in value
+        )
+        arrays = isinstance(value, dict) and all(
+            isinstance(entry, np.ndarray) for entry in value.values()
+        )
         if generators or arrays or isinstance(value, np.ndarray | float | int):
             yield owner, name
-        elif name not in ("engine", "_page") and type(value).__module__.startswith("hpac_gym.") and hasattr(value, "__dict__"):
+        elif (
+            name not in ("engine", "_page")
+            and type(value).__module__.startswith("hpac_gym.")
+            and hasattr(value, "__dict__")
+        ):
             yield from _changing(value)

@@ -24,14 +24,16 @@ Observation = NDArray[np.float32] | dict[str, NDArray]
 
 
 class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
-    """A hand with a task: six actions per step, which become one `ServoCommand`. The task moves the wrist.
+    """A hand with a task: six actions per step, which become one `ServoCommand`. The task moves the
+    wrist.
 
     Args:
         task: draws episodes, judges them and shapes the reward.
         render_mode: None, "rgb_array" or "human".
-        transmit: function applied to a command on its way to the simulated servos, such as the wire and the firmware; None is
-            the identity. Observations use the original command.
-        options: hand, reward, noise, obs, randomize, engine, body; see `hpac_gym.envs.options.OPTIONS`.
+        transmit: function applied to a command on its way to the simulated servos, such as the wire
+            and the firmware; None is the identity. Observations use the original command.
+        options: hand, reward, noise, obs, randomize, engine, body; see
+            `hpac_gym.envs.options.OPTIONS`.
 
     Raises:
         TypeError: An unknown option.
@@ -40,12 +42,22 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
 
-    def __init__(self, task: Task, render_mode: str | None = None, transmit: Transmit | None = None, **options: Any) -> None:
-        self.task, self.render_mode, self._transmit = task, render_mode, transmit
+    def __init__(
+        self,
+        task: Task,
+        render_mode: str | None = None,
+        transmit: Transmit | None = None,
+        **options: Any,
+    ) -> None:
+        self.task = task
+        self.render_mode = render_mode
+        self._transmit = transmit
         chosen = checked_options(render_mode=render_mode, **options)
-        self.hand, self.obs = chosen.hand, chosen.obs
+        self.hand = chosen.hand
+        self.obs = chosen.obs
         self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit)
-        self.observation_space, self.action_space = self._episodes.observation_space, self._episodes.action_space
+        self.observation_space = self._episodes.observation_space
+        self.action_space = self._episodes.action_space
         self.dt = self._episodes.dt
         self._running = False
 
@@ -55,13 +67,17 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             TypeError: Always.
         """
-        raise TypeError(f"a physics world cannot be copied or pickled: make a new {type(self).__name__}")
+        raise TypeError(
+            f"a physics world cannot be copied or pickled: make a new {type(self).__name__}"
+        )
 
     episodes = property(open_episodes)
 
     @property
     def randomization(self) -> Randomization:
-        """Domain randomization in addition to the task's own draw; a new value takes effect at the next `reset`."""
+        """Domain randomization in addition to the task's own draw; a new value takes effect at the
+        next `reset`.
+        """
         return self.episodes.randomizations[0]
 
     @randomization.setter
@@ -70,7 +86,9 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def state(self) -> SceneState:
-        """The true state of the scene after the last step; arrays with a leading axis of one. Policies must not use it."""
+        """The true state of the scene after the last step; arrays with a leading axis of one.
+        Policies must not use it.
+        """
         return self._begun().now.state
 
     @property
@@ -93,13 +111,16 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise EpisodeError("no episode is running: call reset() first")
         return self.episodes
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode.
 
         Args:
-            seed: seed of the environment's generator. The same seed gives the same episode, to the bit.
-            options: `{"setup": SceneSetup}` gives the episode instead of drawing it; for a task with goals `{"goal": posture}`,
-                shape (15,) [rad].
+            seed: seed of the environment's generator. The same seed gives the same episode, to the
+                bit.
+            options: `{"setup": SceneSetup}` gives the episode instead of drawing it; for a task
+                with goals `{"goal": posture}`, shape (15,) [rad].
 
         Raises:
             ParameterError: Unknown option, or an invalid setup.
@@ -113,14 +134,19 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._running = True
         if self.render_mode == "human":
             self.episodes.show()
-        return self._observe(), self._info() | {"randomized": {name: list(value) for name, value in drawn.items()}}
+        return self._observe(), self._info() | {
+            "randomized": {name: list(value) for name, value in drawn.items()}
+        }
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Carry out one action for one control period.
 
         Raises:
             ShapeError: `action` has the wrong shape.
-            WorkspaceError: `action` has NaN, or leaves −1…1: wrap in `gymnasium.wrappers.ClipAction`.
+            WorkspaceError: `action` has NaN, or leaves −1…1: wrap in
+                `gymnasium.wrappers.ClipAction`.
             EpisodeError: Before `reset`, after the end of an episode, or after `close`.
             PhysicsError: The simulation failed in PyBullet.
 
@@ -141,22 +167,28 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observe(), reward, not self._running, False, self._info()
 
     def save_state(self) -> Any:
-        """The state of the episode, for `restore_state`: physics, servos, task, camera and random generators.
+        """The state of the episode, for `restore_state`: physics, servos, task, camera and random
+        generators.
 
         Wrappers have state of their own: step `env.unwrapped` while planning.
 
         Raises:
-            EpisodeError: Before `reset`, after `close`, or with `transmit`, whose receiver has a state of its own.
+            EpisodeError: Before `reset`, after `close`, or with `transmit`, whose receiver has a
+                state of its own.
         """
         if self._transmit is not None:
-            raise EpisodeError("a state cannot be saved with transmit: what is at the far end keeps its own")
+            raise EpisodeError(
+                "a state cannot be saved with transmit: what is at the far end keeps its own"
+            )
         return self._running, self._begun().save()
 
     def restore_state(self, state: Any) -> None:
-        """Restore a state from `save_state`, any number of times: the same actions then give the same steps, to the bit.
+        """Restore a state from `save_state`, any number of times: the same actions then give the
+        same steps, to the bit.
 
         Raises:
-            EpisodeError: The state is of another episode, or of another environment; or after `close`.
+            EpisodeError: The state is of another episode, or of another environment; or after
+                `close`.
         """
         running, snapshot = state
         self._begun().restore(snapshot)
@@ -170,13 +202,18 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         episodes = self.episodes
         info = {name: values.tolist()[0] for name, values in episodes.report().items()}
         if not self.task.goal_terms:
-            info["reward_terms"] = {name: float(values[0]) for name, values in episodes.terms.items()} if episodes.terms else {}
+            info["reward_terms"] = (
+                {name: float(values[0]) for name, values in episodes.terms.items()}
+                if episodes.terms
+                else {}
+            )
         if episodes.outcome[0] != RUNNING:
             info["epsilon"] = episodes.quality(0)
         return info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """RGB image, shape (360, 480, 3); None without a render mode, and with "human", which shows every step by itself.
+        """RGB image, shape (360, 480, 3); None without a render mode, and with "human", which shows
+        every step by itself.
 
         Raises:
             EpisodeError: Before `reset`, or after `close`.
@@ -185,14 +222,17 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return seen[0] if seen else None
 
     def picture(self, viewpoint: Viewpoint, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
-        """RGB image from any viewpoint, centred on a point of the hand frame, shape (3,) [m]; needs a render mode."""
+        """RGB image from any viewpoint, centred on a point of the hand frame, shape (3,) [m]; needs
+        a render mode.
+        """
         return self._begun().picture(0, viewpoint, centre)
 
     def close(self) -> None:
         """Release the physics. Closing twice is allowed."""
         if self._episodes is not None:
             self._episodes.close()
-        self._episodes, self._running = None, False
+        self._episodes = None
+        self._running = False
 
 
 def posture_task(config: PostureConfig | Mapping | None = None, reachable: bool = False) -> Posture:
@@ -203,16 +243,20 @@ def posture_task(config: PostureConfig | Mapping | None = None, reachable: bool 
         reachable: as for `Posture`.
 
     Raises:
-        ParameterError: Invalid config, or one with another duration, which the time limit determines.
+        ParameterError: Invalid config, or one with another duration, which the time limit
+            determines.
     """
     chosen = settings_from(PostureConfig(), config, "config")
     if chosen.duration != PostureConfig().duration:
-        raise ParameterError(f"config duration = {chosen.duration} s: give gymnasium.make(..., max_episode_steps=) instead")
+        raise ParameterError(
+            f"config duration = {chosen.duration} s: give gymnasium.make(..., max_episode_steps=) instead"
+        )
     return Posture(chosen, reachable)
 
 
 class PostureEnv(HandEnv):
-    """`HandEnv` with the functions that hindsight replay needs. Goals are joint angles, shape (..., 15) [rad].
+    """`HandEnv` with the functions that hindsight replay needs. Goals are joint angles, shape (...,
+    15) [rad].
 
     Args:
         config: as for `posture_task`.
@@ -220,17 +264,29 @@ class PostureEnv(HandEnv):
         options: those of `HandEnv`.
     """
 
-    def __init__(self, config: PostureConfig | Mapping | None = None, reachable: bool = False, **options: Any) -> None:
+    def __init__(
+        self, config: PostureConfig | Mapping | None = None, reachable: bool = False, **options: Any
+    ) -> None:
         super().__init__(posture_task(config, reachable), **options)
 
-    def compute_reward(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.float64]:
+    def compute_reward(
+        self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
+    ) -> NDArray[np.float64]:
         """Reward of achieved postures for given goals; `info` is ignored."""
-        return self.task.goal_reward(achieved_goal, desired_goal, self.episodes.options.reward == "dense")
+        return self.task.goal_reward(
+            achieved_goal, desired_goal, self.episodes.options.reward == "dense"
+        )
 
-    def compute_terminated(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.bool_]:
+    def compute_terminated(
+        self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
+    ) -> NDArray[np.bool_]:
         """Always False: a posture that is reached has to be held."""
-        return np.zeros(np.broadcast_shapes(np.shape(achieved_goal), np.shape(desired_goal))[:-1], dtype=bool)[()]
+        return np.zeros(
+            np.broadcast_shapes(np.shape(achieved_goal), np.shape(desired_goal))[:-1], dtype=bool
+        )[()]
 
-    def compute_truncated(self, achieved_goal: NDArray, desired_goal: NDArray, info: Any) -> NDArray[np.bool_]:
+    def compute_truncated(
+        self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
+    ) -> NDArray[np.bool_]:
         """Always False: only the time limit truncates an episode."""
         return self.compute_terminated(achieved_goal, desired_goal, info)

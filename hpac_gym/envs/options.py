@@ -28,11 +28,22 @@ from hpac_gym.tasks.task import Task
 
 RENDER_MODES = ["human", "rgb_array"]
 GRASP, GRASP_ANY_V0, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
-    "HPAC-Grasp-v0", "HPAC-GraspAny-v0", "HPAC-GraspAny-v1", "HPAC-GraspType-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0",
+    "HPAC-Grasp-v0",
+    "HPAC-GraspAny-v0",
+    "HPAC-GraspAny-v1",
+    "HPAC-GraspType-v0",
+    "HPAC-PickPlace-v0",
+    "HPAC-Posture-v0",
     "HPAC-Posture-v1",
-)  # fmt: skip
+)
 _ANY = GRASP_ANY_V0, GRASP_ANY
-_SETUP_ARRAYS = {"position": 3, "synergy": 6, "hand_quaternion": 4, "object_quaternion": 4, "target": 3}
+_SETUP_ARRAYS = {
+    "position": 3,
+    "synergy": 6,
+    "hand_quaternion": 4,
+    "object_quaternion": 4,
+    "target": 3,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,56 +62,169 @@ class Option:
 
 
 OPTIONS = (
-    Option("grasp", (None, *GRASPS), None, "a named grasp with its object; None draws a primitive in front of the open hand",
-           ids=(GRASP,)),
-    Option("variant", (NOMINAL, "large", "small", "heavy", "slippery", "shape"), NOMINAL, "variant of a named grasp's object",
-           ids=(GRASP,)),
-    Option("objects", SPLITS, "train", "split from which objects are drawn; the other two must not be used in training",
-           ids=_ANY),
-    Option("hands", HANDS, "nominal", "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
-           "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
-           ids=_ANY),
-    Option("wrist", WRISTS, "script", "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
-           "episode move it, by four numbers more", ids=_ANY),
-    Option("types", (*TYPE_SPLITS, *GRASP_TYPES), "all", "the types that an episode may ask for: all sixteen, those to train on, "
-           "those held out, one, or several", others="list of names", ids=(GRASP_TYPE,)),
-    Option("objects", OBJECTS, "train", "*train* has the types' own objects, *test* draws one of their held-out variants, on "
-           "which nothing may be trained", ids=(GRASP_TYPE,)),
-    Option("wrist", TYPE_WRISTS, "free", "*free* lets the first action of an episode say where the wrist goes, by six numbers "
-           "more; *script* puts it where the type wants it", ids=(GRASP_TYPE,)),
-    Option("object", (None,), None, "object that replaces the primitive, such as one that `own_object` loads from a file; a "
-           "dictionary has the arguments of `own_object`", others="`hpac_gym.body.objects.ObjectSpec`, dictionary", ids=(GRASP,)),
-    Option("hand", (), HPAC, "the hand's parameters; `HPAC` is the hand of the paper, `hpac_gym.model.HPAC`, and a hand file is "
-           "what `hpac calibrate` writes", others="`hpac_gym.model.Hand`, path of a hand file"),
-    Option("obs", ("deploy", "privileged", "image"), "deploy", "observation: that of the real hand; with terms known only in "
-           "simulation, for a critic; or with an image",
-           ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE)),
-    Option("obs", ("deploy", "load", "points", "privileged", "image"), "deploy", "observation: that of a hand and a "
-           "camera; with the servos' feedback, with visible points of the object's surface, with terms known only in simulation, "
-           "or with an image", ids=_ANY),
-    Option("reward", ("dense", "sparse"), "dense", "sum of the task's reward terms, or success only"),
-    *(
-        Option("randomize", (None, *PRESETS), default, "domain randomization of episodes: a preset, or ranges by name; None is "
-               '"nominal", which changes nothing', others="`hpac_gym.envs.Randomization`, dictionary of ranges", ids=ids)
-        for default, ids in (("hand", (POSTURE,)), (None, (GRASP, *_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0)))
+    Option(
+        "grasp",
+        (None, *GRASPS),
+        None,
+        "a named grasp with its object; None draws a primitive in front of the open hand",
+        ids=(GRASP,),
     ),
-    Option("noise", (None,), None, "standard deviations of the object camera's noise: `position`, of each coordinate "
-           "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
-           + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
-           others="`hpac_gym.envs.CameraNoise`, dictionary of its fields", ids=(GRASP, *_ANY, GRASP_TYPE, PICK_PLACE)),
-    *(
-        Option("config", (None,), None, "sampling ranges, success criteria and reward weights; None is as on "
-               "this page", others=f"`hpac_gym.envs.{kind}`, dictionary of its fields", ids=(env_id,))
-        for env_id, kind in ((GRASP, "GraspConfig"), *((name, "GraspAnyConfig") for name in _ANY),
-                             (GRASP_TYPE, "GraspTypeConfig"), (PICK_PLACE, "PickPlaceConfig"),
-                             (POSTURE_V0, "PostureConfig"), (POSTURE, "PostureConfig"))
+    Option(
+        "variant",
+        (NOMINAL, "large", "small", "heavy", "slippery", "shape"),
+        NOMINAL,
+        "variant of a named grasp's object",
+        ids=(GRASP,),
     ),
-    Option("engine", (None, *ENGINES), None, "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere"),
-    Option("body", tuple(BODIES), "twin", "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
-           "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo"),
-    Option("render_mode", (None, *RENDER_MODES), None, "*rgb_array*: `render()` returns images; *human*: every step "
-           "is shown on a page in the browser, in real time"),
-)  # fmt: skip
+    Option(
+        "objects",
+        SPLITS,
+        "train",
+        "split from which objects are drawn; the other two must not be used in training",
+        ids=_ANY,
+    ),
+    Option(
+        "hands",
+        HANDS,
+        "nominal",
+        "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
+        "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
+        ids=_ANY,
+    ),
+    Option(
+        "wrist",
+        WRISTS,
+        "script",
+        "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
+        "episode move it, by four numbers more",
+        ids=_ANY,
+    ),
+    Option(
+        "types",
+        (*TYPE_SPLITS, *GRASP_TYPES),
+        "all",
+        "the types that an episode may ask for: all sixteen, those to train on, "
+        "those held out, one, or several",
+        others="list of names",
+        ids=(GRASP_TYPE,),
+    ),
+    Option(
+        "objects",
+        OBJECTS,
+        "train",
+        "*train* has the types' own objects, *test* draws one of their held-out variants, on "
+        "which nothing may be trained",
+        ids=(GRASP_TYPE,),
+    ),
+    Option(
+        "wrist",
+        TYPE_WRISTS,
+        "free",
+        "*free* lets the first action of an episode say where the wrist goes, by six numbers "
+        "more; *script* puts it where the type wants it",
+        ids=(GRASP_TYPE,),
+    ),
+    Option(
+        "object",
+        (None,),
+        None,
+        "object that replaces the primitive, such as one that `own_object` loads from a file; a "
+        "dictionary has the arguments of `own_object`",
+        others="`hpac_gym.body.objects.ObjectSpec`, dictionary",
+        ids=(GRASP,),
+    ),
+    Option(
+        "hand",
+        (),
+        HPAC,
+        "the hand's parameters; `HPAC` is the hand of the paper, `hpac_gym.model.HPAC`, and a hand file is "
+        "what `hpac calibrate` writes",
+        others="`hpac_gym.model.Hand`, path of a hand file",
+    ),
+    Option(
+        "obs",
+        ("deploy", "privileged", "image"),
+        "deploy",
+        "observation: that of the real hand; with terms known only in "
+        "simulation, for a critic; or with an image",
+        ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE),
+    ),
+    Option(
+        "obs",
+        ("deploy", "load", "points", "privileged", "image"),
+        "deploy",
+        "observation: that of a hand and a "
+        "camera; with the servos' feedback, with visible points of the object's surface, with terms known only in simulation, "
+        "or with an image",
+        ids=_ANY,
+    ),
+    Option(
+        "reward", ("dense", "sparse"), "dense", "sum of the task's reward terms, or success only"
+    ),
+    *(
+        Option(
+            "randomize",
+            (None, *PRESETS),
+            default,
+            "domain randomization of episodes: a preset, or ranges by name; None is "
+            '"nominal", which changes nothing',
+            others="`hpac_gym.envs.Randomization`, dictionary of ranges",
+            ids=ids,
+        )
+        for default, ids in (
+            ("hand", (POSTURE,)),
+            (None, (GRASP, *_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0)),
+        )
+    ),
+    Option(
+        "noise",
+        (None,),
+        None,
+        "standard deviations of the object camera's noise: `position`, of each coordinate "
+        "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
+        + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
+        others="`hpac_gym.envs.CameraNoise`, dictionary of its fields",
+        ids=(GRASP, *_ANY, GRASP_TYPE, PICK_PLACE),
+    ),
+    *(
+        Option(
+            "config",
+            (None,),
+            None,
+            "sampling ranges, success criteria and reward weights; None is as on this page",
+            others=f"`hpac_gym.envs.{kind}`, dictionary of its fields",
+            ids=(env_id,),
+        )
+        for env_id, kind in (
+            (GRASP, "GraspConfig"),
+            *((name, "GraspAnyConfig") for name in _ANY),
+            (GRASP_TYPE, "GraspTypeConfig"),
+            (PICK_PLACE, "PickPlaceConfig"),
+            (POSTURE_V0, "PostureConfig"),
+            (POSTURE, "PostureConfig"),
+        )
+    ),
+    Option(
+        "engine",
+        (None, *ENGINES),
+        None,
+        "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere",
+    ),
+    Option(
+        "body",
+        tuple(BODIES),
+        "twin",
+        "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
+        "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo",
+    ),
+    Option(
+        "render_mode",
+        (None, *RENDER_MODES),
+        None,
+        "*rgb_array*: `render()` returns images; *human*: every step "
+        "is shown on a page in the browser, in real time",
+    ),
+)
 """Every argument of the ids, except those of `gymnasium.make` itself."""
 
 
@@ -135,16 +259,35 @@ def checked_options(
     Raises:
         ParameterError: Unknown value, or a bad hand file.
     """
-    given = {"obs": obs, "reward": reward, "engine": engine, "body": body, "render_mode": render_mode}
+    given = {
+        "obs": obs,
+        "reward": reward,
+        "engine": engine,
+        "body": body,
+        "render_mode": render_mode,
+    }
     for name, value in given.items():
-        known = list(dict.fromkeys(known for option in OPTIONS if option.name == name for known in option.values))
+        known = list(
+            dict.fromkeys(
+                known for option in OPTIONS if option.name == name for known in option.values
+            )
+        )
         if not (isinstance(value, str | None) and value in known):
             raise ParameterError(f"{name} {value!r} is not one of {', '.join(map(str, known))}")
     if not isinstance(hand, Hand | str | PathLike):
         raise ParameterError(f"hand {hand!r} is neither a Hand nor the path of a hand file")
     noise = settings_from(CameraNoise(), noise, "noise")
     known = hand if isinstance(hand, Hand) else load_hand(hand)
-    return Options(known, obs, reward, randomization(randomize), noise, engine or default_engine(), body, render_mode is not None)
+    return Options(
+        known,
+        obs,
+        reward,
+        randomization(randomize),
+        noise,
+        engine or default_engine(),
+        body,
+        render_mode is not None,
+    )
 
 
 def check_num_envs(num_envs: int) -> None:
@@ -172,12 +315,18 @@ def setup_of(options: Mapping[str, Any] | None, task: Task, hand: Hand) -> Scene
     if given is None:
         return None
     if task.goal_terms:
-        term, size = task.goal_terms[0], len(JOINTS)
-        low, high = np.full(size, term.low), np.full(size, term.high)
-        goal = as_bounded_array(as_finite_vector(given, size, "goal"), low, high, JOINTS, "goal", "rad")
+        term = task.goal_terms[0]
+        size = len(JOINTS)
+        low = np.full(size, term.low)
+        high = np.full(size, term.high)
+        goal = as_bounded_array(
+            as_finite_vector(given, size, "goal"), low, high, JOINTS, "goal", "rad"
+        )
         return SceneSetup(None, hand=hand, goal=goal)
     if not (isinstance(given, SceneSetup) and isinstance(given.object, ObjectSpec)):
-        raise ParameterError(f"option 'setup' must be a SceneSetup with an ObjectSpec, not {given!r}")
+        raise ParameterError(
+            f"option 'setup' must be a SceneSetup with an ObjectSpec, not {given!r}"
+        )
     for name, size in _SETUP_ARRAYS.items():
         if getattr(given, name) is not None:
             as_finite_vector(getattr(given, name), size, f"setup {name}")

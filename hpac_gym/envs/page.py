@@ -1,4 +1,6 @@
-"""`render_mode="human"`: images on a web page, which needs neither a local display nor another package."""
+"""`render_mode="human"`: images on a web page, which needs neither a local display nor another
+package.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ _PART = b"--picture\r\nContent-Type: image/png\r\nContent-Length: %d\r\n\r\n%s\r
 
 
 class Page:
-    """A web server on localhost, at a free port, that shows the latest image; its address is printed once.
+    """A web server on localhost, at a free port, that shows the latest image; its address is
+    printed once.
 
     A browser elsewhere reaches it through `ssh -L PORT:127.0.0.1:PORT`.
 
@@ -31,14 +34,17 @@ class Page:
     def __init__(self) -> None:
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
         self._server.daemon_threads = True
-        self._server.shown, self._server.picture = Condition(), b""
+        self._server.shown = Condition()
+        self._server.picture = b""
         self.address = f"http://127.0.0.1:{self._server.server_address[1]}/"
         self._due = 0.0
         Thread(target=self._server.serve_forever, args=(0.1,), daemon=True).start()
         print(f"hpac_gym: pictures at {self.address}", file=sys.stderr, flush=True)
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture, shape (height, width, 3), one control period after the last one at the earliest."""
+        """Show a picture, shape (height, width, 3), one control period after the last one at the
+        earliest.
+        """
         time.sleep(max(self._due - time.monotonic(), 0.0))
         self._due = time.monotonic() + 1 / CONTROL_HZ
         with self._server.shown:
@@ -63,7 +69,9 @@ class _Handler(BaseHTTPRequestHandler):
             return
         self.send_response(200)
         stream = self.path == "/stream"
-        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=picture" if stream else "text/html")
+        self.send_header(
+            "Content-Type", "multipart/x-mixed-replace; boundary=picture" if stream else "text/html"
+        )
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         with suppress(OSError):  # the browser has disconnected
@@ -88,10 +96,19 @@ class _Handler(BaseHTTPRequestHandler):
 def png(picture: NDArray[np.uint8]) -> bytes:
     """PNG file of an image, shape (height, width, 3), compressed for speed rather than size."""
     height, width, _ = picture.shape
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)  # a row begins with its filter
+    rows = np.concatenate(
+        [np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1
+    )  # a row begins with its filter
 
     def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(rows.tobytes(), 1)) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", head)
+        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 1))
+        + chunk(b"IEND", b"")
+    )

@@ -1,8 +1,9 @@
-"""Domain randomization in addition to the task's own draw: hand, object, camera and communication link.
+"""Domain randomization in addition to the task's own draw: hand, object, camera and communication
+link.
 
-The policy's model keeps the nominal hand; only the simulated hand changes. Every quantity has its own random stream, derived
-from the environment's generator and the quantity's name, so that adding a quantity does not change the draws of the others.
-"""
+The policy's model keeps the nominal hand; only the simulated hand changes. Every quantity has its
+own random stream, derived from the environment's generator and the quantity's name, so that adding
+a quantity does not change the draws of the others."""
 
 from __future__ import annotations
 
@@ -28,28 +29,54 @@ _NONE: Range = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Randomization:
-    """Ranges of quantities that are drawn uniformly, once per episode. The defaults are nominal: nothing is drawn.
+    """Ranges of quantities that are drawn uniformly, once per episode. The defaults are nominal:
+    nothing is drawn.
 
     Raises:
         ParameterError: A range is not an ordered pair of numbers, or leaves its bounds.
     """
 
     tendon_stiffness: Range = setting(
-        _SAME, "factor of EA and of the drive's stiffness, one for each digit", bounds=(0.5, 1.3), draws=len(DIGITS)
+        _SAME,
+        "factor of EA and of the drive's stiffness, one for each digit",
+        bounds=(0.5, 1.3),
+        draws=len(DIGITS),
     )
-    slack: Range = setting(_NONE, "slack of the driving tendons, one for each digit [m]", bounds=(0.0, 3e-3), draws=len(DIGITS))
-    joint_friction: Range = setting(_NONE, "Coulomb friction of every joint [N·m]", bounds=(0.0, 0.02))
-    skin_friction: Range = setting(_SAME, "factor of the friction of the hand's skin", bounds=(0.3, 2.0))
-    object_friction: Range = setting(_SAME, "factor of the friction of the object's surface", bounds=(0.3, 2.0))
+    slack: Range = setting(
+        _NONE,
+        "slack of the driving tendons, one for each digit [m]",
+        bounds=(0.0, 3e-3),
+        draws=len(DIGITS),
+    )
+    joint_friction: Range = setting(
+        _NONE, "Coulomb friction of every joint [N·m]", bounds=(0.0, 0.02)
+    )
+    skin_friction: Range = setting(
+        _SAME, "factor of the friction of the hand's skin", bounds=(0.3, 2.0)
+    )
+    object_friction: Range = setting(
+        _SAME, "factor of the friction of the object's surface", bounds=(0.3, 2.0)
+    )
     object_mass: Range = setting(_SAME, "factor of the object's mass", bounds=(0.2, 5.0))
     object_position: Range = setting(
-        _NONE, "offset of the object along y and along z of the hand frame [m]", bounds=(-0.02, 0.02), draws=2
+        _NONE,
+        "offset of the object along y and along z of the hand frame [m]",
+        bounds=(-0.02, 0.02),
+        draws=2,
     )
-    object_yaw: Range = setting(_NONE, "yaw of the object about the vertical [rad]", bounds=(-np.pi, np.pi))
+    object_yaw: Range = setting(
+        _NONE, "yaw of the object about the vertical [rad]", bounds=(-np.pi, np.pi)
+    )
     sensor_noise: Range = setting(_SAME, "factor of the camera's noise", bounds=(0.0, 10.0))
-    servo_lag: Range = setting(_NONE, "delay from a command to the servos' response [s]", bounds=(0.0, 0.15))
-    dead_band: Range | None = setting(None, "servos' dead band; None is the servo's own [rad]", bounds=(0.0, 0.1))
-    dropped_frames: Range = setting(_NONE, "share of the commands that never arrive", bounds=(0.0, 0.5))
+    servo_lag: Range = setting(
+        _NONE, "delay from a command to the servos' response [s]", bounds=(0.0, 0.15)
+    )
+    dead_band: Range | None = setting(
+        None, "servos' dead band; None is the servo's own [rad]", bounds=(0.0, 0.1)
+    )
+    dropped_frames: Range = setting(
+        _NONE, "share of the commands that never arrive", bounds=(0.0, 0.5)
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "randomization")
@@ -57,19 +84,33 @@ class Randomization:
     def draw(self, rng: np.random.Generator) -> Mapping[str, Array]:
         """Values of one episode, by name; quantities with their default range are left out."""
         wanted = [name for name, nominal in _NOMINAL.items() if getattr(self, name) != nominal]
-        return {name: stream(rng, name).uniform(*getattr(self, name), _DRAWS[name]) for name in wanted}
+        return {
+            name: stream(rng, name).uniform(*getattr(self, name), _DRAWS[name]) for name in wanted
+        }
 
 
-BOUNDS: Mapping[str, Range] = MappingProxyType({quantity.name: quantity.metadata["bounds"] for quantity in fields(Randomization)})
-"""Bounds of each range. The upper bound of the tendon stiffness keeps the integration of the stiffest mode stable (ω dt)."""
+BOUNDS: Mapping[str, Range] = MappingProxyType(
+    {quantity.name: quantity.metadata["bounds"] for quantity in fields(Randomization)}
+)
+"""Bounds of each range. The upper bound of the tendon stiffness keeps the integration of the
+stiffest mode stable (ω dt).
+"""
 _NOMINAL = {quantity.name: quantity.default for quantity in fields(Randomization)}
 _DRAWS = {quantity.name: quantity.metadata.get("draws", 1) for quantity in fields(Randomization)}
 
-_HAND = {"tendon_stiffness": (0.8, 1.2), "slack": (0.0, 1e-3), "joint_friction": (0.0, 5e-3), "skin_friction": (0.8, 1.2)}
+_HAND = {
+    "tendon_stiffness": (0.8, 1.2),
+    "slack": (0.0, 1e-3),
+    "joint_friction": (0.0, 5e-3),
+    "skin_friction": (0.8, 1.2),
+}
 _LINK = {"servo_lag": (0.0, 0.15), "dead_band": (0.0, 0.02), "dropped_frames": (0.0, 0.05)}
 _OBJECT = {
-    "object_friction": (0.8, 1.2), "object_mass": (0.8, 1.25), "object_position": (-3e-3, 3e-3), "object_yaw": (-0.1, 0.1)
-}  # fmt: skip
+    "object_friction": (0.8, 1.2),
+    "object_mass": (0.8, 1.25),
+    "object_position": (-3e-3, 3e-3),
+    "object_yaw": (-0.1, 0.1),
+}
 PRESETS: Mapping[str, Randomization] = MappingProxyType(
     {
         "nominal": Randomization(),
@@ -78,15 +119,19 @@ PRESETS: Mapping[str, Randomization] = MappingProxyType(
         "full": Randomization(**_HAND, **_LINK, **_OBJECT, sensor_noise=(0.5, 2.0)),
     }
 )
-"""Named randomizations: none; the hand's mechanics; the link from host to servo; all of these, and object and camera."""
+"""Named randomizations: none; the hand's mechanics; the link from host to servo; all of these, and
+object and camera.
+"""
 
 
-def randomization(given: Randomization | Mapping[str, Sequence[float]] | str | None) -> Randomization:
+def randomization(
+    given: Randomization | Mapping[str, Sequence[float]] | str | None,
+) -> Randomization:
     """Randomization for a value of the option `randomize`.
 
     Args:
-        given: a `Randomization`; the name of a preset; a dict of ranges such as `{"servo_lag": [0, 0.1]}`, the others
-            nominal; None is "nominal".
+        given: a `Randomization`; the name of a preset; a dict of ranges such as `{"servo_lag": [0,
+            0.1]}`, the others nominal; None is "nominal".
 
     Raises:
         ParameterError: Unknown preset or quantity, or an invalid range.
@@ -98,14 +143,18 @@ def randomization(given: Randomization | Mapping[str, Sequence[float]] | str | N
     if isinstance(given, str) and given in PRESETS:
         return PRESETS[given]
     if not isinstance(given, Mapping):
-        raise ParameterError(f"randomize must be a preset ({', '.join(PRESETS)}), Randomization or dict of ranges; got {given!r}")
+        raise ParameterError(
+            f"randomize must be a preset ({', '.join(PRESETS)}), Randomization or dict of ranges; got {given!r}"
+        )
     return settings_from(Randomization(), given, "randomize")
 
 
 def stream(rng: np.random.Generator, name: str) -> np.random.Generator:
     """Separate generator for a name, regardless of what `rng` has drawn or spawned."""
     parent = rng.bit_generator.seed_seq
-    return np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, crc32(name.encode()))))
+    return np.random.default_rng(
+        np.random.SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, crc32(name.encode())))
+    )
 
 
 def changed_hand(hand: Hand, factors: Array) -> Hand:
@@ -121,7 +170,8 @@ def changed_setup(setup: SceneSetup, values: Mapping[str, Array]) -> SceneSetup:
     """A setup with drawn values applied."""
     if not values:
         return setup
-    hand, settings = setup.hand, setup.hand_settings
+    hand = setup.hand
+    settings = setup.hand_settings
     if "tendon_stiffness" in values:
         hand = changed_hand(hand, values["tendon_stiffness"])
     servo = replace(

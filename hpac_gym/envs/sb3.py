@@ -1,4 +1,6 @@
-"""The environments as Stable-Baselines3's `VecEnv`. Needs Stable-Baselines3: `pip install 'hpac_gym[train]'`."""
+"""The environments as Stable-Baselines3's `VecEnv`. Needs Stable-Baselines3: `pip install
+'hpac_gym[train]'`.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,14 @@ from hpac_gym.errors import ParameterError
 
 
 class HandVecEnv(VecEnv):
-    """n environments of an id for Stable-Baselines3: with `engine="mujoco"` one batch of arrays, without processes.
+    """n environments of an id for Stable-Baselines3: with `engine="mujoco"` one batch of arrays,
+    without processes.
 
-    `env_id` and `options` are those of `gymnasium.make_vec`. An observation, a reward (float32) and a done are, to the bit,
-    what `DummyVecEnv` gives. The info of an environment whose episode ends is complete: `terminal_observation`,
-    `TimeLimit.truncated` and all entries of its last step. The info of a running one has only `TimeLimit.truncated`, since
-    a full dictionary for each of them would cost more than the batch saves; `infos` has the rest.
+    `env_id` and `options` are those of `gymnasium.make_vec`. An observation, a reward (float32) and
+    a done are, to the bit, what `DummyVecEnv` gives. The info of an environment whose episode ends
+    is complete: `terminal_observation`, `TimeLimit.truncated` and all entries of its last step. The
+    info of a running one has only `TimeLimit.truncated`, since a full dictionary for each of them
+    would cost more than the batch saves; `infos` has the rest.
 
     Args:
         env_id: id of the environment, such as "HPAC-Grasp-v0".
@@ -28,7 +32,8 @@ class HandVecEnv(VecEnv):
         options: options of the id, and `max_episode_steps`.
 
     Attributes:
-        envs: underlying Gymnasium vector environment, with autoreset in the step that ends an episode.
+        envs: underlying Gymnasium vector environment, with autoreset in the step that ends an
+            episode.
         infos: its infos of the last step in Gymnasium's format: arrays by name with their masks.
 
     Raises:
@@ -36,12 +41,17 @@ class HandVecEnv(VecEnv):
     """
 
     def __init__(self, env_id: str, num_envs: int, **options: Any) -> None:
-        self.envs = gymnasium.make_vec(env_id, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+        self.envs = gymnasium.make_vec(
+            env_id, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options
+        )
         self.infos: dict[str, Any] = {}
-        super().__init__(num_envs, self.envs.single_observation_space, self.envs.single_action_space)
+        super().__init__(
+            num_envs, self.envs.single_observation_space, self.envs.single_action_space
+        )
 
     def reset(self) -> Any:
-        """Start an episode in every environment, with the seeds and options that `seed` and `set_options` gave.
+        """Start an episode in every environment, with the seeds and options that `seed` and
+        `set_options` gave.
 
         Raises:
             ParameterError: The environments were given different options.
@@ -68,7 +78,11 @@ class HandVecEnv(VecEnv):
             infos[world] = _info(self.infos["final_info"], world)
             infos[world]["TimeLimit.truncated"] = bool(truncated[world] and not terminated[world])
             infos[world]["terminal_observation"] = self.infos["final_obs"][world]
-            told = {name: value for name, value in self.infos.items() if not name.endswith(("final_obs", "final_info"))}
+            told = {
+                name: value
+                for name, value in self.infos.items()
+                if not name.endswith(("final_obs", "final_info"))
+            }
             self.reset_infos[world] = _info(told, world)
         return seen, rewards.astype(np.float32), done, infos
 
@@ -77,20 +91,26 @@ class HandVecEnv(VecEnv):
         return self._chosen(self.envs.get_attr(attr_name), indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of some environments, by default of all, to one value; see `HandVectorEnv.set_attr`."""
+        """Set an attribute of some environments, by default of all, to one value; see
+        `HandVectorEnv.set_attr`.
+        """
         values = list(self.envs.get_attr(attr_name))
         for world in self._get_indices(indices):
             values[world] = value
         self.envs.set_attr(attr_name, values)
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
         """Results of a method in some environments, by default in all; see `HandVectorEnv.call`."""
         return self._chosen(self.envs.call(method_name, *method_args, **method_kwargs), indices)
 
     def _chosen(self, values: Sequence[Any], indices: Any) -> list[Any]:
         return [values[world] for world in self._get_indices(indices)]
 
-    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None) -> list[bool]:
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper], indices: Any = None
+    ) -> list[bool]:
         """Always False: single environments are not wrapped."""
         return [False for _ in self._get_indices(indices)]
 
@@ -113,5 +133,7 @@ def _info(infos: dict[str, Any], world: int) -> dict[str, Any]:
         if isinstance(values, dict):
             found[name] = _info(values, world)
         else:
-            found[name] = values[world].item() if isinstance(values[world], np.generic) else values[world]
+            found[name] = (
+                values[world].item() if isinstance(values[world], np.generic) else values[world]
+            )
     return found

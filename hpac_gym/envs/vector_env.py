@@ -19,12 +19,24 @@ from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceE
 from hpac_gym.model.checks import as_array
 from hpac_gym.tasks.task import RUNNING, Task
 
-ATTRIBUTES = ("action_space", "dt", "hand", "obs", "observation_space", "randomization", "render_mode", "slices", "spec", "task")
+ATTRIBUTES = (
+    "action_space",
+    "dt",
+    "hand",
+    "obs",
+    "observation_space",
+    "randomization",
+    "render_mode",
+    "slices",
+    "spec",
+    "task",
+)
 """Attributes that `HandVectorEnv.get_attr` returns."""
 
 
 class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
-    """n hands with a task, in one process. Each behaves, to the bit, like a `HandEnv` with the same seed.
+    """n hands with a task, in one process. Each behaves, to the bit, like a `HandEnv` with the same
+    seed.
 
     Args:
         task: draws episodes, judges them and shapes the reward.
@@ -36,7 +48,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     Raises:
         TypeError: An unknown option.
-        ParameterError: `num_envs` or `max_episode_steps` is below 1, or an option that `HandEnv` refuses.
+        ParameterError: `num_envs` or `max_episode_steps` is below 1, or an option that `HandEnv`
+            refuses.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
@@ -55,12 +68,18 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         if max_episode_steps is not None and max_episode_steps < 1:
             raise ParameterError(f"max_episode_steps = {max_episode_steps} must be at least 1")
         if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:
-            raise ParameterError(f"autoreset_mode {autoreset_mode!r} is not one of {[mode.value for mode in AutoresetMode]}")
-        self.task, self.num_envs, self.render_mode = task, num_envs, render_mode
-        self._mode, self._limit = AutoresetMode(autoreset_mode), max_episode_steps or np.inf
+            raise ParameterError(
+                f"autoreset_mode {autoreset_mode!r} is not one of {[mode.value for mode in AutoresetMode]}"
+            )
+        self.task = task
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self._mode = AutoresetMode(autoreset_mode)
+        self._limit = max_episode_steps or np.inf
         self.metadata = self.metadata | {"autoreset_mode": self._mode}
         chosen = checked_options(render_mode=render_mode, **options)
-        self.hand, self.obs = chosen.hand, chosen.obs
+        self.hand = chosen.hand
+        self.obs = chosen.obs
         self._episodes = Episodes(task, num_envs, chosen)
         self.dt = self._episodes.dt
         self.single_action_space = self._episodes.action_space
@@ -70,7 +89,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
         self._steps = np.zeros(num_envs, dtype=int)
         self._over = np.ones(num_envs, dtype=bool)
-        self._everywhere, self._running = np.ones(num_envs, dtype=bool), False
+        self._everywhere = np.ones(num_envs, dtype=bool)
+        self._running = False
 
     episodes = property(open_episodes)
 
@@ -80,21 +100,30 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         return self.episodes.slices
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Start episodes.
 
         Args:
             seed: one seed per environment, or the first of consecutive seeds.
-            options: those of `HandEnv.reset`, the same for all; and `reset_mask`, shape (n,), to reset only some environments.
+            options: those of `HandEnv.reset`, the same for all; and `reset_mask`, shape (n,), to
+                reset only some environments.
 
         Raises:
-            ParameterError: Wrong number of seeds, an invalid mask, or an option that `HandEnv.reset` refuses.
+            ParameterError: Wrong number of seeds, an invalid mask, or an option that
+                `HandEnv.reset` refuses.
         """
         episodes = self.episodes
         mask, options = self._mask(options)
         seeds = [seed] * self.num_envs if seed is None else seed
-        seeds = [seed + place for place in range(self.num_envs)] if isinstance(seed, int | np.integer) else seeds
+        seeds = (
+            [seed + place for place in range(self.num_envs)]
+            if isinstance(seed, int | np.integer)
+            else seeds
+        )
         if len(seeds) != self.num_envs:
             raise ParameterError(f"{len(seeds)} seeds were given for {self.num_envs} environments")
         self._running = False
@@ -109,12 +138,16 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._show()
         return episodes.observe(), infos
 
-    def _mask(self, options: dict[str, Any] | None) -> tuple[NDArray[np.bool_], dict[str, Any] | None]:
+    def _mask(
+        self, options: dict[str, Any] | None
+    ) -> tuple[NDArray[np.bool_], dict[str, Any] | None]:
         if not isinstance(options, dict) or "reset_mask" not in options:
             return self._everywhere, options
         mask = np.asarray(options["reset_mask"])
         if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
-            raise ParameterError(f"reset_mask {mask!r} must be {self.num_envs} booleans, at least one of them True")
+            raise ParameterError(
+                f"reset_mask {mask!r} must be {self.num_envs} booleans, at least one of them True"
+            )
         if not self._running and not mask.all():
             raise ParameterError("reset_mask must be True everywhere: no episode is running yet")
         return mask, {name: value for name, value in options.items() if name != "reset_mask"}
@@ -122,14 +155,19 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
     def _restart(self, worlds: list[int], infos: dict[str, Any], given: Any = None) -> None:
         """Start episodes in some worlds, and add their infos."""
         drawn = self.episodes.reset(worlds, [self._generators[world] for world in worlds], given)
-        self._steps[worlds], self._over[worlds] = 0, False
+        self._steps[worlds] = 0
+        self._over[worlds] = False
         begun = np.zeros(self.num_envs, dtype=bool)
         begun[worlds] = True
         for name, column in _masked(self.episodes.report(), begun).items():
             infos[name] = np.where(begun, column, infos[name]) if name in infos else column
         terms: dict[str, Any] = {} if self.task.goal_terms else {"reward_terms": {}}
         for world, values in zip(worlds, drawn, strict=True):
-            self._add_info(infos, terms | {"randomized": {name: list(value) for name, value in values.items()}}, world)
+            self._add_info(
+                infos,
+                terms | {"randomized": {name: list(value) for name, value in values.items()}},
+                world,
+            )
 
     def step(self, actions: NDArray) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
         """Carry out one action in every environment for one control period.
@@ -137,24 +175,30 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         Raises:
             ShapeError: The actions do not have the shape of the action space.
             WorkspaceError: An action has NaN, or leaves −1…1.
-            EpisodeError: Before `reset`, after `close`, or without autoreset after the end of an episode.
+            EpisodeError: Before `reset`, after `close`, or without autoreset after the end of an
+                episode.
             PhysicsError: A world's simulation failed in PyBullet; the message names it.
 
         Warns:
-            PhysicsWarning: A world's simulation failed in MuJoCo: its episode ends as a failure, and the others continue.
+            PhysicsWarning: A world's simulation failed in MuJoCo: its episode ends as a failure,
+                and the others continue.
         """
         episodes = self.episodes
         if not self._running or (self._mode is AutoresetMode.DISABLED and self._over.any()):
             raise EpisodeError("no episode is running in every environment: call reset() first")
         actions = as_array(actions, *self.single_action_space.shape, "actions")
         if actions.shape != self.action_space.shape:
-            raise ShapeError(f"actions must have shape {self.action_space.shape}, not {actions.shape}")
+            raise ShapeError(
+                f"actions must have shape {self.action_space.shape}, not {actions.shape}"
+            )
         stale = self._over.copy()  # under NEXT_STEP these are reset, and their action is ignored
         actions = np.where(stale[:, None], 0.0, actions)
         try:
             rewards = np.asarray(episodes.step(actions), dtype=float)
         except WorkspaceError as error:
-            error.add_note(f"in environment {int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))}")
+            error.add_note(
+                f"in environment {int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))}"
+            )
             raise
         self._steps += 1
         terminated = episodes.outcome != RUNNING
@@ -172,7 +216,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self._show()
         return episodes.observe(), rewards, terminated, truncated, infos
 
-    # Infos -----------------------------------------------------------------------------------------------------------
+    # Infos
+    # -----------------------------------------------------------------------------------------------------------
 
     def _infos(self, stepped: NDArray[np.bool_], terminated: NDArray[np.bool_]) -> dict[str, Any]:
         """Infos of the environments that were stepped, as arrays with masks."""
@@ -186,18 +231,25 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     def _finish(self, worlds: Iterable[int], terminated: NDArray[np.bool_]) -> dict[str, Any]:
         """Infos of a step in which episodes end and are reset (autoreset in the same step)."""
-        last, over = self.episodes.observe(), self._over
+        last = self.episodes.observe()
+        over = self._over
         ended: dict[str, Any] = {}
         for world in worlds:
-            seen = {name: part[world] for name, part in last.items()} if isinstance(last, dict) else last[world]
+            seen = (
+                {name: part[world] for name, part in last.items()}
+                if isinstance(last, dict)
+                else last[world]
+            )
             self._add_info(ended, {"final_obs": seen}, world)
         ended |= {"final_info": self._infos(over.copy(), terminated), "_final_info": over.copy()}
         return ended | self._infos(~over, np.zeros_like(terminated))
 
-    # Interface -------------------------------------------------------------------------------------------------------
+    # Interface
+    # -------------------------------------------------------------------------------------------------------
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """RGB image of every environment; None without a render mode, and with "human", which shows every step by itself.
+        """RGB image of every environment; None without a render mode, and with "human", which shows
+        every step by itself.
 
         Raises:
             EpisodeError: Before `reset`, or after `close`.
@@ -219,7 +271,9 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             raise AttributeError(f"get_attr: {name!r} is not one of {', '.join(ATTRIBUTES)}")
         if name == "randomization":
             return tuple(self.episodes.randomizations)
-        return (getattr(self, f"single_{name}" if name.endswith("_space") else name),) * self.num_envs
+        return (
+            getattr(self, f"single_{name}" if name.endswith("_space") else name),
+        ) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
         """Set the `randomization` of every environment, from its next episode on.
@@ -233,18 +287,22 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             ParameterError: Wrong number of values, or an invalid randomization.
         """
         if name != "randomization":
-            raise AttributeError(f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can")
+            raise AttributeError(
+                f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can"
+            )
         values = values if isinstance(values, list | tuple) else [values] * self.num_envs
         if len(values) != self.num_envs:
-            raise ParameterError(f"set_attr: {len(values)} values were given for {self.num_envs} environments")
+            raise ParameterError(
+                f"set_attr: {len(values)} values were given for {self.num_envs} environments"
+            )
         self.episodes.randomizations[:] = [randomization(value) for value in values]
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Results of a method of each environment, or its attribute values.
 
         Args:
-            name: "render"; of a task with goals "compute_reward", "compute_terminated" or "compute_truncated"; or one of
-                `ATTRIBUTES`.
+            name: "render"; of a task with goals "compute_reward", "compute_terminated" or
+                "compute_truncated"; or one of `ATTRIBUTES`.
             args: positional arguments of the method.
             kwargs: keyword arguments of the method.
 
@@ -253,7 +311,11 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """
         if name == "render":
             return self.render() or (None,) * self.num_envs
-        if self.task.goal_terms and name in ("compute_reward", "compute_terminated", "compute_truncated"):
+        if self.task.goal_terms and name in (
+            "compute_reward",
+            "compute_terminated",
+            "compute_truncated",
+        ):
             # These methods depend only on the task and the options.
             return (getattr(PostureEnv, name)(self, *args, **kwargs),) * self.num_envs
         return self.get_attr(name)
@@ -266,7 +328,9 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
 
 def _masked(columns: dict[str, NDArray], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Arrays by name with their masks; entries outside the mask are zero, or None in object arrays."""
+    """Arrays by name with their masks; entries outside the mask are zero, or None in object
+    arrays.
+    """
     found: dict[str, Any] = {}
     for name, values in columns.items():
         empty = None if values.dtype == object else values.dtype.type(0)

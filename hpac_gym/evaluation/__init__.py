@@ -1,1 +1,3 @@
-"""Evaluation of policies on held-out seeds: workers, statistics, the benchmark of the sixteen named grasps, film strips."""
+"""Evaluation of policies on held-out seeds: workers, statistics, the benchmark of the sixteen named
+grasps, film strips.
+"""

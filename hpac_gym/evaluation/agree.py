@@ -1,8 +1,9 @@
-"""`hpac agree`: the same episodes on several engines and bodies, and how often their outcomes agree.
+"""`hpac agree`: the same episodes on several engines and bodies, and how often their outcomes
+agree.
 
-The floor is the best agreement that can be expected: an engine compared with itself, with the object displaced imperceptibly.
-Contact amplifies every difference, so single episodes diverge long before success rates do.
-"""
+The floor is the best agreement that can be expected: an engine compared with itself, with the
+object displaced imperceptibly. Contact amplifies every difference, so single episodes diverge long
+before success rates do."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.progress import progress
 
 FLOOR = (1e-6, 1e-3)
-"""Displacements of the object along the palm's normal when an engine is compared with itself [m]."""
+"""Displacements of the object along the palm's normal when an engine is compared with itself [m].
+"""
 CHUNK = 10
 """Episodes per job of a worker."""
 VARIATIONS = {
@@ -41,8 +43,9 @@ VARIATIONS = {
     "60-Hz": WorldSettings(physics_hz=60),
     "480-Hz": WorldSettings(physics_hz=480),
 }
-"""Physics that shows why the engines differ: PyBullet with its iterative solver, without and with MuJoCo's torsional friction;
-MuJoCo without torsional friction, and with PyBullet's limit of the wrist's force; either engine at another rate."""
+"""Physics that shows why the engines differ: PyBullet with its iterative solver, without and with
+MuJoCo's torsional friction; MuJoCo without torsional friction, and with PyBullet's limit of the
+wrist's force; either engine at another rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +78,12 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
     from hpac_gym.evaluation.episode import control_steps
     from hpac_gym.policies.loading import load_policy
 
-    with gymnasium.make(GRASP, engine=variant.engine, body=variant.body, randomize=randomize) as env:
-        task, actor, trials = env.unwrapped.task, load_policy(policy, env), []
+    with gymnasium.make(
+        GRASP, engine=variant.engine, body=variant.body, randomize=randomize
+    ) as env:
+        task = env.unwrapped.task
+        actor = load_policy(policy, env)
+        trials = []
         if variant.variation:
             change_physics(env.unwrapped, VARIATIONS[variant.variation])
         draw = task.setup
@@ -88,12 +95,16 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
         task.setup = moved
         for seed in seeds:
             *_, (_, info) = control_steps(env, actor, seed)
-            trials.append(Trial(bool(info["is_success"]), env.unwrapped.episodes.setups[0].object.shape))
+            trials.append(
+                Trial(bool(info["is_success"]), env.unwrapped.episodes.setups[0].object.shape)
+            )
         return trials
 
 
 def compare(first: Sequence[Trial], second: Sequence[Trial]) -> dict[str, Any]:
-    """Difference of success, second minus first, over the same episodes, with a 95 % interval, and the share that agrees."""
+    """Difference of success, second minus first, over the same episodes, with a 95 % interval, and
+    the share that agrees.
+    """
     pairs = list(zip(first, second, strict=True))
     gained = sum(b.success and not a.success for a, b in pairs)
     lost = sum(a.success and not b.success for a, b in pairs)
@@ -107,15 +118,22 @@ def compare(first: Sequence[Trial], second: Sequence[Trial]) -> dict[str, Any]:
 
 
 def agreement(
-    policy: str, episodes: int, set_ups: Sequence[str] = SET_UPS, *,
-    seed_start: int = HELD_OUT_SEED, randomize: str = "nominal", floor: bool = True, workers: int = 1,
-) -> dict[str, Any]:  # fmt: skip
+    policy: str,
+    episodes: int,
+    set_ups: Sequence[str] = SET_UPS,
+    *,
+    seed_start: int = HELD_OUT_SEED,
+    randomize: str = "nominal",
+    floor: bool = True,
+    workers: int = 1,
+) -> dict[str, Any]:
     """Run the same episodes in every set-up.
 
     Args:
         policy: scripted, random, or a policy file.
         episodes: number of episodes per set-up.
-        set_ups: names engine/body or engine/body/variation, with one of `VARIATIONS`; each is compared with the first.
+        set_ups: names engine/body or engine/body/variation, with one of `VARIATIONS`; each is
+            compared with the first.
         seed_start: seed of the first episode.
         randomize: a preset of `hpac_gym.envs.randomization.PRESETS`.
         floor: compare every set-up also with itself.
@@ -144,14 +162,27 @@ def agreement(
     for variant in plain:
         trials = found[variant]
         row = {"set_up": variant.name, "success": _rate(trials)}
-        row["by_shape"] = {shape: _rate([trial for trial in trials if trial.shape == shape]) for shape in shapes}
+        row["by_shape"] = {
+            shape: _rate([trial for trial in trials if trial.shape == shape]) for shape in shapes
+        }
         if variant is not plain[0]:
             row["over"] = plain[0].name
             row |= compare(reference, trials)
-            row["difference_by_shape"] = {shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes}
-        row["floor"] = {f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)]) for moved in moves}
+            row["difference_by_shape"] = {
+                shape: compare(_only(reference, shape), _only(trials, shape)) for shape in shapes
+            }
+        row["floor"] = {
+            f"{1e3 * moved:g} mm": compare(trials, found[replace(variant, moved=moved)])
+            for moved in moves
+        }
         rows.append(row)
-    about = {"task": GRASP, "policy": policy, "first_seed": seed_start, "episodes": episodes, "randomize": randomize}
+    about = {
+        "task": GRASP,
+        "policy": policy,
+        "first_seed": seed_start,
+        "episodes": episodes,
+        "randomize": randomize,
+    }
     return about | {"set_ups": rows}
 
 
@@ -166,7 +197,9 @@ def _variant(name: str) -> Variant:
         case [engine, body, variation] if engine and body and variation in VARIATIONS:
             return Variant(engine, body, variation)
     known = ", ".join(VARIATIONS)
-    raise ParameterError(f"set-up {name!r} must be an engine and a body, such as mujoco/light, then perhaps one of {known}")
+    raise ParameterError(
+        f"set-up {name!r} must be an engine and a body, such as mujoco/light, then perhaps one of {known}"
+    )
 
 
 def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
@@ -175,15 +208,23 @@ def _rate(trials: Sequence[Trial]) -> dict[str, Any]:
 
 def table(result: dict[str, Any]) -> str:
     """The result as tables in Markdown."""
-    floors = [f"agrees with itself, object moved by {moved}" for moved in result["set_ups"][0]["floor"]]
+    floors = [
+        f"agrees with itself, object moved by {moved}" for moved in result["set_ups"][0]["floor"]
+    ]
     head = ["set-up", "success", "95 % interval", "difference", "95 % interval", "agree", *floors]
-    rows, by_shape = [], []
+    rows = []
+    by_shape = []
     for row in result["set_ups"]:
-        rate, (low, high) = row["success"], row["success"]["interval_95"]
+        rate = row["success"]
+        (low, high) = row["success"]["interval_95"]
         cells = [row["set_up"], f"{rate['success_rate']:.1%}", f"{low:.1%} … {high:.1%}"]
         if "difference" in row:
             low, high = row["interval_95"]
-            cells += [f"{100 * row['difference']:+.1f}", f"{100 * low:+.1f} … {100 * high:+.1f}", f"{row['agree']:.1%}"]
+            cells += [
+                f"{100 * row['difference']:+.1f}",
+                f"{100 * low:+.1f} … {100 * high:+.1f}",
+                f"{row['agree']:.1%}",
+            ]
         else:
             cells += ["–", "–", "–"]
         rows.append([*cells, *(f"{found['agree']:.1%}" for found in row["floor"].values())])
@@ -200,28 +241,66 @@ def _interval(entry: dict[str, Any]) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
-    parser.add_argument("-n", "--episodes", type=whole_number(1), default=1200, metavar="N",
-                        help="episodes per set-up (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--set-ups", nargs="+", default=list(SET_UPS), metavar="ENGINE/BODY",
-                        help="set-ups, compared with the first (default: %(default)s); ENGINE/BODY/VARIATION has other "
-                        f"physics: {', '.join(VARIATIONS)}")  # fmt: skip
-    parser.add_argument("--no-floor", dest="floor", action="store_false", help="do not compare the set-ups with themselves")
-    parser.add_argument("--randomize", default="nominal", help="nominal, hand, link or full (default: %(default)s)")
-    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
-                        help="seed of the first episode (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, metavar="N",
-                        help="number of processes (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the tables")
+    parser.add_argument(
+        "--policy",
+        default="scripted",
+        help="scripted, random, or a policy file (default: %(default)s)",
+    )
+    parser.add_argument(
+        "-n",
+        "--episodes",
+        type=whole_number(1),
+        default=1200,
+        metavar="N",
+        help="episodes per set-up (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--set-ups",
+        nargs="+",
+        default=list(SET_UPS),
+        metavar="ENGINE/BODY",
+        help="set-ups, compared with the first (default: %(default)s); ENGINE/BODY/VARIATION has other "
+        f"physics: {', '.join(VARIATIONS)}",
+    )
+    parser.add_argument(
+        "--no-floor",
+        dest="floor",
+        action="store_false",
+        help="do not compare the set-ups with themselves",
+    )
+    parser.add_argument(
+        "--randomize", default="nominal", help="nominal, hand, link or full (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=HELD_OUT_SEED,
+        metavar="SEED",
+        help="seed of the first episode (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole_number(1),
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="number of processes (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of the tables"
+    )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     found = agreement(
-        options.policy, options.episodes, options.set_ups,
-        seed_start=options.seed_start, randomize=options.randomize, floor=options.floor,
+        options.policy,
+        options.episodes,
+        options.set_ups,
+        seed_start=options.seed_start,
+        randomize=options.randomize,
+        floor=options.floor,
         workers=options.workers,
-    )  # fmt: skip
+    )
     print(json.dumps(found, indent=2) if options.json else table(found))
     return 0

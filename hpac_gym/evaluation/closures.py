@@ -1,9 +1,10 @@
-"""Blind closures of `HPAC-Grasp-v0`, the file of successful ones, and the score scale that they define.
+"""Blind closures of `HPAC-Grasp-v0`, the file of successful ones, and the score scale that they
+define.
 
-A blind closure is drawn without observing the object and has no feedback. The floor is the success rate of the first one drawn
-for each held-out seed; the ceiling is the rate at which any of those tried succeeds, which requires luck or
-knowledge of the object. `python -m tools.closures` writes the file.
-"""
+A blind closure is drawn without observing the object and has no feedback. The floor is the success
+rate of the first one drawn for each held-out seed; the ceiling is the rate at which any of those
+tried succeeds, which requires luck or knowledge of the object. `python -m tools.closures` writes
+the file."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ class Closure:
     Attributes:
         goal: the final action, shape (6,), −1…1; the CMC's is constant.
         steps: control steps from open to closed.
-        lead: control steps by which the thumb starts after the fingers; negative if it starts before them.
+        lead: control steps by which the thumb starts after the fingers; negative if it starts
+            before them.
     """
 
     goal: tuple[float, ...]
@@ -46,7 +48,8 @@ class Closure:
         """A random closure to targets between half open and closed, in 0.4 to 1.1 s."""
         goal = rng.uniform(-0.2, 1.0, len(SERVOS))
         goal[_CMC] = rng.uniform(-0.2, 0.9)
-        steps, lead = rng.uniform(8.0, 22.0), rng.uniform(-6.0, 6.0)
+        steps = rng.uniform(8.0, 22.0)
+        lead = rng.uniform(-6.0, 6.0)
         return cls(tuple(goal.round(3).tolist()), round(steps, 2), round(lead, 2))
 
     def action(self, step: int) -> NDArray[np.float32]:
@@ -56,11 +59,15 @@ class Closure:
 
 
 BLIND = Closure((0.786, 0.502, 0.372, 0.107, -0.113, 0.438), steps=10.68, lead=5.71)
-"""The most successful of 128 closures on 176 training episodes; `python -m tools.closures --blind` found it."""
+"""The most successful of 128 closures on 176 training episodes; `python -m tools.closures --blind`
+found it.
+"""
 
 
 class Blind:
-    """The policy that executes `BLIND` in every episode; takes an environment, as `load_policy` requires."""
+    """The policy that executes `BLIND` in every episode; takes an environment, as `load_policy`
+    requires.
+    """
 
     def __init__(self, env: object) -> None:
         pass
@@ -124,16 +131,22 @@ def share_found(tries: Sequence[Try], within: int) -> float:
 @lru_cache
 def winning_closures() -> tuple[Try, ...]:
     """Entries of the committed file, one per held-out seed."""
-    head, *rows = files("hpac_gym.evaluation").joinpath("data", FILE).read_text(encoding="utf-8").splitlines()
+    head, *rows = (
+        files("hpac_gym.evaluation").joinpath("data", FILE).read_text(encoding="utf-8").splitlines()
+    )
     if head != ",".join(COLUMNS):
         raise ValueError(f"{FILE} begins with '{head}', not with '{','.join(COLUMNS)}'")
     return tuple(map(Try.of_row, rows))
 
 
 def scale_of(env_id: str, options: Mapping[str, Any] | None = None) -> Scale | None:
-    """The scale of an id, given with or without its module; None if the id or the options have no measured scale."""
+    """The scale of an id, given with or without its module; None if the id or the options have no
+    measured scale.
+    """
     given = MEASURED_WITH | dict(options or {})
-    if env_id.rpartition(":")[2] != "HPAC-Grasp-v0" or any(given[name] != value for name, value in MEASURED_WITH.items()):
+    if env_id.rpartition(":")[2] != "HPAC-Grasp-v0" or any(
+        given[name] != value for name, value in MEASURED_WITH.items()
+    ):
         return None
     tries = winning_closures()
     return Scale(share_found(tries, 1), share_found(tries, max(found.tries for found in tries)))

@@ -1,4 +1,6 @@
-"""`hpac record`: episodes of a policy as a dataset of Minari or LeRobot, for offline learning and imitation."""
+"""`hpac record`: episodes of a policy as a dataset of Minari or LeRobot, for offline learning and
+imitation.
+"""
 
 from __future__ import annotations
 
@@ -45,17 +47,47 @@ class DatasetError(HpacError, ValueError):
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac record`."""
     parser.description = _ABOUT
-    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
-    parser.add_argument("--env", default=GRASP, choices=IDS, help="the environment (default: %(default)s)")
+    parser.add_argument(
+        "--policy",
+        default="scripted",
+        help="scripted, random, or a policy file (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--env", default=GRASP, choices=IDS, help="the environment (default: %(default)s)"
+    )
     for name in PASSED_ON:
-        names = sorted({value for option in OPTIONS if option.name == name for value in option.values if value})
-        parser.add_argument(f"--{name}", choices=names, help="option of the environment (default: the environment's)")
-    parser.add_argument("-n", "--episodes", type=whole_number(1), default=100, metavar="N",
-                        help="number of episodes (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--seed-start", type=whole_number(0), default=0, metavar="SEED",
-                        help="seed of the first episode; held-out seeds start at 1000000 (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--format", choices=("minari", "lerobot"), default="minari", help="of the dataset (default: %(default)s)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to create; must not exist")
+        names = sorted(
+            {value for option in OPTIONS if option.name == name for value in option.values if value}
+        )
+        parser.add_argument(
+            f"--{name}",
+            choices=names,
+            help="option of the environment (default: the environment's)",
+        )
+    parser.add_argument(
+        "-n",
+        "--episodes",
+        type=whole_number(1),
+        default=100,
+        metavar="N",
+        help="number of episodes (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=0,
+        metavar="SEED",
+        help="seed of the first episode; held-out seeds start at 1000000 (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--format",
+        choices=("minari", "lerobot"),
+        default="minari",
+        help="of the dataset (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder to create; must not exist"
+    )
     parser.set_defaults(run=_record)
 
 
@@ -94,13 +126,21 @@ def _appearing(out: Path) -> Iterator[Path]:
     """
     if out.exists():
         raise DatasetError(f"'{out}' exists already: name a new folder")
-    with TemporaryDirectory(prefix=f".{out.name}-", dir=writable_folder(out.absolute().parent)) as root:
+    with TemporaryDirectory(
+        prefix=f".{out.name}-", dir=writable_folder(out.absolute().parent)
+    ) as root:
         yield Path(root)
         shutil.move(Path(root, "written"), out)
 
 
 def record(
-    policy: str, env_id: str, episodes: int, out: Path, *, seed_start: int = 0, options: Mapping[str, Any] | None = None
+    policy: str,
+    env_id: str,
+    episodes: int,
+    out: Path,
+    *,
+    seed_start: int = 0,
+    options: Mapping[str, Any] | None = None,
 ) -> MinariDataset:
     """Record episodes of a policy as a dataset.
 
@@ -125,7 +165,8 @@ def record(
     with _appearing(out) as root:
         env = gymnasium.make(f"hpac_gym:{env_id}", disable_env_checker=True, **(options or {}))
         try:
-            actor, dataset = load_policy(policy, env), None
+            actor = load_policy(policy, env)
+            dataset = None
             name = f"hpac/{env_id.removeprefix('HPAC-').lower().rpartition('-')[0]}/{Path(policy).stem}-v0"
             os.environ["MINARI_DATASETS_PATH"] = str(root)
             buffers = []
@@ -134,7 +175,9 @@ def record(
                 if len(buffers) == CHUNK or seed == seed_start + episodes - 1:
                     _check_room(out.absolute().parent, buffers)
                     if dataset is None:
-                        with warnings.catch_warnings(action="ignore"):  # Minari warns about missing author data
+                        with warnings.catch_warnings(
+                            action="ignore"
+                        ):  # Minari warns about missing author data
                             dataset = create_dataset_from_buffers(
                                 name, buffers, env=env, algorithm_name=policy, jpeg_encoding=False
                             )
@@ -148,21 +191,30 @@ def record(
 
 
 def _check_room(folder: Path, buffers: list[EpisodeBuffer]) -> None:
-    """Raise `OutputError` unless the disk has room for episodes: HDF5 ends the whole process where it has none."""
+    """Raise `OutputError` unless the disk has room for episodes: HDF5 ends the whole process where
+    it has none.
+    """
     seen = [each.observations for each in buffers]
     arrays = [part for one in seen for part in (one.values() if isinstance(one, dict) else [one])]
-    needed, free = 2 * sum(array.nbytes for array in arrays) + len(buffers) * EPISODE_BYTES, shutil.disk_usage(folder).free
+    needed = 2 * sum(array.nbytes for array in arrays) + len(buffers) * EPISODE_BYTES
+    free = shutil.disk_usage(folder).free
     if needed > free:
-        raise OutputError(f"cannot write {len(buffers)} episodes to '{folder}': they need {needed:,} bytes, {free:,} are free")
+        raise OutputError(
+            f"cannot write {len(buffers)} episodes to '{folder}': they need {needed:,} bytes, {free:,} are free"
+        )
 
 
 def _episode(env: gymnasium.Env, policy: Policy, seed: int) -> EpisodeBuffer:
-    """Record one episode; `is_success` in the infos, like the observations, has an entry for the reset."""
+    """Record one episode; `is_success` in the infos, like the observations, has an entry for the
+    reset.
+    """
     from minari.data_collector import EpisodeBuffer
 
     seen, _ = env.reset(seed=seed)
     policy.reset(seed)
-    observations, steps, over = [seen], [], False
+    observations = [seen]
+    steps = []
+    over = False
     while not over:
         action = policy.act(seen)
         seen, reward, terminated, truncated, info = env.step(action)
@@ -171,7 +223,17 @@ def _episode(env: gymnasium.Env, policy: Policy, seed: int) -> EpisodeBuffer:
         over = terminated or truncated
     actions, rewards, terminations, truncations, held = map(list, zip(*steps, strict=True))
     infos = {"is_success": np.array([False, *held])}
-    return EpisodeBuffer(None, seed, None, _stacked(observations), np.array(actions), rewards, terminations, truncations, infos)
+    return EpisodeBuffer(
+        None,
+        seed,
+        None,
+        _stacked(observations),
+        np.array(actions),
+        rewards,
+        terminations,
+        truncations,
+        infos,
+    )
 
 
 def _stacked(observations: list[Any]) -> Any:

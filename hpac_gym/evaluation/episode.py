@@ -10,7 +10,9 @@ import gymnasium
 from hpac_gym.policies import Policy
 
 
-def control_steps(env: gymnasium.Env, policy: Policy, seed: int) -> Iterator[tuple[float, dict[str, Any]]]:
+def control_steps(
+    env: gymnasium.Env, policy: Policy, seed: int
+) -> Iterator[tuple[float, dict[str, Any]]]:
     """Run an episode to its end and yield the reward and ``info`` of every control step."""
     observation, _ = env.reset(seed=seed)
     policy.reset(seed)

@@ -1,4 +1,6 @@
-"""Episodes of the sixteen grasp types: whether the executed posture holds the object, and with which parts of the hand."""
+"""Episodes of the sixteen grasp types: whether the executed posture holds the object, and with
+which parts of the hand.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ class TypeTrial:
     free: bool
     """Whether the hand was clear of the object when it began to close."""
     held: bool
-    """Whether the object was lifted, held through the shake and not dropped while lowered, as in `hpac_gym.tasks.grasp.Grasp`."""
+    """Whether the object was lifted, held through the shake and not dropped while lowered, as in
+    `hpac_gym.tasks.grasp.Grasp`.
+    """
     success: bool
     """Whether the object was held as the type's rule requires."""
     share: float
@@ -51,10 +55,15 @@ class _Queue(GraspByType):
 
 
 def run_types(
-    types: Sequence[GraspType], seeds: Sequence[int], *,
-    engine: str = "pybullet", body: str = "twin", randomize: str = "nominal", num_worlds: int = 1,
+    types: Sequence[GraspType],
+    seeds: Sequence[int],
+    *,
+    engine: str = "pybullet",
+    body: str = "twin",
+    randomize: str = "nominal",
+    num_worlds: int = 1,
     world: WorldSettings = WorldSettings(),
-) -> Iterator[tuple[int, TypeTrial]]:  # fmt: skip
+) -> Iterator[tuple[int, TypeTrial]]:
     """Run one episode per type and seed, with a closure that moves straight to the type's posture.
 
     An episode depends only on its type and seed, not on the episodes that run in parallel.
@@ -62,12 +71,16 @@ def run_types(
     Yields:
         Index of the episode in `types`, and its result, in the order in which the episodes end.
     """
-    task, worlds = _Queue(types), min(num_worlds, len(types))
+    task = _Queue(types)
+    worlds = min(num_worlds, len(types))
     options = replace(checked_options(engine=engine, body=body, randomize=randomize), world=world)
     episodes = Episodes(task, worlds, options)
     close_end = round(task.timetable.ends[0] * CONTROL_HZ)
-    jobs, job = iter(range(len(types))), np.full(worlds, -1)
-    steps, start, way = np.zeros(worlds, int), np.zeros((worlds, 6)), np.zeros((worlds, 6))
+    jobs = iter(range(len(types)))
+    job = np.full(worlds, -1)
+    steps = np.zeros(worlds, int)
+    start = np.zeros((worlds, 6))
+    way = np.zeros((worlds, 6))
 
     def begin(ready: Sequence[int]) -> None:
         for world in ready:
@@ -77,28 +90,42 @@ def run_types(
             episodes.reset(began, [np.random.default_rng(seeds[job[world]]) for world in began])
         for world in began:
             grasp = types[job[world]].start
-            steps[world], start[world], way[world] = 0, grasp.preshape, grasp.closed - grasp.preshape
+            steps[world] = 0
+            start[world] = grasp.preshape
+            way[world] = grasp.closed - grasp.preshape
 
     try:
         begin(range(worlds))
         while (job >= 0).any():
             share = np.minimum(steps / CONTROL_HZ / CLOSE_TIME, 1.0)
-            episodes.step(action_from_synergy(np.clip(start + share[:, None] * way, HPAC.synergy_min, HPAC.synergy_max)))
+            episodes.step(
+                action_from_synergy(
+                    np.clip(start + share[:, None] * way, HPAC.synergy_min, HPAC.synergy_max)
+                )
+            )
             steps += 1
             over = (job >= 0) & (episodes.outcome != RUNNING)
             for world in np.flatnonzero(over | (steps == close_end)):
-                if not task.hold(world).looks:  # an episode that ends before the hold gets one sample
+                if not task.hold(
+                    world
+                ).looks:  # an episode that ends before the hold gets one sample
                     task.look(world, episodes.now.state, episodes.simulation.engine.contacts(world))
             for world in np.flatnonzero(over):
-                hold, kind = task.hold(world), types[job[world]]
+                hold = task.hold(world)
+                kind = types[job[world]]
                 yield (
                     int(job[world]),
                     TypeTrial(
-                        seeds[job[world]], bool(task.free[world]), bool(task.held[world]),
-                        bool(episodes.outcome[world] == SUCCESS), steps[world] / CONTROL_HZ / task.duration,
-                        kind.rule.clauses(hold), hold.touched, hold.part_force,
+                        seeds[job[world]],
+                        bool(task.free[world]),
+                        bool(task.held[world]),
+                        bool(episodes.outcome[world] == SUCCESS),
+                        steps[world] / CONTROL_HZ / task.duration,
+                        kind.rule.clauses(hold),
+                        hold.touched,
+                        hold.part_force,
                     ),
-                )  # fmt: skip
+                )
             begin(np.flatnonzero(over).tolist())
     finally:
         episodes.close()

@@ -1,4 +1,6 @@
-"""`hpac grasps`, the grasp benchmark: policies on the sixteen named grasps, over the same held-out episodes."""
+"""`hpac grasps`, the grasp benchmark: policies on the sixteen named grasps, over the same held-out
+episodes.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +75,9 @@ class Row:
             "policy": self.policy,
             **success_counts(len(wins), len(self.trials)),
             "hold_force_newton": float(np.mean(forces)) if forces else None,
-            "drops_by_phase": dict(Counter(trial.phase for trial in self.trials if not trial.success).most_common()),
+            "drops_by_phase": dict(
+                Counter(trial.phase for trial in self.trials if not trial.success).most_common()
+            ),
         }
 
 
@@ -83,7 +87,9 @@ def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
     for _, info in control_steps(env, policy, seed):
         if info["phase"] == "place":
             forces.append(info["contact_force"])
-    return Trial(seed, bool(info["is_success"]), info["phase"], float(np.mean(forces)) if forces else None)
+    return Trial(
+        seed, bool(info["is_success"]), info["phase"], float(np.mean(forces)) if forces else None
+    )
 
 
 def run_trials(policy: str, grasp: str, variant: str, seeds: Sequence[int]) -> list[Trial]:
@@ -94,10 +100,16 @@ def run_trials(policy: str, grasp: str, variant: str, seeds: Sequence[int]) -> l
 
 
 def benchmark(
-    policies: Sequence[str], grasps: Sequence[str], episodes: int,
-    *, variant: str = NOMINAL, seed_start: int = HELD_OUT_SEED, workers: int = 1,
-) -> list[Row]:  # fmt: skip
-    """Run policies at grasps over the same held-out seeds, with a progress bar if standard error is a terminal.
+    policies: Sequence[str],
+    grasps: Sequence[str],
+    episodes: int,
+    *,
+    variant: str = NOMINAL,
+    seed_start: int = HELD_OUT_SEED,
+    workers: int = 1,
+) -> list[Row]:
+    """Run policies at grasps over the same held-out seeds, with a progress bar if standard error is
+    a terminal.
 
     Raises:
         GraspError: A grasp or variant does not exist.
@@ -126,7 +138,10 @@ def table(rows: Sequence[Row]) -> str:
         numbers = row.summary()
         low, high = numbers["interval_95"]
         force = numbers["hold_force_newton"]
-        drops = ", ".join(f"{phase} {count}" for phase, count in numbers["drops_by_phase"].items()) or "–"
+        drops = (
+            ", ".join(f"{phase} {count}" for phase, count in numbers["drops_by_phase"].items())
+            or "–"
+        )
         force = "–" if force is None else f"{force:.0f} N"
         rate = f"{numbers['success_rate']:.0%}", f"{low:.0%} … {high:.0%}"
         cells.append((row.grasp, numbers["object"], row.policy, *rate, force, drops))
@@ -136,42 +151,99 @@ def table(rows: Sequence[Row]) -> str:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac grasps`."""
     parser.description = _ABOUT
-    parser.add_argument("--policy", default="scripted", help="scripted, random, or a policy file (default: %(default)s)")
-    parser.add_argument("-n", "--episodes", type=whole_number(1), default=50, metavar="N",
-                        help="episodes per policy and grasp (default: %(default)s; 5 for a quick look)")  # fmt: skip
-    parser.add_argument("--grasps", nargs="+", metavar="NAME", help="only these (default: all sixteen)")
-    parser.add_argument("--variant", help="object variant: large, small, heavy, slippery or shape (default: nominal)")
-    parser.add_argument("--seed-start", type=whole_number(0), default=HELD_OUT_SEED, metavar="SEED",
-                        help=f"first seed (default: %(default)s; training uses seeds below {HELD_OUT_SEED})")  # fmt: skip
-    parser.add_argument("--no-baseline", action="store_true", help="do not also run the random policy")
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1, metavar="N",
-                        help="number of processes (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--out", type=Path, default=Path("runs/grasps"), metavar="DIR",
-                        help="folder for table and pictures (default: %(default)s)")  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the table")
+    parser.add_argument(
+        "--policy",
+        default="scripted",
+        help="scripted, random, or a policy file (default: %(default)s)",
+    )
+    parser.add_argument(
+        "-n",
+        "--episodes",
+        type=whole_number(1),
+        default=50,
+        metavar="N",
+        help="episodes per policy and grasp (default: %(default)s; 5 for a quick look)",
+    )
+    parser.add_argument(
+        "--grasps", nargs="+", metavar="NAME", help="only these (default: all sixteen)"
+    )
+    parser.add_argument(
+        "--variant",
+        help="object variant: large, small, heavy, slippery or shape (default: nominal)",
+    )
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=HELD_OUT_SEED,
+        metavar="SEED",
+        help=f"first seed (default: %(default)s; training uses seeds below {HELD_OUT_SEED})",
+    )
+    parser.add_argument(
+        "--no-baseline", action="store_true", help="do not also run the random policy"
+    )
+    parser.add_argument(
+        "--workers",
+        type=whole_number(1),
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="number of processes (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/grasps"),
+        metavar="DIR",
+        help="folder for table and pictures (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of the table"
+    )
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from hpac_gym.evaluation.pictures import portrait, write_pictures  # imported here so that the command's help needs no Pillow
+    from hpac_gym.evaluation.pictures import (
+        portrait,
+        write_pictures,
+    )  # imported here so that the command's help needs no Pillow
 
-    variant, names = options.variant or NOMINAL, list(dict.fromkeys(options.grasps or GRASPS))
-    policies = list(dict.fromkeys([options.policy] if options.no_baseline else [options.policy, RANDOM]))
+    variant = options.variant or NOMINAL
+    names = list(dict.fromkeys(options.grasps or GRASPS))
+    policies = list(
+        dict.fromkeys([options.policy] if options.no_baseline else [options.policy, RANDOM])
+    )
     writable_folder(options.out)
     rows = benchmark(
-        policies, names, options.episodes, variant=variant, seed_start=options.seed_start, workers=options.workers
-    )  # fmt: skip
-    result = {"task": GRASP, "variant": variant, "first_seed": options.seed_start, "grasps": [row.summary() for row in rows]}
+        policies,
+        names,
+        options.episodes,
+        variant=variant,
+        seed_start=options.seed_start,
+        workers=options.workers,
+    )
+    result = {
+        "task": GRASP,
+        "variant": variant,
+        "first_seed": options.seed_start,
+        "grasps": [row.summary() for row in rows],
+    }
     if told := about(options.policy):
         result["policy"] = {"file": options.policy, **told}
     trials = {f"{row.grasp}/{row.policy}": [asdict(trial) for trial in row.trials] for row in rows}
-    write_text(options.out / "grasps.json", json.dumps({**result, "trials": trials}, indent=2) + "\n")
+    write_text(
+        options.out / "grasps.json", json.dumps({**result, "trials": trials}, indent=2) + "\n"
+    )
     write_text(options.out / "grasps.md", table(rows) + "\n")
 
     shown = [row for row in rows if row.policy == options.policy]
-    seeds = [next((trial.seed for trial in row.trials if trial.success), row.trials[-1].seed) for row in shown]
-    jobs = [(options.policy, row.grasp, seed, variant) for row, seed in zip(shown, seeds, strict=True)]
+    seeds = [
+        next((trial.seed for trial in row.trials if trial.success), row.trials[-1].seed)
+        for row in shown
+    ]
+    jobs = [
+        (options.policy, row.grasp, seed, variant) for row, seed in zip(shown, seeds, strict=True)
+    ]
     seen = zip(progress(shown, "pictures"), shared(portrait, jobs, options.workers), strict=True)
     write_pictures(options.out, {row.grasp: picture for row, picture in seen})
     print(json.dumps(result, indent=2) if options.json else table(rows))

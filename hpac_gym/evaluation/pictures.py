@@ -22,7 +22,8 @@ VIEW = Viewpoint(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=
 VIEW_CENTRE = np.array([0.045, 0.0, 0.09])
 """Point that the camera looks at, in the hand frame [m]."""
 SHEET_COLUMNS = 4
-INK, WARNING = (40, 40, 40), (176, 48, 32)
+INK = (40, 40, 40)
+WARNING = (176, 48, 32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,19 +46,25 @@ def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Port
         GraspError: The grasp or variant does not exist.
         PolicyError: The policy cannot be loaded, or was made for another environment.
     """
-    with gymnasium.make(GRASP, grasp=grasp, variant=variant, render_mode="rgb_array") as env:  # else objects have no colours
+    with gymnasium.make(
+        GRASP, grasp=grasp, variant=variant, render_mode="rgb_array"
+    ) as env:  # else objects have no colours
         *_, (_, info) = control_steps(env, load_policy(policy, env), seed)
         return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), bool(info["is_success"]))
 
 
 def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:
-    """The portraits, keyed by grasp, in rows, each with its panel number in the paper and its name."""
+    """The portraits, keyed by grasp, in rows, each with its panel number in the paper and its
+    name.
+    """
     height, width = next(iter(portraits.values())).pixels.shape[:2]
     rows = -(-len(portraits) // SHEET_COLUMNS)
     sheet = Image.new("RGB", (min(len(portraits), SHEET_COLUMNS) * width, rows * height), "white")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(22)
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(22)
     for number, (name, seen) in enumerate(portraits.items()):
-        left, top = number % SHEET_COLUMNS * width, number // SHEET_COLUMNS * height
+        left = number % SHEET_COLUMNS * width
+        top = number // SHEET_COLUMNS * height
         sheet.paste(Image.fromarray(seen.pixels), (left, top))
         title = f"{POSTURES[name].panel} {name.replace('_', ' ')}"
         draw.text((left + 12, top + 8), title, fill=INK, font=font)

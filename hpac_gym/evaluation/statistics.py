@@ -13,15 +13,18 @@ Z_95 = 1.959963984540054  # the standard normal's 97.5 % quantile
 def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     """95 % confidence interval of a success probability.
 
-    Wilson's score interval: all p with (successes/trials − p)² ≤ z² p (1 − p) / trials. It stays inside 0…1 and keeps
-    its coverage near both ends, where the textbook interval collapses.
+    Wilson's score interval: all p with (successes/trials − p)² ≤ z² p (1 − p) / trials. It stays
+    inside 0…1 and keeps its coverage near both ends, where the textbook interval collapses.
 
     Raises:
         ValueError: Fewer than one trial, or not 0 ≤ successes ≤ trials.
     """
     if trials < 1 or not 0 <= successes <= trials:
-        raise ValueError(f"{successes} successes in {trials} trials: need 0 ≤ successes ≤ trials and at least one trial")
-    rate, z = successes / trials, Z_95
+        raise ValueError(
+            f"{successes} successes in {trials} trials: need 0 ≤ successes ≤ trials and at least one trial"
+        )
+    rate = successes / trials
+    z = Z_95
     scale = 1 + z**2 / trials
     centre = (rate + z**2 / (2 * trials)) / scale
     half = z / scale * sqrt(rate * (1 - rate) / trials + z**2 / (4 * trials**2))
@@ -30,9 +33,16 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def success_counts(successes: int, episodes: int) -> dict[str, Any]:
-    """Counts, rate and Wilson interval, by the names that they have in the JSON of every evaluation."""
+    """Counts, rate and Wilson interval, by the names that they have in the JSON of every
+    evaluation.
+    """
     interval = list(wilson_interval(successes, episodes))
-    return {"episodes": episodes, "successes": successes, "success_rate": successes / episodes, "interval_95": interval}
+    return {
+        "episodes": episodes,
+        "successes": successes,
+        "success_rate": successes / episodes,
+        "interval_95": interval,
+    }
 
 
 def rate_text(successes: int, trials: int) -> str:
@@ -44,15 +54,19 @@ def rate_text(successes: int, trials: int) -> str:
 def paired_difference(only_first: int, only_second: int, trials: int) -> tuple[float, float, float]:
     """Difference of two success rates over the same episodes: estimate, lower and upper bound.
 
-    Agresti and Min's adjusted interval for matched pairs: half an episode is added to each of the four outcomes. Only
-    the episodes that exactly one of the two won tell them apart.
+    Agresti and Min's adjusted interval for matched pairs: half an episode is added to each of the
+    four outcomes. Only the episodes that exactly one of the two won tell them apart.
 
     Raises:
         ValueError: The counts are negative, or together exceed ``trials``.
     """
     if trials < 1 or min(only_first, only_second) < 0 or only_first + only_second > trials:
-        raise ValueError(f"{only_first} and {only_second} discordant pairs do not fit in {trials} trials")
-    first, second, total = only_first + 0.5, only_second + 0.5, trials + 2
+        raise ValueError(
+            f"{only_first} and {only_second} discordant pairs do not fit in {trials} trials"
+        )
+    first = only_first + 0.5
+    second = only_second + 0.5
+    total = trials + 2
     centre = (first - second) / total
     half = Z_95 * sqrt((first + second) - (first - second) ** 2 / total) / total
     return (only_first - only_second) / trials, max(-1.0, centre - half), min(1.0, centre + half)
@@ -61,7 +75,8 @@ def paired_difference(only_first: int, only_second: int, trials: int) -> tuple[f
 def interquartile_mean(scores: ArrayLike) -> NDArray[np.float64]:
     """Mean of the middle half of n scores, without the n // 4 lowest and the n // 4 highest.
 
-    Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice", section 4.3, as in `rliable`.
+    Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical precipice",
+    section 4.3, as in `rliable`.
 
     Args:
         scores: shape (..., runs, tasks).
@@ -76,9 +91,11 @@ def interquartile_mean(scores: ArrayLike) -> NDArray[np.float64]:
 
 
 def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
-    """Probability that a run of the first scores higher than a run of the second, ties counting half.
+    """Probability that a run of the first scores higher than a run of the second, ties counting
+    half.
 
-    The same paper, section 4.3: the mean over tasks of the Mann–Whitney U divided by the number of pairs.
+    The same paper, section 4.3: the mean over tasks of the Mann–Whitney U divided by the number of
+    pairs.
 
     Args:
         first: shape (..., runs, tasks).
@@ -92,9 +109,13 @@ def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> NDArray[n
 
 
 def stratified_bootstrap(
-    statistic: Callable[..., NDArray[np.float64]], *scores: ArrayLike, draws: int = 10_000, seed: int = 0
+    statistic: Callable[..., NDArray[np.float64]],
+    *scores: ArrayLike,
+    draws: int = 10_000,
+    seed: int = 0,
 ) -> tuple[float, float]:
-    """95 % percentile interval of a statistic; the runs of each task are resampled with replacement.
+    """95 % percentile interval of a statistic; the runs of each task are resampled with
+    replacement.
 
     Args:
         statistic: function of score arrays with a leading axis of draws.
@@ -102,7 +123,11 @@ def stratified_bootstrap(
         draws: number of resamples.
         seed: seed of the resampling, so that the same scores give the same interval.
     """
-    rng, tables = np.random.default_rng(seed), [np.asarray(table, float)[None] for table in scores]
-    drawn = [np.take_along_axis(t, rng.integers(t.shape[1], size=(draws, *t.shape[1:])), axis=1) for t in tables]
+    rng = np.random.default_rng(seed)
+    tables = [np.asarray(table, float)[None] for table in scores]
+    drawn = [
+        np.take_along_axis(t, rng.integers(t.shape[1], size=(draws, *t.shape[1:])), axis=1)
+        for t in tables
+    ]
     low, high = np.percentile(statistic(*drawn), (2.5, 97.5))
     return float(low), float(high)

@@ -16,7 +16,9 @@ from typing import Any, TypeVar
 from hpac_gym.errors import HpacError
 
 AHEAD = 8
-"""Jobs that a pool takes for each of its processes before it waits for a result: there may be more than fit into memory."""
+"""Jobs that a pool takes for each of its processes before it waits for a result: there may be more
+than fit into memory.
+"""
 Result = TypeVar("Result")
 Work = Callable[[Callable[..., Result], Iterable[tuple]], Iterator[Result]]
 
@@ -26,20 +28,27 @@ class WorkerError(HpacError, RuntimeError):
 
 
 @contextmanager
-def worker_pool(count: int, prepare: Callable[..., None] | None = None, arguments: tuple = ()) -> Iterator[Work]:
+def worker_pool(
+    count: int, prepare: Callable[..., None] | None = None, arguments: tuple = ()
+) -> Iterator[Work]:
     """A pool of ``count`` processes, each of which first calls ``prepare(*arguments)``.
 
-    The block gets a function that returns the results of ``function(*job)`` in the order of the jobs. When the block ends, also
-    by an error or Ctrl-C, pending jobs are dropped and running ones finish: a killed process may leave half a result in the pipe,
-    for which Python's pool would wait for ever.
+    The block gets a function that returns the results of ``function(*job)`` in the order of the
+    jobs. When the block ends, also by an error or Ctrl-C, pending jobs are dropped and running ones
+    finish: a killed process may leave half a result in the pipe, for which Python's pool would wait
+    for ever.
 
     Raises:
-        WorkerError: A process was ended from outside, for example by a system that is out of memory.
+        WorkerError: A process was ended from outside, for example by a system that is out of
+            memory.
     """
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _start, (prepare, arguments))
+    pool = ProcessPoolExecutor(
+        count, multiprocessing.get_context("spawn"), _start, (prepare, arguments)
+    )
 
     def work(function: Callable[..., Result], jobs: Iterable[tuple]) -> Iterator[Result]:
-        # Not pool.map: it cancels its futures in this thread, and the pool's own thread prints a traceback for a cancelled one.
+        # Not pool.map: it cancels its futures in this thread, and the pool's own thread prints a
+        # traceback for a cancelled one.
         futures = deque()
         for job in jobs:
             with _interrupts_held():
@@ -52,13 +61,16 @@ def worker_pool(count: int, prepare: Callable[..., None] | None = None, argument
     try:
         yield work
     except BrokenProcessPool:
-        raise WorkerError(f"one of {count} worker processes was ended from outside: is there memory for so many?") from None
+        raise WorkerError(
+            f"one of {count} worker processes was ended from outside: is there memory for so many?"
+        ) from None
     finally:
         pool.shutdown(cancel_futures=True)
 
 
 def shared(function: Callable[..., Result], jobs: Iterable[tuple], count: int) -> Iterator[Result]:
-    """Results of ``function(*job)`` in the order of the jobs, computed by ``count`` processes; 1 is the calling process.
+    """Results of ``function(*job)`` in the order of the jobs, computed by ``count`` processes; 1 is
+    the calling process.
 
     Raises:
         WorkerError: As in `worker_pool`.
@@ -72,7 +84,8 @@ def shared(function: Callable[..., Result], jobs: Iterable[tuple], count: int) -
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Delay Ctrl-C until the block ends. Processes started in the block never receive it, not even during their start.
+    """Delay Ctrl-C until the block ends. Processes started in the block never receive it, not even
+    during their start.
 
     Windows has no signal masks: there a worker may print a traceback on Ctrl-C.
     """
@@ -93,6 +106,8 @@ def _start(prepare: Callable[..., None] | None, arguments: tuple[Any, ...]) -> N
 
 
 def _end_with_parent() -> None:
-    """End this worker when its parent ends: a killed command does not close its pool, and its workers would wait for ever."""
+    """End this worker when its parent ends: a killed command does not close its pool, and its
+    workers would wait for ever.
+    """
     multiprocessing.parent_process().join()
     os._exit(1)

@@ -1,7 +1,7 @@
 """The paper as data and pure functions: joints, parameters, transmission, elasticity, command.
 
-Depends on NumPy alone. Arrays have shape (..., n); angles are in rad; every function takes an optional `hand`.
-"""
+Depends on NumPy alone. Arrays have shape (..., n); angles are in rad; every function takes an
+optional `hand`."""
 
 from hpac_gym.model.command import (
     ServoCommand,
@@ -21,7 +21,15 @@ from hpac_gym.model.elasticity import (
     spring_tension,
 )
 from hpac_gym.model.files import HPAC, hand_to_toml, load_hand
-from hpac_gym.model.joints import DIGITS, FINGERS, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, digit_joints
+from hpac_gym.model.joints import (
+    DIGITS,
+    FINGERS,
+    JOINT_INDEX,
+    JOINTS,
+    SERVO_INDEX,
+    SERVOS,
+    digit_joints,
+)
 from hpac_gym.model.parameters import Digit, Hand
 from hpac_gym.model.postures import POSTURES, Posture, Reach, posture, reach
 from hpac_gym.model.transmission import (

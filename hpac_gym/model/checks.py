@@ -25,7 +25,9 @@ def as_array(value: ArrayLike, size: int, name: str) -> Array:
     """
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in _REAL:  # NumPy would convert these to numbers, with a warning at best
+        if (
+            array.dtype.kind not in _REAL
+        ):  # NumPy would convert these to numbers, with a warning at best
             raise TypeError(f"{array.dtype} is not a type of real numbers")
         array = array.astype(float, copy=False)
     except (TypeError, ValueError) as error:
@@ -45,7 +47,9 @@ def as_finite_array(value: ArrayLike, size: int, name: str) -> Array:
     finite = np.isfinite(array)
     if not finite.all():
         where = tuple(int(index) for index in np.argwhere(~finite)[0])
-        raise ShapeError(f"{name}[{', '.join(map(str, where))}] = {array[where]} must be a finite number")
+        raise ShapeError(
+            f"{name}[{', '.join(map(str, where))}] = {array[where]} must be a finite number"
+        )
     return array
 
 
@@ -62,7 +66,13 @@ def as_finite_vector(value: ArrayLike, size: int, name: str) -> Array:
 
 
 def as_bounded_array(
-    value: ArrayLike, lower: Array, upper: Array, labels: Sequence[str], name: str, unit: str, tolerance: float = TOLERANCE
+    value: ArrayLike,
+    lower: Array,
+    upper: Array,
+    labels: Sequence[str],
+    name: str,
+    unit: str,
+    tolerance: float = TOLERANCE,
 ) -> Array:
     """The value as an array of shape (..., n) that lies within its bounds.
 

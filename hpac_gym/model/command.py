@@ -15,7 +15,9 @@ from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
 
 _ACTION_BOUND = np.ones(len(SERVOS))
 _ACTION_TOLERANCE = 1e-6
-"""Actions beyond ±1 by at most this are clipped: float32 arithmetic in a rescaling wrapper can overshoot by a few 1e-7."""
+"""Actions beyond ±1 by at most this are clipped: float32 arithmetic in a rescaling wrapper can
+overshoot by a few 1e-7.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,8 @@ def _require_duration(duration: float) -> None:
 
 
 def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
-    """Synergy coordinates of an action: −1 is Table I's lower bound (open), 1 its upper bound (closed).
+    """Synergy coordinates of an action: −1 is Table I's lower bound (open), 1 its upper bound
+    (closed).
 
     Args:
         action: shape (..., 6), −1…1, in the order of `SERVOS`.
@@ -57,7 +60,9 @@ def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
         ShapeError: Wrong shape.
         WorkspaceError: NaN, or outside −1…1 by more than float32 rounding.
     """
-    action = as_bounded_array(action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE)
+    action = as_bounded_array(
+        action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE
+    )
     share = np.minimum(np.maximum(action + 1, 0.0), 2.0) / 2
     return hand.synergy_min + share * (hand.synergy_max - hand.synergy_min)
 
@@ -75,13 +80,16 @@ def action_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
         ShapeError: Wrong shape.
         WorkspaceError: NaN, or outside of Table I.
     """
-    synergy = as_bounded_array(synergy, hand.synergy_min, hand.synergy_max, SERVOS, "synergy", "rad")
+    synergy = as_bounded_array(
+        synergy, hand.synergy_min, hand.synergy_max, SERVOS, "synergy", "rad"
+    )
     action = 2 * (synergy - hand.synergy_min) / (hand.synergy_max - hand.synergy_min) - 1
     return np.minimum(np.maximum(action, -1.0), 1.0)
 
 
 def synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
-    """Manifold coordinates nearest to a posture: least-squares fit of A q_root to q + b(q) for each digit.
+    """Manifold coordinates nearest to a posture: least-squares fit of A q_root to q + b(q) for each
+    digit.
 
     Exact on the elastic manifold. Not clipped: off the manifold a coordinate can exceed Table I.
 
@@ -101,8 +109,9 @@ def synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
 def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     """Servo angles for a posture: H⁺[q̃ + b(q̃)].
 
-    Eq. (15). H⁺ is the closed-form inverse of each digit's block: exact on the elastic manifold, least squares per
-    digit off it. The result is clipped to the servo range, that is to Table I of the six driven joints.
+    Eq. (15). H⁺ is the closed-form inverse of each digit's block: exact on the elastic manifold,
+    least squares per digit off it. The result is clipped to the servo range, that is to Table I of
+    the six driven joints.
 
     Args:
         joint_pos: q̃, inside of Table I (see `clip_to_workspace`), shape (..., 15) [rad].
@@ -114,12 +123,15 @@ def servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
         ShapeError: Wrong shape.
         WorkspaceError: NaN, or a joint outside of Table I.
     """
-    joint_pos = as_bounded_array(joint_pos, hand.joint_min, hand.joint_max, JOINTS, "joint_pos", "rad")
+    joint_pos = as_bounded_array(
+        joint_pos, hand.joint_min, hand.joint_max, JOINTS, "joint_pos", "rad"
+    )
     return _servo_from_admissible_joints(joint_pos, hand)
 
 
 def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
-    # One product per row: BLAS rounds rows of a larger product differently, and results must not depend on the batch size.
+    # One product per row: BLAS rounds rows of a larger product differently, and results must not
+    # depend on the batch size.
     synergy = (joint_pos[..., None, :] @ hand.synergy_projection.T)[..., 0, :]
     np.maximum(synergy, hand.synergy_min, out=synergy)
     np.minimum(synergy, hand.synergy_max, out=synergy)
@@ -127,10 +139,11 @@ def _servo_from_admissible_joints(joint_pos: Array, hand: Hand) -> Array:
 
 
 def servo_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
-    """Servo angles for an action: the whole pipeline, action → synergy → joints → workspace → servos.
+    """Servo angles for an action: the whole pipeline, action → synergy → joints → workspace →
+    servos.
 
-    Combines `synergy_from_action`, `joints_from_synergy`, `clip_to_workspace` and `servo_from_joints`, and checks the
-    action only once.
+    Combines `synergy_from_action`, `joints_from_synergy`, `clip_to_workspace` and
+    `servo_from_joints`, and checks the action only once.
 
     Args:
         action: shape (..., 6), −1…1, in the order of `SERVOS`.
@@ -172,8 +185,8 @@ def move_duration(servo_from: ArrayLike, servo_to: ArrayLike, hand: Hand = HPAC)
 def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC) -> Array:
     """Servo angles after one control period on the straight line to a target.
 
-    A policy may change its target every period, so each command moves only as far along the line as the rate limit allows
-    and ends exactly when the next one starts.
+    A policy may change its target every period, so each command moves only as far along the line as
+    the rate limit allows and ends exactly when the next one starts.
 
     Args:
         servo: last commanded angles, finite, shape (..., 6) [rad].
@@ -188,18 +201,24 @@ def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC
     return servo + np.where(duration <= period, 1.0, period / np.maximum(duration, period)) * travel
 
 
-def stream_command(servo: ArrayLike, target: ArrayLike, period: float, hand: Hand = HPAC) -> ServoCommand:
-    """The part of a synchronised move that fits into one control period: `streamed_servo` as a command.
+def stream_command(
+    servo: ArrayLike, target: ArrayLike, period: float, hand: Hand = HPAC
+) -> ServoCommand:
+    """The part of a synchronised move that fits into one control period: `streamed_servo` as a
+    command.
 
     Raises:
         ShapeError: Wrong shape, NaN or infinity.
         WorkspaceError: `period` is not finite and positive.
     """
     _require_duration(period)
-    servo, target = as_finite_vector(servo, len(SERVOS), "servo"), as_finite_vector(target, len(SERVOS), "target")
+    servo = as_finite_vector(servo, len(SERVOS), "servo")
+    target = as_finite_vector(target, len(SERVOS), "target")
     return ServoCommand(streamed_servo(servo, target, period, hand), period)
 
 
 def minimum_jerk(share: Array | float) -> Array | float:
-    """Minimum-jerk profile: fraction of the path covered after a fraction s of the duration, 10s³ − 15s⁴ + 6s⁵, any shape."""
+    """Minimum-jerk profile: fraction of the path covered after a fraction s of the duration, 10s³ −
+    15s⁴ + 6s⁵, any shape.
+    """
     return share**3 * (10 - 15 * share + 6 * share**2)

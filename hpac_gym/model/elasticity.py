@@ -15,7 +15,8 @@ from hpac_gym.model.transmission import synergy_from_servo
 def spring_tension(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     """Tension of the five restoring springs.
 
-    Eq. (10), for the thumb over its two coupled joints. No pretension: the spring of a straight finger is slack.
+    Eq. (10), for the thumb over its two coupled joints. No pretension: the spring of a straight
+    finger is slack.
 
     Args:
         joint_pos: q, shape (..., 15) [rad].
@@ -29,7 +30,8 @@ def spring_tension(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     joint_pos = as_finite_array(joint_pos, len(JOINTS), "joint_pos")
     excursion = joint_pos * hand.joint_radius
     tension = [
-        digit.spring_stiffness * excursion[..., [JOINT_INDEX[name] for name in digit.joints]].sum(axis=-1)
+        digit.spring_stiffness
+        * excursion[..., [JOINT_INDEX[name] for name in digit.joints]].sum(axis=-1)
         for digit in hand.digits.values()
     ]
     return np.stack(tension, axis=-1)

@@ -1,4 +1,6 @@
-"""Hand files: reading and writing a `Hand` as TOML; errors name the file, the table and the field."""
+"""Hand files: reading and writing a `Hand` as TOML; errors name the file, the table and the
+field.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,15 @@ from hpac_gym.model.parameters import Calibration, Digit, Friction, Hand
 SCHEMA = 1
 """Version of the hand file that this code reads."""
 
-_SCALARS = ("d1", "d2", "servo_radius", "spring_stiffness", "tendon_stiffness", "drive_stiffness", "tension_limit")
+_SCALARS = (
+    "d1",
+    "d2",
+    "servo_radius",
+    "spring_stiffness",
+    "tendon_stiffness",
+    "drive_stiffness",
+    "tension_limit",
+)
 _LISTS = ("joint_radius", "path_length")
 _CMC = ("cmc_gain", "cmc_stiffness", "cmc_torque_limit")
 _FRICTION = ("joint", "tendon")
@@ -29,8 +39,8 @@ def load_hand(path: str | PathLike[str]) -> Hand:
     """Hand described by a TOML file.
 
     Raises:
-        ParameterError: The file cannot be read, is not TOML, has another schema, or a number is missing, not a
-            number, unknown or unphysical.
+        ParameterError: The file cannot be read, is not TOML, has another schema, or a number is
+            missing, not a number, unknown or unphysical.
     """
     path = Path(path)
     try:
@@ -60,7 +70,9 @@ def hand_from_toml(text: str, origin: str) -> Hand:
 def hand_to_toml(hand: Hand) -> str:
     """Text of a hand file for a hand, which `hand_from_toml` reads back."""
     lines = [f"schema = {SCHEMA}", f"name = {json.dumps(hand.name)}", "", "[sources]"]
-    lines += [f"{key} = {json.dumps(text, ensure_ascii=False)}" for key, text in hand.sources.items()]
+    lines += [
+        f"{key} = {json.dumps(text, ensure_ascii=False)}" for key, text in hand.sources.items()
+    ]
     lines += ["", "[servo]", f"rate_limit = {hand.rate_limit!r}", "", "[cmc]"]
     lines += [f"{key} = {getattr(hand, key)!r}" for key in _CMC]
     for name, digit in hand.digits.items():
@@ -71,7 +83,10 @@ def hand_to_toml(hand: Hand) -> str:
     lines += [f"{joint} = {list(bounds)!r}" for joint, bounds in hand.workspace.items()]
     if hand.calibration != Calibration():
         lines += ["", "[calibration]", f"servo_zero = {list(hand.calibration.servo_zero)!r}"]
-        lines += [f"{part}_friction = {[getattr(item, part) for item in hand.calibration.friction]!r}" for part in _FRICTION]
+        lines += [
+            f"{part}_friction = {[getattr(item, part) for item in hand.calibration.friction]!r}"
+            for part in _FRICTION
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -80,7 +95,8 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
         raise ParameterError(f"schema {table.get('schema')!r} is not {SCHEMA}")
     _refuse_unknown(table, _TOP, "the file")
     digits = _table(table, "digits")
-    servo, cmc = _table(table, "servo"), _table(table, "cmc")
+    servo = _table(table, "servo")
+    cmc = _table(table, "cmc")
     _refuse_unknown(digits, DIGITS, "[digits]")
     _refuse_unknown(servo, ("rate_limit",), "[servo]")
     _refuse_unknown(cmc, _CMC, "[cmc]")
@@ -91,7 +107,9 @@ def _hand_from_table(table: dict[str, Any]) -> Hand:
         rate_limit=_number(servo, "rate_limit"),
         **{name: _number(cmc, name) for name in _CMC},
         sources=_table(table, "sources"),
-        calibration=_calibration(_table(table, "calibration")) if "calibration" in table else Calibration(),
+        calibration=_calibration(_table(table, "calibration"))
+        if "calibration" in table
+        else Calibration(),
     )
 
 
@@ -101,8 +119,12 @@ def _calibration(table: dict[str, Any]) -> Calibration:
     numbers = {part: _numbers(table, key) for part, key in columns.items()}
     for part, key in columns.items():
         if len(numbers[part]) != len(DIGITS):
-            raise ParameterError(f"calibration: {key} must have {len(DIGITS)} entries, not {len(numbers[part])}")
-    return Calibration(_numbers(table, "servo_zero"), tuple(map(Friction, numbers["joint"], numbers["tendon"])))
+            raise ParameterError(
+                f"calibration: {key} must have {len(DIGITS)} entries, not {len(numbers[part])}"
+            )
+    return Calibration(
+        _numbers(table, "servo_zero"), tuple(map(Friction, numbers["joint"], numbers["tendon"]))
+    )
 
 
 def _digit(name: str, table: dict[str, Any]) -> Digit:
@@ -152,5 +174,7 @@ def _pair(value: Any, name: str) -> tuple[float, float]:
     return pair
 
 
-HPAC = hand_from_toml((files("hpac_gym.model") / "data" / "hpac.toml").read_text(encoding="utf-8"), "hpac.toml")
+HPAC = hand_from_toml(
+    (files("hpac_gym.model") / "data" / "hpac.toml").read_text(encoding="utf-8"), "hpac.toml"
+)
 """The nominal H-PAC hand."""

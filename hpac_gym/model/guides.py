@@ -21,8 +21,9 @@ def chord_from_included(guide_sum: Array, guide_product: Array, included: Array)
 
 
 def included_from_chord(guide_sum: Array, guide_product: Array, chord: Array) -> Array:
-    """Included angle [rad] of two guides at a given distance [m]: the inverse of `chord_from_included`.
+    """Included angle [rad] of two guides at a given distance [m]: the inverse of
+    `chord_from_included`.
 
-    Eq. (4). An impossible chord gives the nearest angle, 0 or π; callers that must refuse it check first.
-    """
+    Eq. (4). An impossible chord gives the nearest angle, 0 or π; callers that must refuse it check
+    first."""
     return np.arccos(np.clip((guide_sum - chord**2) / guide_product, -1.0, 1.0))

@@ -1,9 +1,8 @@
 """Parameters of a hand: frozen, validated values, and the quantities derived from them.
 
-A `Digit` holds one tendon's numbers, a `Hand` five digits, the directly driven CMC joint and Table I.
-Everything else (ratios, matrices, servo range) is derived from these once, by the equations of the paper,
-and cached as read-only arrays.
-"""
+A `Digit` holds one tendon's numbers, a `Hand` five digits, the directly driven CMC joint and Table
+I. Everything else (ratios, matrices, servo range) is derived from these once, by the equations of
+the paper, and cached as read-only arrays."""
 
 from __future__ import annotations
 
@@ -29,7 +28,9 @@ def _read_only(array: Array) -> Array:
 
 def _require_positive(owner: str, name: str, value: float, unit: str) -> None:
     if not (np.isfinite(value) and value > 0):
-        raise ParameterError(f"{owner}: {name} = {value} {unit} must be finite and greater than 0 {unit}")
+        raise ParameterError(
+            f"{owner}: {name} = {value} {unit} must be finite and greater than 0 {unit}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,8 +40,8 @@ class Digit:
     Lists run from the root joint (MCP, or the thumb's MP) to the fingertip.
 
     Raises:
-        ParameterError: A number is not finite and positive, a list has the wrong length, or the guides
-            cannot form the included angle.
+        ParameterError: A number is not finite and positive, a list has the wrong length, or the
+            guides cannot form the included angle.
     """
 
     name: str
@@ -61,7 +62,9 @@ class Digit:
     tendon_stiffness: float
     """EA of the coupling tendon [N]."""
     drive_stiffness: float
-    """Stiffness of the driving tendon between servo and root joint [N/m]; the model takes it as rigid."""
+    """Stiffness of the driving tendon between servo and root joint [N/m]; the model takes it as
+    rigid.
+    """
     tension_limit: float
     """Largest tension that the servo can exert on the driving tendon [N]."""
 
@@ -72,7 +75,9 @@ class Digit:
         joints = len(self.joints)
         for name, length in (("joint_radius", joints), ("path_length", joints - 1)):
             if len(getattr(self, name)) != length:
-                raise ParameterError(f"{owner}: {name} must have {length} entries, not {len(getattr(self, name))}")
+                raise ParameterError(
+                    f"{owner}: {name} must have {length} entries, not {len(getattr(self, name))}"
+                )
         units = {"alpha": "rad", "spring_stiffness": "N/m", "drive_stiffness": "N/m"}
         units |= {"tendon_stiffness": "N", "tension_limit": "N"}
         for item in fields(self)[1:]:
@@ -89,33 +94,37 @@ class Digit:
     @property
     def rest_chord(self) -> float:
         """L₀, the distance between the two guides at full extension [m]. Eq. (3)."""
-        return float(chord_from_included(self.d1**2 + self.d2**2, 2 * self.d1 * self.d2, self.alpha))
+        return float(
+            chord_from_included(self.d1**2 + self.d2**2, 2 * self.d1 * self.d2, self.alpha)
+        )
 
     @property
     def rigid_ratio(self) -> Array:
         """A: joint angles per radian of the root joint, tendon taken as rigid. Eqs. (1), (2), (6).
 
-        Joint angles are inversely proportional to the radii: 5:4:5 radii give 4:5:4 angles, 5:4 give 4:5.
-        """
+        Joint angles are inversely proportional to the radii: 5:4:5 radii give 4:5:4 angles, 5:4
+        give 4:5."""
         radius = np.array(self.joint_radius)
         return radius[0] / radius
 
     @property
     def segment_stiffness(self) -> Array:
-        """Stiffness of each coupling segment, root first: EA/L, and 2EA/L in a finger's first [N/m].
+        """Stiffness of each coupling segment, root first: EA/L, and 2EA/L in a finger's first
+        [N/m].
 
-        The factor two is an assumption of this project; the paper does not state it. The restoring cable pulls on every
-        joint, so by torque balance the first segment carries twice the spring tension T. With EA/L it would stretch by
-        2TL/EA, whereas Eq. (11) gives TL/EA: Eq. (12) is a static equilibrium only with 2EA/L. The thumb has one segment,
-        which carries only T.
-        """
+        The factor two is an assumption of this project; the paper does not state it. The restoring
+        cable pulls on every joint, so by torque balance the first segment carries twice the spring
+        tension T. With EA/L it would stretch by 2TL/EA, whereas Eq. (11) gives TL/EA: Eq. (12) is a
+        static equilibrium only with 2EA/L. The thumb has one segment, which carries only T."""
         first = 2.0 if len(self.path_length) > 1 else 1.0
         factor = np.where(np.arange(len(self.path_length)) == 0, first, 1.0)
         return factor * self.tendon_stiffness / np.array(self.path_length)
 
     @property
     def compliance(self) -> Array:
-        """C of every joint, zero for the root [1/m]: k_s ΣL / (EA R), with ΣL the path up to the joint. Eqs. (12), (13)."""
+        """C of every joint, zero for the root [1/m]: k_s ΣL / (EA R), with ΣL the path up to the
+        joint. Eqs. (12), (13).
+        """
         path = np.concatenate([[0.0], np.cumsum(self.path_length)])
         return self.spring_stiffness * path / (self.tendon_stiffness * np.array(self.joint_radius))
 
@@ -126,7 +135,9 @@ class Digit:
 
     @property
     def elastic_ratio(self) -> Array:
-        """M⁻¹A: joint angles per radian of the root joint, with the tendon's elasticity. Eqs. (12), (13)."""
+        """M⁻¹A: joint angles per radian of the root joint, with the tendon's elasticity. Eqs. (12),
+        (13).
+        """
         return np.linalg.solve(self.coupling_matrix, self.rigid_ratio)
 
 
@@ -154,7 +165,8 @@ class Friction:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Calibration of one hand beyond the paper's model, identified from a sweep; all zero for an uncalibrated hand.
+    """Calibration of one hand beyond the paper's model, identified from a sweep; all zero for an
+    uncalibrated hand.
 
     The paper's maps, Eqs. (1)–(15), do not use it. `hpac_gym.model.settled` does.
 
@@ -170,9 +182,13 @@ class Calibration:
     def __post_init__(self) -> None:
         for name, length in (("servo_zero", len(SERVOS)), ("friction", len(DIGITS))):
             if len(getattr(self, name)) != length:
-                raise ParameterError(f"calibration: {name} must have {length} entries, not {len(getattr(self, name))}")
+                raise ParameterError(
+                    f"calibration: {name} must have {length} entries, not {len(getattr(self, name))}"
+                )
         if not np.isfinite(self.servo_zero).all():
-            raise ParameterError(f"calibration: servo_zero = {list(self.servo_zero)} rad must be finite")
+            raise ParameterError(
+                f"calibration: servo_zero = {list(self.servo_zero)} rad must be finite"
+            )
 
 
 @dataclass(frozen=True)
@@ -182,7 +198,8 @@ class Hand:
     Arrays that are derived from these numbers are cached and read-only.
 
     Raises:
-        ParameterError: A digit is missing, a bound is not ordered, or the servo range leaves the domain of Eq. (5).
+        ParameterError: A digit is missing, a bound is not ordered, or the servo range leaves the
+            domain of Eq. (5).
     """
 
     name: str
@@ -208,16 +225,25 @@ class Hand:
             given = getattr(self, name)
             if set(given) != set(wanted):
                 wrong = sorted(set(given) ^ set(wanted))
-                raise ParameterError(f"hand {self.name}: {name} is missing or does not know {', '.join(wrong)}")
+                raise ParameterError(
+                    f"hand {self.name}: {name} is missing or does not know {', '.join(wrong)}"
+                )
             ordered = MappingProxyType({key: given[key] for key in wanted})
             object.__setattr__(self, name, ordered)
         object.__setattr__(self, "sources", MappingProxyType(dict(self.sources)))
-        units = {"rate_limit": "rad/s", "cmc_gain": "rad/rad", "cmc_stiffness": "N m/rad", "cmc_torque_limit": "N m"}
+        units = {
+            "rate_limit": "rad/s",
+            "cmc_gain": "rad/rad",
+            "cmc_stiffness": "N m/rad",
+            "cmc_torque_limit": "N m",
+        }
         for name, unit in units.items():
             _require_positive(f"hand {self.name}", name, getattr(self, name), unit)
         for joint, (lower, upper) in self.workspace.items():
             if not (np.isfinite([lower, upper]).all() and lower < upper):
-                raise ParameterError(f"hand {self.name}: workspace of {joint} = [{lower}, {upper}] rad is not an interval")
+                raise ParameterError(
+                    f"hand {self.name}: workspace of {joint} = [{lower}, {upper}] rad is not an interval"
+                )
         for digit in self.digits.values():
             lower, upper = self.workspace[digit.joints[0]]
             if lower <= digit.alpha - np.pi or upper >= digit.alpha:
@@ -296,7 +322,9 @@ class Hand:
         return self._stack("servo_radius")
 
     def _stack(self, name: str) -> Array:
-        return _read_only(np.array([getattr(digit, name) for digit in self.digits.values()], dtype=float))
+        return _read_only(
+            np.array([getattr(digit, name) for digit in self.digits.values()], dtype=float)
+        )
 
     # The coupling, over all fifteen joints --------------------------------------
 
@@ -310,12 +338,16 @@ class Hand:
 
     @cached_property
     def rigid_ratio(self) -> Array:
-        """Joint angle per radian of its synergy coordinate, tendon rigid, shape (15,). Eqs. (2), (6)."""
+        """Joint angle per radian of its synergy coordinate, tendon rigid, shape (15,). Eqs. (2),
+        (6).
+        """
         return self._by_joint("rigid_ratio", cmc=1.0)
 
     @cached_property
     def elastic_ratio(self) -> Array:
-        """Joint angle per radian of its synergy coordinate, tendon elastic, shape (15,). Eqs. (12), (13)."""
+        """Joint angle per radian of its synergy coordinate, tendon elastic, shape (15,). Eqs. (12),
+        (13).
+        """
         return self._by_joint("elastic_ratio", cmc=1.0)
 
     def _by_joint(self, name: str, cmc: float) -> Array:
@@ -335,7 +367,9 @@ class Hand:
 
     @cached_property
     def synergy_projection(self) -> Array:
-        """G with synergy = G q = P [q + b(q)], P the least-squares inverse of every digit's A, shape (6, 15). Eq. (15)."""
+        """G with synergy = G q = P [q + b(q)], P the least-squares inverse of every digit's A,
+        shape (6, 15). Eq. (15).
+        """
         inverse = np.zeros((len(SERVOS), len(JOINTS)))
         inverse[self.servo_of_joint, np.arange(len(JOINTS))] = self.rigid_ratio
         inverse /= (inverse**2).sum(axis=1, keepdims=True)
@@ -348,11 +382,14 @@ class Hand:
 
 
 def unchecked_servo_from_synergy(synergy: Array, hand: Hand) -> Array:
-    """Servo angles for driven-joint angles that are known to lie within Table I, shape (..., 6) [rad].
+    """Servo angles for driven-joint angles that are known to lie within Table I, shape (..., 6)
+    [rad].
 
     Eqs. (5), (7), (8) solved for u.
     """
-    chord = chord_from_included(hand.guide_sum, hand.guide_product, hand.guide_alpha - synergy[..., :_CMC])
+    chord = chord_from_included(
+        hand.guide_sum, hand.guide_product, hand.guide_alpha - synergy[..., :_CMC]
+    )
     servo = np.empty_like(synergy)
     servo[..., :_CMC] = (hand.rest_chord - chord) / hand.servo_radius
     servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain

@@ -1,4 +1,6 @@
-"""Named postures: the paper's 13 gestures and the hand shapes of its 16 grasps, as fifteen joint targets each."""
+"""Named postures: the paper's 13 gestures and the hand shapes of its 16 grasps, as fifteen joint
+targets each.
+"""
 
 from __future__ import annotations
 
@@ -62,17 +64,23 @@ def _posture(name: str, table: dict[str, Any]) -> Posture:
     for digit, parts in _PARTS.items():
         target[[JOINT_INDEX[f"{digit}_{part}"] for part in parts]] = table[digit]
     target.setflags(write=False)
-    return Posture(name, table["panel"], table["kind"], table["about"], target, tuple(table.get("aliases", ())))
+    return Posture(
+        name, table["panel"], table["kind"], table["about"], target, tuple(table.get("aliases", ()))
+    )
 
 
-_TABLE = tomllib.loads((files("hpac_gym.model") / "data" / "postures.toml").read_text(encoding="utf-8"))
+_TABLE = tomllib.loads(
+    (files("hpac_gym.model") / "data" / "postures.toml").read_text(encoding="utf-8")
+)
 
 POSTURES: Mapping[str, Posture] = MappingProxyType(
     {name: _posture(name, entry) for name, entry in _TABLE.items() if name != "schema"}
 )
 """All 29 postures by name, in the order of the paper's panels."""
 
-_BY_ANY_NAME = {name: posture for posture in POSTURES.values() for name in (posture.name, *posture.aliases)}
+_BY_ANY_NAME = {
+    name: posture for posture in POSTURES.values() for name in (posture.name, *posture.aliases)
+}
 
 
 def posture(name: str) -> Posture:
@@ -84,13 +92,17 @@ def posture(name: str) -> Posture:
     if name in _BY_ANY_NAME:
         return _BY_ANY_NAME[name]
     near = difflib.get_close_matches(name, _BY_ANY_NAME, n=3, cutoff=0.4) or list(_BY_ANY_NAME)[:3]
-    raise PostureError(f"no posture {name!r}; there are {len(POSTURES)}, among them {', '.join(near)}")
+    raise PostureError(
+        f"no posture {name!r}; there are {len(POSTURES)}, among them {', '.join(near)}"
+    )
 
 
 def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
-    """Reachable posture nearest to a target: clipped by Eq. (14), then projected onto the elastic manifold by Eq. (15).
+    """Reachable posture nearest to a target: clipped by Eq. (14), then projected onto the elastic
+    manifold by Eq. (15).
 
-    A calibrated hand is commanded by `settled_servo_from_joints` instead, in flexion, as from the open hand.
+    A calibrated hand is commanded by `settled_servo_from_joints` instead, in flexion, as from the
+    open hand.
 
     Args:
         target_joint_pos: q_d, shape (15,) [rad].
@@ -102,7 +114,9 @@ def reach(target_joint_pos: ArrayLike, hand: Hand = HPAC) -> Reach:
     target = as_finite_vector(target_joint_pos, len(JOINTS), "target_joint_pos")
     calibrated = hand.calibration != Calibration()
     inverse, forward = (
-        (settled_servo_from_joints, settled_joints_from_servo) if calibrated else (servo_from_joints, elastic_joints_from_servo)
+        (settled_servo_from_joints, settled_joints_from_servo)
+        if calibrated
+        else (servo_from_joints, elastic_joints_from_servo)
     )
     servo = inverse(clip_to_workspace(target, hand), hand)
     joint_pos = forward(servo, hand)

@@ -1,8 +1,9 @@
-"""Static equilibrium of the hand in closed form, with effects that Eqs. (12), (13) omit, and the command that compensates them.
+"""Static equilibrium of the hand in closed form, with effects that Eqs. (12), (13) omit, and the
+command that compensates them.
 
-These effects are the driving tendon's stretch, friction and servo zeros. All angles and tensions of a digit are linear in the
-root joint's angle, so the servo angle is an explicit function of it. Free space, no gravity, slow motion in one direction.
-"""
+These effects are the driving tendon's stretch, friction and servo zeros. All angles and tensions of
+a digit are linear in the root joint's angle, so the servo angle is an explicit function of it. Free
+space, no gravity, slow motion in one direction."""
 
 from __future__ import annotations
 
@@ -17,7 +18,8 @@ from hpac_gym.model.guides import chord_from_included, included_from_chord
 from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
 from hpac_gym.model.parameters import Digit, Friction, Hand
 
-FLEXION, EXTENSION = 1.0, -1.0
+FLEXION = 1.0
+EXTENSION = -1.0
 NO_FRICTION = Friction()
 _TINY = 1e-9  # avoids division by zero where a folded digit has no moment arm
 _ITERATIONS = 6  # fixed-point iterations, each a contraction by less than 0.05
@@ -26,7 +28,8 @@ _CMC = len(SERVOS) - 1
 
 @dataclass(frozen=True, slots=True)
 class DigitStatics:
-    """Equilibrium of a digit as linear functions of the root joint's angle q, given by slope and offset.
+    """Equilibrium of a digit as linear functions of the root joint's angle q, given by slope and
+    offset.
 
     Joints run root first, with angles q_i = slope_i q + offset_i.
     """
@@ -41,26 +44,34 @@ class DigitStatics:
     """Offset of that torque [N·m]."""
 
 
-def digit_statics(digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION) -> DigitStatics:
-    """Solve the torque balance of every joint but the root, with the stretch of every coupling segment.
+def digit_statics(
+    digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION
+) -> DigitStatics:
+    """Solve the torque balance of every joint but the root, with the stretch of every coupling
+    segment.
 
-    Unknowns are the other joints' angles, the segments' tensions and the spring's, all linear in the root joint's angle. Every
-    coupling segment is taut, with `Digit.segment_stiffness`.
+    Unknowns are the other joints' angles, the segments' tensions and the spring's, all linear in
+    the root joint's angle. Every coupling segment is taut, with `Digit.segment_stiffness`.
 
     Args:
         digit: the tendon's parameters.
         friction: dry friction of the joints.
         direction: `FLEXION` or `EXTENSION`, the motion that friction opposes.
     """
-    radius, count = np.array(digit.joint_radius), len(digit.joints)
+    radius = np.array(digit.joint_radius)
+    count = len(digit.joints)
     segments = count - 1
     stiffness = digit.segment_stiffness
-    pull, lag = 1 - direction * friction.tendon, 1 + direction * friction.tendon
+    pull = 1 - direction * friction.tendon
+    lag = 1 + direction * friction.tendon
 
     # x = [q_1 … q_(n−1), c_0 … c_(n−2), T]; matrix x = of_root q_0 + constant
     size = 2 * segments + 1
-    matrix, of_root, constant = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    tension, spring = segments + np.arange(segments), size - 1
+    matrix = np.zeros((size, size))
+    of_root = np.zeros(size)
+    constant = np.zeros(size)
+    tension = segments + np.arange(segments)
+    spring = size - 1
     for joint in range(1, count):
         row = joint - 1  # R (c_before pull − (c_after + T) lag) = direction · friction
         matrix[row, tension[joint - 1]] = radius[joint] * pull
@@ -85,11 +96,16 @@ def digit_statics(digit: Digit, friction: Friction = NO_FRICTION, direction: flo
         slope=np.concatenate([[1.0], slope[:segments]]),
         offset=np.concatenate([[0.0], offset[:segments]]),
         load_slope=float(radius[0] * share * (slope[tension[0]] + slope[spring])),
-        load_offset=float(radius[0] * share * (offset[tension[0]] + offset[spring]) + direction * friction.joint / pull),
+        load_offset=float(
+            radius[0] * share * (offset[tension[0]] + offset[spring])
+            + direction * friction.joint / pull
+        ),
     )
 
 
-def settled_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
+def settled_joints_from_servo(
+    servo: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION
+) -> Array:
     """Joint angles at which the hand comes to rest after a slow motion in one direction.
 
     Args:
@@ -106,19 +122,29 @@ def settled_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC, direction: fl
     servo = as_finite_array(servo, len(SERVOS), "servo") + hand.calibration.servo_zero
     joint_pos = np.empty((*servo.shape[:-1], len(JOINTS)))
     for column, digit in enumerate(hand.digits.values()):
-        settled = settled_digit(servo[..., column], digit, hand.calibration.friction[column], direction)
+        settled = settled_digit(
+            servo[..., column], digit, hand.calibration.friction[column], direction
+        )
         joint_pos[..., [JOINT_INDEX[name] for name in digit.joints]] = settled
     joint_pos[..., JOINT_INDEX["thumb_cmc"]] = np.maximum(hand.cmc_gain * servo[..., _CMC], 0.0)
     return joint_pos
 
 
-def settled_digit(horn: Array, digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION) -> Array:
-    """`settled_joints_from_servo` for one digit: true horn angles (...) to joint angles (..., n), root first [rad]."""
+def settled_digit(
+    horn: Array, digit: Digit, friction: Friction = NO_FRICTION, direction: float = FLEXION
+) -> Array:
+    """`settled_joints_from_servo` for one digit: true horn angles (...) to joint angles (..., n),
+    root first [rad].
+    """
     statics = digit_statics(digit, friction, direction)
-    guide_sum, guide_product = digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2
+    guide_sum = digit.d1**2 + digit.d2**2
+    guide_product = 2 * digit.d1 * digit.d2
     rest_chord = digit.rest_chord
-    slack_below = max(-statics.load_offset / statics.load_slope, 0.0)  # below this angle friction alone holds the spring
-    stretch, root = np.zeros_like(horn), np.zeros_like(horn)
+    slack_below = max(
+        -statics.load_offset / statics.load_slope, 0.0
+    )  # below this angle friction alone holds the spring
+    stretch = np.zeros_like(horn)
+    root = np.zeros_like(horn)
     for _ in range(_ITERATIONS):
         chord = rest_chord - np.maximum(digit.servo_radius * horn - stretch, 0.0)
         root = digit.alpha - included_from_chord(guide_sum, guide_product, chord)
@@ -128,7 +154,9 @@ def settled_digit(horn: Array, digit: Digit, friction: Friction = NO_FRICTION, d
 
 
 def _drive_stretch(root: Array, digit: Digit, statics: DigitStatics) -> Array:
-    """Stretch of the driving tendon [m] that holds the digit with its root joint at an angle [rad]."""
+    """Stretch of the driving tendon [m] that holds the digit with its root joint at an angle
+    [rad].
+    """
     included = digit.alpha - root
     chord = chord_from_included(digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2, included)
     arm = np.maximum(digit.d1 * digit.d2 * np.sin(included), _TINY) / np.maximum(chord, _TINY)
@@ -136,11 +164,13 @@ def _drive_stretch(root: Array, digit: Digit, statics: DigitStatics) -> Array:
     return np.minimum(tension, digit.tension_limit) / digit.drive_stiffness
 
 
-def settled_synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
+def settled_synergy_from_joints(
+    joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION
+) -> Array:
     """Driven-joint angles whose equilibrium is nearest to a posture, by least squares per digit.
 
-    The projection of Eq. (15), onto the equilibrium postures of `settled_joints_from_servo`. Not clipped: for an unreachable
-    posture a coordinate can exceed Table I.
+    The projection of Eq. (15), onto the equilibrium postures of `settled_joints_from_servo`. Not
+    clipped: for an unreachable posture a coordinate can exceed Table I.
 
     Args:
         joint_pos: q_d, shape (..., 15) [rad].
@@ -163,11 +193,15 @@ def settled_synergy_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, directi
     return synergy
 
 
-def settled_servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION) -> Array:
-    """Servo angles whose equilibrium is nearest to a posture: Eq. (15) with the identified parameters of this hand.
+def settled_servo_from_joints(
+    joint_pos: ArrayLike, hand: Hand = HPAC, direction: float = FLEXION
+) -> Array:
+    """Servo angles whose equilibrium is nearest to a posture: Eq. (15) with the identified
+    parameters of this hand.
 
-    `servo_from_joints` takes the driving tendon as rigid, the servos' zeros as exact and the joints as free of friction. This
-    one adds the tendon's stretch, subtracts the zeros and allows for the friction of the direction in which the hand moves.
+    `servo_from_joints` takes the driving tendon as rigid, the servos' zeros as exact and the joints
+    as free of friction. This one adds the tendon's stretch, subtracts the zeros and allows for the
+    friction of the direction in which the hand moves.
 
     Args:
         joint_pos: q̃, inside of Table I (see `clip_to_workspace`), shape (..., 15) [rad].
@@ -181,14 +215,22 @@ def settled_servo_from_joints(joint_pos: ArrayLike, hand: Hand = HPAC, direction
         ShapeError: Wrong shape.
         WorkspaceError: NaN, or a joint outside of Table I.
     """
-    joint_pos = as_bounded_array(joint_pos, hand.joint_min, hand.joint_max, JOINTS, "joint_pos", "rad")
-    synergy = np.clip(settled_synergy_from_joints(joint_pos, hand, direction), hand.synergy_min, hand.synergy_max)
+    joint_pos = as_bounded_array(
+        joint_pos, hand.joint_min, hand.joint_max, JOINTS, "joint_pos", "rad"
+    )
+    synergy = np.clip(
+        settled_synergy_from_joints(joint_pos, hand, direction), hand.synergy_min, hand.synergy_max
+    )
     servo = np.empty_like(synergy)
     for column, digit in enumerate(hand.digits.values()):
         statics = digit_statics(digit, hand.calibration.friction[column], direction)
         root = synergy[..., column]
-        chord = chord_from_included(digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2, digit.alpha - root)
-        wound = digit.rest_chord - chord + np.where(root > 0, _drive_stretch(root, digit, statics), 0.0)
+        chord = chord_from_included(
+            digit.d1**2 + digit.d2**2, 2 * digit.d1 * digit.d2, digit.alpha - root
+        )
+        wound = (
+            digit.rest_chord - chord + np.where(root > 0, _drive_stretch(root, digit, statics), 0.0)
+        )
         servo[..., column] = wound / digit.servo_radius
     servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
     return np.clip(servo - hand.calibration.servo_zero, hand.servo_min, hand.servo_max)

@@ -14,14 +14,16 @@ from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
 
 _CMC = len(SERVOS) - 1
 _REST_BAND = 1e-7
-"""Below this servo angle [rad] H(u) is replaced by its limit at rest, which is more accurate there than q/u."""
+"""Below this servo angle [rad] H(u) is replaced by its limit at rest, which is more accurate there
+than q/u.
+"""
 
 
 def synergy_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
     """Angles of the six driven joints for servo angles, tendon taken as rigid.
 
-    Eqs. (4), (5) for the fingers' MCP, Eq. (7) for the thumb's MP, Eq. (8) for CMC. The servo shortens the
-    chord between the two guides; the cosine law turns the chord back into an angle.
+    Eqs. (4), (5) for the fingers' MCP, Eq. (7) for the thumb's MP, Eq. (8) for CMC. The servo
+    shortens the chord between the two guides; the cosine law turns the chord back into an angle.
 
     Args:
         servo: u, shape (..., 6) [rad].
@@ -44,13 +46,16 @@ def synergy_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
             f"the admissible range is [{hand.servo_min[column]:.6g}, {hand.servo_max[column]:.6g}] rad"
         )
     synergy = np.empty_like(servo)
-    synergy[..., :_CMC] = hand.guide_alpha - included_from_chord(hand.guide_sum, hand.guide_product, chord)
+    synergy[..., :_CMC] = hand.guide_alpha - included_from_chord(
+        hand.guide_sum, hand.guide_product, chord
+    )
     synergy[..., _CMC] = hand.cmc_gain * servo[..., _CMC]
     return synergy
 
 
 def servo_from_synergy(synergy: ArrayLike, hand: Hand = HPAC) -> Array:
-    """Servo angles that put the six driven joints at given angles: the inverse of `synergy_from_servo`.
+    """Servo angles that put the six driven joints at given angles: the inverse of
+    `synergy_from_servo`.
 
     Args:
         synergy: shape (..., 6) [rad].
@@ -95,8 +100,8 @@ def rigid_joints_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
 def transmission_matrix(servo: ArrayLike, hand: Hand = HPAC) -> Array:
     """Block-sparse transmission matrix H(u), with q_ideal = H(u) u.
 
-    Eq. (9): fifteen entries are non-zero, each a function of one servo. At rest an entry is its limit,
-    the ratio times r L₀ / (d₁ d₂ sin α).
+    Eq. (9): fifteen entries are non-zero, each a function of one servo. At rest an entry is its
+    limit, the ratio times r L₀ / (d₁ d₂ sin α).
 
     Args:
         servo: u, shape (..., 6) [rad].
@@ -110,9 +115,13 @@ def transmission_matrix(servo: ArrayLike, hand: Hand = HPAC) -> Array:
     """
     servo = as_finite_array(servo, len(SERVOS), "servo")
     at_rest = np.full(len(SERVOS), hand.cmc_gain)
-    at_rest[:_CMC] = hand.servo_radius * hand.rest_chord / (hand.guide_product / 2 * np.sin(hand.guide_alpha))
+    at_rest[:_CMC] = (
+        hand.servo_radius * hand.rest_chord / (hand.guide_product / 2 * np.sin(hand.guide_alpha))
+    )
     moved = np.abs(servo) > _REST_BAND
     gain = np.where(moved, synergy_from_servo(servo, hand) / np.where(moved, servo, 1.0), at_rest)
     matrix = np.zeros((*servo.shape[:-1], len(JOINTS), len(SERVOS)))
-    matrix[..., np.arange(len(JOINTS)), hand.servo_of_joint] = gain[..., hand.servo_of_joint] * hand.rigid_ratio
+    matrix[..., np.arange(len(JOINTS)), hand.servo_of_joint] = (
+        gain[..., hand.servo_of_joint] * hand.rigid_ratio
+    )
     return matrix

@@ -12,7 +12,8 @@ from hpac_gym.model.parameters import Digit, Hand
 
 
 def scaled_digit(digit: Digit, scale: Mapping[str, ArrayLike]) -> Digit:
-    """A copy of a digit with fields multiplied by factors, by field name; radii and path lengths by one factor or one for each.
+    """A copy of a digit with fields multiplied by factors, by field name; radii and path lengths by
+    one factor or one for each.
 
     Raises:
         AttributeError: `Digit` has no such field.
@@ -27,10 +28,13 @@ def scaled_digit(digit: Digit, scale: Mapping[str, ArrayLike]) -> Digit:
 
 
 def scaled_hand(hand: Hand, scale: Mapping[str, float]) -> Hand:
-    """A copy of a hand with fields of every `Digit` multiplied by the factors in `scale`, by field name.
+    """A copy of a hand with fields of every `Digit` multiplied by the factors in `scale`, by field
+    name.
 
     Raises:
         AttributeError: `Digit` has no such field.
         ParameterError: A scaled number is not finite and positive.
     """
-    return replace(hand, digits={name: scaled_digit(digit, scale) for name, digit in hand.digits.items()})
+    return replace(
+        hand, digits={name: scaled_digit(digit, scale) for name, digit in hand.digits.items()}
+    )

@@ -14,7 +14,8 @@ from hpac_gym.model.parameters import Hand
 def clip_to_workspace(joint_pos: ArrayLike, hand: Hand = HPAC) -> Array:
     """Joint angles, each clipped to its admissible range.
 
-    Eq. (14), with Table I. The box is larger than the set that six servos can reach; `servo_from_joints` projects onto that set.
+    Eq. (14), with Table I. The box is larger than the set that six servos can reach;
+    `servo_from_joints` projects onto that set.
 
     Args:
         joint_pos: q_d, shape (..., 15) [rad].

@@ -1,1 +1,3 @@
-"""Physics of hand, wrist and object: engine interface, servos and tendon law, with one folder per engine."""
+"""Physics of hand, wrist and object: engine interface, servos and tendon law, with one folder per
+engine.
+"""

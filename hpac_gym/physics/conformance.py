@@ -1,8 +1,8 @@
 """Measures an engine's hand against the paper and against statics: ``hpac physics``.
 
-One suite for every engine and body. It compares an engine's output (`SceneState`, `Contacts`) with the model's equations, the
-tendon law in NumPy and forward kinematics from the geometry; no engine is its own reference.
-"""
+One suite for every engine and body. It compares an engine's output (`SceneState`, `Contacts`) with
+the model's equations, the tendon law in NumPy and forward kinematics from the geometry; no engine
+is its own reference."""
 
 from __future__ import annotations
 
@@ -58,14 +58,21 @@ class Figure:
 
 
 def free_space(
-    make: Factory, settings: HandSettings, world: WorldSettings, postures: int = 25, seed: int = 0,
-    hand: Hand = HPAC, geometry: Geometry = HPAC_GEOMETRY,
-) -> tuple[float, float, float]:  # fmt: skip
-    """Hands at random synergies, without gravity and without collisions, so that the whole workspace is free space.
+    make: Factory,
+    settings: HandSettings,
+    world: WorldSettings,
+    postures: int = 25,
+    seed: int = 0,
+    hand: Hand = HPAC,
+    geometry: Geometry = HPAC_GEOMETRY,
+) -> tuple[float, float, float]:
+    """Hands at random synergies, without gravity and without collisions, so that the whole
+    workspace is free space.
 
     Returns:
-        Largest deviation of PIP, DIP and IP from Eqs. (12), (13) for the simulated MCP and MP [rad]; largest deviation of MCP,
-        MP and CMC from the command [°]; largest residual joint speed after eight seconds [rad/s].
+        Largest deviation of PIP, DIP and IP from Eqs. (12), (13) for the simulated MCP and MP
+        [rad]; largest deviation of MCP, MP and CMC from the command [°]; largest residual joint
+        speed after eight seconds [rad/s].
     """
     rng = np.random.default_rng(seed)
     synergy = hand.synergy_max * rng.uniform(0.03, 0.97, (postures, len(SERVOS)))
@@ -80,18 +87,21 @@ def free_space(
     return float(manifold), float(command), float(np.abs(state.joint_vel).max())
 
 
-def blocked_fingertip(make: Factory, settings: HandSettings, world: WorldSettings, finger: str) -> tuple[float, float]:
+def blocked_fingertip(
+    make: Factory, settings: HandSettings, world: WorldSettings, finger: str
+) -> tuple[float, float]:
     """A fingertip closes on a fixed frictionless ball.
 
     Returns:
-        Largest relative deviation of the contact torque Jᵀf from the tendon torque at MCP, PIP and DIP; largest residual joint
-        speed [rad/s].
+        Largest relative deviation of the contact torque Jᵀf from the tendon torque at MCP, PIP and
+        DIP; largest residual joint speed [rad/s].
     """
     joints = [f"{finger}_{suffix}" for suffix in ("mcp", "pip", "dip")]
     index = [JOINT_INDEX[name] for name in joints]
     synergy = np.zeros(len(SERVOS))
     synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.6
-    digit, ball = HPAC_GEOMETRY.digit(finger), 0.004
+    digit = HPAC_GEOMETRY.digit(finger)
+    ball = 0.004
     position, rotation = link_poses(digit, joints_from_synergy(synergy)[index])[-1]
     centre = position + rotation @ [digit.phalanges[-1].capsule.radius + ball + 3e-4, 0.0, 0.012]
     peg = ObjectSpec("sphere", (ball, ball, ball), mass=0.1, friction=1e-9)
@@ -100,13 +110,16 @@ def blocked_fingertip(make: Factory, settings: HandSettings, world: WorldSetting
     synergy[SERVO_INDEX[f"{finger}_mcp"]] = 0.9
     hands.command(servo_from_synergy(synergy)[None], 0.4)
     hands.rest(8.0)
-    state, contacts = hands.state(), hands.engine.contacts(0)
+    state = hands.state()
+    contacts = hands.engine.contacts(0)
     hands.engine.close()
     law = Tendons(HPAC, np.eye(15), world.dt, settings.damping, settings.slack)
     tendon, _ = law.torque(state.joint_pos[0], np.zeros(15), state.horn[0], np.zeros(len(SERVOS)))
     torque = np.zeros(len(joints))
     poses = link_poses(digit, state.joint_pos[0, index])
-    for point, normal, force, link in zip(contacts.point, contacts.normal, contacts.force, contacts.link, strict=True):
+    for point, normal, force, link in zip(
+        contacts.point, contacts.normal, contacts.force, contacts.link, strict=True
+    ):
         point = setup.hand_rotation.T @ (point - HAND_POSITION - state.palm_offset[0])
         push = setup.hand_rotation.T @ (-force * normal)
         for i, (origin, turn) in enumerate(poses[: joints.index(link.removesuffix("_link")) + 1]):
@@ -115,11 +128,14 @@ def blocked_fingertip(make: Factory, settings: HandSettings, world: WorldSetting
     return float(share), float(np.abs(state.joint_vel).max())
 
 
-def held_cylinder(make: Factory, settings: HandSettings, world: WorldSettings, seconds: float = 10.0) -> tuple[float, float]:
+def held_cylinder(
+    make: Factory, settings: HandSettings, world: WorldSettings, seconds: float = 10.0
+) -> tuple[float, float]:
     """A cylinder of 0.15 kg, 50 mm wide, is grasped on its post, lifted by 60 mm and held.
 
     Returns:
-        Displacement in the hand while it is held [m], infinite if it is lost; largest joint speed at the end [rad/s].
+        Displacement in the hand while it is held [m], infinite if it is lost; largest joint speed
+        at the end [rad/s].
     """
     synergy = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
     spec = ObjectSpec("cylinder", (0.025, 0.025, 0.06), mass=0.15, friction=0.8)
@@ -136,43 +152,77 @@ def held_cylinder(make: Factory, settings: HandSettings, world: WorldSettings, s
     hands.advance(np.broadcast_to(path[:, -1:], (1, round(seconds / world.dt), 3)))
     end = hands.state()
     hands.engine.close()
-    held = end.touching[0].any() and not end.supported[0] and np.linalg.norm(end.object_pos[0] - setup.position) < 0.06
+    held = (
+        end.touching[0].any()
+        and not end.supported[0]
+        and np.linalg.norm(end.object_pos[0] - setup.position) < 0.06
+    )
     creep = np.linalg.norm(end.object_pos[0] - start.object_pos[0])
     return float(creep) if held else np.inf, float(np.abs(end.joint_vel).max())
 
 
 def slack_droop(make: Factory, settings: HandSettings, world: WorldSettings) -> float:
     """Largest MCP angle of the fingers with the palm down and all servos at rest [rad]."""
-    hands = _hands(make, 1, SceneSetup(None, hand_settings=settings, hand_quaternion=_PALM_DOWN), world)
+    hands = _hands(
+        make, 1, SceneSetup(None, hand_settings=settings, hand_quaternion=_PALM_DOWN), world
+    )
     hands.rest(4.0)
     joints = hands.state().joint_pos[0]
     hands.engine.close()
     return float(max(joints[JOINT_INDEX[f"{finger}_mcp"]] for finger in FINGERS))
 
 
-def opposition_gap(make: Factory, settings: HandSettings, world: WorldSettings, finger: str) -> float:
+def opposition_gap(
+    make: Factory, settings: HandSettings, world: WorldSettings, finger: str
+) -> float:
     """Distance between thumb pad and finger pad in the simulated opposition posture [m]."""
     synergy = np.array(HPAC_GEOMETRY.opposition[finger])
-    hands = _hands(make, 1, SceneSetup(None, synergy=synergy, hand_settings=settings), replace(world, gravity=0.0))
+    hands = _hands(
+        make,
+        1,
+        SceneSetup(None, synergy=synergy, hand_settings=settings),
+        replace(world, gravity=0.0),
+    )
     joints = hands.state().joint_pos[0]
     hands.engine.close()
     pads = []
     for name in ("thumb", finger):
         digit = HPAC_GEOMETRY.digit(name)
-        position, rotation = link_poses(digit, joints[[JOINT_INDEX[phalanx.joint] for phalanx in digit.phalanges]])[-1]
+        position, rotation = link_poses(
+            digit, joints[[JOINT_INDEX[phalanx.joint] for phalanx in digit.phalanges]]
+        )[-1]
         pads.append(position + rotation @ digit.pad)
     return float(np.linalg.norm(pads[0] - pads[1]))
 
 
-def stiffest_mode(settings: HandSettings, world: WorldSettings, hand: Hand = HPAC, geometry: Geometry = HPAC_GEOMETRY) -> float:
-    """Largest ω dt of the hand's tendons over the workspace; an engine with explicit torques needs it well below 2."""
+def stiffest_mode(
+    settings: HandSettings,
+    world: WorldSettings,
+    hand: Hand = HPAC,
+    geometry: Geometry = HPAC_GEOMETRY,
+) -> float:
+    """Largest ω dt of the hand's tendons over the workspace; an engine with explicit torques needs
+    it well below 2.
+    """
     inertia = mass_matrix(geometry, settings.armature, hand.synergy_max / 2, hand)
     law = Tendons(hand, inertia, world.dt, settings.damping)
-    stiffness = [law.stiffness_matrix(share * hand.synergy_max) for share in np.linspace(0.0, 1.0, 11)]
-    return float(np.sqrt(max(np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max() for matrix in stiffness)) * world.dt)
+    stiffness = [
+        law.stiffness_matrix(share * hand.synergy_max) for share in np.linspace(0.0, 1.0, 11)
+    ]
+    return float(
+        np.sqrt(
+            max(
+                np.linalg.eigvals(np.linalg.solve(inertia, matrix)).real.max()
+                for matrix in stiffness
+            )
+        )
+        * world.dt
+    )
 
 
-def figures(make: Factory, body: str = "twin", world: WorldSettings = WorldSettings(), postures: int = 25) -> list[Figure]:
+def figures(
+    make: Factory, body: str = "twin", world: WorldSettings = WorldSettings(), postures: int = 25
+) -> list[Figure]:
     """All measured quantities of an engine and a body, with their limits.
 
     Args:
@@ -183,18 +233,29 @@ def figures(make: Factory, body: str = "twin", world: WorldSettings = WorldSetti
     """
     settings = BODIES[body]
     manifold, command, free_speed = free_space(make, settings, world, postures)
-    blocked, blocked_speed = np.max([blocked_fingertip(make, settings, world, finger) for finger in FINGERS], axis=0)
+    blocked, blocked_speed = np.max(
+        [blocked_fingertip(make, settings, world, finger) for finger in FINGERS], axis=0
+    )
     creep, held_speed = held_cylinder(make, settings, world)
     speed = max(free_speed, blocked_speed, held_speed)
-    gap = max(opposition_gap(make, settings, world, finger) for finger in ("index", "middle", "ring"))
+    gap = max(
+        opposition_gap(make, settings, world, finger) for finger in ("index", "middle", "ring")
+    )
     return [
         Figure("free space: PIP, DIP, IP against Eqs. (12), (13)", manifold, 1e-3, "rad"),
         Figure("free space: MCP, MP, CMC against the command", command, 0.3, "deg"),
         Figure("blocked fingertip: contact torque against tendon torque", 100 * blocked, 1.0, "%"),
         Figure("held cylinder, 0.15 kg: creep in 10 s", 1e3 * creep, 2.0, "mm"),
         Figure("opposition: thumb to index, middle and ring", 1e3 * gap, 2.0, "mm"),
-        Figure("palm down, servos at rest: most drooping MCP", slack_droop(make, settings, world), 0.3, "rad"),
-        Figure("chatter: joint speed of hands at rest, free, blocked, holding", speed, 0.05, "rad/s"),
+        Figure(
+            "palm down, servos at rest: most drooping MCP",
+            slack_droop(make, settings, world),
+            0.3,
+            "rad",
+        ),
+        Figure(
+            "chatter: joint speed of hands at rest, free, blocked, holding", speed, 0.05, "rad/s"
+        ),
     ]
 
 
@@ -209,8 +270,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac physics`."""
     parser.add_argument("--engine", choices=ENGINES, help="this engine alone")
     parser.add_argument("--body", choices=tuple(BODIES), help="this body alone")
-    parser.add_argument("--physics-hz", type=whole_number(1), default=WorldSettings().physics_hz, metavar="HZ",
-                        help="physics steps a second (default: %(default)s)")  # fmt: skip
+    parser.add_argument(
+        "--physics-hz",
+        type=whole_number(1),
+        default=WorldSettings().physics_hz,
+        metavar="HZ",
+        help="physics steps a second (default: %(default)s)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=run)
 
@@ -225,7 +291,9 @@ def run(arguments: argparse.Namespace) -> int:
     wanted = [
         (engine, body)
         for engine, body in (set_up.split("/") for set_up in SET_UPS)
-        if arguments.engine in (None, engine) and arguments.body in (None, body) and importlib.util.find_spec(engine)
+        if arguments.engine in (None, engine)
+        and arguments.body in (None, body)
+        and importlib.util.find_spec(engine)
     ]
     if not wanted:
         raise ParameterError(
@@ -236,15 +304,22 @@ def run(arguments: argparse.Namespace) -> int:
     for engine, body in wanted:
         found = figures(partial(make_engine, engine), body, world)
         if engine == "pybullet":
-            found.append(Figure("stiffest tendon: omega dt", stiffest_mode(BODIES[body], world), 1.5, "1"))
+            found.append(
+                Figure("stiffest tendon: omega dt", stiffest_mode(BODIES[body], world), 1.5, "1")
+            )
         measured[f"{engine}/{body}"] = found
     if arguments.json:
-        found = {name: [{**asdict(figure), "holds": figure.holds} for figure in rows] for name, rows in measured.items()}
+        found = {
+            name: [{**asdict(figure), "holds": figure.holds} for figure in rows]
+            for name, rows in measured.items()
+        }
         print(json.dumps(found, indent=2))
     else:
         for name, rows in measured.items():
             print(name)
             for figure in rows:
                 missed = "" if figure.holds else "  MISSED"
-                print(f"  {figure.name:<62} {figure.value:9.2g} {figure.unit:<5} mark {figure.limit:g}{missed}")
+                print(
+                    f"  {figure.name:<62} {figure.value:9.2g} {figure.unit:<5} mark {figure.limit:g}{missed}"
+                )
     return 0 if all(figure.holds for rows in measured.values() for figure in rows) else 1

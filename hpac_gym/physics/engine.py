@@ -1,9 +1,9 @@
-"""Interface between tasks and physics engines: the inputs of an engine, and the state arrays that it returns.
+"""Interface between tasks and physics engines: the inputs of an engine, and the state arrays that
+it returns.
 
-Within a control step, servos and wrist run open loop. An engine therefore receives, for n worlds and the k physics steps of one
-control step, tables of servo angles and wrist offsets, and returns one `SceneState` of arrays with a leading axis n. This module
-is independent of any engine.
-"""
+Within a control step, servos and wrist run open loop. An engine therefore receives, for n worlds
+and the k physics steps of one control step, tables of servo angles and wrist offsets, and returns
+one `SceneState` of arrays with a leading axis n. This module is independent of any engine."""
 
 from __future__ import annotations
 
@@ -34,9 +34,15 @@ SUPPORT_FRICTION = 0.8
 """Coulomb coefficient of posts, walls and table, to be multiplied by the object's."""
 TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
 """Half-extents of the table along x, y and z [m]."""
-GREY, GREEN, WOOD = (0.55, 0.55, 0.58, 1.0), (0.45, 0.62, 0.48, 1.0), (0.78, 0.70, 0.58, 1.0)
+GREY = (0.55, 0.55, 0.58, 1.0)
+GREEN = (0.45, 0.62, 0.48, 1.0)
+WOOD = (0.78, 0.70, 0.58, 1.0)
 """Colours of posts and walls, of the target's post and of the table, RGBA."""
-OBJECT_COLORS = {"cylinder": (0.16, 0.50, 0.73, 1.0), "box": (0.80, 0.33, 0.23, 1.0), "sphere": (0.30, 0.62, 0.35, 1.0)}
+OBJECT_COLORS = {
+    "cylinder": (0.16, 0.50, 0.73, 1.0),
+    "box": (0.80, 0.33, 0.23, 1.0),
+    "sphere": (0.30, 0.62, 0.35, 1.0),
+}
 """Colours of the primitive objects, RGBA."""
 
 PARTS = ("palm", *DIGITS)
@@ -47,8 +53,8 @@ class PhysicsError(HpacError, RuntimeError):
     """A simulation failed; the message names the world and the cause.
 
     Attributes:
-        worlds: worlds that failed and are back at the start of their setups, while the others advanced; empty if the engine
-            cannot continue.
+        worlds: worlds that failed and are back at the start of their setups, while the others
+            advanced; empty if the engine cannot continue.
     """
 
     def __init__(self, message: str, worlds: Sequence[int] = ()) -> None:
@@ -65,7 +71,9 @@ class SceneSetup:
     """Initial state of one episode: hand, object and their surroundings."""
 
     object: ObjectSpec | None
-    """Object to grasp; None for the hand alone, fixed at its palm, without object, support, table and wrist."""
+    """Object to grasp; None for the hand alone, fixed at its palm, without object, support, table
+    and wrist.
+    """
     position: Array = field(default_factory=lambda: np.zeros(3))
     """Centre of the object in the hand frame, shape (3,) [m]."""
     yaw: float = 0.0
@@ -83,15 +91,20 @@ class SceneSetup:
     support: Support | None = None
     """Support of the object; None is `POST`."""
     target: Array | None = None
-    """Target position of the object's centre, on its own post, in the initial hand frame, shape (3,) [m]; None for no target."""
+    """Target position of the object's centre, on its own post, in the initial hand frame, shape
+    (3,) [m]; None for no target.
+    """
     goal: Array | None = None
     """Goal joint angles of a posture task, shape (15,) [rad]; the physics ignores it."""
     fixed: bool = False
     """True fixes the object in the world, without a support, as an obstacle for measurements."""
     rest_height: float | None = None
-    """Height of the object's centre above its support [m]; None computes it from the bounding box."""
+    """Height of the object's centre above its support [m]; None computes it from the bounding box.
+    """
     pull: Array | None = None
-    """World direction of a force that a task may apply at the end of an episode, shape (3,); the physics ignores it."""
+    """World direction of a force that a task may apply at the end of an episode, shape (3,); the
+    physics ignores it.
+    """
     grasp: str | None = None
     """Name of the requested grasp type; the physics ignores it."""
 
@@ -105,19 +118,34 @@ class SceneSetup:
         """Height of the object's centre above its support [m]."""
         if self.rest_height is not None:
             return self.rest_height
-        return float(np.abs(matrix_from_quaternion(self.object_quaternion)[2]) @ self.object.half_extents)
+        return float(
+            np.abs(matrix_from_quaternion(self.object_quaternion)[2]) @ self.object.half_extents
+        )
 
     @property
-    def object_turn(self) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-        """Orientation of the object in the world, and the rotation by its yaw only, quaternions xyzw."""
-        (x, y, z, w), sine, cosine = self.object_quaternion, np.sin(self.yaw / 2), np.cos(self.yaw / 2)
-        turned = cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w, cosine * w - sine * z
+    def object_turn(
+        self,
+    ) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
+        """Orientation of the object in the world, and the rotation by its yaw only, quaternions
+        xyzw.
+        """
+        (x, y, z, w) = self.object_quaternion
+        sine = np.sin(self.yaw / 2)
+        cosine = np.cos(self.yaw / 2)
+        turned = (
+            cosine * x - sine * y,
+            cosine * y + sine * x,
+            cosine * z + sine * w,
+            cosine * w - sine * z,
+        )
         return turned, (0.0, 0.0, sine, cosine)
 
 
 @dataclass(slots=True)
 class SceneState:
-    """State of n worlds as tasks, observations and rewards read it; arrays with a leading axis n."""
+    """State of n worlds as tasks, observations and rewards read it; arrays with a leading axis
+    n.
+    """
 
     time: Array
     """Time since the episode began, shape (n,) [s]."""
@@ -136,9 +164,13 @@ class SceneState:
     object_rotation: Array
     """Rotation from the object's axes to the hand's, shape (n, 3, 3)."""
     object_vel: Array
-    """Velocity of the object relative to the world, along the axes of the hand frame, shape (n, 3) [m/s]."""
+    """Velocity of the object relative to the world, along the axes of the hand frame, shape (n, 3)
+    [m/s].
+    """
     object_spin: Array
-    """Angular velocity of the object relative to the world, along the axes of the hand frame, shape (n, 3) [rad/s]."""
+    """Angular velocity of the object relative to the world, along the axes of the hand frame, shape
+    (n, 3) [rad/s].
+    """
     touching: NDArray[np.bool_]
     """True where each of `PARTS` touches the object, shape (n, 6)."""
     contact_force: Array
@@ -154,10 +186,23 @@ class SceneState:
         return cls(*[np.zeros((n, *shape), kind) for shape, kind in _FIELDS])
 
 
-_SHAPES = {"joint_pos": (15,), "joint_vel": (15,), "horn": (6,), "tension": (5,), "object_rotation": (3, 3),
-           "touching": (6,), "contact_force": (6,), "time": (), "supported": (), "on_target": ()}  # fmt: skip
+_SHAPES = {
+    "joint_pos": (15,),
+    "joint_vel": (15,),
+    "horn": (6,),
+    "tension": (5,),
+    "object_rotation": (3, 3),
+    "touching": (6,),
+    "contact_force": (6,),
+    "time": (),
+    "supported": (),
+    "on_target": (),
+}
 _FLAGS = ("touching", "supported", "on_target")
-_FIELDS = [(_SHAPES.get(entry.name, (3,)), bool if entry.name in _FLAGS else float) for entry in fields(SceneState)]
+_FIELDS = [
+    (_SHAPES.get(entry.name, (3,)), bool if entry.name in _FLAGS else float)
+    for entry in fields(SceneState)
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,11 +244,15 @@ class Viewpoint:
 
     def __post_init__(self) -> None:
         if not (self.width > 0 and self.height > 0 and self.distance > 0):
-            raise ValueError(f"picture of {self.width}×{self.height} px from {self.distance} m: all three must be positive")
+            raise ValueError(
+                f"picture of {self.width}×{self.height} px from {self.distance} m: all three must be positive"
+            )
 
 
 class Engine(Protocol):
-    """Physics of n worlds, one hand each. Results depend, to the bit, only on setup and tables, not on history or neighbours."""
+    """Physics of n worlds, one hand each. Results depend, to the bit, only on setup and tables, not
+    on history or neighbours.
+    """
 
     num_worlds: int
     dt: float
@@ -219,15 +268,19 @@ class Engine(Protocol):
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Reset some worlds: hand at rest on its manifold, object on its support."""
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
+    def advance(
+        self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
+    ) -> None:
         """Carry out k physics steps in every world.
 
         Args:
             servo: angles of the horns during each step, shape (n, k, 6) [rad].
             servo_vel: their speeds, shape (n, k, 6) [rad/s].
-            wrist: offset of the palm from its start at the end of each step, along the world's axes, shape (n, k, 3) [m].
-            push: force on the object at its centre of mass during each step, along the world's axes, shape (n, k, 3) [N];
-                None is no force. A world without a movable object ignores its rows.
+            wrist: offset of the palm from its start at the end of each step, along the world's
+                axes, shape (n, k, 3) [m].
+            push: force on the object at its centre of mass during each step, along the world's
+                axes, shape (n, k, 3) [N]; None is no force. A world without a movable object
+                ignores its rows.
 
         Raises:
             PhysicsError: A world's simulation failed; the message names the world.
@@ -240,7 +293,9 @@ class Engine(Protocol):
         """Current contacts between hand and object of one world."""
 
     def picture(self, world: int, viewpoint: Viewpoint, target: Array) -> NDArray[np.uint8]:
-        """RGB image of one world, shape (height, width, 3), centred on `target`, a world point, shape (3,) [m]."""
+        """RGB image of one world, shape (height, width, 3), centred on `target`, a world point,
+        shape (3,) [m].
+        """
 
     def save(self, world: int) -> Any:
         """A snapshot of one world, which `restore` continues bit-exactly."""
@@ -281,10 +336,12 @@ def support_boxes(
 
     Args:
         setup: setup with an object that is not fixed.
-        matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds differently.
+        matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds
+            differently.
 
     Returns:
-        Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion xyzw of posts and walls.
+        Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion
+        xyzw of posts and walls.
     """
     rotation = matrix(setup.hand_quaternion)
     centre = HAND_POSITION + rotation @ setup.position
@@ -293,9 +350,13 @@ def support_boxes(
         reach = np.abs(matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
     support = setup.support or POST
     turn = setup.object_turn[1] if setup.support else (0.0, 0.0, 0.0, 1.0)
-    floor, turned = support.table_height, matrix(turn)
+    floor = support.table_height
+    turned = matrix(turn)
     below = np.array([centre[0], centre[1], floor])
-    boxes = [(np.array(half), below + turned @ place) for half, place in support.boxes(centre[2] - reach - floor)]
+    boxes = [
+        (np.array(half), below + turned @ place)
+        for half, place in support.boxes(centre[2] - reach - floor)
+    ]
     target = None
     if setup.target is not None:
         x, y, z = HAND_POSITION + rotation @ setup.target - [0.0, 0.0, reach]

@@ -1,8 +1,9 @@
-"""Six position servos in each of n worlds: a commanded ramp, and horns that follow it with limited speed and a dead band.
+"""Six position servos in each of n worlds: a commanded ramp, and horns that follow it with limited
+speed and a dead band.
 
-The ramp is the firmware's response to a `ServoCommand`: all six move linearly from their current ramp positions and arrive
-together. Servos run open loop, so the motion of a whole control step is one table. The tendon law limits a servo's force.
-"""
+The ramp is the firmware's response to a `ServoCommand`: all six move linearly from their current
+ramp positions and arrive together. Servos run open loop, so the motion of a whole control step is
+one table. The tendon law limits a servo's force."""
 
 from __future__ import annotations
 
@@ -30,15 +31,29 @@ class Servos:
 
     def __init__(self, num_worlds: int, dt: float) -> None:
         self._dt = dt
-        self.horn, self.zero = np.zeros((num_worlds, len(SERVOS))), np.zeros((num_worlds, len(SERVOS)))
-        self._start, self._way = self.horn.copy(), self.horn.copy()
-        self._elapsed, self._duration = np.ones((num_worlds, 1)), np.ones((num_worlds, 1))
-        self._reach, self._dead_band = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 1))
+        self.horn = np.zeros((num_worlds, len(SERVOS)))
+        self.zero = np.zeros((num_worlds, len(SERVOS)))
+        self._start = self.horn.copy()
+        self._way = self.horn.copy()
+        self._elapsed = np.ones((num_worlds, 1))
+        self._duration = np.ones((num_worlds, 1))
+        self._reach = np.zeros((num_worlds, 1))
+        self._dead_band = np.zeros((num_worlds, 1))
         self._late = np.zeros(num_worlds, dtype=int)
-        self._past = np.zeros((num_worlds, 0, len(SERVOS)))  # the latest ramp positions, as many as the largest lag in steps
+        self._past = np.zeros(
+            (num_worlds, 0, len(SERVOS))
+        )  # the latest ramp positions, as many as the largest lag in steps
 
-    def reset(self, worlds: Sequence[int], servo: ArrayLike, settings: Sequence[ServoSettings], zero: ArrayLike = 0.0) -> None:
-        """Reset the servos of some worlds to rest at given angles, with given zeros, both of shape (len(worlds), 6) [rad]."""
+    def reset(
+        self,
+        worlds: Sequence[int],
+        servo: ArrayLike,
+        settings: Sequence[ServoSettings],
+        zero: ArrayLike = 0.0,
+    ) -> None:
+        """Reset the servos of some worlds to rest at given angles, with given zeros, both of shape
+        (len(worlds), 6) [rad].
+        """
         index = np.asarray(worlds)
         self.zero[index] = zero
         self.horn[index] = self._start[index] = servo
@@ -49,7 +64,9 @@ class Servos:
         self._late[index] = [round(given.lag / self._dt) for given in settings]
         missing = self._late.max() - self._past.shape[1]
         if missing > 0:
-            self._past = np.concatenate([np.repeat(self._start[:, None], missing, axis=1), self._past], axis=1)
+            self._past = np.concatenate(
+                [np.repeat(self._start[:, None], missing, axis=1), self._past], axis=1
+            )
         self._past[index] = self._start[index][:, None]
 
     @property
@@ -58,29 +75,40 @@ class Servos:
         return self._start + np.minimum(self._elapsed / self._duration, 1.0) * self._way
 
     def command(self, servo: Array, duration: float) -> None:
-        """Start a move in every world from its current ramp position to angles, shape (n, 6) [rad], within a duration [s]."""
+        """Start a move in every world from its current ramp position to angles, shape (n, 6) [rad],
+        within a duration [s].
+        """
         self._start = self.commanded
         self._way = servo - self._start
-        self._elapsed, self._duration = np.zeros_like(self._elapsed), np.full_like(self._duration, duration)
+        self._elapsed = np.zeros_like(self._elapsed)
+        self._duration = np.full_like(self._duration, duration)
 
     def advance(self, steps: int) -> tuple[Array, Array]:
-        """Advance by physics steps; returns the horns' true angles [rad] and speeds [rad/s], shapes (n, steps, 6)."""
-        elapsed = np.cumsum(np.concatenate([self._elapsed, np.full((len(self.horn), steps), self._dt)], axis=1), axis=1)[:, 1:]
+        """Advance by physics steps; returns the horns' true angles [rad] and speeds [rad/s], shapes
+        (n, steps, 6).
+        """
+        elapsed = np.cumsum(
+            np.concatenate([self._elapsed, np.full((len(self.horn), steps), self._dt)], axis=1),
+            axis=1,
+        )[:, 1:]
         self._elapsed = elapsed[:, -1:]
         share = np.minimum(elapsed / self._duration, 1.0)[:, :, None]
         told = self._start[:, None] + share * self._way[:, None]
         if kept := self._past.shape[1]:
             ramp = np.concatenate([self._past, told], axis=1)
             row = kept + np.arange(steps) - self._late[:, None]
-            told, self._past = np.take_along_axis(ramp, row[:, :, None], axis=1), ramp[:, -kept:]
-        angle, speed = np.empty_like(told), np.empty_like(told)
+            told = np.take_along_axis(ramp, row[:, :, None], axis=1)
+            self._past = ramp[:, -kept:]
+        angle = np.empty_like(told)
+        speed = np.empty_like(told)
         horn = self.horn
         for step in range(steps):
             error = told[:, step] - horn
             moved = np.minimum(np.maximum(error, -self._reach), self._reach)
             moved[np.abs(error) <= self._dead_band] = 0.0
             horn = horn + moved
-            angle[:, step], speed[:, step] = horn, moved / self._dt
+            angle[:, step] = horn
+            speed[:, step] = moved / self._dt
         self.horn = horn
         angle += self.zero[:, None]
         return angle, speed

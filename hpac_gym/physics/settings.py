@@ -24,7 +24,9 @@ class ServoSettings:
     dead_band: float = 2e-3
     """Largest error that causes no motion [rad]; chosen: 1.3 µs of pulse, a digital servo."""
     lag: float = 0.0
-    """Delay from the ramp to the servo's response: transport, electronics, filtering [s]; rounded to physics steps."""
+    """Delay from the ramp to the servo's response: transport, electronics, filtering [s]; rounded
+    to physics steps.
+    """
 
     def __post_init__(self) -> None:
         if not (self.speed > 0 and self.dead_band >= 0 and self.lag >= 0):
@@ -46,8 +48,9 @@ class Damping:
     joint: float = 5e-3
     """Viscous friction of every joint [N·m·s/rad]."""
     overrun: float = 1.0
-    """Fraction of its damping that a slack drive keeps against flexion faster than its servo's. The twin's armature represents
-    servos, which stop at their target: without this a finger would overshoot with inertia that is not its own."""
+    """Fraction of its damping that a slack drive keeps against flexion faster than its servo's. The
+    twin's armature represents servos, which stop at their target: without this a finger would
+    overshoot with inertia that is not its own."""
 
     def __post_init__(self) -> None:
         if not (self.ratio >= 0 and self.joint >= 0 and self.overrun >= 0):
@@ -57,7 +60,9 @@ class Damping:
 
 
 TIGHTEST = 1e-4
-"""Largest shortening of a driving tendon [m]: with the stiffness of `hpac.toml` it then pulls with 25 N at rest."""
+"""Largest shortening of a driving tendon [m]: with the stiffness of `hpac.toml` it then pulls with
+25 N at rest.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,34 +70,49 @@ class HandSettings:
     """Settings of the simulated hand beyond the model's parameters.
 
     Raises:
-        ValueError: Slack, strength or servo zero has the wrong number of values or leaves its bounds.
+        ValueError: Slack, strength or servo zero has the wrong number of values or leaves its
+            bounds.
     """
 
     servo: ServoSettings = ServoSettings()
     damping: Damping = Damping()
     slack: tuple[float, ...] = (0.0,) * 5
-    """Slack that each driving tendon winds up before it pulls, by digit [m]; negative for a tendon that pulls at rest."""
+    """Slack that each driving tendon winds up before it pulls, by digit [m]; negative for a tendon
+    that pulls at rest.
+    """
     strength: tuple[float, ...] = (1.0,) * 5
-    """Fraction of its stall force that each driving tendon can exert, by digit; 0 is a dead digit."""
+    """Fraction of its stall force that each driving tendon can exert, by digit; 0 is a dead digit.
+    """
     servo_zero: tuple[float, ...] = (0.0,) * 6
     """True angle of each servo's horn when its encoder reads 0 [rad]."""
     joint_friction: float = 0.0
     """Coulomb friction of every joint [N·m]."""
     tendon_friction: float = 0.0
-    """Fraction of the tendons' load that every joint's guides hold back as friction, in addition to `joint_friction`."""
+    """Fraction of the tendons' load that every joint's guides hold back as friction, in addition to
+    `joint_friction`.
+    """
     armature: tuple[float, float, float] = (3.2e-3, 1.2e-3, 3.6e-4)
-    """Inertia added about each MCP, MP and CMC, about each PIP and IP, and about each DIP [kg·m²]."""
+    """Inertia added about each MCP, MP and CMC, about each PIP and IP, and about each DIP [kg·m²].
+    """
     hub_inertia: float = 0.0
-    """Inertia of a servo's gears and rotor, reflected to its hub [kg·m²]; it moves with the driving tendon. See `BODIES`."""
+    """Inertia of a servo's gears and rotor, reflected to its hub [kg·m²]; it moves with the driving
+    tendon. See `BODIES`.
+    """
     contact_friction: float = 0.9
     """Coulomb coefficient of the hand's skin, to be multiplied by the object's."""
 
     def __post_init__(self) -> None:
-        bounds = {"slack": (5, -TIGHTEST, inf, "m"), "strength": (5, 0.0, 1.0, "(no unit)"), "servo_zero": (6, -pi, pi, "rad")}
+        bounds = {
+            "slack": (5, -TIGHTEST, inf, "m"),
+            "strength": (5, 0.0, 1.0, "(no unit)"),
+            "servo_zero": (6, -pi, pi, "rad"),
+        }
         for name, (size, low, high, unit) in bounds.items():
             given = getattr(self, name)
             if not (len(given) == size and all(low <= value <= high for value in given)):
-                raise ValueError(f"{name} = {given} {unit} must be {size} values in [{low:g}, {high:g}] {unit}")
+                raise ValueError(
+                    f"{name} = {given} {unit} must be {size} values in [{low:g}, {high:g}] {unit}"
+                )
 
 
 BODIES: Mapping[str, HandSettings] = MappingProxyType(
@@ -101,13 +121,16 @@ BODIES: Mapping[str, HandSettings] = MappingProxyType(
         "light": HandSettings(armature=(0.0, 0.0, 0.0), hub_inertia=1.3e-3),
     }
 )
-"""The named bodies. *twin* carries armatures on its joints, which explicit integration needs: they change no static force, and
-keep the stiffest tendon's ω dt below 1.5 at 120 Hz. *light*, like the real hand, has the links' and the servo hubs' own inertia.
+"""The named bodies. *twin* carries armatures on its joints, which explicit integration needs: they
+change no static force, and keep the stiffest tendon's ω dt below 1.5 at 120 Hz. *light*, like the
+real hand, has the links' and the servo hubs' own inertia.
 
-The hub's 1.3e-3 kg·m² are those of a DYNAMIXEL XL-320, the nearest servo to this hand's (0.39 N·m stall torque for the 0.32 N·m
-that pull 40 N on an 8 mm hub) with measured values: Rhoban's Better Actuator Models identified 1.1e-3 to 1.5e-3 kg·m² at its
-horn (github.com/Rhoban/bam, params/xl320; the XL-330, 0.52 N·m, has 1.8e-3). Through the data sheet's 238:1 gear that is a rotor
-of 2.3e-8 kg·m²: 3 g of iron, 8 mm wide. At 120 Hz the fingers come to rest from 3e-4 kg·m² on, and chatter without any."""
+The hub's 1.3e-3 kg·m² are those of a DYNAMIXEL XL-320, the nearest servo to this hand's (0.39 N·m
+stall torque for the 0.32 N·m that pull 40 N on an 8 mm hub) with measured values: Rhoban's Better
+Actuator Models identified 1.1e-3 to 1.5e-3 kg·m² at its horn (github.com/Rhoban/bam, params/xl320;
+the XL-330, 0.52 N·m, has 1.8e-3). Through the data sheet's 238:1 gear that is a rotor of 2.3e-8
+kg·m²: 3 g of iron, 8 mm wide. At 120 Hz the fingers come to rest from 3e-4 kg·m² on, and chatter
+without any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +138,8 @@ class WorldSettings:
     """Settings of the integration; `docs/physics.md` has the measurements behind the numbers.
 
     Raises:
-        ValueError: A rate that is not positive, negative iterations or torsion, a wrist without force, or an error reduction
-            outside ]0, 1].
+        ValueError: A rate that is not positive, negative iterations or torsion, a wrist without
+            force, or an error reduction outside ]0, 1].
     """
 
     physics_hz: int = 120
@@ -126,22 +149,31 @@ class WorldSettings:
     collisions: bool = True
     """False lets the hand pass through itself and everything else."""
     constraint_softness: float = 1e-6
-    """Constraint force mixing of PyBullet's direct solver: just enough to make redundant contacts solvable."""
+    """Constraint force mixing of PyBullet's direct solver: just enough to make redundant contacts
+    solvable.
+    """
     solver_iterations: int = 0
-    """Iterations of Bullet's iterative solver; 200 are enough. 0 selects its direct solver, which is faster, but holds an object
-    that fingers squeeze out only within half of the friction cone."""
+    """Iterations of Bullet's iterative solver; 200 are enough. 0 selects its direct solver, which
+    is faster, but holds an object that fingers squeeze out only within half of the friction
+    cone."""
     error_reduction: float = 0.4
-    """Fraction of a penetration, or of a joint-limit violation, that a PyBullet step corrects (Bullet's ERP)."""
+    """Fraction of a penetration, or of a joint-limit violation, that a PyBullet step corrects
+    (Bullet's ERP).
+    """
     torsion: float | None = None
-    """Torsional friction torque of a contact with the object, per newton of normal force [m]. None is the engine's own: 5 mm in
-    MuJoCo (`hpac_gym.physics.mjcf.TORSION`), 0 in PyBullet, whose direct solver knows none."""
+    """Torsional friction torque of a contact with the object, per newton of normal force [m]. None
+    is the engine's own: 5 mm in MuJoCo (`hpac_gym.physics.mjcf.TORSION`), 0 in PyBullet, whose
+    direct solver knows none."""
     wrist_effort: float | None = None
-    """Largest force of the wrist along each axis [N]. None is the engine's own: `hpac_gym.body.urdf.WRIST_EFFORT` in PyBullet,
-    no limit in MuJoCo, where a limited wrist is softer and lags by a quarter of a millimetre under the hand's weight."""
+    """Largest force of the wrist along each axis [N]. None is the engine's own:
+    `hpac_gym.body.urdf.WRIST_EFFORT` in PyBullet, no limit in MuJoCo, where a limited wrist is
+    softer and lags by a quarter of a millimetre under the hand's weight."""
 
     def __post_init__(self) -> None:
         if not 0 < self.physics_hz < inf:
-            raise ValueError(f"physics_hz = {self.physics_hz} Hz must be finite and greater than 0 Hz")
+            raise ValueError(
+                f"physics_hz = {self.physics_hz} Hz must be finite and greater than 0 Hz"
+            )
         if not -inf < self.gravity < inf:
             raise ValueError(f"gravity = {self.gravity} m/s² must be finite")
         if not (0 <= self.constraint_softness < inf and self.solver_iterations >= 0):
@@ -152,7 +184,9 @@ class WorldSettings:
         if not 0 <= (self.torsion or 0.0) < inf:
             raise ValueError(f"torsion = {self.torsion} m must be finite and at least 0 m")
         if not (self.wrist_effort is None or 0 < self.wrist_effort < inf):
-            raise ValueError(f"wrist_effort = {self.wrist_effort} N must be finite and greater than 0 N")
+            raise ValueError(
+                f"wrist_effort = {self.wrist_effort} N must be finite and greater than 0 N"
+            )
 
     @property
     def dt(self) -> float:

@@ -39,14 +39,22 @@ class Simulation:
         self.servos = Servos(engine.num_worlds, engine.dt)
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        """Start episodes in some worlds: hands at rest on their manifold, servos at the angles that hold them there.
+        """Start episodes in some worlds: hands at rest on their manifold, servos at the angles that
+        hold them there.
 
         A servo zero moves the hand, not the servo: commands do not account for it.
         """
         horn = [servo_from_synergy(setup.synergy, setup.hand) for setup in setups]
         settings = [setup.hand_settings for setup in setups]
-        self.engine.reset(worlds, [_held(setup, servo) for setup, servo in zip(setups, horn, strict=True)])
-        self.servos.reset(worlds, horn, [given.servo for given in settings], [given.servo_zero for given in settings])
+        self.engine.reset(
+            worlds, [_held(setup, servo) for setup, servo in zip(setups, horn, strict=True)]
+        )
+        self.servos.reset(
+            worlds,
+            horn,
+            [given.servo for given in settings],
+            [given.servo_zero for given in settings],
+        )
 
     def command(self, servo: Array, duration: float) -> None:
         """Start a move in every world: to servo angles (n, 6) [rad] within a duration [s]."""
@@ -57,7 +65,8 @@ class Simulation:
 
         Args:
             wrist: offsets of the wrists, along the world's axes, shape (n, k, 3) [m].
-            push: force on the objects at their centres of mass, along the world's axes, shape (n, k, 3) [N]; None is no force.
+            push: force on the objects at their centres of mass, along the world's axes, shape (n,
+                k, 3) [N]; None is no force.
 
         Raises:
             PhysicsError: A world's simulation failed; the message names the world.
@@ -76,10 +85,14 @@ class Simulation:
 
 
 def _held(setup: SceneSetup, servo: Array) -> SceneSetup:
-    """The setup with the synergy at which its servos truly hold the hand for given encoder angles, shape (6,) [rad]."""
+    """The setup with the synergy at which its servos truly hold the hand for given encoder angles,
+    shape (6,) [rad].
+    """
     if not any(setup.hand_settings.servo_zero):
         return setup
-    true = np.clip(servo + setup.hand_settings.servo_zero, setup.hand.servo_min, setup.hand.servo_max)
+    true = np.clip(
+        servo + setup.hand_settings.servo_zero, setup.hand.servo_min, setup.hand.servo_max
+    )
     return replace(setup, synergy=synergy_from_servo(true, setup.hand))
 
 
@@ -88,7 +101,9 @@ def default_engine() -> str:
     return "pybullet" if importlib.util.find_spec("pybullet") else "mujoco"
 
 
-def make_engine(name: str, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False) -> Engine:
+def make_engine(
+    name: str, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
+) -> Engine:
     """Create an engine by name.
 
     Args:
@@ -103,7 +118,9 @@ def make_engine(name: str, num_worlds: int = 1, settings: WorldSettings = WorldS
     if name not in ENGINES:
         raise ParameterError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
     if importlib.util.find_spec(name) is None:
-        raise ParameterError(f"engine {name!r} needs a package that is not installed: {_INSTEAD[name]}")
+        raise ParameterError(
+            f"engine {name!r} needs a package that is not installed: {_INSTEAD[name]}"
+        )
     if name == "pybullet":
         from hpac_gym.physics.pybullet.engine import PyBulletEngine as Chosen
     else:

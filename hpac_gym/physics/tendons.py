@@ -3,16 +3,18 @@
 Per digit, root joint first:
 
 * **drive**: a tendon from the servo's hub to the root joint: `Drive`.
-* **coupling**: a figure-eight loop between neighbouring joints, stretch ``R_i q_i − R_(i+1) q_(i+1)``, taut both ways. A
-  finger's first segment has stiffness 2EA/L and all the others EA/L: with these the static equilibrium in free space *is*
-  Eq. (12), because the restoring cable passes every joint and so the first segment carries twice the spring's tension. The
-  thumb's one segment has EA/L, which is Eq. (13).
-* **spring**: tension ``k_s Σ R q``, Eq. (10), acts on every joint with its radius. No pretension: a straight finger is held
-  only by its stop, and a finger with a slack drive hangs where its weight and its spring balance.
+* **coupling**: a figure-eight loop between neighbouring joints, stretch ``R_i q_i − R_(i+1)
+  q_(i+1)``, taut both ways. A finger's first segment has stiffness 2EA/L and all the others EA/L:
+  with these the static equilibrium in free space *is* Eq. (12), because the restoring cable passes
+  every joint and so the first segment carries twice the spring's tension. The thumb's one segment
+  has EA/L, which is Eq. (13).
+* **spring**: tension ``k_s Σ R q``, Eq. (10), acts on every joint with its radius. No pretension: a
+  straight finger is held only by its stop, and a finger with a slack drive hangs where its weight
+  and its spring balance.
 
-Tendons are Kelvin–Voigt elements: damping acts on the stretch's rate, so it vanishes in a tendon that follows its servo, and a
-slack one has none. CMC is a stiff spring between servo 6 and the joint.
-"""
+Tendons are Kelvin–Voigt elements: damping acts on the stretch's rate, so it vanishes in a tendon
+that follows its servo, and a slack one has none. CMC is a stiff spring between servo 6 and the
+joint."""
 
 from __future__ import annotations
 
@@ -32,12 +34,14 @@ _CMC_JOINT = JOINT_INDEX["thumb_cmc"]
 
 
 def coupling_rows(hand: Hand) -> tuple[Array, Array]:
-    """Coupling segments: their stretch as a linear function of the joint angles, and their stiffnesses.
+    """Coupling segments: their stretch as a linear function of the joint angles, and their
+    stiffnesses.
 
     Returns:
         Rows J with stretch = J q, shape (9, 15) [m/rad], and stiffnesses, shape (9,) [N/m].
     """
-    rows, stiffnesses = [], []
+    rows = []
+    stiffnesses = []
     for digit in hand.digits.values():
         for segment, stiffness in enumerate(digit.segment_stiffness):
             row = np.zeros(len(JOINTS))
@@ -49,7 +53,9 @@ def coupling_rows(hand: Hand) -> tuple[Array, Array]:
 
 
 def spring_rows(hand: Hand) -> tuple[Array, Array]:
-    """The restoring springs: excursion = J q, shape (5, 15) [m/rad], and stiffnesses, shape (5,) [N/m]. Eq. (10)."""
+    """The restoring springs: excursion = J q, shape (5, 15) [m/rad], and stiffnesses, shape (5,)
+    [N/m]. Eq. (10).
+    """
     rows = np.zeros((len(hand.digits), len(JOINTS)))
     for row, digit in zip(rows, hand.digits.values(), strict=True):
         row[[JOINT_INDEX[name] for name in digit.joints]] = digit.joint_radius
@@ -58,10 +64,11 @@ def spring_rows(hand: Hand) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Driving tendon with stretch ``r u − (L₀ − chord(q))``: it only pulls, up to the servo's limit.
+    """Driving tendon with stretch ``r u − (L₀ − chord(q))``: it only pulls, up to the servo's
+    limit.
 
-    Uses plain floats: for one tension per physics step, creating an array would cost more than the calculation.
-    """
+    Uses plain floats: for one tension per physics step, creating an array would cost more than the
+    calculation."""
 
     joint: int
     """Index of the root joint."""
@@ -86,7 +93,9 @@ class Drive:
 
     @classmethod
     def of(cls, digit: Digit, slack: float = 0.0, strength: float = 1.0) -> Drive:
-        """The undamped drive of a digit with `slack` [m], whose tension is limited to `strength` times its stall force."""
+        """The undamped drive of a digit with `slack` [m], whose tension is limited to `strength`
+        times its stall force.
+        """
         return cls(
             JOINT_INDEX[digit.joints[0]],
             digit.alpha,
@@ -99,13 +108,18 @@ class Drive:
         )
 
     def chord_and_arm(self, joint_pos: float) -> tuple[float, float]:
-        """Distance of the guides and moment arm ``d₁ d₂ sin(α − q) / chord`` at a root angle [rad], both [m]. Eq. (3)."""
+        """Distance of the guides and moment arm ``d₁ d₂ sin(α − q) / chord`` at a root angle [rad],
+        both [m]. Eq. (3).
+        """
         included = self.alpha - joint_pos
         chord = sqrt(self.squares - self.product * cos(included))
         return chord, 0.5 * self.product * sin(included) / chord
 
-    def tension(self, joint_pos: float, joint_vel: float, servo: float, servo_vel: float) -> tuple[float, float]:
-        """Tension [N] and moment arm [m], from angles [rad] and speeds [rad/s] of the root joint and the horn.
+    def tension(
+        self, joint_pos: float, joint_vel: float, servo: float, servo_vel: float
+    ) -> tuple[float, float]:
+        """Tension [N] and moment arm [m], from angles [rad] and speeds [rad/s] of the root joint
+        and the horn.
 
         A braking drive's tension is negative.
         """
@@ -120,13 +134,15 @@ class Drive:
 class Tendons:
     """Torques of all tendons and springs of one hand.
 
-    Damping coefficients are those of an implicit step: a coefficient c on an element that moves the mass m becomes
-    c / (1 + c dt/m), which stays stable at any c. Calculations for the six drives use plain floats, which are faster than arrays
-    of six; everything linear in the joints is one matrix product.
+    Damping coefficients are those of an implicit step: a coefficient c on an element that moves the
+    mass m becomes c / (1 + c dt/m), which stays stable at any c. Calculations for the six drives
+    use plain floats, which are faster than arrays of six; everything linear in the joints is one
+    matrix product.
 
     Args:
         hand: the parameters.
-        mass_matrix: joint-space inertia at a typical posture, shape (15, 15) [kg·m²]; only damping depends on it.
+        mass_matrix: joint-space inertia at a typical posture, shape (15, 15) [kg·m²]; only damping
+            depends on it.
         dt: physics step [s].
         damping: damping of the tendons and joints.
         slack: slack that each drive winds up before it pulls, shape (5,) or () [m].
@@ -137,7 +153,13 @@ class Tendons:
     """
 
     def __init__(
-        self, hand: Hand, mass_matrix: Array, dt: float, damping: Damping, slack: ArrayLike = 0.0, strength: ArrayLike = 1.0
+        self,
+        hand: Hand,
+        mass_matrix: Array,
+        dt: float,
+        damping: Damping,
+        slack: ArrayLike = 0.0,
+        strength: ArrayLike = 1.0,
     ) -> None:
         self.hand = hand
         compliance = np.linalg.inv(mass_matrix)
@@ -149,10 +171,15 @@ class Tendons:
         rows, stiffness = coupling_rows(hand)
         mobility = np.einsum("ij,jk,ik->i", rows, compliance, rows)
         springs, spring_stiffness = spring_rows(hand)
-        stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (spring_stiffness[:, None] * springs)
-        viscosity_matrix = rows.T @ (viscosity(stiffness, mobility)[:, None] * rows) + damping.joint * np.eye(len(JOINTS))
+        stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (
+            spring_stiffness[:, None] * springs
+        )
+        viscosity_matrix = rows.T @ (
+            viscosity(stiffness, mobility)[:, None] * rows
+        ) + damping.joint * np.eye(len(JOINTS))
         self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
-        self._coupling, self._levers = stiffness[:, None] * rows, np.abs(rows).T
+        self._coupling = stiffness[:, None] * rows
+        self._levers = np.abs(rows).T
         self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
         self._state = np.empty(2 * len(JOINTS))
 
@@ -162,7 +189,9 @@ class Tendons:
             coefficient = float(viscosity(np.float64(drive.stiffness), mobility))
             return replace(drive, viscosity=coefficient, brake=damping.overrun * coefficient)
 
-        slacks, shares = (np.broadcast_to(given, len(hand.digits)).tolist() for given in (slack, strength))
+        slacks, shares = (
+            np.broadcast_to(given, len(hand.digits)).tolist() for given in (slack, strength)
+        )
         undamped = map(Drive.of, hand.digits.values(), slacks, shares)
         self.drives = tuple(map(damped, undamped, hand.synergy_max[:_CMC].tolist()))
         cmc = viscosity(np.array(hand.cmc_stiffness), compliance[_CMC_JOINT, _CMC_JOINT])
@@ -172,7 +201,8 @@ class Tendons:
         """Stiffness of the joints with all drives taut, −∂torque/∂angle, shape (15, 15) [N·m/rad].
 
         Args:
-            synergy: angles of the driven joints, shape (6,) [rad]; the drives' moment arms depend on them.
+            synergy: angles of the driven joints, shape (6,) [rad]; the drives' moment arms depend
+                on them.
         """
         matrix = -self._linear[:, : len(JOINTS)]
         for drive, angle in zip(self.drives, synergy[:_CMC].tolist(), strict=True):
@@ -197,7 +227,11 @@ class Tendons:
         return np.maximum(load, 0.0)
 
     def torque(
-        self, joint_pos: Sequence[float], joint_vel: Sequence[float], servo: Sequence[float], servo_vel: Sequence[float]
+        self,
+        joint_pos: Sequence[float],
+        joint_vel: Sequence[float],
+        servo: Sequence[float],
+        servo_vel: Sequence[float],
     ) -> tuple[list[float], list[float]]:
         """Torque of all elements on every joint, and the tension of the drives.
 
@@ -210,8 +244,11 @@ class Tendons:
         Returns:
             Torque, by joint [N·m], positive in flexion, and tension, by digit [N].
         """
-        hand, state, joints = self.hand, self._state, len(JOINTS)
-        state[:joints], state[joints:] = joint_pos, joint_vel
+        hand = self.hand
+        state = self._state
+        joints = len(JOINTS)
+        state[:joints] = joint_pos
+        state[joints:] = joint_vel
         torque: list[float] = (self._linear @ state).tolist()
         tensions = []
         for i, drive in enumerate(self.drives):

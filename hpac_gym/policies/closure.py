@@ -1,9 +1,10 @@
-"""Closures: ways to close the hand, parametrised by eight numbers or more. One decision per episode instead of sixty.
+"""Closures: ways to close the hand, parametrised by eight numbers or more. One decision per episode
+instead of sixty.
 
-A closure moves every digit from open to a goal within a given duration, the thumb earlier or later than the fingers, at a
-constant CMC angle. With a free wrist it also has a wrist pose, and begins at a preshape instead of the open hand. It needs only
-numpy, so that a host with a real hand runs one without a simulator.
-"""
+A closure moves every digit from open to a goal within a given duration, the thumb earlier or later
+than the fingers, at a constant CMC angle. With a free wrist it also has a wrist pose, and begins at
+a preshape instead of the open hand. It needs only numpy, so that a host with a real hand runs one
+without a simulator."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from hpac_gym.model import SERVO_INDEX, SERVOS
 
 OPEN = -1.0
 """Action that opens a digit."""
-_THUMB, _CMC = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
+_THUMB = SERVO_INDEX["thumb_mp"]
+_CMC = SERVO_INDEX["thumb_cmc"]
 _NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
 _WRIST = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
 _PRESHAPE = tuple(f"{servo}_preshape" for servo in SERVOS)
@@ -28,7 +30,8 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Closures:
-    """Ranges of the numbers of a closure; −1…1 of a decision spans each range. Times are in control steps.
+    """Ranges of the numbers of a closure; −1…1 of a decision spans each range. Times are in control
+    steps.
 
     Raises:
         PolicyError: A range is not a pair of ordered, finite numbers.
@@ -43,20 +46,26 @@ class Closures:
     begin: Range | None = None
     """Start of the closing; None means immediately."""
     release: Range | None = None
-    """Time at which the hand opens again; None means never. Given if and only if `begin` is given."""
+    """Time at which the hand opens again; None means never. Given if and only if `begin` is given.
+    """
     wrist: Range | None = None
-    """Each number of a free wrist's pose. If given, the first action of a closure is its preshape, in the range of `goal`, from
-    which all servos move to their goals; None means that the action has no wrist pose."""
+    """Each number of a free wrist's pose. If given, the first action of a closure is its preshape,
+    in the range of `goal`, from which all servos move to their goals; None means that the action
+    has no wrist pose."""
 
     def __post_init__(self) -> None:
         if (self.begin is None) != (self.release is None):
-            raise PolicyError(f"a closure has both begin {self.begin} and release {self.release}, or neither")
+            raise PolicyError(
+                f"a closure has both begin {self.begin} and release {self.release}, or neither"
+            )
         for entry in fields(self):
             given = getattr(self, entry.name)
             if given is None:
                 continue
             if not (len(given) == 2 and np.all(np.isfinite(given)) and given[0] <= given[1]):
-                raise PolicyError(f"closure range {entry.name} = {given} must be two ordered numbers")
+                raise PolicyError(
+                    f"closure range {entry.name} = {given} must be two ordered numbers"
+                )
             object.__setattr__(self, entry.name, (float(given[0]), float(given[1])))
 
     @classmethod
@@ -70,7 +79,12 @@ class Closures:
         if unknown:
             raise PolicyError(f"a closure has no {', '.join(sorted(unknown))}")
         try:
-            return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in ranges.items()})
+            return cls(
+                **{
+                    name: tuple(value) if isinstance(value, list) else value
+                    for name, value in ranges.items()
+                }
+            )
         except (TypeError, ValueError) as error:
             raise PolicyError(f"invalid closure ranges: {error}") from None
 
@@ -85,7 +99,9 @@ class Closures:
         """Lowest and highest value of each number, shape (2, len(names))."""
         ranges = [self.goal] * len(SERVOS) + [self.duration, self.thumb_delay]
         ranges += [self.begin, self.release] if self.begin is not None else []
-        ranges += [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS) if self.wrist is not None else []
+        ranges += (
+            [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS) if self.wrist is not None else []
+        )
         return np.array(ranges).T
 
     def decisions(self, values: ArrayLike) -> NDArray[np.float64]:
@@ -105,9 +121,12 @@ class Closures:
         """
         low, high = self.bounds
         values = low + (np.asarray(decisions, dtype=float) + 1) / 2 * (high - low)
-        goals, (duration, thumb_delay), more = values[:, :6], values[:, 6:8].T, values[:, 8:]
+        goals = values[:, :6]
+        (duration, thumb_delay) = values[:, 6:8].T
+        more = values[:, 8:]
         begin, release = more[:, :2].T if self.begin is not None else (0.0, np.inf)
-        wrist, start = np.zeros((len(values), 0)), np.full(goals.shape, OPEN)
+        wrist = np.zeros((len(values), 0))
+        start = np.full(goals.shape, OPEN)
         start[:, _CMC] = goals[:, _CMC]
         if self.wrist is not None:
             begin = begin + 1  # the first action is the preshape itself

@@ -1,8 +1,8 @@
 """`hpac export`: a policy file as ONNX with a card, in the layout that Hugging Face's hub expects.
 
-The folder gets ``model.onnx`` (the scaling of the observation is inside), ``card.json`` (inputs, outputs and
-provenance), ``README.md`` (the same in readable form, with the hub's header) and ``replay.mp4``, which the hub shows.
-"""
+The folder gets ``model.onnx`` (the scaling of the observation is inside), ``card.json`` (inputs,
+outputs and provenance), ``README.md`` (the same in readable form, with the hub's header) and
+``replay.mp4``, which the hub shows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from hpac_gym.policies.made_for import misfit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
-OPSET, IR_VERSION = 17, 8
+OPSET = 17
+IR_VERSION = 8
 """ONNX versions, old enough for current and older runtimes."""
 CARD = "card.json"
 MODEL = "model.onnx"
@@ -29,7 +30,8 @@ FILM = "replay.mp4"
 
 
 def onnx_model(policy: PolicyFile) -> Any:
-    """The actor as an `onnx.ModelProto`: `observation`, float32 (n, k), to `decision`, float32 (n, m).
+    """The actor as an `onnx.ModelProto`: `observation`, float32 (n, k), to `decision`, float32 (n,
+    m).
 
     All computations are in double precision, as in `Actor`.
     """
@@ -56,12 +58,20 @@ def onnx_model(policy: PolicyFile) -> Any:
         # The weights are stored in single precision, which halves the file size.
         arrays |= {f"single_weight_{place}": weight.T.copy(), f"single_bias_{place}": bias}
         for name in (f"weight_{place}", f"bias_{place}"):
-            nodes.append(helper.make_node("Cast", [f"single_{name}"], [name], to=TensorProto.DOUBLE))
+            nodes.append(
+                helper.make_node("Cast", [f"single_{name}"], [name], to=TensorProto.DOUBLE)
+            )
         out = f"sum_{place}"
-        nodes.append(helper.make_node("Gemm", [f"value_{place}", f"weight_{place}", f"bias_{place}"], [out]))
+        nodes.append(
+            helper.make_node("Gemm", [f"value_{place}", f"weight_{place}", f"bias_{place}"], [out])
+        )
         if place + 1 < len(actor.layers):
             nodes.append(helper.make_node("Relu", [out], [f"value_{place + 1}"]))
-    nodes.append(helper.make_node("Clip", [f"sum_{len(actor.layers) - 1}", "mean_low", "mean_high"], ["bounded"]))
+    nodes.append(
+        helper.make_node(
+            "Clip", [f"sum_{len(actor.layers) - 1}", "mean_low", "mean_high"], ["bounded"]
+        )
+    )
     nodes.append(helper.make_node("Tanh", ["bounded"], ["exact_decision"]))
     nodes.append(helper.make_node("Cast", ["exact_decision"], ["decision"], to=TensorProto.FLOAT))
     graph = helper.make_graph(
@@ -71,32 +81,54 @@ def onnx_model(policy: PolicyFile) -> Any:
         [helper.make_tensor_value_info("decision", TensorProto.FLOAT, ["n", decided])],
         [numpy_helper.from_array(np.asarray(array), name) for name, array in arrays.items()],
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="hpac_gym")
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="hpac_gym"
+    )
     model.ir_version = IR_VERSION
     onnx.checker.check_model(model)
     return model
 
 
 def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Inputs, outputs and provenance of the exported policy; `evaluation` is a result of `agents.evaluate`."""
-    about, closures = policy.about, policy.closures
+    """Inputs, outputs and provenance of the exported policy; `evaluation` is a result of
+    `agents.evaluate`.
+    """
+    about = policy.about
+    closures = policy.closures
     fits = about.get("made_for", {})
     names = ("name", "label", "unit", "low", "high")
-    decision: dict[str, Any] = {"control_steps": policy.action_repeat, "numbers": fits.get("action", []), "closure": None}
+    decision: dict[str, Any] = {
+        "control_steps": policy.action_repeat,
+        "numbers": fits.get("action", []),
+        "closure": None,
+    }
     if closures is not None:
         low, high = closures.bounds.tolist()
-        numbers = [{"name": name, "low": a, "high": b} for name, a, b in zip(closures.names, low, high, strict=True)]
-        decision = {"control_steps": "the whole episode", "numbers": numbers, "closure": about["closure"]}
+        numbers = [
+            {"name": name, "low": a, "high": b}
+            for name, a, b in zip(closures.names, low, high, strict=True)
+        ]
+        decision = {
+            "control_steps": "the whole episode",
+            "numbers": numbers,
+            "closure": about["closure"],
+        }
     return {
         "env_id": about["env_id"],
-        "observation": [dict(zip(names, entry, strict=True)) for entry in fits.get("observation", [])],
+        "observation": [
+            dict(zip(names, entry, strict=True)) for entry in fits.get("observation", [])
+        ],
         "decision": decision,
         "action": fits.get("action", []),
         "control_hz": fits.get("control_hz"),
         "hand_sha256": fits.get("hand_sha256"),
         "task_sha256": fits.get("task_sha256"),
         "weights_sha256": about.get("sha256"),
-        "training": {name: about[name] for name in ("algorithm", "settings", "episodes", "seconds") if name in about},
+        "training": {
+            name: about[name]
+            for name in ("algorithm", "settings", "episodes", "seconds")
+            if name in about
+        },
         "versions": about.get("versions", {}),
         "evaluation": evaluation,
     }
@@ -120,17 +152,22 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
     """Load an exported policy for an environment.
 
     Raises:
-        PolicyError: A file is missing or damaged, or the policy was made for another layout, rate or hand.
+        PolicyError: A file is missing or damaged, or the policy was made for another layout, rate
+            or hand.
     """
     try:
         import onnxruntime
     except ImportError:
-        raise PolicyError(f"exported policy '{folder}' needs ONNX's runtime: pip install 'hpac_gym[onnx]'") from None
+        raise PolicyError(
+            f"exported policy '{folder}' needs ONNX's runtime: pip install 'hpac_gym[onnx]'"
+        ) from None
     told = read_card(folder)
     try:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = options.inter_op_num_threads = 1
-        session = onnxruntime.InferenceSession((folder / MODEL).read_bytes(), options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(
+            (folder / MODEL).read_bytes(), options, providers=["CPUExecutionProvider"]
+        )
         decision = told["decision"]
         made = told | {"observation": [list(entry.values()) for entry in told["observation"]]}
         closures = None if decision["closure"] is None else Closures.of(decision["closure"])
@@ -140,7 +177,9 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
         differs = misfit(told["env_id"], made, env)
     except Exception as error:  # a damaged file can make its reader raise anything
-        raise PolicyError(f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}") from None
+        raise PolicyError(
+            f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}"
+        ) from None
     if differs is not None:
         raise PolicyError(f"exported policy '{folder}' {differs}")
 
@@ -150,17 +189,21 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
     return LearnedPolicy(decide, repeat, closures)
 
 
-def export(path: Path, out: Path, evaluation: Path | None = None, film: Path | None = None) -> list[Path]:
+def export(
+    path: Path, out: Path, evaluation: Path | None = None, film: Path | None = None
+) -> list[Path]:
     """Export a policy file into a folder and return the written files.
 
     Args:
         path: the policy file.
         out: the folder.
         evaluation: output of `agents.evaluate --out` for this policy, copied into the card.
-        film: video of the policy (MP4), such as ``grasps.mp4`` of `agents.replay`, copied into the folder.
+        film: video of the policy (MP4), such as ``grasps.mp4`` of `agents.replay`, copied into the
+            folder.
 
     Raises:
-        PolicyError: `path` is not a policy file, `evaluation` is not an evaluation of this policy, or `film` is not an MP4 file.
+        PolicyError: `path` is not a policy file, `evaluation` is not an evaluation of this policy,
+            or `film` is not an MP4 file.
         OutputError: The folder cannot be written.
     """
     policy = read_policy(path)
@@ -170,8 +213,13 @@ def export(path: Path, out: Path, evaluation: Path | None = None, film: Path | N
         told = card(policy, judged)
         page = _page(told, bool(video))
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        raise PolicyError(f"'{evaluation or path}' is damaged, no card can be made of it: {error!r}") from None
-    files = {MODEL: onnx_model(policy).SerializeToString(), CARD: f"{json.dumps(told, indent=2)}\n".encode()}
+        raise PolicyError(
+            f"'{evaluation or path}' is damaged, no card can be made of it: {error!r}"
+        ) from None
+    files = {
+        MODEL: onnx_model(policy).SerializeToString(),
+        CARD: f"{json.dumps(told, indent=2)}\n".encode(),
+    }
     files |= {"README.md": page.encode()} | ({FILM: video} if video else {})
     writable_folder(out)
     for name, data in files.items():
@@ -184,7 +232,9 @@ def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
     try:
         judged = json.loads(path.read_text(encoding="utf-8"))
         if "files" in judged:
-            raise PolicyError(f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone")
+            raise PolicyError(
+                f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone"
+            )
         judged["policies"]["learned"], judged["first_seed"], judged["last_seed"]
         weights = str(judged["policy"]["sha256"])
     except PolicyError:
@@ -192,7 +242,9 @@ def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise PolicyError(f"'{path}' is not a result of agents.evaluate: {error!r}") from None
     if weights != sha256:
-        raise PolicyError(f"'{path}' evaluates other weights, {weights[:12]}…, than those of the policy, {sha256[:12]}…")
+        raise PolicyError(
+            f"'{path}' evaluates other weights, {weights[:12]}…, than those of the policy, {sha256[:12]}…"
+        )
     return judged
 
 
@@ -208,54 +260,107 @@ def _film(path: Path) -> bytes:
 
 def _page(told: dict[str, Any], film: bool) -> str:
     """Model card for the hub: a YAML header, then text."""
-    env_id, decision, judged = told["env_id"].rpartition(":")[2], told["decision"], told["evaluation"]
+    env_id = told["env_id"].rpartition(":")[2]
+    decision = told["decision"]
+    judged = told["evaluation"]
     lines = [
-        "---", "library_name: hpac_gym", "pipeline_tag: reinforcement-learning",
-        "tags:", "- reinforcement-learning", "- robotics", "- onnx", f"- {env_id}", "license: mit",
-    ]  # fmt: skip
+        "---",
+        "library_name: hpac_gym",
+        "pipeline_tag: reinforcement-learning",
+        "tags:",
+        "- reinforcement-learning",
+        "- robotics",
+        "- onnx",
+        f"- {env_id}",
+        "license: mit",
+    ]
     if judged:
         lines += [
-            "model-index:", f"- name: {told['training'].get('algorithm', 'policy')}", "  results:", "  - task:",
-            "      type: reinforcement-learning", "    dataset:", f"      name: {env_id}", f"      type: {env_id}",
-            "    metrics:", "    - type: success_rate", f"      value: {judged['policies']['learned']['success_rate']:.4f}",
-        ]  # fmt: skip
+            "model-index:",
+            f"- name: {told['training'].get('algorithm', 'policy')}",
+            "  results:",
+            "  - task:",
+            "      type: reinforcement-learning",
+            "    dataset:",
+            f"      name: {env_id}",
+            f"      type: {env_id}",
+            "    metrics:",
+            "    - type: success_rate",
+            f"      value: {judged['policies']['learned']['success_rate']:.4f}",
+        ]
     lines += [
-        "---", "", f"# A policy for {env_id}", "",
+        "---",
+        "",
+        f"# A policy for {env_id}",
+        "",
         f"`{MODEL}` maps `observation`, float32 (n, {len(told['observation'])}), to `decision`, −1…1; the scaling is inside.",
-        f"`{CARD}` contains the same information in machine-readable form.{f' `{FILM}` shows the policy.' * film}", "",
-    ]  # fmt: skip
+        f"`{CARD}` contains the same information in machine-readable form.{f' `{FILM}` shows the policy.' * film}",
+        "",
+    ]
     if decision["closure"]:
         lines += [
             "One decision per episode, on its first observation: the numbers of a closure, each scaled to its range.",
-            f"`hpac_gym.policies.Closures` converts it to the action of every step, {told['control_hz']} per second.", "",
-            "| number | −1 | 1 |", "| --- | --- | --- |",
-            *(f"| {entry['name']} | {entry['low']:g} | {entry['high']:g} |" for entry in decision["numbers"]), "",
-        ]  # fmt: skip
+            f"`hpac_gym.policies.Closures` converts it to the action of every step, {told['control_hz']} per second.",
+            "",
+            "| number | −1 | 1 |",
+            "| --- | --- | --- |",
+            *(
+                f"| {entry['name']} | {entry['low']:g} | {entry['high']:g} |"
+                for entry in decision["numbers"]
+            ),
+            "",
+        ]
     else:
-        lines += [f"A decision is an action, held for {decision['control_steps']} steps of {told['control_hz']} per second.", ""]
+        lines += [
+            f"A decision is an action, held for {decision['control_steps']} steps of {told['control_hz']} per second.",
+            "",
+        ]
     lines += ["| # | observation | | unit | low | high |", "| --- | --- | --- | --- | --- | --- |"]
     for place, entry in enumerate(told["observation"]):
-        cells = place, entry["name"], entry["label"], entry["unit"], f"{entry['low']:g}", f"{entry['high']:g}"
+        cells = (
+            place,
+            entry["name"],
+            entry["label"],
+            entry["unit"],
+            f"{entry['low']:g}",
+            f"{entry['high']:g}",
+        )
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += ["", f"Actions, in order: {', '.join(told['action'])}; −1 open, 1 closed.", ""]
     if judged:
-        lines += [f"Held-out seeds {judged['first_seed']} to {judged['last_seed']}, options {judged.get('options', {})}:", "",
-                  "| policy | episodes | success | 95 % interval |", "| --- | --- | --- | --- |"]  # fmt: skip
+        lines += [
+            f"Held-out seeds {judged['first_seed']} to {judged['last_seed']}, options {judged.get('options', {})}:",
+            "",
+            "| policy | episodes | success | 95 % interval |",
+            "| --- | --- | --- | --- |",
+        ]
         for name, numbers in judged["policies"].items():
             low, high = numbers["interval_95"]
             rate = numbers["success_rate"]
-            lines.append(f"| {name} | {numbers['episodes']} | {100 * rate:.1f} % | {100 * low:.1f} … {100 * high:.1f} |")
+            lines.append(
+                f"| {name} | {numbers['episodes']} | {100 * rate:.1f} % | {100 * low:.1f} … {100 * high:.1f} |"
+            )
         lines.append("")
-    facts = {name: told[name] for name in ("weights_sha256", "hand_sha256", "task_sha256") if told[name]}
-    return "\n".join([*lines, *(f"* {name} `{value}`" for name, value in (facts | told["versions"]).items()), ""])
+    facts = {
+        name: told[name] for name in ("weights_sha256", "hand_sha256", "task_sha256") if told[name]
+    }
+    return "\n".join(
+        [*lines, *(f"* {name} `{value}`" for name, value in (facts | told["versions"]).items()), ""]
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `hpac export`."""
     parser.add_argument("policy", type=Path, help="a policy file")
     parser.add_argument("--out", type=Path, required=True, help="folder of the exported policy")
-    parser.add_argument("--evaluation", type=Path, help="output of agents.evaluate --out for this policy")
-    parser.add_argument("--film", type=Path, help="MP4 file that shows the policy, such as grasps.mp4 of agents.replay")
+    parser.add_argument(
+        "--evaluation", type=Path, help="output of agents.evaluate --out for this policy"
+    )
+    parser.add_argument(
+        "--film",
+        type=Path,
+        help="MP4 file that shows the policy, such as grasps.mp4 of agents.replay",
+    )
     parser.set_defaults(run=_export)
 
 

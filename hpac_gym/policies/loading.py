@@ -21,13 +21,15 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     """Load a policy for this environment.
 
     Args:
-        name: ``random``, ``scripted``, a policy file, the folder of an exported policy, or ``module:function``, which takes the
-            environment and returns a policy; ``module:function:text`` passes it the text as well, for example the path of a
-            weights file.
+        name: ``random``, ``scripted``, a policy file, the folder of an exported policy, or
+            ``module:function``, which takes the environment and returns a policy;
+            ``module:function:text`` passes it the text as well, for example the path of a weights
+            file.
         env: the environment in which the policy acts.
 
     Raises:
-        PolicyError: The name is unknown; the file is missing, damaged, or made for another environment.
+        PolicyError: The name is unknown; the file is missing, damaged, or made for another
+            environment.
     """
     if name in BASELINES:
         return BASELINES[name](env)
@@ -37,7 +39,9 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
         return LearnedPolicy.of(policy_file_for(name, env))
     module, *rest = name.split(":", 2)
     if not rest:
-        raise PolicyError(f"no policy file '{name}', and not one of the baselines {', '.join(BASELINES)}")
+        raise PolicyError(
+            f"no policy file '{name}', and not one of the baselines {', '.join(BASELINES)}"
+        )
     try:
         make = getattr(import_module(module), rest[0])
     except (ImportError, AttributeError, ValueError) as error:
@@ -46,7 +50,8 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
 
 
 def about(name: str) -> dict[str, Any]:
-    """Description of a policy file, or the card of an exported policy; both have `env_id`. Empty for policies without a file.
+    """Description of a policy file, or the card of an exported policy; both have `env_id`. Empty
+    for policies without a file.
 
     Raises:
         PolicyError: The file is damaged.
@@ -67,19 +72,27 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
     try:
         told = misfit(policy.about["env_id"], policy.about.get("made_for", {}), env)
     except (TypeError, ValueError, AttributeError) as error:
-        raise PolicyError(f"policy file '{name}' is damaged: made_for is not readable: {error}") from None
+        raise PolicyError(
+            f"policy file '{name}' is damaged: made_for is not readable: {error}"
+        ) from None
     if told is not None:
         raise PolicyError(f"policy file '{name}' {told}")
     if (observed := vector_size(env.observation_space)) is None:
-        raise PolicyError(f"policy file '{name}' takes a vector, {env_id} observes {env.observation_space}")
+        raise PolicyError(
+            f"policy file '{name}' takes a vector, {env_id} observes {env.observation_space}"
+        )
     wanted = observed, env.action_space.shape[0]
     if policy.sizes != wanted:
-        raise PolicyError(f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}")
+        raise PolicyError(
+            f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}"
+        )
     return policy
 
 
 def vector_size(space: Space) -> int | None:
-    """Size of a `hpac_gym.policies.policy.vector` of observations; None if they contain something else, such as pictures."""
+    """Size of a `hpac_gym.policies.policy.vector` of observations; None if they contain something
+    else, such as pictures.
+    """
     parts = list(space.values()) if isinstance(space, Dict) else [space]
     if all(isinstance(part, Box) and len(part.shape) == 1 for part in parts):
         return sum(part.shape[0] for part in parts)

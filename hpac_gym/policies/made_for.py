@@ -1,4 +1,6 @@
-"""The environment interface that a policy was made for, and its differences from another environment."""
+"""The environment interface that a policy was made for, and its differences from another
+environment.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,29 @@ from hpac_gym.tasks.task import CONTROL_HZ
 
 
 def made_for(env: gymnasium.Env) -> dict[str, Any]:
-    """The properties of an environment that its policies rely on; empty for environments of other packages.
+    """The properties of an environment that its policies rely on; empty for environments of other
+    packages.
 
     Returns:
-        `observation`: name, label, unit and bounds of every entry of the *deploy* vector, in order, after those of the
-        achieved and the desired goal; `action`: the servos, in order; `control_hz`: control rate [Hz]; `hand_sha256`: hash of
-        the hand file of the model with which the observation is computed; `task_sha256`: hash of the task's configuration.
+        `observation`: name, label, unit and bounds of every entry of the *deploy* vector, in order,
+        after those of the achieved and the desired goal; `action`: the servos, in order;
+        `control_hz`: control rate [Hz]; `hand_sha256`: hash of the hand file of the model with
+        which the observation is computed; `task_sha256`: hash of the task's configuration.
     """
     task = getattr(env.unwrapped, "task", None)
     if task is None or not hasattr(task, "terms"):
         return {}
-    named = [(goal, term) for goal in ("achieved_goal", "desired_goal") for term in getattr(task, "goal_terms", ())]
+    named = [
+        (goal, term)
+        for goal in ("achieved_goal", "desired_goal")
+        for term in getattr(task, "goal_terms", ())
+    ]
     named += [(term.name, term) for term in task.terms]
-    entries = [[name, label, term.unit, term.low, term.high] for name, term in named for label in term.labels]
+    entries = [
+        [name, label, term.unit, term.low, term.high]
+        for name, term in named
+        for label in term.labels
+    ]
     hand = getattr(env.unwrapped, "hand", HPAC)
     return {
         "observation": entries,
@@ -37,26 +49,30 @@ def made_for(env: gymnasium.Env) -> dict[str, Any]:
 
 
 def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
-    """First difference between an environment and the one a policy was made for, in one line; None if there is none.
+    """First difference between an environment and the one a policy was made for, in one line; None
+    if there is none.
 
-    Missing entries are not compared. The task's configuration is recorded but not compared, since a policy may be
-    evaluated on other ranges than it was trained on.
-    """
+    Missing entries are not compared. The task's configuration is recorded but not compared, since a
+    policy may be evaluated on other ranges than it was trained on."""
     for name in ("control_hz", "action", "hand_sha256"):
         if name in file and name in here and file[name] != here[name]:
             return f"{name} was {file[name]}, and is {here[name]}"
     if "observation" not in file or "observation" not in here:
         return None
-    old, new = file["observation"], here["observation"]
+    old = file["observation"]
+    new = here["observation"]
     for place in range(max(len(old), len(new))):
-        first, second = (list(entries[place]) if place < len(entries) else None for entries in (old, new))
+        first, second = (
+            list(entries[place]) if place < len(entries) else None for entries in (old, new)
+        )
         if first != second:
             return f"observation entry {place} was {_told(first)}, and is {_told(second)}"
     return None
 
 
 def misfit(env_id: str, file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
-    """Why a policy made for the environment `env_id`, described by `file`, does not fit another one; None if it does.
+    """Why a policy made for the environment `env_id`, described by `file`, does not fit another
+    one; None if it does.
 
     An id may be given with or without the module that registers it.
     """

@@ -1,8 +1,8 @@
 """A trained policy in one file: weights, observation scaling and provenance.
 
-The file is a zip of ``policy.json`` (description and training, with the SHA-256 of the weights) and ``actor.npz``
-(plain arrays: reading them executes no foreign code, and needs neither PyTorch nor Stable-Baselines3).
-"""
+The file is a zip of ``policy.json`` (description and training, with the SHA-256 of the weights) and
+``actor.npz`` (plain arrays: reading them executes no foreign code, and needs neither PyTorch nor
+Stable-Baselines3)."""
 
 from __future__ import annotations
 
@@ -43,13 +43,19 @@ class Actor:
     mean_clip: float
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action for an observation, shape (n,) → shape (m,), −1…1; computed in double precision, returned in single."""
-        scaled = (np.asarray(observation, dtype=float) - self.observation_mean) / self.observation_scale
+        """The action for an observation, shape (n,) → shape (m,), −1…1; computed in double
+        precision, returned in single.
+        """
+        scaled = (
+            np.asarray(observation, dtype=float) - self.observation_mean
+        ) / self.observation_scale
         value = np.clip(scaled, -self.observation_clip, self.observation_clip)
         *hidden, (last_weight, last_bias) = self.layers
         for weight, bias in hidden:
             value = np.maximum(weight.astype(float) @ value + bias, 0)
-        bounded = np.clip(last_weight.astype(float) @ value + last_bias, -self.mean_clip, self.mean_clip)
+        bounded = np.clip(
+            last_weight.astype(float) @ value + last_bias, -self.mean_clip, self.mean_clip
+        )
         return np.tanh(bounded).astype(np.float32)
 
     @property
@@ -81,14 +87,18 @@ class PolicyFile:
             return None
         closures = Closures.of(ranges)
         if self.actor.sizes[1] != len(closures.names):
-            raise PolicyError(f"a closure takes {len(closures.names)} numbers, the actor sets {self.actor.sizes[1]}")
+            raise PolicyError(
+                f"a closure takes {len(closures.names)} numbers, the actor sets {self.actor.sizes[1]}"
+            )
         return closures
 
     @property
     def sizes(self) -> tuple[int, int]:
         """Numbers of observed values and of action values."""
         observed, decided = self.actor.sizes
-        return observed, decided if self.closures is None else self.closures.actions(np.zeros((1, decided)), [0]).shape[1]
+        return observed, decided if self.closures is None else self.closures.actions(
+            np.zeros((1, decided)), [0]
+        ).shape[1]
 
 
 def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
@@ -108,7 +118,11 @@ def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
         arrays |= {f"weight_{number}": weight, f"bias_{number}": bias}
     packed = io.BytesIO()
     np.savez(packed, **arrays)
-    about = {"format": FORMAT, "sha256": hashlib.sha256(packed.getvalue()).hexdigest(), **policy.about}
+    about = {
+        "format": FORMAT,
+        "sha256": hashlib.sha256(packed.getvalue()).hexdigest(),
+        **policy.about,
+    }
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         archive.writestr(zipfile.ZipInfo("policy.json"), json.dumps(about, indent=2) + "\n")
         archive.writestr(zipfile.ZipInfo("actor.npz"), packed.getvalue())
@@ -122,16 +136,25 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            about, packed = json.loads(archive.read("policy.json")), archive.read("actor.npz")
+            about = json.loads(archive.read("policy.json"))
+            packed = archive.read("actor.npz")
         if about["format"] != FORMAT:
-            raise PolicyError(f"policy file '{path}' has format {about['format']}: this version reads format {FORMAT}")
+            raise PolicyError(
+                f"policy file '{path}' has format {about['format']}: this version reads format {FORMAT}"
+            )
         if about["sha256"] != hashlib.sha256(packed).hexdigest():
-            raise PolicyError(f"policy file '{path}' is damaged: its weights do not match their SHA-256")
+            raise PolicyError(
+                f"policy file '{path}' is damaged: its weights do not match their SHA-256"
+            )
         if not isinstance(about["env_id"], str):
             raise PolicyError(f"policy file '{path}' is damaged: its env_id is not a string")
-        policy = PolicyFile(_actor_from_arrays(dict(np.load(io.BytesIO(packed), allow_pickle=False))), about)
+        policy = PolicyFile(
+            _actor_from_arrays(dict(np.load(io.BytesIO(packed), allow_pickle=False))), about
+        )
         if not (isinstance(policy.action_repeat, int) and policy.action_repeat >= 1):
-            raise PolicyError(f"policy file '{path}' is damaged: its action_repeat is {policy.action_repeat!r}")
+            raise PolicyError(
+                f"policy file '{path}' is damaged: its action_repeat is {policy.action_repeat!r}"
+            )
         try:
             policy.closures  # noqa: B018  raises if the closure is invalid
         except PolicyError as error:
@@ -141,7 +164,13 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         raise PolicyError(f"no policy file '{path}'") from None
     except OSError as error:
         raise PolicyError(f"cannot read policy file '{path}': {error.strerror or error}") from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        UnicodeDecodeError,
+        json.JSONDecodeError,
+    ) as error:
         raise PolicyError(f"policy file '{path}' is damaged: {error}") from None
     except (KeyError, TypeError, ValueError, NotImplementedError, RuntimeError) as error:
         if isinstance(error, PolicyError):
@@ -151,13 +180,22 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
 
 def _actor_from_arrays(arrays: dict[str, np.ndarray]) -> Actor:
     count = sum(name.startswith("weight_") for name in arrays)
-    layers = tuple((arrays[f"weight_{number}"], arrays[f"bias_{number}"]) for number in range(count))
-    mean, scale = arrays["observation_mean"], arrays["observation_scale"]
+    layers = tuple(
+        (arrays[f"weight_{number}"], arrays[f"bias_{number}"]) for number in range(count)
+    )
+    mean = arrays["observation_mean"]
+    scale = arrays["observation_scale"]
     width = len(mean)
     for weight, bias in layers:
         if weight.shape != (len(bias), width):
-            raise PolicyError(f"a layer of shape {weight.shape} and {bias.shape} does not follow {width} values")
+            raise PolicyError(
+                f"a layer of shape {weight.shape} and {bias.shape} does not follow {width} values"
+            )
         width = len(bias)
-    if not layers or scale.shape != mean.shape or not all(np.all(np.isfinite(array)) for array in arrays.values()):
+    if (
+        not layers
+        or scale.shape != mean.shape
+        or not all(np.all(np.isfinite(array)) for array in arrays.values())
+    ):
         raise PolicyError("the arrays of the actor are not those of a policy")
     return Actor(mean, scale, float(arrays["observation_clip"]), layers, float(arrays["mean_clip"]))

@@ -1,4 +1,6 @@
-"""Accuracy of a model on a sweep: residuals, mean absolute errors, the measured workspace, and the figures."""
+"""Accuracy of a model on a sweep: residuals, mean absolute errors, the measured workspace, and the
+figures.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import HPAC, JOINTS, SERVOS, Hand, elastic_joints_from_servo, rigid_joints_from_servo
+from hpac_gym.model import (
+    HPAC,
+    JOINTS,
+    SERVOS,
+    Hand,
+    elastic_joints_from_servo,
+    rigid_joints_from_servo,
+)
 from hpac_gym.model.checks import Array
 from hpac_gym.study.processing import Points
 from hpac_gym.study.record import FLEXING, joints_of_servo
@@ -26,7 +35,9 @@ ALL_BELOW_DEG = 0.23
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """Angles of one joint and its servo over a sweep, and δq = q_meas − q_model, all of shape (k,) [rad]."""
+    """Angles of one joint and its servo over a sweep, and δq = q_meas − q_model, all of shape (k,)
+    [rad].
+    """
 
     servo: Array
     measured: Array
@@ -37,16 +48,22 @@ class Residuals:
 
 
 def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
-    """Residuals of every joint at the points of its own servo's flexion, over all trials; `hand` is not fitted to them."""
-    rigid, elastic = rigid_joints_from_servo(points.servo, hand), elastic_joints_from_servo(points.servo, hand)
+    """Residuals of every joint at the points of its own servo's flexion, over all trials; `hand` is
+    not fitted to them.
+    """
+    rigid = rigid_joints_from_servo(points.servo, hand)
+    elastic = elastic_joints_from_servo(points.servo, hand)
     found = {}
     for servo in range(len(SERVOS)):
         rows = (points.swept == servo) & (points.phase == FLEXING)
         for joint in joints_of_servo(servo) if rows.any() else ():
             seen = np.flatnonzero(rows)[~np.isnan(points.joint_pos[rows, joint])]
             if seen.size:
-                measured, angles = points.joint_pos[seen, joint], points.servo[seen, servo]
-                found[JOINTS[joint]] = Residuals(angles, measured, measured - rigid[seen, joint], measured - elastic[seen, joint])
+                measured = points.joint_pos[seen, joint]
+                angles = points.servo[seen, servo]
+                found[JOINTS[joint]] = Residuals(
+                    angles, measured, measured - rigid[seen, joint], measured - elastic[seen, joint]
+                )
     return {name: found[name] for name in JOINTS if name in found}
 
 
@@ -63,7 +80,11 @@ def accuracy(found: dict[str, Residuals]) -> Accuracy:
 
     def errors(statistic) -> dict[str, dict[str, float]]:
         return {
-            kind: {name: float(np.degrees(statistic(np.abs(getattr(found[name], kind))))) for name in FIGURE if name in found}
+            kind: {
+                name: float(np.degrees(statistic(np.abs(getattr(found[name], kind)))))
+                for name in FIGURE
+                if name in found
+            }
             for kind in ("uncompensated", "compensated")
         }
 
@@ -82,7 +103,10 @@ PRINTED = (
 
 def met(errors: Accuracy) -> dict[str, bool]:
     """Whether a sweep shows each of the `PRINTED` figures."""
-    before, after = ({name: errors.mae_deg[kind][name] for name in EVALUATED} for kind in ("uncompensated", "compensated"))
+    before, after = (
+        {name: errors.mae_deg[kind][name] for name in EVALUATED}
+        for kind in ("uncompensated", "compensated")
+    )
     largest = {name: errors.max_residual_deg["uncompensated"][name] for name in EVALUATED}
     gain = {name: before[name] - after[name] for name in EVALUATED}
     facts = (
@@ -96,8 +120,13 @@ def met(errors: Accuracy) -> dict[str, bool]:
 
 
 def workspace(points: Points) -> dict[str, tuple[float, float]]:
-    """Table I from a sweep: smallest and largest angle of each joint while its servo moved [rad]."""
-    return {name: (float(found.measured.min()), float(found.measured.max())) for name, found in residuals(points).items()}
+    """Table I from a sweep: smallest and largest angle of each joint while its servo moved
+    [rad].
+    """
+    return {
+        name: (float(found.measured.min()), float(found.measured.max()))
+        for name, found in residuals(points).items()
+    }
 
 
 # The paper's two figures -----------------------------------------------------------------
@@ -106,11 +135,11 @@ _KINDS = (("uncompensated", RED, "o"), ("compensated", GREEN, "s"))
 
 
 def residual_figure(found: Mapping[str, Residuals]) -> Figure:
-    """The paper's residual figure: nine joints over their servo's angle, red uncompensated, green compensated.
+    """The paper's residual figure: nine joints over their servo's angle, red uncompensated, green
+    compensated.
 
-    The axis shows ±2° as in the paper, or more if the data needs it. Outliers beyond the axis are counted in the panel's
-    title.
-    """
+    The axis shows ±2° as in the paper, or more if the data needs it. Outliers beyond the axis are
+    counted in the panel's title."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplots(3, 3, sharey=True).flat
     limit = residual_limit(found)
@@ -125,29 +154,46 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
         for kind, color, marker in _KINDS:
             values = np.degrees(getattr(found[name], kind))
             beyond += int((np.abs(values) > limit).sum())
-            axis.plot(np.degrees(found[name].servo), values, marker, color=color, markersize=3, label=kind)
+            axis.plot(
+                np.degrees(found[name].servo), values, marker, color=color, markersize=3, label=kind
+            )
         if beyond:
-            axis.set_title(f"{label(name)} ({beyond} points beyond ±{limit:g}° left out)", fontsize=9)
+            axis.set_title(
+                f"{label(name)} ({beyond} points beyond ±{limit:g}° left out)", fontsize=9
+            )
     figure.supxlabel("servo angle u [°]")
     figure.supylabel("residual q_meas − q_model [°]")
-    handles, labels = next(axis.get_legend_handles_labels() for axis in figure.axes if axis.get_legend_handles_labels()[0])
+    handles, labels = next(
+        axis.get_legend_handles_labels()
+        for axis in figure.axes
+        if axis.get_legend_handles_labels()[0]
+    )
     figure.legend(handles, labels, loc="outside right upper", frameon=False)
     return figure
 
 
 def residual_limit(found: Mapping[str, Residuals]) -> float:
-    """Half-range of the residual figure's axis: the paper's 2°, or whole degrees that cover at least 98 % of all points [°]."""
-    values = np.concatenate([np.degrees(np.abs(getattr(found[name], kind))) for name in found if name in EVALUATED
-                             for kind, *_ in _KINDS])  # fmt: skip
+    """Half-range of the residual figure's axis: the paper's 2°, or whole degrees that cover at
+    least 98 % of all points [°].
+    """
+    values = np.concatenate(
+        [
+            np.degrees(np.abs(getattr(found[name], kind)))
+            for name in found
+            if name in EVALUATED
+            for kind, *_ in _KINDS
+        ]
+    )
     most, largest = np.quantile(values, (0.98, 1.0))
     return max(2.0, float(np.ceil(largest if largest <= 1.5 * most else most)))
 
 
 def mae_figure(errors: Accuracy) -> Figure:
-    """The paper's bar figure: mean absolute error of each joint, red without and green with compensation.
+    """The paper's bar figure: mean absolute error of each joint, red without and green with
+    compensation.
 
-    MP and MCP are shown with the nine joints as in the paper; the model does not compensate them, so their bars are equal.
-    """
+    MP and MCP are shown with the nine joints as in the paper; the model does not compensate them,
+    so their bars are equal."""
     names = list(errors.mae_deg["uncompensated"])
     figure = Figure(figsize=(13, 4), layout="constrained")
     axis = figure.subplots()

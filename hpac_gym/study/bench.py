@@ -1,7 +1,7 @@
 """The test bench: sweep protocol, camera model, and records of hands in metal (`quasistatic`).
 
-`rig.Rig.sweep` makes the same record of a hand in the physics engine; any other source of a `Sweep` can replace either.
-"""
+`rig.Rig.sweep` makes the same record of a hand in the physics engine; any other source of a `Sweep`
+can replace either."""
 
 from __future__ import annotations
 
@@ -17,13 +17,17 @@ from hpac_gym.study.quasistatic import Built, hand_course
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate, joints_of_servo
 
 THUMB_CLEAR = 1.2
-"""CMC angle at which the thumb can flex over its whole range without touching fingers or palm [rad]."""
+"""CMC angle at which the thumb can flex over its whole range without touching fingers or palm
+[rad].
+"""
 _STEPS = 2
 """Quasi-static steps per sampling point."""
 
 
 def rest_pose(swept: str) -> Array:
-    """Initial servo angles of a sweep: open, with the thumb clear of the index if it is swept, shape (6,) [rad]."""
+    """Initial servo angles of a sweep: open, with the thumb clear of the index if it is swept,
+    shape (6,) [rad].
+    """
     pose = np.zeros(len(SERVOS))
     if swept == "thumb_mp":
         pose[SERVO_INDEX["thumb_cmc"]] = THUMB_CLEAR
@@ -32,12 +36,14 @@ def rest_pose(swept: str) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class JointCamera:
-    """Model of a camera that measures the joint angles, with white noise and a slow drift of each joint.
+    """Model of a camera that measures the joint angles, with white noise and a slow drift of each
+    joint.
 
     The other errors are common to all joints of a frame or of the record, and zero by default.
 
     Raises:
-        ParameterError: A rate or time is not positive, a deviation is negative, or the share of outliers is outside 0…1.
+        ParameterError: A rate or time is not positive, a deviation is negative, or the share of
+            outliers is outside 0…1.
     """
 
     rate_hz: float = 20.0
@@ -56,8 +62,15 @@ class JointCamera:
 
     def __post_init__(self) -> None:
         errors = (self.noise, self.drift, self.common_scale, self.common_wander)
-        if not (self.rate_hz > 0 and self.wander_time > 0 and min(errors) >= 0 and 0 <= self.outliers <= 1):
-            raise ParameterError(f"{self}: rate_hz [Hz], wander_time [s] must be greater than 0, errors at least 0, outliers 0…1")
+        if not (
+            self.rate_hz > 0
+            and self.wander_time > 0
+            and min(errors) >= 0
+            and 0 <= self.outliers <= 1
+        ):
+            raise ParameterError(
+                f"{self}: rate_hz [Hz], wander_time [s] must be greater than 0, errors at least 0, outliers 0…1"
+            )
 
     def seen(self, joint_pos: Array, time: Array, rng: np.random.Generator) -> Array:
         """Measured angles for true angles of shape (n, joints) [rad] at times (n,) [s]."""
@@ -68,7 +81,9 @@ class JointCamera:
         if self.common_wander:
             seen = seen + self._wander(time, rng)[:, None]
         if self.outliers:
-            seen = np.where(rng.random(seen.shape) < self.outliers, rng.uniform(-0.5, 2.0, seen.shape), seen)
+            seen = np.where(
+                rng.random(seen.shape) < self.outliers, rng.uniform(-0.5, 2.0, seen.shape), seen
+            )
         return seen
 
     def _wander(self, time: Array, rng: np.random.Generator) -> Array:
@@ -85,7 +100,8 @@ class Protocol:
     """Protocol of a servo sweep: rest, K points in sequence, back to rest.
 
     Raises:
-        ParameterError: There are fewer than two points, the hold leaves no time to move, or the rest is negative.
+        ParameterError: There are fewer than two points, the hold leaves no time to move, or the
+            rest is negative.
     """
 
     points: int = 31
@@ -94,13 +110,17 @@ class Protocol:
     hold: float = 0.5
     """Final part of a point, in which the servo is stationary and samples count [s]."""
     rest: float = 2.0
-    """Duration of the rest before and after, with a slack tendon and the digit against its stops [s]."""
+    """Duration of the rest before and after, with a slack tendon and the digit against its stops
+    [s].
+    """
     both_directions: bool = False
     """Whether points are also taken in extension, at the same angles."""
 
     def __post_init__(self) -> None:
         if not (isinstance(self.points, int) and self.points >= 2):
-            raise ParameterError(f"protocol: points = {self.points!r} must be a whole number of at least 2")
+            raise ParameterError(
+                f"protocol: points = {self.points!r} must be a whole number of at least 2"
+            )
         if not (0 < self.hold < self.seconds_per_point and self.rest >= 0):
             raise ParameterError(
                 f"protocol: hold = {self.hold} s must lie between 0 s and seconds_per_point = {self.seconds_per_point} s, "
@@ -108,7 +128,8 @@ class Protocol:
             )
 
 
-CAMERA, PROTOCOL = JointCamera(), Protocol()
+CAMERA = JointCamera()
+PROTOCOL = Protocol()
 
 
 def metal_sweeps(
@@ -118,29 +139,42 @@ def metal_sweeps(
     protocol: Protocol = PROTOCOL,
     servos: tuple[str, ...] = SERVOS,
 ) -> list[Sweep]:
-    """Records of hands in metal: the rest poses and the held samples of every point, without samples in motion.
+    """Records of hands in metal: the rest poses and the held samples of every point, without
+    samples in motion.
 
     Hand i of a seed has the same camera for any number of hands.
     """
-    point, phase = np.arange(protocol.points), np.full(protocol.points, FLEXING)
+    point = np.arange(protocol.points)
+    phase = np.full(protocol.points, FLEXING)
     if protocol.both_directions:
-        point, phase = np.concatenate([point, point[::-1]]), np.repeat([FLEXING, EXTENDING], protocol.points)
+        point = np.concatenate([point, point[::-1]])
+        phase = np.repeat([FLEXING, EXTENDING], protocol.points)
     parts: list[list[Sweep]] = [[] for _ in built]
     for name in servos:
         swept = SERVOS.index(name)
         servo = np.zeros((len(point), len(SERVOS)))
-        servo[:, swept] = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], protocol.points)[point]
+        servo[:, swept] = np.linspace(
+            HPAC.servo_min[swept], HPAC.servo_max[swept], protocol.points
+        )[point]
         course = hand_course(built, servo, _STEPS, [swept])
         for number, joint_pos in enumerate(course):
             rng = np.random.default_rng([seed, number, swept])
-            parts[number].append(_segment(swept, phase, point, servo[:, swept], joint_pos, rng, camera, protocol))
+            parts[number].append(
+                _segment(swept, phase, point, servo[:, swept], joint_pos, rng, camera, protocol)
+            )
     return [concatenate(segments) for segments in parts]
 
 
 def _segment(
-    swept: int, phase: np.ndarray, point: np.ndarray, angles: Array, joint_pos: Array,
-    rng: np.random.Generator, camera: JointCamera, protocol: Protocol,
-) -> Sweep:  # fmt: skip
+    swept: int,
+    phase: np.ndarray,
+    point: np.ndarray,
+    angles: Array,
+    joint_pos: Array,
+    rng: np.random.Generator,
+    camera: JointCamera,
+    protocol: Protocol,
+) -> Sweep:
     """Rows of one swept servo: rest, the held samples of each angle, rest."""
     rest = round(protocol.rest * camera.rate_hz)
     held = max(round(protocol.hold * camera.rate_hz) - 1, 1)
@@ -150,12 +184,21 @@ def _segment(
 
     ends = protocol.rest + protocol.seconds_per_point * np.arange(1, len(angles) + 1)
     holds = (ends[:, None] - np.arange(held)[::-1] / camera.rate_hz).ravel()
-    time = np.concatenate([np.arange(rest) / camera.rate_hz, holds, holds[-1] + (1 + np.arange(rest)) / camera.rate_hz])
-    servo, measured = np.tile(rest_pose(SERVOS[swept]), (len(time), 1)), np.zeros((len(time), len(JOINTS)))
+    time = np.concatenate(
+        [
+            np.arange(rest) / camera.rate_hz,
+            holds,
+            holds[-1] + (1 + np.arange(rest)) / camera.rate_hz,
+        ]
+    )
+    servo = np.tile(rest_pose(SERVOS[swept]), (len(time), 1))
+    measured = np.zeros((len(time), len(JOINTS)))
     measured[:, JOINT_INDEX["thumb_cmc"]] = servo[:, SERVO_INDEX["thumb_cmc"]]
     servo[:, swept] = recorded(angles, 0.0)
     for joint in joints_of_servo(swept):
         measured[:, joint] = recorded(joint_pos[:, joint], 0.0)
     measured = camera.seen(measured, time, rng)
     zeros = np.zeros(len(time), dtype=int)
-    return Sweep(zeros, zeros + swept, recorded(phase, REST), recorded(point, -1), time, servo, measured)
+    return Sweep(
+        zeros, zeros + swept, recorded(phase, REST), recorded(point, -1), time, servo, measured
+    )

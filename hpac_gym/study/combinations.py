@@ -1,9 +1,10 @@
-"""The parameters of a digit that a free-space sweep can identify: dimensionless combinations, friction and servo zero.
+"""The parameters of a digit that a free-space sweep can identify: dimensionless combinations,
+friction and servo zero.
 
-Angles have no scale of length or force: if all lengths of a digit, or all stiffnesses and frictions, are multiplied by one
-factor, no angle changes. Only the combinations below remain. A hand is reconstructed from them with the base hand's d₁, root
-radius, k_s and EA, on which the angles do not depend.
-"""
+Angles have no scale of length or force: if all lengths of a digit, or all stiffnesses and
+frictions, are multiplied by one factor, no angle changes. Only the combinations below remain. A
+hand is reconstructed from them with the base hand's d₁, root radius, k_s and EA, on which the
+angles do not depend."""
 
 from __future__ import annotations
 
@@ -37,9 +38,13 @@ class Combination:
     name: str
     formula: str
     spread: float | None
-    """Standard deviation of its logarithm per unit spread of the parameters; None: only its order of magnitude is known."""
+    """Standard deviation of its logarithm per unit spread of the parameters; None: only its order
+    of magnitude is known.
+    """
     linear: bool = False
-    """Whether the fit uses the number itself, on which the angles depend linearly, instead of its logarithm."""
+    """Whether the fit uses the number itself, on which the angles depend linearly, instead of its
+    logarithm.
+    """
 
 
 def combinations(digit: Digit) -> tuple[Combination, ...]:
@@ -50,7 +55,10 @@ def combinations(digit: Digit) -> tuple[Combination, ...]:
         Combination("hub", "r/d1", np.sqrt(2)),
         Combination("reach", "d2/d1", np.sqrt(2)),
         Combination("alpha", "alpha", 1.0),
-        *(Combination(f"{part}_ratio", f"R_{root}/R_{part.upper()}", np.sqrt(2)) for part in parts[1:]),
+        *(
+            Combination(f"{part}_ratio", f"R_{root}/R_{part.upper()}", np.sqrt(2))
+            for part in parts[1:]
+        ),
         *(
             Combination(f"{part}_strain", f"k_s L_{before.upper()},{part.upper()}/EA", np.sqrt(3))
             for before, part in pairwise(parts)
@@ -63,23 +71,37 @@ def combinations(digit: Digit) -> tuple[Combination, ...]:
 
 
 def values(swept: SweptDigit) -> Array:
-    """Values of the combinations for a digit; alpha, friction and zero in rad, the others dimensionless."""
-    digit, friction = swept.digit, swept.friction
-    radius, path = np.array(digit.joint_radius), np.array(digit.path_length)
+    """Values of the combinations for a digit; alpha, friction and zero in rad, the others
+    dimensionless.
+    """
+    digit = swept.digit
+    friction = swept.friction
+    radius = np.array(digit.joint_radius)
+    path = np.array(digit.path_length)
     unit = digit.spring_stiffness * radius[0] ** 2
-    return np.concatenate([
-        [digit.servo_radius / digit.d1, digit.d2 / digit.d1, digit.alpha],
-        radius[0] / radius[1:],
-        digit.spring_stiffness * path / digit.tendon_stiffness,
-        [unit / (digit.drive_stiffness * digit.d1**2), friction.joint / unit, friction.tendon, swept.servo_zero],
-    ])  # fmt: skip
+    return np.concatenate(
+        [
+            [digit.servo_radius / digit.d1, digit.d2 / digit.d1, digit.alpha],
+            radius[0] / radius[1:],
+            digit.spring_stiffness * path / digit.tendon_stiffness,
+            [
+                unit / (digit.drive_stiffness * digit.d1**2),
+                friction.joint / unit,
+                friction.tendon,
+                swept.servo_zero,
+            ],
+        ]
+    )
 
 
 def digit_with(base: Digit, wanted: Array) -> SweptDigit:
-    """Digit, friction and zero with the given values; d₁, root radius, k_s and EA are the base digit's."""
+    """Digit, friction and zero with the given values; d₁, root radius, k_s and EA are the base
+    digit's.
+    """
     count = len(base.path_length)
     hub, reach, alpha = wanted[:3]
-    ratio, strain = wanted[3 : 3 + count], wanted[3 + count : 3 + 2 * count]
+    ratio = wanted[3 : 3 + count]
+    strain = wanted[3 + count : 3 + 2 * count]
     drive, joint_friction, tendon_friction, zero = wanted[-4:]
     root = base.joint_radius[0]
     unit = base.spring_stiffness * root**2
@@ -92,4 +114,6 @@ def digit_with(base: Digit, wanted: Array) -> SweptDigit:
         path_length=tuple((strain * base.tendon_stiffness / base.spring_stiffness).tolist()),
         drive_stiffness=float(unit / (drive * base.d1**2)),
     )
-    return SweptDigit(digit, Friction(float(joint_friction * unit), float(tendon_friction)), float(zero))
+    return SweptDigit(
+        digit, Friction(float(joint_friction * unit), float(tendon_friction)), float(zero)
+    )

@@ -1,4 +1,6 @@
-"""`hpac calibrate` on hidden hands: error of the written file, coverage of its intervals, and refusal of exchanged labels."""
+"""`hpac calibrate` on hidden hands: error of the written file, coverage of its intervals, and
+refusal of exchanged labels.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +22,28 @@ from hpac_gym.study.bench import JointCamera, Protocol, metal_sweeps
 from hpac_gym.study.combinations import SweptDigit, combinations, values
 from hpac_gym.study.identification import IdentificationError, identify
 from hpac_gym.study.judging import judged
-from hpac_gym.study.populations import FIT_LAWS, FRICTION, OTHER_LAWS, SERVO, ZERO, geometry, varied_digit, varied_metal
+from hpac_gym.study.populations import (
+    FIT_LAWS,
+    FRICTION,
+    OTHER_LAWS,
+    SERVO,
+    ZERO,
+    geometry,
+    varied_digit,
+    varied_metal,
+)
 from hpac_gym.study.quasistatic import Built, Metal, hand_course, softened
 from hpac_gym.study.record import EXTENDING, RecordError, Sweep, joints_of_servo
 from hpac_gym.study.results import Column, Part, rows_of, table
 from hpac_gym.study.rig import NEAR_STOP, rig_of
 
 REACH = {
-    **geometry(0.05), "path_length": 0.05, "spring_stiffness": 0.2, "tendon_stiffness": 0.2, "drive_stiffness": 0.2
-}  # fmt: skip
+    **geometry(0.05),
+    "path_length": 0.05,
+    "spring_stiffness": 0.2,
+    "tendon_stiffness": 0.2,
+    "drive_stiffness": 0.2,
+}
 """Hidden hands are drawn uniformly within these relative deviations from the nominal parameters."""
 DEAD_BAND = 5e-4
 LAWS = {"laws of the fit": replace(FIT_LAWS, dead_band=DEAD_BAND), "other laws": OTHER_LAWS}
@@ -41,7 +56,8 @@ DROPPED = 0.02
 
 
 def hidden_hands(count: int, seed: int, metal: Metal) -> list[Built]:
-    """Random hands close to the nominal one, with Table I's stops; zeros of 0.5°, frictions and servos to a factor of 1.5.
+    """Random hands close to the nominal one, with Table I's stops; zeros of 0.5°, frictions and
+    servos to a factor of 1.5.
 
     Args:
         count: number of hands; hand i of a seed is the same for any count.
@@ -51,7 +67,8 @@ def hidden_hands(count: int, seed: int, metal: Metal) -> list[Built]:
     built = []
     for number in range(count):
         rng = np.random.default_rng([seed, number])
-        digits, metals = {}, []
+        digits = {}
+        metals = []
         for name, digit in HPAC.digits.items():
             digits[name] = varied_digit(digit, REACH, partial(rng.uniform, -1.0, 1.0))
             factors = np.exp(rng.normal(0.0, np.log(1.5), 4))
@@ -64,11 +81,16 @@ def hidden_hands(count: int, seed: int, metal: Metal) -> list[Built]:
 def swept_digit(built: Built, column: int) -> SweptDigit:
     """The parameters that a perfect fit of a hand in metal would find for one of its digits.
 
-    The compliances of servo and driving tendon add up. In flexion the dead band stops the horn short, like a zero.
-    """
-    digit, metal = list(built.hand.digits.values())[column], built.metal[column]
+    The compliances of servo and driving tendon add up. In flexion the dead band stops the horn
+    short, like a zero."""
+    digit = list(built.hand.digits.values())[column]
+    metal = built.metal[column]
     friction = Friction(metal.joint_friction, metal.tendon_friction)
-    return SweptDigit(replace(digit, drive_stiffness=softened(digit, metal)), friction, metal.servo_zero - metal.dead_band)
+    return SweptDigit(
+        replace(digit, drive_stiffness=softened(digit, metal)),
+        friction,
+        metal.servo_zero - metal.dead_band,
+    )
 
 
 # Calibrated and judged -----------------------------------------------------------------
@@ -79,17 +101,26 @@ class HiddenHand:
     """Result of the calibration of one hidden hand."""
 
     error_deg: Array
-    """Mean absolute error of the written file, where no joint is at a stop, by joint; NaN for the CMC [°]."""
+    """Mean absolute error of the written file, where no joint is at a stop, by joint; NaN for the
+    CMC [°].
+    """
     inside: Mapping[str, list[bool]]
-    """Whether the intervals contain the truth, by combination, over the digits; empty if the laws have no such number."""
+    """Whether the intervals contain the truth, by combination, over the digits; empty if the laws
+    have no such number.
+    """
     told: Mapping[str, list[float]]
     stops_missed: int
-    """Number of digits with a joint at its stop for two points or more that the report does not mention."""
+    """Number of digits with a joint at its stop for two points or more that the report does not
+    mention.
+    """
     refused: bool = False
 
 
-def judge_hand(built: Built, record: Sweep, truth: Array, servo: Array, know_truth: bool) -> HiddenHand:
-    """Check and fit a hidden hand's record, write the file as ``hpac calibrate`` does, and compare it with the truth.
+def judge_hand(
+    built: Built, record: Sweep, truth: Array, servo: Array, know_truth: bool
+) -> HiddenHand:
+    """Check and fit a hidden hand's record, write the file as ``hpac calibrate`` does, and compare
+    it with the truth.
 
     Args:
         built: the hand.
@@ -106,7 +137,9 @@ def judge_hand(built: Built, record: Sweep, truth: Array, servo: Array, know_tru
     except (RecordError, IdentificationError):
         return HiddenHand(errors, {}, {}, 0, refused=True)
     off = np.degrees(np.abs(settled_joints_from_servo(servo, written) - truth))
-    inside, told, missed = {}, {}, 0
+    inside = {}
+    told = {}
+    missed = 0
     for column, (name, digit) in enumerate(built.hand.digits.items()):
         joints = [JOINT_INDEX[joint] for joint in digit.joints]
         free = (truth[:, joints] < np.array(built.metal[column].stop) - 1e-6).all(axis=1)
@@ -134,13 +167,21 @@ def run_hidden(count: int, seed: int, laws: str) -> list[HiddenHand]:
     records = metal_sweeps(built, seed, CAMERA, servos=SERVOS[:-1])
     truth = hand_course(built, SERVO, 2)
     return [
-        judge_hand(built[i], without_frames(records[i], seed, i), truth[i], SERVO, laws == "laws of the fit")
+        judge_hand(
+            built[i],
+            without_frames(records[i], seed, i),
+            truth[i],
+            SERVO,
+            laws == "laws of the fit",
+        )
         for i in progress(range(count), f"hidden hands, {laws}")
     ]
 
 
 def measured_in_physics(count: int, seed: int) -> Iterator[tuple[Built, Sweep, Array, Array]]:
-    """Hidden hands of the physics engine, their records, and servo and true joint angles at the sampling points."""
+    """Hidden hands of the physics engine, their records, and servo and true joint angles at the
+    sampling points.
+    """
     hidden = enumerate(hidden_hands(count, seed, replace(FRICTION, dead_band=DEAD_BAND)))
     for number, built in progress(list(hidden), "hidden hands in the physics engine"):
         record, servo, truth = rig_of(built).seen_and_true(CAMERA, seed + number)
@@ -148,14 +189,20 @@ def measured_in_physics(count: int, seed: int) -> Iterator[tuple[Built, Sweep, A
 
 
 def run_hidden_in_physics(count: int, seed: int) -> list[HiddenHand]:
-    """Calibrate hidden hands of the physics engine: one friction for all digits, no servo compliance, Table I's stops.
+    """Calibrate hidden hands of the physics engine: one friction for all digits, no servo
+    compliance, Table I's stops.
 
     The truth is the measurement of a perfect camera at the sampling points of the same sweep.
     """
     hands = []
     for built, record, servo, truth in measured_in_physics(count, seed):
-        friction = {name: getattr(built.metal[0], name) for name in ("joint_friction", "tendon_friction")}
-        metal = tuple(replace(item, **friction, stop=tuple(angle - NEAR_STOP for angle in item.stop)) for item in built.metal)
+        friction = {
+            name: getattr(built.metal[0], name) for name in ("joint_friction", "tendon_friction")
+        }
+        metal = tuple(
+            replace(item, **friction, stop=tuple(angle - NEAR_STOP for angle in item.stop))
+            for item in built.metal
+        )
         hands.append(judge_hand(Built(built.hand, metal), record, truth, servo, know_truth=True))
     return hands
 
@@ -170,7 +217,9 @@ def _errors(hands: Sequence[HiddenHand]) -> Array:
 
 def _pooled(tables: Sequence[Mapping[str, list[float]]]) -> dict[str, float]:
     """Means by combination, over hands and digits."""
-    names = dict.fromkeys(item.name for digit in ("index", "thumb") for item in combinations(HPAC.digits[digit]))
+    names = dict.fromkeys(
+        item.name for digit in ("index", "thumb") for item in combinations(HPAC.digits[digit])
+    )
     pooled = {name: [value for entry in tables for value in entry.get(name, ())] for name in names}
     return {name: float(np.mean(values)) for name, values in pooled.items() if values}
 
@@ -178,9 +227,19 @@ def _pooled(tables: Sequence[Mapping[str, list[float]]]) -> dict[str, float]:
 COLUMNS = (
     Column("hands", "hands", len),
     Column("refused", "refused", lambda hands: sum(hand.refused for hand in hands)),
-    Column("median_deg", "file's error, median [°]", lambda hands: float(np.median(_errors(hands))), "{:.3f}"),
+    Column(
+        "median_deg",
+        "file's error, median [°]",
+        lambda hands: float(np.median(_errors(hands))),
+        "{:.3f}",
+    ),
     Column("worst_deg", "worst joint", lambda hands: float(_errors(hands).max()), "{:.3f}"),
-    Column("within", "joints within the mark", lambda hands: float((_errors(hands) <= MARK_DEG).mean()), "{:.1%}"),
+    Column(
+        "within",
+        "joints within the mark",
+        lambda hands: float((_errors(hands) <= MARK_DEG).mean()),
+        "{:.1%}",
+    ),
     Column("stops_missed", "stops missed", lambda hands: sum(hand.stops_missed for hand in hands)),
 )
 COVERAGE = (
@@ -191,18 +250,36 @@ COVERAGE = (
 
 
 def calibration(count: int, seed: int, in_physics: int = 0) -> Part:
-    """`hpac calibrate` on hidden hands of every kind: `count` of each law in metal, `in_physics` in the physics engine."""
+    """`hpac calibrate` on hidden hands of every kind: `count` of each law in metal, `in_physics` in
+    the physics engine.
+    """
     found = {laws: run_hidden(count, seed, laws) for laws in LAWS}
     if in_physics:
         found["physics engine"] = run_hidden_in_physics(in_physics, seed)
     rows = rows_of((*COLUMNS, *COVERAGE), found)
-    lines = [f"## `hpac calibrate` on hidden hands, seed {seed}", "", table("hidden", COLUMNS, rows), ""]
+    lines = [
+        f"## `hpac calibrate` on hidden hands, seed {seed}",
+        "",
+        table("hidden", COLUMNS, rows),
+        "",
+    ]
     fit = rows["laws of the fit"]
-    body = [(name, f"{share:.0%}", f"{fit['told'][name]:.0%}") for name, share in fit["coverage"].items()]
-    lines += [markdown(("combination", "95 % interval contains the truth", "determined by the data"), body), ""]
+    body = [
+        (name, f"{share:.0%}", f"{fit['told'][name]:.0%}")
+        for name, share in fit["coverage"].items()
+    ]
+    lines += [
+        markdown(
+            ("combination", "95 % interval contains the truth", "determined by the data"), body
+        ),
+        "",
+    ]
     if in_physics:
         shares = rows["physics engine"]["coverage"].values()
-        lines += [f"In the physics engine {np.mean(list(shares)):.0%} of the intervals hold the truth.", ""]
+        lines += [
+            f"In the physics engine {np.mean(list(shares)):.0%} of the intervals hold the truth.",
+            "",
+        ]
     return Part("\n".join(lines), rows)
 
 
@@ -220,7 +297,9 @@ def exchanged(record: Sweep, first: int, second: int) -> Sweep:
 
 
 def verdict(record: Sweep) -> str:
-    """Whether the checks of `hpac sweep` and `hpac calibrate` refuse a record, remark on it or take it."""
+    """Whether the checks of `hpac sweep` and `hpac calibrate` refuse a record, remark on it or take
+    it.
+    """
     try:
         return "remark" if judged(record, HPAC) else "taken"
     except RecordError:
@@ -228,22 +307,36 @@ def verdict(record: Sweep) -> str:
 
 
 def verdicts(record: Sweep, rng: np.random.Generator) -> dict[str, list[str]]:
-    """Verdicts on every segment by kind of exchange: all pairs of a digit, and each joint with a random one of another digit."""
+    """Verdicts on every segment by kind of exchange: all pairs of a digit, and each joint with a
+    random one of another digit.
+    """
     found: dict[str, list[str]] = {kind: [] for kind in KINDS}
     as_labelled, mcp_and_dip, of_a_digit, of_two_digits = found.values()
     for rows in record.segments():
-        segment, own = record[rows], joints_of_servo(int(record.swept[rows[0]]))
-        others = [joint for joint in range(len(JOINTS)) if joint not in (*own, JOINT_INDEX["thumb_cmc"])]
+        segment = record[rows]
+        own = joints_of_servo(int(record.swept[rows[0]]))
+        others = [
+            joint for joint in range(len(JOINTS)) if joint not in (*own, JOINT_INDEX["thumb_cmc"])
+        ]
         as_labelled.append(verdict(segment))
         for pair in itertools.combinations(own, 2):
             parts = {JOINTS[joint].partition("_")[2] for joint in pair}
-            (mcp_and_dip if parts == {"mcp", "dip"} else of_a_digit).append(verdict(exchanged(segment, *pair)))
-        of_two_digits += [verdict(exchanged(segment, joint, int(rng.choice(others)))) for joint in own]
+            (mcp_and_dip if parts == {"mcp", "dip"} else of_a_digit).append(
+                verdict(exchanged(segment, *pair))
+            )
+        of_two_digits += [
+            verdict(exchanged(segment, joint, int(rng.choice(others)))) for joint in own
+        ]
     return found
 
 
 def _shares(kind: str, result: str) -> Column:
-    return Column(f"{kind}, {result}", f"{kind}: {result}", lambda found: found[kind].count(result) / len(found[kind]), "{:.1%}")
+    return Column(
+        f"{kind}, {result}",
+        f"{kind}: {result}",
+        lambda found: found[kind].count(result) / len(found[kind]),
+        "{:.1%}",
+    )
 
 
 LABEL_COLUMNS = (
@@ -254,18 +347,34 @@ LABEL_COLUMNS = (
 
 
 def labels(count: int, seed: int, in_physics: int = 0) -> Part:
-    """Check records with and without exchanged labels: `count` hidden hands of each law, `in_physics` in the physics engine."""
+    """Check records with and without exchanged labels: `count` hidden hands of each law,
+    `in_physics` in the physics engine.
+    """
     records: dict[str, list[Sweep]] = {}
     for laws, metal in LAWS.items():
-        both = metal_sweeps(hidden_hands(count, seed, metal), seed, CAMERA, Protocol(both_directions=True), SERVOS[:-1])
+        both = metal_sweeps(
+            hidden_hands(count, seed, metal),
+            seed,
+            CAMERA,
+            Protocol(both_directions=True),
+            SERVOS[:-1],
+        )
         both = [without_frames(record, seed, number) for number, record in enumerate(both)]
         records[f"{laws}, points both ways"] = both
         records[f"{laws}, flexion alone"] = [record[record.phase != EXTENDING] for record in both]
     if in_physics:
-        records["physics engine, the return filmed"] = [record for _, record, *_ in measured_in_physics(in_physics, seed)]
+        records["physics engine, the return filmed"] = [
+            record for _, record, *_ in measured_in_physics(in_physics, seed)
+        ]
     found = {}
     for name, sweeps in records.items():
-        parts = [verdicts(record, np.random.default_rng([seed, i])) for i, record in enumerate(progress(sweeps, name))]
+        parts = [
+            verdicts(record, np.random.default_rng([seed, i]))
+            for i, record in enumerate(progress(sweeps, name))
+        ]
         found[name] = {kind: [result for part in parts for result in part[kind]] for kind in KINDS}
     rows = rows_of(LABEL_COLUMNS, found)
-    return Part(f"## Exchanged labels of joints, hidden hands, seed {seed}\n\n{table('hidden', LABEL_COLUMNS, rows)}\n", rows)
+    return Part(
+        f"## Exchanged labels of joints, hidden hands, seed {seed}\n\n{table('hidden', LABEL_COLUMNS, rows)}\n",
+        rows,
+    )

@@ -10,7 +10,19 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hpac_gym.model import HPAC, JOINTS, POSTURES, SERVOS, Hand, Posture, ServoCommand, load_hand, move_duration, posture, reach
+from hpac_gym.model import (
+    HPAC,
+    JOINTS,
+    POSTURES,
+    SERVOS,
+    Hand,
+    Posture,
+    ServoCommand,
+    load_hand,
+    move_duration,
+    posture,
+    reach,
+)
 from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
 from hpac_gym.physics.simulation import default_engine
 from hpac_gym.progress import progress
@@ -27,12 +39,22 @@ Send = Callable[[str, ServoCommand, Hand], None]
 
 def add_arguments(parser: argparse.ArgumentParser, send: Send | None = None) -> None:
     """Add the command's options; ``--port`` only if `send` is given."""
-    parser.add_argument("name", metavar="NAME|list|all", help="a posture, the list of them, or all on a contact sheet")
-    parser.add_argument("--hand", type=Path, metavar="TOML", help="hand parameters (default: the nominal hand)")
-    parser.add_argument("--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)")
+    parser.add_argument(
+        "name",
+        metavar="NAME|list|all",
+        help="a posture, the list of them, or all on a contact sheet",
+    )
+    parser.add_argument(
+        "--hand", type=Path, metavar="TOML", help="hand parameters (default: the nominal hand)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     if send:
-        parser.add_argument("--port", metavar="PORT", help="send the posture to the hand on this serial port")
+        parser.add_argument(
+            "--port", metavar="PORT", help="send the posture to the hand on this serial port"
+        )
     parser.set_defaults(run=run, send=send, port=None)
 
 
@@ -80,15 +102,21 @@ def description(item: Posture, hand: Hand = HPAC) -> dict[str, object]:
 
 def summary(item: Posture, hand: Hand = HPAC) -> str:
     """Description of a posture in one line."""
-    names, distance = "/".join((item.name, *item.aliases)), reach(item.target_joint_pos, hand).distance
+    names = "/".join((item.name, *item.aliases))
+    distance = reach(item.target_joint_pos, hand).distance
     return f"{item.panel:>2}  {names:<20} {item.kind:<10} {distance:5.3f} rad off  {item.about}"
 
 
 def table(item: Posture, hand: Hand = HPAC) -> str:
     """Table of a posture's joint and servo angles."""
     taken = reach(item.target_joint_pos, hand)
-    lines = [f"{item.name}: {item.about} (panel {item.panel})", f"{'joint':<12} target [rad]  reachable [rad]"]
-    for name, target, joint in zip(JOINTS, item.target_joint_pos, taken.joint_pos.round(9) + 0.0, strict=True):
+    lines = [
+        f"{item.name}: {item.about} (panel {item.panel})",
+        f"{'joint':<12} target [rad]  reachable [rad]",
+    ]
+    for name, target, joint in zip(
+        JOINTS, item.target_joint_pos, taken.joint_pos.round(9) + 0.0, strict=True
+    ):
         lines.append(f"{name:<12} {target:12.3f} {joint:16.3f}")
     lines.append(f"distance from the manifold: {taken.distance:.3f} rad")
     lines.append(f"{'servo':<12} angle [rad]")
@@ -107,7 +135,12 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     for axis, item in zip(axes, progress(items, "contact sheet"), strict=False):
         axis.imshow(picture(item, hand))
         axis.set_title(f"{item.panel} {item.name.replace('_', ' ')}", fontsize=8)
-    save(figure, path, f"{hand.name}, simulated in {default_engine()}, each posture commanded from the open hand", picture=True)
+    save(
+        figure,
+        path,
+        f"{hand.name}, simulated in {default_engine()}, each posture commanded from the open hand",
+        picture=True,
+    )
 
 
 def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""The paper's processing of a record: radians, zero-phase Butterworth, unwrapping, drift correction; then points.
+"""The paper's processing of a record: radians, zero-phase Butterworth, unwrapping, drift
+correction; then points.
 
-Here unwrapping precedes the filter, and mistaken markers are left out: a low-pass would smear both over neighbouring samples. On
-a record without them this makes no difference.
-"""
+Here unwrapping precedes the filter, and mistaken markers are left out: a low-pass would smear both
+over neighbouring samples. On a record without them this makes no difference."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from hpac_gym.model.checks import Array
 from hpac_gym.study.record import REST, RecordError, Sweep, joints_of_servo
 
 CUTOFF_HZ = 3.0
-"""Cut-off of the low-pass [Hz]. A point is held for half a second; a much lower cut-off would mix in the adjacent steps."""
+"""Cut-off of the low-pass [Hz]. A point is held for half a second; a much lower cut-off would mix
+in the adjacent steps.
+"""
 MOST_MISSING = 0.2
 """Largest share of missing samples of a joint in a segment."""
 LONGEST_GAP = 6
@@ -50,11 +52,12 @@ class Points:
 def processed(sweep: Sweep) -> Sweep:
     """The record after the paper's processing, segment by segment.
 
-    Dropped frames, missing measurements and samples far from their neighbours are interpolated linearly for the filter and
-    removed again after it, so that only these samples are lost.
+    Dropped frames, missing measurements and samples far from their neighbours are interpolated
+    linearly for the filter and removed again after it, so that only these samples are lost.
 
     Raises:
-        RecordError: A segment is not sampled evenly, has too many missing samples, or is too short to filter.
+        RecordError: A segment is not sampled evenly, has too many missing samples, or is too short
+            to filter.
         WorkspaceError: The cut-off is not below half of the sampling rate.
     """
     joint_pos = sweep.joint_pos.copy()
@@ -81,7 +84,9 @@ def processed(sweep: Sweep) -> Sweep:
 
 
 def near_neighbours(values: Array) -> np.ndarray:
-    """Mask of the samples near the running median, which a steady motion equals; mistaken markers are far from it."""
+    """Mask of the samples near the running median, which a steady motion equals; mistaken markers
+    are far from it.
+    """
     from scipy import ndimage
 
     off = np.abs(values - ndimage.median_filter(values, NEIGHBOURS, mode="nearest"))
@@ -92,12 +97,17 @@ def sampling_rate(time: Array) -> float:
     """Rate of evenly spaced samples [Hz], some of which may be missing.
 
     Raises:
-        RecordError: A gap deviates from a multiple of the median gap by more than 5 % of it, or exceeds `LONGEST_GAP` of them.
+        RecordError: A gap deviates from a multiple of the median gap by more than 5 % of it, or
+            exceeds `LONGEST_GAP` of them.
     """
     gaps = np.diff(time)
     period = float(np.median(gaps)) if gaps.size else 0.0
     steps = np.maximum(np.round(gaps / period), 1) if period > 0 else gaps
-    if period <= 0 or np.abs(gaps - steps * period).max() > 0.05 * period or steps.max() > LONGEST_GAP:
+    if (
+        period <= 0
+        or np.abs(gaps - steps * period).max() > 0.05 * period
+        or steps.max() > LONGEST_GAP
+    ):
         raise RecordError(
             f"samples from {time[0]:g} s to {time[-1]:g} s are not evenly spaced with at most {LONGEST_GAP - 1} dropped in a "
             f"row; a filter needs them so"
@@ -106,7 +116,8 @@ def sampling_rate(time: Array) -> float:
 
 
 def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
-    """Zero-phase second-order Butterworth low-pass of values of shape (n, ...), run forwards and backwards.
+    """Zero-phase second-order Butterworth low-pass of values of shape (n, ...), run forwards and
+    backwards.
 
     Raises:
         WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
@@ -119,16 +130,19 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
     sections = signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
     pad = int(np.ceil(rate_hz / cutoff_hz))
     if len(values) <= pad:
-        raise RecordError(f"a segment of {len(values)} samples is too short: the filter needs more than {pad}")
+        raise RecordError(
+            f"a segment of {len(values)} samples is too short: the filter needs more than {pad}"
+        )
     return signal.sosfiltfilt(sections, values, axis=0, padlen=pad)
 
 
 def without_drift(sweep: Sweep) -> Sweep:
-    """Subtract the camera's drift: a straight line in time through the readings of the swept joints at rest.
+    """Subtract the camera's drift: a straight line in time through the readings of the swept joints
+    at rest.
 
-    Uses only the rest poses of a segment, where the swept joints are at zero, without outliers. If a segment rests at one end
-    only, the drift is a constant; a segment without rest is left unchanged.
-    """
+    Uses only the rest poses of a segment, where the swept joints are at zero, without outliers. If
+    a segment rests at one end only, the drift is a constant; a segment without rest is left
+    unchanged."""
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
         rest = rows[sweep.phase[rows] == REST]
@@ -150,20 +164,26 @@ def without_drift(sweep: Sweep) -> Sweep:
 
 
 def near_median(values: Array) -> np.ndarray:
-    """Mask of the samples of a joint at rest within `FAR` robust standard deviations of their median; False for NaN."""
+    """Mask of the samples of a joint at rest within `FAR` robust standard deviations of their
+    median; False for NaN.
+    """
     seen = values[~np.isnan(values)]
     off = values - np.median(seen) if seen.size else values
     return np.abs(off) <= FAR * noise_of(off)
 
 
 def robust_deviation(values: Array) -> float:
-    """Standard deviation of normal values about zero from their median magnitude, without NaN; outliers hardly change it."""
+    """Standard deviation of normal values about zero from their median magnitude, without NaN;
+    outliers hardly change it.
+    """
     seen = values[~np.isnan(values)]
     return 1.4826 * float(np.median(np.abs(seen))) if seen.size else 0.0
 
 
 def noise_of(deviations: Array) -> float:
-    """Robust standard deviation of samples about their point's median [rad], at least `LEAST_NOISE`."""
+    """Robust standard deviation of samples about their point's median [rad], at least
+    `LEAST_NOISE`.
+    """
     return max(robust_deviation(deviations), LEAST_NOISE)
 
 
@@ -175,16 +195,22 @@ def points(sweep: Sweep) -> Points:
     """
     held = (sweep.point >= 0) & (sweep.phase != REST)
     if not held.any():
-        raise RecordError("column point: no row of a flexion or an extension is at a sampling point (all are −1)")
+        raise RecordError(
+            "column point: no row of a flexion or an extension is at a sampling point (all are −1)"
+        )
     keys = np.stack([sweep.trial, sweep.swept, sweep.phase, sweep.point], axis=1)[held]
     unique, group = np.unique(keys, axis=0, return_inverse=True)
     group = group.reshape(-1)
-    servo, joint_pos = (group_means(values[held], group)[0] for values in (sweep.servo, sweep.joint_pos))
+    servo, joint_pos = (
+        group_means(values[held], group)[0] for values in (sweep.servo, sweep.joint_pos)
+    )
     return Points(*unique.T[:3], servo, joint_pos)
 
 
 def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:
-    """Means and counts, shape (groups, m), of values (n, m) by their group's number (n,), ignoring NaN; NaN without values."""
+    """Means and counts, shape (groups, m), of values (n, m) by their group's number (n,), ignoring
+    NaN; NaN without values.
+    """
     seen = ~np.isnan(values)
     total, count = np.zeros((2, group.max() + 1, values.shape[1]))
     np.add.at(total, group, np.where(seen, values, 0.0))

@@ -1,4 +1,6 @@
-"""The record of a servo sweep, and its file `sweep.csv` (`docs/study.md`): the same for a simulated hand and for a real one."""
+"""The record of a servo sweep, and its file `sweep.csv` (`docs/study.md`): the same for a simulated
+hand and for a real one.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +30,17 @@ ANGLE_LIMIT = np.pi
 
 
 class RecordError(HpacError, ValueError):
-    """A sweep record lacks a column or contains an invalid value; the message names column and row."""
+    """A sweep record lacks a column or contains an invalid value; the message names column and
+    row.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
     """A record with one entry per camera sample.
 
-    A *segment* is contiguous in time: one trial of one swept servo, with rest, flexion, and possibly extension.
-    """
+    A *segment* is contiguous in time: one trial of one swept servo, with rest, flexion, and
+    possibly extension."""
 
     trial: np.ndarray
     """Number of the repetition, shape (n,)."""
@@ -45,7 +49,8 @@ class Sweep:
     phase: np.ndarray
     """Index in `PHASES`, shape (n,)."""
     point: np.ndarray
-    """Number of the sampling point while the servos are stationary there, −1 in motion, shape (n,)."""
+    """Number of the sampling point while the servos are stationary there, −1 in motion, shape (n,).
+    """
     time: Array
     """Time of the sample, shape (n,) [s]."""
     servo: Array
@@ -72,7 +77,9 @@ class Sweep:
 
 def concatenate(parts: list[Sweep]) -> Sweep:
     """Several records as one, in order."""
-    return Sweep(*(np.concatenate([getattr(part, name) for part in parts]) for name in Sweep.__slots__))
+    return Sweep(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in Sweep.__slots__)
+    )
 
 
 def joints_of_servo(servo: int) -> list[int]:
@@ -94,9 +101,20 @@ def write_sweep(path: str | os.PathLike[str], sweep: Sweep) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for row in range(len(sweep)):
-        labels = (int(sweep.trial[row]), SERVOS[sweep.swept[row]], PHASES[sweep.phase[row]], int(sweep.point[row]))
+        labels = (
+            int(sweep.trial[row]),
+            SERVOS[sweep.swept[row]],
+            PHASES[sweep.phase[row]],
+            int(sweep.point[row]),
+        )
         angles = np.concatenate([sweep.servo[row], sweep.joint_pos[row]])
-        writer.writerow([*labels, f"{sweep.time[row]:.4f}", *("" if np.isnan(x) else f"{x:.7f}" for x in angles)])
+        writer.writerow(
+            [
+                *labels,
+                f"{sweep.time[row]:.4f}",
+                *("" if np.isnan(x) else f"{x:.7f}" for x in angles),
+            ]
+        )
     write_text(path, text.getvalue())
 
 
@@ -108,11 +126,12 @@ def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Swe
 
     Args:
         path: the file.
-        allow_missing: treat an absent joint column as "not measured", as an empty cell in a joint column always is.
+        allow_missing: treat an absent joint column as "not measured", as an empty cell in a joint
+            column always is.
 
     Raises:
-        RecordError: The file cannot be read, lacks a column, or has a cell that is NaN, not a number, in degrees or
-            unknown; or time does not increase within a segment.
+        RecordError: The file cannot be read, lacks a column, or has a cell that is NaN, not a
+            number, in degrees or unknown; or time does not increase within a segment.
     """
     path = Path(path)
     try:
@@ -130,11 +149,14 @@ def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Swe
 def _parse(lines: list[str], allow_missing: bool) -> Sweep:
     if not lines or lines[0].strip() != HEADER:
         raise RecordError(f"row 1 must be {HEADER!r}, not {lines[0][:60] if lines else ''!r}")
-    numbers = [number for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+    numbers = [
+        number for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")
+    ]
     table = list(zip(numbers, csv.reader(lines[number - 1] for number in numbers), strict=True))
     if len(table) < 2:
         raise RecordError("no rows of data")
-    names, rows = [name.strip() for name in table[0][1]], table[1:]
+    names = [name.strip() for name in table[0][1]]
+    rows = table[1:]
     for number, cells in rows:
         if len(cells) != len(names):
             raise RecordError(f"row {number} has {len(cells)} cells, the header {len(names)}")
@@ -142,19 +164,38 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
     for name in COLUMNS:
         in_degrees = name.replace("_rad", "_deg")
         if names.count(name) == 1:
-            columns[name] = _column(name, [(number, cells[names.index(name)].strip()) for number, cells in rows])
-        elif allow_missing and name in JOINT_COLUMNS and name not in names and in_degrees not in names:
+            columns[name] = _column(
+                name, [(number, cells[names.index(name)].strip()) for number, cells in rows]
+            )
+        elif (
+            allow_missing
+            and name in JOINT_COLUMNS
+            and name not in names
+            and in_degrees not in names
+        ):
             columns[name] = np.full(len(rows), np.nan)
         else:
-            degrees = f"; {in_degrees} is in degrees" if in_degrees in names and in_degrees != name else ""
-            raise RecordError(f"column {name} is {'there twice' if name in names else f'missing{degrees}'}")
-    servo, joint_pos = (np.stack([columns[name] for name in group], axis=1) for group in (SERVO_COLUMNS, JOINT_COLUMNS))
+            degrees = (
+                f"; {in_degrees} is in degrees"
+                if in_degrees in names and in_degrees != name
+                else ""
+            )
+            raise RecordError(
+                f"column {name} is {'there twice' if name in names else f'missing{degrees}'}"
+            )
+    servo, joint_pos = (
+        np.stack([columns[name] for name in group], axis=1)
+        for group in (SERVO_COLUMNS, JOINT_COLUMNS)
+    )
     sweep = Sweep(*(columns[name] for name in (*LABELS, "time_s")), servo, joint_pos)
     for segment in sweep.segments():
         late = segment[1:][np.diff(sweep.time[segment]) <= 0]
         if late.size:
-            before, now = sweep.time[late[0] - 1], sweep.time[late[0]]
-            raise RecordError(f"column time_s, row {rows[late[0]][0]}: {now:g} s does not follow {before:g} s")
+            before = sweep.time[late[0] - 1]
+            now = sweep.time[late[0]]
+            raise RecordError(
+                f"column time_s, row {rows[late[0]][0]}: {now:g} s does not follow {before:g} s"
+            )
     return sweep
 
 

@@ -18,12 +18,17 @@ from numpy.typing import ArrayLike
 
 from hpac_gym.output import markdown, replacing
 
-RED, GREEN, BLUE, GREY = "#c0392b", "#1e8449", "#2471a3", "#7f8c8d"
+RED = "#c0392b"
+GREEN = "#1e8449"
+BLUE = "#2471a3"
+GREY = "#7f8c8d"
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A middle value between two bounds. A format such as ``.2f`` applies to all three; ``str`` shows three decimals."""
+    """A middle value between two bounds. A format such as ``.2f`` applies to all three; ``str``
+    shows three decimals.
+    """
 
     middle: float
     low: float
@@ -37,13 +42,18 @@ class Interval:
 
 
 def mean_of(values: ArrayLike) -> Interval:
-    """Mean of independent values, shape (n,), with its 95 % Student's t interval; the bounds of a single value are NaN."""
+    """Mean of independent values, shape (n,), with its 95 % Student's t interval; the bounds of a
+    single value are NaN.
+    """
     values = np.asarray(values, dtype=float)
-    centre, half = float(values.mean()), float("nan")
+    centre = float(values.mean())
+    half = float("nan")
     if len(values) > 1:
         from scipy import stats  # takes half a second to load
 
-        half = float(stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+        half = float(
+            stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+        )
     return Interval(centre, centre - half, centre + half)
 
 
@@ -81,12 +91,17 @@ class Column:
 
 def rows_of(columns: Sequence[Column], found: Mapping[str, Any]) -> dict[str, dict[str, object]]:
     """Values of a table's rows by key, computed from the result of each row."""
-    return {name: {column.key: column.value(item) for column in columns} for name, item in found.items()}
+    return {
+        name: {column.key: column.value(item) for column in columns} for name, item in found.items()
+    }
 
 
 def table(first: str, columns: Sequence[Column], rows: Mapping[str, Mapping[str, object]]) -> str:
     """The rows as a Markdown table; `first` is the heading of the first column."""
-    body = [(name, *(column.form.format(row[column.key]) for column in columns)) for name, row in rows.items()]
+    body = [
+        (name, *(column.form.format(row[column.key]) for column in columns))
+        for name, row in rows.items()
+    ]
     return markdown((first, *(column.heading for column in columns)), body)
 
 
@@ -103,7 +118,9 @@ def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def save(figure: Figure, path: str | os.PathLike[str], caption: str = "", picture: bool = False) -> None:
+def save(
+    figure: Figure, path: str | os.PathLike[str], caption: str = "", picture: bool = False
+) -> None:
     """Write a figure atomically as PNG and, with the same name, as SVG.
 
     Args:
@@ -121,5 +138,8 @@ def save(figure: Figure, path: str | os.PathLike[str], caption: str = "", pictur
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=130, format="png", metadata={"Software": None})
     if not picture:
-        with replacing(Path(path).with_suffix(".svg")) as temporary, rc_context({"svg.hashsalt": "hpac", "svg.fonttype": "none"}):
+        with (
+            replacing(Path(path).with_suffix(".svg")) as temporary,
+            rc_context({"svg.hashsalt": "hpac", "svg.fonttype": "none"}),
+        ):
             figure.savefig(temporary, format="svg", metadata={"Date": None, "Creator": None})

@@ -1,7 +1,8 @@
-"""The test rig: a simulated hand in a stand, a camera that measures its joints, and the servo sweep.
+"""The test rig: a simulated hand in a stand, a camera that measures its joints, and the servo
+sweep.
 
-The stand orients the hand so that the swept digit flexes in a horizontal plane: its weight loads the hinges, not the tendons.
-"""
+The stand orients the hand so that the swept digit flexes in a horizontal plane: its weight loads
+the hinges, not the tendons."""
 
 from __future__ import annotations
 
@@ -22,10 +23,14 @@ from hpac_gym.study.quasistatic import Built, softened
 from hpac_gym.study.record import EXTENDING, FLEXING, REST, Sweep, concatenate, joints_of_servo
 
 WORLD = WorldSettings(physics_hz=640, error_reduction=0.2)
-"""Smaller time steps than in the environments, so that the integration is stable at twice the tendon stiffness."""
+"""Smaller time steps than in the environments, so that the integration is stable at twice the
+tendon stiffness.
+"""
 
 HAND = HandSettings(armature=(1e-3, 3e-4, 3e-4), damping=Damping(0.4, overrun=0.0))
-"""The simulated hand of the rig, with smaller armatures than in the environments, as this rate permits."""
+"""The simulated hand of the rig, with smaller armatures than in the environments, as this rate
+permits.
+"""
 
 NEAR_STOP = np.deg2rad(0.3)
 """In a physics engine, a joint this close to its stop may rest at it [rad]."""
@@ -34,14 +39,20 @@ UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 """Orientation of a hand with fingers upwards, quaternion xyzw."""
 
 
-def settings_of(joint_friction: float, dead_band: float, tendon_friction: float = 0.0) -> HandSettings:
+def settings_of(
+    joint_friction: float, dead_band: float, tendon_friction: float = 0.0
+) -> HandSettings:
     """The rig's hand with friction [N·m, share of the load] and servos with a dead band [rad]."""
     servo = ServoSettings(dead_band=dead_band)
-    return replace(HAND, joint_friction=joint_friction, tendon_friction=tendon_friction, servo=servo)
+    return replace(
+        HAND, joint_friction=joint_friction, tendon_friction=tendon_friction, servo=servo
+    )
 
 
 def upright(joint: str) -> Array:
-    """Orientation of the stand that makes a driven joint's axis vertical, quaternion xyzw, shape (4,)."""
+    """Orientation of the stand that makes a driven joint's axis vertical, quaternion xyzw, shape
+    (4,).
+    """
     digit = load_geometry().digit(joint.split("_")[0])
     names = [phalanx.joint for phalanx in digit.phalanges]
     root = rest_pose(joint)[SERVO_INDEX["thumb_cmc"]]
@@ -64,10 +75,17 @@ class HandOnStand:
     """
 
     def __init__(
-        self, hand: Hand, settings: HandSettings, world: WorldSettings, orientation: tuple[float, ...], visuals: bool = False,
+        self,
+        hand: Hand,
+        settings: HandSettings,
+        world: WorldSettings,
+        orientation: tuple[float, ...],
+        visuals: bool = False,
         engine: str | None = None,
-    ) -> None:  # fmt: skip
-        self._setup = SceneSetup(None, hand=hand, hand_settings=settings, hand_quaternion=orientation)
+    ) -> None:
+        self._setup = SceneSetup(
+            None, hand=hand, hand_settings=settings, hand_quaternion=orientation
+        )
         self.simulation = Simulation(make_engine(engine or default_engine(), 1, world, visuals))
         self.close = self.simulation.engine.close
         self.step = self.simulation.rest  # advances by a time [s], in whole physics steps
@@ -101,12 +119,21 @@ class Rig:
     protocol: Protocol = PROTOCOL
     world: WorldSettings = WORLD
     servo_zero: tuple[float, ...] = (0.0,) * len(SERVOS)
-    """Angle of each servo's horn at the command 0 [rad]; at rest the tendons are slack nevertheless."""
+    """Angle of each servo's horn at the command 0 [rad]; at rest the tendons are slack
+    nevertheless.
+    """
     engine: str | None = None
     """Name of the physics engine; None is the default one."""
 
-    def sweep(self, rng: np.random.Generator, trial: int = 0, servos: tuple[str, ...] = SERVOS, label: str = "") -> Sweep:
-        """Sweep one servo after the other over the nominal hand's range, the others at rest, and record every frame.
+    def sweep(
+        self,
+        rng: np.random.Generator,
+        trial: int = 0,
+        servos: tuple[str, ...] = SERVOS,
+        label: str = "",
+    ) -> Sweep:
+        """Sweep one servo after the other over the nominal hand's range, the others at rest, and
+        record every frame.
 
         Args:
             rng: generator of the camera's noise.
@@ -116,17 +143,24 @@ class Rig:
         """
         parts = []
         for name in progress(servos, label, bool(label)):
-            sim = HandOnStand(self.hand, self.settings, self.world, tuple(upright(name)), engine=self.engine)
+            sim = HandOnStand(
+                self.hand, self.settings, self.world, tuple(upright(name)), engine=self.engine
+            )
             parts.append(self._segment(sim, SERVOS.index(name), trial, rng))
             sim.close()
         return concatenate(parts)
 
     def _segment(self, sim: HandOnStand, swept: int, trial: int, rng: np.random.Generator) -> Sweep:
-        period, zero = 1.0 / self.camera.rate_hz, np.array(self.servo_zero)
-        labels, commanded, measured = [], [], []
+        period = 1.0 / self.camera.rate_hz
+        zero = np.array(self.servo_zero)
+        labels = []
+        commanded = []
+        measured = []
 
         def rest() -> None:
-            sim.reset(rest_pose(SERVOS[swept]))  # reset against its stops, which friction would prevent it from reaching
+            sim.reset(
+                rest_pose(SERVOS[swept])
+            )  # reset against its stops, which friction would prevent it from reaching
             record(self.protocol.rest, REST)
 
         def record(seconds: float, phase: int, point: int = -1) -> None:
@@ -143,7 +177,10 @@ class Rig:
             sim.command(target + zero, moving)
             record(moving, phase)
             record(self.protocol.hold, phase, point)
-            labels[-1] = (phase, -1)  # so that the point's samples are symmetric about the middle of the hold
+            labels[-1] = (
+                phase,
+                -1,
+            )  # so that the point's samples are symmetric about the middle of the hold
 
         angles = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], self.protocol.points)
         rest()
@@ -161,7 +198,15 @@ class Rig:
         time = period * np.arange(1, count + 1)
         phase, point = np.array(labels).T
         joint_pos = self.camera.seen(np.array(measured), time, rng)
-        return Sweep(np.full(count, trial), np.full(count, swept), phase, point, time, np.array(commanded), joint_pos)
+        return Sweep(
+            np.full(count, trial),
+            np.full(count, swept),
+            phase,
+            point,
+            time,
+            np.array(commanded),
+            joint_pos,
+        )
 
     def with_protocol(self, **changes: object) -> Rig:
         """The same rig with another protocol."""
@@ -171,29 +216,41 @@ class Rig:
         """Sweep the five digits once before a camera.
 
         Returns:
-            The record; servo angles, shape (points, 6), and true joint angles at its sampling points, shape (points, 15) [rad].
+            The record; servo angles, shape (points, 6), and true joint angles at its sampling
+            points, shape (points, 15) [rad].
         """
-        true = replace(self, camera=JointCamera(noise=0.0, drift=0.0)).sweep(np.random.default_rng(seed), servos=SERVOS[:-1])
-        seen, held = true.joint_pos.copy(), points(true)
+        true = replace(self, camera=JointCamera(noise=0.0, drift=0.0)).sweep(
+            np.random.default_rng(seed), servos=SERVOS[:-1]
+        )
+        seen = true.joint_pos.copy()
+        held = points(true)
         for rows in true.segments():
-            seen[rows] = camera.seen(seen[rows], true.time[rows], np.random.default_rng([seed, int(rows[0])]))
-        servo, joint_pos = (np.zeros((self.protocol.points, len(names))) for names in (SERVOS, JOINTS))
+            seen[rows] = camera.seen(
+                seen[rows], true.time[rows], np.random.default_rng([seed, int(rows[0])])
+            )
+        servo, joint_pos = (
+            np.zeros((self.protocol.points, len(names))) for names in (SERVOS, JOINTS)
+        )
         for column in range(len(SERVOS) - 1):
-            swept, joints = held.swept == column, joints_of_servo(column)
-            servo[:, column], joint_pos[:, joints] = held.servo[swept, column], held.joint_pos[swept][:, joints]
+            swept = held.swept == column
+            joints = joints_of_servo(column)
+            servo[:, column] = held.servo[swept, column]
+            joint_pos[:, joints] = held.joint_pos[swept][:, joints]
         return true.with_joint_pos(seen), servo, joint_pos
 
 
 def rig_of(built: Built, engine: str | None = None) -> Rig:
-    """A hand in metal in a physics engine, without guide pins and sliding cable, with Table I's stops.
+    """A hand in metal in a physics engine, without guide pins and sliding cable, with Table I's
+    stops.
 
-    Friction and dead band of all digits are the first one's. A servo that gives way is a softer driving tendon.
-    """
+    Friction and dead band of all digits are the first one's. A servo that gives way is a softer
+    driving tendon."""
     digits = {}
     for (name, digit), metal in zip(built.hand.digits.items(), built.metal, strict=True):
         first, *others = digit.path_length
         path = (first * 2 / metal.first_segment if others else first, *others)
         digits[name] = replace(digit, path_length=path, drive_stiffness=softened(digit, metal))
-    metal, zero = built.metal[0], (*(item.servo_zero for item in built.metal), 0.0)
+    metal = built.metal[0]
+    zero = (*(item.servo_zero for item in built.metal), 0.0)
     settings = settings_of(metal.joint_friction, metal.dead_band, metal.tendon_friction)
     return Rig(replace(built.hand, digits=digits), settings, servo_zero=zero, engine=engine)

@@ -1,9 +1,9 @@
-"""Comparison of calibration methods, fitted to a few points of a sweep and evaluated against the true joint angles.
+"""Comparison of calibration methods, fitted to a few points of a sweep and evaluated against the
+true joint angles.
 
-Every method maps one servo's angle to the angles of the joints that it moves, fitted to N sampling points. The main comparison
-is on hands whose physics none of the models contains (`OTHER_METAL`), in metal and in MuJoCo; the third one is on hands that obey
-the laws of the fit.
-"""
+Every method maps one servo's angle to the angles of the joints that it moves, fitted to N sampling
+points. The main comparison is on hands whose physics none of the models contains (`OTHER_METAL`),
+in metal and in MuJoCo; the third one is on hands that obey the laws of the fit."""
 
 from __future__ import annotations
 
@@ -14,14 +14,30 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import linalg, optimize
 
-from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, elastic_joints_from_servo, rigid_joints_from_servo
+from hpac_gym.model import (
+    HPAC,
+    JOINT_INDEX,
+    SERVOS,
+    elastic_joints_from_servo,
+    rigid_joints_from_servo,
+)
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import settled_joints_from_servo
 from hpac_gym.output import markdown
 from hpac_gym.progress import progress
 from hpac_gym.study.bench import JointCamera, metal_sweeps
 from hpac_gym.study.identification import identify
-from hpac_gym.study.populations import FIT_LAWS, NINE, OTHER_LAWS, SERVO, STIFFNESS, ZERO, Workshop, build, geometry
+from hpac_gym.study.populations import (
+    FIT_LAWS,
+    NINE,
+    OTHER_LAWS,
+    SERVO,
+    STIFFNESS,
+    ZERO,
+    Workshop,
+    build,
+    geometry,
+)
 from hpac_gym.study.quasistatic import Built, hand_course
 from hpac_gym.study.record import REST, Sweep, joints_of_servo
 from hpac_gym.study.results import Interval, Part, log_ticks, mean_of
@@ -38,23 +54,34 @@ OTHER_METAL = Workshop({**STIFFNESS, **geometry(0.005)}, ZERO, OTHER_LAWS)
 HOME_METAL = replace(OTHER_METAL, metal=FIT_LAWS)
 """Hands of the same tolerances that obey the laws of the fit."""
 COMMON_ERRORS = JointCamera(common_scale=0.002, common_wander=np.deg2rad(0.05), outliers=0.005)
-"""A camera with errors common to all joints, 0.2 % of scale and a drift of 0.05° within seconds, and 0.5 % outliers."""
+"""A camera with errors common to all joints, 0.2 % of scale and a drift of 0.05° within seconds,
+and 0.5 % outliers.
+"""
 Measured = tuple[list[Sweep], list[Array], list[Array]]
-"""Records of hands; servo angles (k, 6) and true joint angles (k, 15) at which each is judged [rad]."""
+"""Records of hands; servo angles (k, 6) and true joint angles (k, 15) at which each is judged
+[rad].
+"""
 
 
 def in_metal(built: list[Built], seed: int) -> Measured:
     """Measure hands in the quasi-static simulation."""
-    return metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1]), [SERVO] * len(built), list(hand_course(built, SERVO))
+    return (
+        metal_sweeps(built, seed, COMMON_ERRORS, servos=SERVOS[:-1]),
+        [SERVO] * len(built),
+        list(hand_course(built, SERVO)),
+    )
 
 
 def in_mujoco(built: list[Built], seed: int) -> Measured:
-    """Measure hands in MuJoCo, which adds dynamics, and lacks guide pins and the return cable's loss of tension.
+    """Measure hands in MuJoCo, which adds dynamics, and lacks guide pins and the return cable's
+    loss of tension.
 
     True angles of a digit that rests at one of Table I's stops are NaN.
     """
-    sweeps = [rig_of(hand, "mujoco").seen_and_true(COMMON_ERRORS, seed + number)
-              for number, hand in progress(list(enumerate(built)), "sweeps in MuJoCo")]  # fmt: skip
+    sweeps = [
+        rig_of(hand, "mujoco").seen_and_true(COMMON_ERRORS, seed + number)
+        for number, hand in progress(list(enumerate(built)), "sweeps in MuJoCo")
+    ]
     for *_, truth in sweeps:
         stopped = truth > HPAC.joint_max - NEAR_STOP
         for joints in map(joints_of_servo, range(len(SERVOS) - 1)):
@@ -72,13 +99,17 @@ Predictor = Callable[[Array], Array]
 """Function from servo angles (k,) to joint angles (k, joints)."""
 
 
-def linear_scaling(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
+def linear_scaling(
+    servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor
+) -> Predictor:
     """One factor per joint, through the rest pose: q = a u."""
     factor = servo @ joint_pos / (servo @ servo)
     return lambda angle: angle[:, None] * factor
 
 
-def polynomial(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
+def polynomial(
+    servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor
+) -> Predictor:
     """One polynomial per joint, of degree 4 or less for fewer than five points."""
     degree = min(DEGREE, len(servo) - 1)
     factors = np.polynomial.polynomial.polyfit(servo, joint_pos, degree)
@@ -86,7 +117,9 @@ def polynomial(servo: Array, joint_pos: Array, rng: np.random.Generator, model: 
 
 
 def gaussian_process(servo: Array, joint_pos: Array, base: Predictor) -> Predictor:
-    """Gaussian process with squared-exponential kernel and white noise on top of a base model, by marginal likelihood."""
+    """Gaussian process with squared-exponential kernel and white noise on top of a base model, by
+    marginal likelihood.
+    """
     rest = joint_pos - base(servo)
     scale = max(float(rest.std()), 1e-6)
     gaps = (servo[:, None] - servo) ** 2
@@ -96,28 +129,40 @@ def gaussian_process(servo: Array, joint_pos: Array, base: Predictor) -> Predict
         return (amplitude * scale) ** 2 * np.exp(-0.5 * squared / length**2)
 
     def factorised(parameters: Array):
-        covariance = kernel(parameters, gaps) + (np.exp(parameters[2]) * scale) ** 2 * np.eye(len(servo))
+        covariance = kernel(parameters, gaps) + (np.exp(parameters[2]) * scale) ** 2 * np.eye(
+            len(servo)
+        )
         return linalg.cho_factor(covariance + 1e-12 * scale**2 * np.eye(len(servo)), lower=True)
 
     def unlikelihood(parameters: Array) -> float:
         factor = factorised(parameters)
-        return float(0.5 * np.sum(rest * linalg.cho_solve(factor, rest)) + rest.shape[1] * np.log(np.diag(factor[0])).sum())
+        return float(
+            0.5 * np.sum(rest * linalg.cho_solve(factor, rest))
+            + rest.shape[1] * np.log(np.diag(factor[0])).sum()
+        )
 
-    start, bounds = np.log([1.0, 0.5, 0.05]), [(-3, 3), (-3, 2), (-7, 1)]
+    start = np.log([1.0, 0.5, 0.05])
+    bounds = [(-3, 3), (-3, 2), (-7, 1)]
     parameters = optimize.minimize(unlikelihood, start, bounds=bounds, method="L-BFGS-B").x
     weight = linalg.cho_solve(factorised(parameters), rest)
     return lambda angle: base(angle) + kernel(parameters, (angle[:, None] - servo) ** 2) @ weight
 
 
-def network(servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor) -> Predictor:
-    """A network with one hidden layer of six tanh units on top of linear scaling, by least squares with weight decay."""
+def network(
+    servo: Array, joint_pos: Array, rng: np.random.Generator, model: Predictor
+) -> Predictor:
+    """A network with one hidden layer of six tanh units on top of linear scaling, by least squares
+    with weight decay.
+    """
     base = linear_scaling(servo, joint_pos, rng, model)
-    rest, span = joint_pos - base(servo), servo.max()
+    rest = joint_pos - base(servo)
+    span = servo.max()
     scale = max(float(np.abs(rest).max()), 1e-6)
     outputs = rest.shape[1]
 
     def output(weights: Array, angle: Array) -> Array:
-        slope, shift = weights[:UNITS], weights[UNITS : 2 * UNITS]
+        slope = weights[:UNITS]
+        shift = weights[UNITS : 2 * UNITS]
         mixed = weights[2 * UNITS :].reshape(UNITS + 1, outputs)
         hidden = np.tanh(angle[:, None] / span * slope + shift)
         return hidden @ mixed[:-1] + mixed[-1]
@@ -137,9 +182,14 @@ RIVALS = {
     "Gaussian process": lambda servo, joint_pos, rng, model: gaussian_process(
         servo, joint_pos, linear_scaling(servo, joint_pos, rng, model)
     ),
-    "Gaussian process on the paper's model": lambda servo, joint_pos, rng, model: gaussian_process(servo, joint_pos, model),
+    "Gaussian process on the paper's model": lambda servo, joint_pos, rng, model: gaussian_process(
+        servo, joint_pos, model
+    ),
 }
-UNTRAINED = {"rigid model, Eq. (9)": rigid_joints_from_servo, "paper's model, Eqs. (5), (12)": elastic_joints_from_servo}
+UNTRAINED = {
+    "rigid model, Eq. (9)": rigid_joints_from_servo,
+    "paper's model, Eqs. (5), (12)": elastic_joints_from_servo,
+}
 IDENTIFIED = {"paper's model, its numbers fitted": True, "`hpac calibrate`": False}
 """Fitted physical models, and whether they are restricted to the paper's equations."""
 
@@ -155,9 +205,14 @@ class Race:
 
 
 def run_race(
-    workshop: Workshop, hands: int, seed: int, samples: tuple[int, ...] = SAMPLES, measure: Callable = in_metal
+    workshop: Workshop,
+    hands: int,
+    seed: int,
+    samples: tuple[int, ...] = SAMPLES,
+    measure: Callable = in_metal,
 ) -> Race:
-    """Fit every method to random points of one sweep of each hand, and evaluate it against the true joint angles.
+    """Fit every method to random points of one sweep of each hand, and evaluate it against the true
+    joint angles.
 
     Args:
         workshop: tolerances of the hands.
@@ -168,20 +223,32 @@ def run_race(
     """
     measured = list(zip(*measure(build(workshop, hands, seed), seed), strict=True))
     untrained = {
-        name: mean_of([_error(model(servo), truth) for _, servo, truth in measured]) for name, model in UNTRAINED.items()
+        name: mean_of([_error(model(servo), truth) for _, servo, truth in measured])
+        for name, model in UNTRAINED.items()
     }
-    errors: dict[str, dict[int, list[float]]] = {name: {n: [] for n in samples} for name in (*RIVALS, *IDENTIFIED)}
+    errors: dict[str, dict[int, list[float]]] = {
+        name: {n: [] for n in samples} for name in (*RIVALS, *IDENTIFIED)
+    }
     for number, hand in progress([(n, h) for n in samples for h in range(hands)], "rivals"):
         rng = np.random.default_rng([seed, number, hand])
         for name, value in _errors_of_hand(*measured[hand], number, rng).items():
             errors[name][number].append(value)
-    scale = [COMMON_ERRORS.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(truth), truth) for *_, truth in measured]
-    trained = {name: {n: mean_of(values) for n, values in table.items()} for name, table in errors.items()}
+    scale = [
+        COMMON_ERRORS.common_scale * np.sqrt(2 / np.pi) * _error(np.zeros_like(truth), truth)
+        for *_, truth in measured
+    ]
+    trained = {
+        name: {n: mean_of(values) for n, values in table.items()} for name, table in errors.items()
+    }
     return Race(trained, untrained, mean_of(scale))
 
 
-def _errors_of_hand(record: Sweep, servo: Array, truth: Array, number: int, rng: np.random.Generator) -> dict[str, float]:
-    """Errors of all methods for one hand. All get the same points: means of the samples without outliers."""
+def _errors_of_hand(
+    record: Sweep, servo: Array, truth: Array, number: int, rng: np.random.Generator
+) -> dict[str, float]:
+    """Errors of all methods for one hand. All get the same points: means of the samples without
+    outliers.
+    """
     few = record.phase == REST
     predicted = {name: np.zeros_like(truth) for name in RIVALS}
     for swept, digit in enumerate(HPAC.digits.values()):
@@ -190,7 +257,9 @@ def _errors_of_hand(record: Sweep, servo: Array, truth: Array, number: int, rng:
         few |= (record.swept == swept) & np.isin(record.point, samples.point[which])
         joints = [JOINT_INDEX[joint] for joint in digit.joints]
         for name, fit in RIVALS.items():
-            predictor = fit(samples.servo[which], samples.joint_pos[which], rng, _model_of(swept, joints))
+            predictor = fit(
+                samples.servo[which], samples.joint_pos[which], rng, _model_of(swept, joints)
+            )
             predicted[name][:, joints] = predictor(servo[:, swept])
     for name, papers in IDENTIFIED.items():
         hand = identify(record[few], least_points=min(SAMPLES), papers_model=papers).hand
@@ -200,7 +269,9 @@ def _errors_of_hand(record: Sweep, servo: Array, truth: Array, number: int, rng:
 
 def _model_of(swept: int, joints: list[int]) -> Predictor:
     """The paper's nominal model of the joints that one servo moves."""
-    return lambda angle: elastic_joints_from_servo(angle[:, None] * np.eye(len(SERVOS))[swept])[:, joints]
+    return lambda angle: elastic_joints_from_servo(angle[:, None] * np.eye(len(SERVOS))[swept])[
+        :, joints
+    ]
 
 
 def _chosen(available: int, number: int, rng: np.random.Generator) -> np.ndarray:
@@ -221,9 +292,15 @@ def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES)
     lines = [f"## Rival calibrations on {title}: mean absolute error of the nine joints [°]", ""]
     lines += [f"{count} hands, seed {seed}; mean and 95 % interval.", ""]
     body = [(name, *table.values()) for name, table in found.trained.items()]
-    body += [(f"{name}, untrained", value, *[""] * (len(samples) - 1)) for name, value in found.untrained.items()]
+    body += [
+        (f"{name}, untrained", value, *[""] * (len(samples) - 1))
+        for name, value in found.untrained.items()
+    ]
     lines += [markdown(("method", *(f"{n} points" for n in samples)), body), ""]
-    lines += [f"The camera's scale error alone, which no method can observe, leaves {found.camera:.3f}°.", ""]
+    lines += [
+        f"The camera's scale error alone, which no method can observe, leaves {found.camera:.3f}°.",
+        "",
+    ]
     caption = f"{count} hands, {title}, camera with common errors, seed {seed}"
     return Part("\n".join(lines), found, {stem: race_figure(found)}, caption)
 
@@ -235,8 +312,16 @@ def race_figure(race: Race) -> Figure:
     for name, table in race.trained.items():
         numbers = list(table)
         bounds = np.array([[table[n].low, table[n].high] for n in numbers])
-        (line,) = axis.plot(numbers, [table[n].middle for n in numbers], "o-", markersize=4, label=name.replace("`", ""))
-        low, high, color = np.maximum(bounds[:, 0], 1e-3), bounds[:, 1], line.get_color()
+        (line,) = axis.plot(
+            numbers,
+            [table[n].middle for n in numbers],
+            "o-",
+            markersize=4,
+            label=name.replace("`", ""),
+        )
+        low = np.maximum(bounds[:, 0], 1e-3)
+        high = bounds[:, 1]
+        color = line.get_color()
         axis.fill_between(numbers, low, high, color=color, alpha=0.1, linewidth=0)
     for (name, value), style in zip(race.untrained.items(), (":", "--"), strict=True):
         axis.axhline(value.middle, color="black", linestyle=style, label=f"{name}, untrained")

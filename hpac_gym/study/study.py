@@ -1,4 +1,6 @@
-"""``hpac study``: accuracy of the compensation on hands with tolerances, and the paper's future work."""
+"""``hpac study``: accuracy of the compensation on hands with tolerances, and the paper's future
+work.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from hpac_gym.study.populations import Workshop
 from hpac_gym.study.results import Part, save
 
 TRIAL_PROTOCOL = {"points": 15, "seconds_per_point": 3.0}
-"""Slow, because a finger that stops from a faster move overshoots within its friction band, which hides the hysteresis."""
+"""Slow, because a finger that stops from a faster move overshoots within its friction band, which
+hides the hysteresis.
+"""
 QUICK_PROTOCOL = {"points": 9, "seconds_per_point": 1.0}
 COMMANDED = "all of these, geometry 1 %"
 """Tolerances of the hands that are calibrated and commanded."""
@@ -29,14 +33,45 @@ class StudyError(HpacError, ValueError):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"parts to run: {', '.join(PARTS)} (default: all)")
-    parser.add_argument("--hands", type=whole_number(2), metavar="N", help="hands per population (400; costly parts: fewer)")
-    parser.add_argument("--seeds", type=whole_number(2), default=20, metavar="N", help="reference seeds (%(default)s)")
-    parser.add_argument("--trials", type=whole_number(3), default=5, metavar="N", help="trials and tracking runs (%(default)s)")
-    parser.add_argument("--seed", type=whole_number(0), default=0, help="seed of all parts (%(default)s)")
-    parser.add_argument("--quick", action="store_true", help="few and coarse runs, to test the command")
-    parser.add_argument("--out", type=Path, default=Path("runs/study"), metavar="DIR", help="folder of the results (%(default)s)")
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of the report")
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"parts to run: {', '.join(PARTS)} (default: all)"
+    )
+    parser.add_argument(
+        "--hands",
+        type=whole_number(2),
+        metavar="N",
+        help="hands per population (400; costly parts: fewer)",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=whole_number(2),
+        default=20,
+        metavar="N",
+        help="reference seeds (%(default)s)",
+    )
+    parser.add_argument(
+        "--trials",
+        type=whole_number(3),
+        default=5,
+        metavar="N",
+        help="trials and tracking runs (%(default)s)",
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=0, help="seed of all parts (%(default)s)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few and coarse runs, to test the command"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/study"),
+        metavar="DIR",
+        help="folder of the results (%(default)s)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of the report"
+    )
     parser.set_defaults(run=run)
 
 
@@ -52,7 +87,9 @@ def run(arguments: argparse.Namespace) -> int:
             save(figure, arguments.out / f"{stem}.png", part.caption)
         write_text(arguments.out / f"{name}.md", part.text)
         results[name] = part.data
-        write_text(arguments.out / f"{name}.json", json.dumps(part.data, indent=2, default=asdict) + "\n")
+        write_text(
+            arguments.out / f"{name}.json", json.dumps(part.data, indent=2, default=asdict) + "\n"
+        )
         if not arguments.json:
             print(part.text)
     print(json.dumps(results, default=asdict) if arguments.json else f"written to {arguments.out}")
@@ -67,16 +104,22 @@ def _hands(arguments: argparse.Namespace, usual: int) -> int:
 
 
 def _rivals(stem: str, options: argparse.Namespace) -> Part:
-    return rivals.rivals(stem, _hands(options, 8), options.seed, (3, 8) if options.quick else rivals.SAMPLES)
+    return rivals.rivals(
+        stem, _hands(options, 8), options.seed, (3, 8) if options.quick else rivals.SAMPLES
+    )
 
 
-def _commands(name: str, workshop: Workshop, maps: Collection[str], options: argparse.Namespace) -> Part:
+def _commands(
+    name: str, workshop: Workshop, maps: Collection[str], options: argparse.Namespace
+) -> Part:
     return commands.commands(name, workshop, _hands(options, 100), options.seed, maps)
 
 
 def _trials(options: argparse.Namespace) -> Part:
     hand = reference.Reference.of()
-    slow = replace(hand, rig=hand.rig.with_protocol(**(QUICK_PROTOCOL if options.quick else TRIAL_PROTOCOL)))
+    slow = replace(
+        hand, rig=hand.rig.with_protocol(**(QUICK_PROTOCOL if options.quick else TRIAL_PROTOCOL))
+    )
     return trials.trials(slow, options.trials, options.seed)
 
 
@@ -88,16 +131,25 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
     ),
     **{name: partial(_rivals, name) for name in rivals.RACES},
     "calibration": lambda options: hidden.calibration(
-        _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 20, 2)
+        _hands(options, 100),
+        options.seed,
+        0 if options.quick else max(_hands(options, 100) // 20, 2),
     ),
     "labels": lambda options: hidden.labels(
-        _hands(options, 100), options.seed, 0 if options.quick else max(_hands(options, 100) // 50, 2)
+        _hands(options, 100),
+        options.seed,
+        0 if options.quick else max(_hands(options, 100) // 50, 2),
     ),
     "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
-    "commands-other-laws": partial(_commands, *rivals.RACES["rivals"][:2], commands.BEFORE_AND_AFTER),
+    "commands-other-laws": partial(
+        _commands, *rivals.RACES["rivals"][:2], commands.BEFORE_AND_AFTER
+    ),
     "trials": _trials,
     "tracking": lambda options: tracking.tracking(
-        reference.Reference.of(), options.trials, options.seed, (0.5,) if options.quick else tracking.RATES_HZ
+        reference.Reference.of(),
+        options.trials,
+        options.seed,
+        (0.5,) if options.quick else tracking.RATES_HZ,
     ),
 }
 """Parts by their names on the command line."""

@@ -14,10 +14,22 @@ from hpac_gym.progress import progress
 from hpac_gym.study.processing import Points, points, processed
 from hpac_gym.study.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
 from hpac_gym.study.reference import Reference
-from hpac_gym.study.results import BLUE, GREY, Column, Interval, Part, label, mean_of, rows_of, table
+from hpac_gym.study.results import (
+    BLUE,
+    GREY,
+    Column,
+    Interval,
+    Part,
+    label,
+    mean_of,
+    rows_of,
+    table,
+)
 
 DRIVEN = (0.1, 0.9)
-"""Part of the servo's range over which a hysteresis is averaged, excluding the ends, where the direction reverses."""
+"""Part of the servo's range over which a hysteresis is averaged, excluding the ends, where the
+direction reverses.
+"""
 
 
 class JointTrials(NamedTuple):
@@ -28,8 +40,12 @@ class JointTrials(NamedTuple):
     extension: Array
 
 
-def run_trials(reference: Reference, count: int, seed: int, servos: tuple[str, ...] = SERVOS) -> Sweep:
-    """Simulate sweeps in both directions; friction and the tendons' seats vary from trial to trial."""
+def run_trials(
+    reference: Reference, count: int, seed: int, servos: tuple[str, ...] = SERVOS
+) -> Sweep:
+    """Simulate sweeps in both directions; friction and the tendons' seats vary from trial to
+    trial.
+    """
     parts = []
     for trial in progress(range(count), "trials"):
         rng = np.random.default_rng([seed, trial])
@@ -64,16 +80,24 @@ def _table(found: Points, servo: int, values: Array, phase: int) -> Array:
 
 
 def hysteresis_width(joint: JointTrials) -> Array:
-    """Extension minus flexion at equal servo angles, averaged over `DRIVEN`, for every trial, shape (trials,) [rad]."""
+    """Extension minus flexion at equal servo angles, averaged over `DRIVEN`, for every trial, shape
+    (trials,) [rad].
+    """
     share = (joint.servo - joint.servo[0]) / (joint.servo[-1] - joint.servo[0])
     inside = (share >= DRIVEN[0]) & (share <= DRIVEN[1])
     return (joint.extension - joint.flexion)[:, inside].mean(axis=1)
 
 
 def spread_deg(joint: JointTrials) -> Interval:
-    """Root mean square over the points of the trial-to-trial standard deviation, jackknifed over trials [°]."""
-    count, whole = len(joint.flexion), _rms_spread(joint.flexion)
-    left = [count * whole - (count - 1) * _rms_spread(np.delete(joint.flexion, trial, axis=0)) for trial in range(count)]
+    """Root mean square over the points of the trial-to-trial standard deviation, jackknifed over
+    trials [°].
+    """
+    count = len(joint.flexion)
+    whole = _rms_spread(joint.flexion)
+    left = [
+        count * whole - (count - 1) * _rms_spread(np.delete(joint.flexion, trial, axis=0))
+        for trial in range(count)
+    ]
     interval = mean_of(np.degrees(left))
     return replace(interval, middle=float(np.degrees(whole)), low=max(interval.low, 0.0))
 
@@ -83,7 +107,12 @@ def _rms_spread(flexion: Array) -> float:
 
 
 COLUMNS = (
-    Column("hysteresis_width_deg", "hysteresis width [°]", lambda joint: mean_of(np.degrees(hysteresis_width(joint))), "{:.3f}"),
+    Column(
+        "hysteresis_width_deg",
+        "hysteresis width [°]",
+        lambda joint: mean_of(np.degrees(hysteresis_width(joint))),
+        "{:.3f}",
+    ),
     Column("trial_to_trial_sd_deg", "trial-to-trial standard deviation [°]", spread_deg, "{:.3f}"),
 )
 
@@ -93,14 +122,17 @@ def trials(reference: Reference, count: int, seed: int) -> Part:
     joints = by_joint(points(processed(run_trials(reference, count, seed))))
     rows = rows_of(COLUMNS, {label(name): joint for name, joint in joints.items()})
     title = f"## Both directions and repeated trials: {count} trials, seed {seed}; mean and 95 % interval"
-    text, caption = f"{title}\n\n{table('joint', COLUMNS, rows)}\n", f"reference hand, {count} trials, seed {seed}"
+    text = f"{title}\n\n{table('joint', COLUMNS, rows)}\n"
+    caption = f"reference hand, {count} trials, seed {seed}"
     return Part(text, rows, {"hysteresis": hysteresis_figure(joints)}, caption)
 
 
 def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:
     """Figure of extension minus flexion over the servo's angle, one line per trial."""
     figure = Figure(figsize=(13, 8), layout="constrained")
-    for axis, (name, joint) in zip(figure.subplots(3, 5, sharey=True).flat, joints.items(), strict=False):
+    for axis, (name, joint) in zip(
+        figure.subplots(3, 5, sharey=True).flat, joints.items(), strict=False
+    ):
         width = np.degrees(joint.extension - joint.flexion)
         axis.plot(np.degrees(joint.servo), width.T, color=BLUE, linewidth=0.9, alpha=0.7)
         axis.axhline(0.0, color=GREY, linewidth=0.8)

@@ -1,1 +1,3 @@
-"""The tasks: sampling, judging, observations and rewards, as functions of the `SceneState` of n worlds."""
+"""The tasks: sampling, judging, observations and rewards, as functions of the `SceneState` of n
+worlds.
+"""

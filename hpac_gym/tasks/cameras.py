@@ -45,28 +45,38 @@ class ObjectCamera:
     def __init__(self, num_worlds: int, noise: CameraNoise) -> None:
         self._noise = noise
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
-        self._position, self._angle = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 1))
-        self._shown = np.zeros((2, num_worlds, 1))  # whether the object has a visible axis, and a visible side
-        self._half_extents, self._draw = np.zeros((num_worlds, 3)), np.zeros((num_worlds, 6))
+        self._position = np.zeros((num_worlds, 1))
+        self._angle = np.zeros((num_worlds, 1))
+        self._shown = np.zeros(
+            (2, num_worlds, 1)
+        )  # whether the object has a visible axis, and a visible side
+        self._half_extents = np.zeros((num_worlds, 3))
+        self._draw = np.zeros((num_worlds, 6))
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
         """Begin an episode of a setup, with `factor` times the noise, drawn from `rng`."""
-        noise, shape = self._noise, setup.object.shape
+        noise = self._noise
+        shape = setup.object.shape
         self._rng[world] = rng
-        self._position[world], self._angle[world] = noise.position * factor, noise.angle * factor
-        self._half_extents[world] = np.array(setup.object.half_extents) * (1 + noise.size * factor * rng.standard_normal(3))
+        self._position[world] = noise.position * factor
+        self._angle[world] = noise.angle * factor
+        self._half_extents[world] = np.array(setup.object.half_extents) * (
+            1 + noise.size * factor * rng.standard_normal(3)
+        )
         self._shown[:, world, 0] = shape != "sphere", shape == "box"
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
         """Measure some worlds anew; the others keep their last noise.
 
         Returns:
-            Measured `position` (n, 3) [m], axes `up` and `side` (n, 3), and `half_extents` (n, 3) [m] of the objects.
+            Measured `position` (n, 3) [m], axes `up` and `side` (n, 3), and `half_extents` (n, 3)
+            [m] of the objects.
         """
         for world in worlds:
             self._draw[world] = self._rng[world].standard_normal(6)
         # Both axes in one call: at n = 1 the call overhead dominates.
-        axes, tilt = state.object_rotation[:, :, [2, 0]].transpose(2, 0, 1), self._angle * self._draw[:, 3:]
+        axes = state.object_rotation[:, :, [2, 0]].transpose(2, 0, 1)
+        tilt = self._angle * self._draw[:, 3:]
         up, side = _tilted(axes, tilt, self._shown)
         return {
             "position": state.object_pos + self._position * self._draw[:, :3],
@@ -77,7 +87,8 @@ class ObjectCamera:
 
 
 class MarkerCamera:
-    """Camera that measures the joint angles of n hands by their markers, as in the paper's experiment.
+    """Camera that measures the joint angles of n hands by their markers, as in the paper's
+    experiment.
 
     Args:
         num_worlds: n.
@@ -87,25 +98,34 @@ class MarkerCamera:
     def __init__(self, num_worlds: int, noise: float) -> None:
         self._noise = noise
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
-        self._deviation, self._draw = np.zeros((num_worlds, 1)), np.zeros((num_worlds, len(JOINTS)))
+        self._deviation = np.zeros((num_worlds, 1))
+        self._draw = np.zeros((num_worlds, len(JOINTS)))
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
         """Begin an episode, with `factor` times the noise, drawn from `rng`."""
-        self._rng[world], self._deviation[world] = rng, self._noise * factor
+        self._rng[world] = rng
+        self._deviation[world] = self._noise * factor
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
-        """Measure `joint_pos`, shape (n, 15) [rad]; worlds that are not given keep their last noise."""
+        """Measure `joint_pos`, shape (n, 15) [rad]; worlds that are not given keep their last
+        noise.
+        """
         for world in worlds:
             self._draw[world] = self._rng[world].standard_normal(len(JOINTS))
         return {"joint_pos": state.joint_pos + self._deviation * self._draw}
 
 
 def _tilted(axis: Array, tilt: Array, length: Array) -> Array:
-    """Axes, shape (m, n, 3), rotated by small angles, shape (n, 3) [rad], and scaled to given lengths, shape (m, n, 1)."""
+    """Axes, shape (m, n, 3), rotated by small angles, shape (n, 3) [rad], and scaled to given
+    lengths, shape (m, n, 1).
+    """
     seen = axis + np.einsum("ijk,nj,mnk->mni", _CROSS, tilt, axis)
-    return length / np.maximum(np.sqrt(np.einsum("mni,mni->mn", seen, seen))[..., None], 1e-12) * seen
+    return (
+        length / np.maximum(np.sqrt(np.einsum("mni,mni->mn", seen, seen))[..., None], 1e-12) * seen
+    )
 
 
 _CROSS = np.zeros((3, 3, 3))
 """The cross product as a tensor; for arrays this small `np.cross` takes ten times as long."""
-_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]], _CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = 1.0, -1.0
+_CROSS[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1.0
+_CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0

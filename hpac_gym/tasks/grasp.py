@@ -18,8 +18,25 @@ from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp_data import NOMINAL, NamedGrasp, Variant, named_grasp
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, open_hand, outcome_term, setting
-from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, PRIVILEGED_TERMS, Moment, RewardTerm, progress_terms
+from hpac_gym.tasks.task import (
+    FAILURE,
+    RUNNING,
+    SUCCESS,
+    Task,
+    contact_term,
+    effort_term,
+    open_hand,
+    outcome_term,
+    setting,
+)
+from hpac_gym.tasks.terms import (
+    COMMAND_TERMS,
+    OBJECT_TERMS,
+    PRIVILEGED_TERMS,
+    Moment,
+    RewardTerm,
+    progress_terms,
+)
 
 PALM_SURFACE = 0.0125
 """Distance of the palm's surface from the yz-plane of the hand frame [m]."""
@@ -51,27 +68,45 @@ class GraspConfig:
         ParameterError: A number or a range leaves its bounds.
     """
 
-    radius: tuple[float, float] = setting((0.010, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06))
+    radius: tuple[float, float] = setting(
+        (0.010, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06)
+    )
     sphere_radius: tuple[float, float] = setting(
         (0.020, 0.033),
         "radius of a sphere, a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
         bounds=(0.002, 0.06),
     )
-    half_height: tuple[float, float] = setting((0.030, 0.060), "half-height of a box or cylinder [m]", bounds=(0.005, 0.15))
+    half_height: tuple[float, float] = setting(
+        (0.030, 0.060), "half-height of a box or cylinder [m]", bounds=(0.005, 0.15)
+    )
     mass: tuple[float, float] = setting((0.05, 0.25), "mass of the object [kg]", bounds=(1e-3, 2.0))
     friction: tuple[float, float] = setting(
-        (0.6, 1.0), "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
+        (0.6, 1.0),
+        "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9",
+        bounds=(0.05, 3.0),
     )
-    gap: tuple[float, float] = setting((0.003, 0.030), "distance from the palm to the object [m]", bounds=(0.0, 0.1))
+    gap: tuple[float, float] = setting(
+        (0.003, 0.030), "distance from the palm to the object [m]", bounds=(0.0, 0.1)
+    )
     towards_thumb: tuple[float, float] = setting(
-        (-0.030, 0.035), "place of the object's centre along y of the hand frame [m]", bounds=(-0.1, 0.1)
+        (-0.030, 0.035),
+        "place of the object's centre along y of the hand frame [m]",
+        bounds=(-0.1, 0.1),
     )
     beyond_wrist: tuple[float, float] = setting(
-        (0.095, 0.140), "place of the object's centre along z of the hand frame [m]", bounds=(0.02, 0.25)
+        (0.095, 0.140),
+        "place of the object's centre along z of the hand frame [m]",
+        bounds=(0.02, 0.25),
     )
-    box_yaw: tuple[float, float] = setting((-0.8, 0.8), "yaw of a box about the vertical [rad]", bounds=(-np.pi, np.pi))
-    thumb_preshape: float = setting(1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57))
-    drop_distance: float = setting(0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0))
+    box_yaw: tuple[float, float] = setting(
+        (-0.8, 0.8), "yaw of a box about the vertical [rad]", bounds=(-np.pi, np.pi)
+    )
+    thumb_preshape: float = setting(
+        1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57)
+    )
+    drop_distance: float = setting(
+        0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0)
+    )
     timetable: Timetable = field(default_factory=Timetable)
     weights: GraspWeights = field(default_factory=GraspWeights)
 
@@ -90,8 +125,12 @@ class Grasp(Task):
     phases = PHASES
     privileged_terms = PRIVILEGED_TERMS
 
-    def __init__(self, config: GraspConfig = GraspConfig(), object: ObjectSpec | None = None) -> None:
-        self.config, self.timetable, self.object = config, config.timetable, object
+    def __init__(
+        self, config: GraspConfig = GraspConfig(), object: ObjectSpec | None = None
+    ) -> None:
+        self.config = config
+        self.timetable = config.timetable
+        self.object = object
         self.duration = self.timetable.ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
         self.reward_terms = self._rewards()
@@ -101,15 +140,20 @@ class Grasp(Task):
         return (
             contact_term(weights, CLOSE),
             self._push_term(),
-            RewardTerm("carry", f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free "
-                       "of its support", self._carry),
+            RewardTerm(
+                "carry",
+                f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free "
+                "of its support",
+                self._carry,
+            ),
             effort_term(weights),
             outcome_term(weights),
-        )  # fmt: skip
+        )
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
         self.grip = Grip(num_worlds)
-        self._place, self._moved = np.zeros((num_worlds, 3)), np.zeros(num_worlds)
+        self._place = np.zeros((num_worlds, 3))
+        self._moved = np.zeros(num_worlds)
         self._lifted = np.zeros(num_worlds, dtype=bool)
         return ObjectCamera(num_worlds, noise)
 
@@ -117,14 +161,26 @@ class Grasp(Task):
         """Draw one episode: the object, its place in front of the palm, and the open hand."""
         config = self.config
         shape = SHAPES[rng.integers(len(SHAPES))]
-        width, depth, height = rng.uniform(*config.radius), rng.uniform(*config.radius), rng.uniform(*config.half_height)
-        yaw, ball = rng.uniform(*config.box_yaw), rng.uniform(*config.sphere_radius)
-        extents = {"cylinder": (width, width, height), "box": (width, depth, height), "sphere": (ball, ball, ball)}[shape]
+        width = rng.uniform(*config.radius)
+        depth = rng.uniform(*config.radius)
+        height = rng.uniform(*config.half_height)
+        yaw = rng.uniform(*config.box_yaw)
+        ball = rng.uniform(*config.sphere_radius)
+        extents = {
+            "cylinder": (width, width, height),
+            "box": (width, depth, height),
+            "sphere": (ball, ball, ball),
+        }[shape]
         spec = ObjectSpec(shape, extents, rng.uniform(*config.mass), rng.uniform(*config.friction))
         if self.object is not None:
             spec = self.object
-            shape, (width, depth, _) = spec.shape, spec.half_extents
-        reach = width * abs(np.sin(yaw)) + depth * np.cos(yaw) if shape == "box" else spec.half_extents[0]
+            shape = spec.shape
+            (width, depth, _) = spec.half_extents
+        reach = (
+            width * abs(np.sin(yaw)) + depth * np.cos(yaw)
+            if shape == "box"
+            else spec.half_extents[0]
+        )
         place = [
             PALM_SURFACE + reach + rng.uniform(*config.gap),
             rng.uniform(*config.towards_thumb),
@@ -135,7 +191,8 @@ class Grasp(Task):
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         index = np.asarray(worlds)
         self._place[index] = [setup.position for setup in setups]
-        self._moved[index], self._lifted[index] = 0.0, False
+        self._moved[index] = 0.0
+        self._lifted[index] = False
         self.grip.start(index)
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
@@ -147,10 +204,9 @@ class Grasp(Task):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance the hold timers by one control step and judge the episodes.
 
-        An episode fails as soon as the object is knocked away, or after the lift once the hand does not hold it (`Grip`). It
-        succeeds at the end of the timetable if the object was held through the shake in six directions and not dropped on the
-        way down.
-        """
+        An episode fails as soon as the object is knocked away, or after the lift once the hand does
+        not hold it (`Grip`). It succeeds at the end of the timetable if the object was held through
+        the shake in six directions and not dropped on the way down."""
         self.grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
         lifted = state.time > self.timetable.ends[1] - dt / 2
         self.grip.settle(lifted & ~self._lifted)
@@ -164,9 +220,15 @@ class Grasp(Task):
         weight = self.config.weights.push
 
         def value(now: Moment) -> Array:
-            return np.where(now.phase == CLOSE, weight * np.minimum(self._moved / self.config.drop_distance, 1.0), 0.0)
+            return np.where(
+                now.phase == CLOSE,
+                weight * np.minimum(self._moved / self.config.drop_distance, 1.0),
+                0.0,
+            )
 
-        return RewardTerm("push", f"while closing: {weight:g} · min(displacement / drop_distance, 1)", value)
+        return RewardTerm(
+            "push", f"while closing: {weight:g} · min(displacement / drop_distance, 1)", value
+        )
 
     def _carry(self, now: Moment) -> Array:
         return np.where(now.phase == CLOSE, 0.0, self.config.weights.carry * self.grip.firmness)
@@ -184,18 +246,26 @@ class GraspByName(Grasp):
         GraspError: No grasp or variant has that name.
     """
 
-    def __init__(self, name: str, variant: str = NOMINAL, config: GraspConfig = GraspConfig()) -> None:
+    def __init__(
+        self, name: str, variant: str = NOMINAL, config: GraspConfig = GraspConfig()
+    ) -> None:
         super().__init__(config)
         self.grasp = named_grasp(name)
         self.variant = self.grasp.variant(variant)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: the object's position in the hand frame, and its rotation about the vertical."""
+        """Draw one episode: the object's position in the hand frame, and its rotation about the
+        vertical.
+        """
         return setup_of_grasp(self.grasp, self.variant, rng, hand)
 
 
 def setup_of_grasp(
-    grasp: NamedGrasp, variant: Variant, rng: np.random.Generator, hand: Hand = HPAC, spread: float = 1.0
+    grasp: NamedGrasp,
+    variant: Variant,
+    rng: np.random.Generator,
+    hand: Hand = HPAC,
+    spread: float = 1.0,
 ) -> SceneSetup:
     """Draw one episode of a named grasp, with `spread` times its position and yaw noise."""
     model = variant.object or grasp.object

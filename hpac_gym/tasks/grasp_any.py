@@ -1,4 +1,6 @@
-"""HPAC-GraspAny: any object in any of its stable poses. Unobserved properties make feedback useful."""
+"""HPAC-GraspAny: any object in any of its stable poses. Unobserved properties make feedback
+useful.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,9 @@ HANDS = ("nominal", "train", "test")
 WRIST_ACTIONS = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
 WRIST_REACH = np.array([0.03, 0.03, 0.03, 0.5])
 """Wrist motion for an action of 1: along the world's axes [m], and about the vertical [rad]."""
-SIDE_DIRECTIONS = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+SIDE_DIRECTIONS = np.array(
+    [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float
+)
 """Successive directions of apparent gravity in the world, shape (6, 3)."""
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -86,36 +90,60 @@ class GraspAnyConfig:
         "smaller horizontal side of an object in a pose that the task includes [m]",
         bounds=(0.0, 1.0),
     )
-    flattest: float = setting(0.018, "least height of an object in such a pose [m]", bounds=(0.0, 1.0))
-    gap: tuple[float, float] = setting(
-        (0.003, 0.012), "distance from the palm to an object beside it; a hand above an object is a quarter of it higher [m]",
-        bounds=(0.0, 0.1),
-    )  # fmt: skip
-    place_error: tuple[float, float] = setting(
-        (-0.012, 0.012), "position error of the wrist along both horizontal axes, and upwards for a hand beside an object [m]",
-        bounds=(-0.1, 0.1),
-    )  # fmt: skip
-    yaw_error: tuple[float, float] = setting((-0.2, 0.2), "yaw error of the wrist [rad]", bounds=(-np.pi, np.pi))
-    size: tuple[float, float] = setting(
-        (1.0, 1.0), "factor of the object's size, within `width` and `flattest`; its mass grows with the cube", bounds=(0.5, 2.0)
-    )  # fmt: skip
-    mass: tuple[float, float] = setting((0.7, 1.3), "factor of the object's mass", bounds=(0.1, 10.0))
-    friction: tuple[float, float] = setting((0.8, 1.2), "factor of the friction of the object's surface", bounds=(0.1, 5.0))
-    thumb_preshape: float = setting(1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57))
-    reach: float = setting(
-        0.15, "an object whose centre is farther than this from `GRASP_CENTRE` is out of reach [m]", bounds=(0.01, 1.0)
+    flattest: float = setting(
+        0.018, "least height of an object in such a pose [m]", bounds=(0.0, 1.0)
     )
-    side_time: float = setting(0.2, "duration of apparent gravity towards each side [s]", bounds=(0.05, 10.0))
+    gap: tuple[float, float] = setting(
+        (0.003, 0.012),
+        "distance from the palm to an object beside it; a hand above an object is a quarter of it higher [m]",
+        bounds=(0.0, 0.1),
+    )
+    place_error: tuple[float, float] = setting(
+        (-0.012, 0.012),
+        "position error of the wrist along both horizontal axes, and upwards for a hand beside an object [m]",
+        bounds=(-0.1, 0.1),
+    )
+    yaw_error: tuple[float, float] = setting(
+        (-0.2, 0.2), "yaw error of the wrist [rad]", bounds=(-np.pi, np.pi)
+    )
+    size: tuple[float, float] = setting(
+        (1.0, 1.0),
+        "factor of the object's size, within `width` and `flattest`; its mass grows with the cube",
+        bounds=(0.5, 2.0),
+    )
+    mass: tuple[float, float] = setting(
+        (0.7, 1.3), "factor of the object's mass", bounds=(0.1, 10.0)
+    )
+    friction: tuple[float, float] = setting(
+        (0.8, 1.2), "factor of the friction of the object's surface", bounds=(0.1, 5.0)
+    )
+    thumb_preshape: float = setting(
+        1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57)
+    )
+    reach: float = setting(
+        0.15,
+        "an object whose centre is farther than this from `GRASP_CENTRE` is out of reach [m]",
+        bounds=(0.01, 1.0),
+    )
+    side_time: float = setting(
+        0.2, "duration of apparent gravity towards each side [s]", bounds=(0.05, 10.0)
+    )
     ramp_time: float = setting(1.5, "duration of the force ramp [s]", bounds=(0.05, 10.0))
     ramp_force: float = setting(40.0, "final force of the ramp [N]", bounds=(0.0, 1e3))
-    timetable: Timetable = field(default_factory=lambda: Timetable(close_time=3.0, clearance=Timetable().lift_height))
+    timetable: Timetable = field(
+        default_factory=lambda: Timetable(close_time=3.0, clearance=Timetable().lift_height)
+    )
     """Timetable of closing, lift and shake; the hand stays up afterwards."""
     weights: GraspAnyWeights = field(default_factory=GraspAnyWeights)
 
     def __post_init__(self) -> None:
         check_bounds(self, "config")
-        if round(self.side_time * CONTROL_HZ, 6) % 1:  # sides are counted at the end of control steps
-            raise ParameterError(f"config side_time = {self.side_time} s must be a multiple of {1 / CONTROL_HZ:g} s")
+        if (
+            round(self.side_time * CONTROL_HZ, 6) % 1
+        ):  # sides are counted at the end of control steps
+            raise ParameterError(
+                f"config side_time = {self.side_time} s must be a multiple of {1 / CONTROL_HZ:g} s"
+            )
 
     @property
     def ends(self) -> tuple[float, ...]:
@@ -129,10 +157,13 @@ class GraspAny(Task):
 
     Args:
         objects: split from which objects are drawn.
-        wrist: "script" keeps the wrist where the sampler puts it; "free" lets an episode's first action move it.
-        hands: "nominal" keeps the given hand; "train" and "test" draw one from that set of hands, without telling the policy.
+        wrist: "script" keeps the wrist where the sampler puts it; "free" lets an episode's first
+            action move it.
+        hands: "nominal" keeps the given hand; "train" and "test" draw one from that set of hands,
+            without telling the policy.
         config: sampling ranges, success criteria and reward weights.
-        clear: place the wrist so that the drawn hand starts clear of everything; if False, for the nominal hand, as in v0.
+        clear: place the wrist so that the drawn hand starts clear of everything; if False, for the
+            nominal hand, as in v0.
 
     Raises:
         ParameterError: Unknown split, wrist or set of hands.
@@ -149,13 +180,21 @@ class GraspAny(Task):
         config: GraspAnyConfig = GraspAnyConfig(),
         clear: bool = True,
     ) -> None:
-        for name, given, known in (("objects", objects, SPLITS), ("wrist", wrist, WRISTS), ("hands", hands, HANDS)):
+        for name, given, known in (
+            ("objects", objects, SPLITS),
+            ("wrist", wrist, WRISTS),
+            ("hands", hands, HANDS),
+        ):
             if given not in known:
                 raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
         self._hands = () if hands == "nominal" else hand_set(hands)
         self.config = config
         preshape = open_hand(config.thumb_preshape)
-        self._reach = {variant.geometry: placing.reach_of(variant, preshape) for variant in self._hands if clear}
+        self._reach = {
+            variant.geometry: placing.reach_of(variant, preshape)
+            for variant in self._hands
+            if clear
+        }
         poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in object_set(objects))
         self.objects = tuple(replace(entry, poses=kept) for entry, kept in poses if kept)
         if not self.objects:
@@ -163,8 +202,16 @@ class GraspAny(Task):
             raise ParameterError(f"config {ranges} exclude all {objects} objects")
         self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
         self.duration = config.ends[-1]
-        seen = Term("object_seen", ("seen",), "0/1", 0.0, 1.0, "whether the camera sees the object now; if not, the fields above "
-                    "hold its last measurement", lambda now: column(now.seen["visible"]))  # fmt: skip
+        seen = Term(
+            "object_seen",
+            ("seen",),
+            "0/1",
+            0.0,
+            1.0,
+            "whether the camera sees the object now; if not, the fields above "
+            "hold its last measurement",
+            lambda now: column(now.seen["visible"]),
+        )
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, seen, *progress_terms(PHASES, self.duration))
         self.privileged_terms = (*PRIVILEGED_TERMS, *self._hidden_terms())
         self.sensed_terms = {"load": LOAD_TERMS, "points": ()}
@@ -178,17 +225,38 @@ class GraspAny(Task):
     def _hidden_terms(self) -> tuple[Term, ...]:
         def centre_of_mass(setup: SceneSetup) -> Array:
             model = setup.object.model
-            return np.zeros(3) if model is None else setup.object.scale * model.center_of_mass / LENGTH_UNIT
+            return (
+                np.zeros(3)
+                if model is None
+                else setup.object.scale * model.center_of_mass / LENGTH_UNIT
+            )
 
         return (
-            Term("centre_of_mass", AXES, "0.05 m", -4.0, 4.0, "of the object, from its centre along its own axes", centre_of_mass,
-                 fixed=True),
-            Term("pull", AXES, "1", -1.0, 1.0, "world direction of the final force ramp",
-                 lambda setup: DOWN if setup.pull is None else setup.pull, fixed=True),
-        )  # fmt: skip
+            Term(
+                "centre_of_mass",
+                AXES,
+                "0.05 m",
+                -4.0,
+                4.0,
+                "of the object, from its centre along its own axes",
+                centre_of_mass,
+                fixed=True,
+            ),
+            Term(
+                "pull",
+                AXES,
+                "1",
+                -1.0,
+                1.0,
+                "world direction of the final force ramp",
+                lambda setup: DOWN if setup.pull is None else setup.pull,
+                fixed=True,
+            ),
+        )
 
     def _rewards(self) -> tuple[RewardTerm, ...]:
-        weights, config = self.config.weights, self.config
+        weights = self.config.weights
+        config = self.config
         return (
             RewardTerm(
                 "contact",
@@ -219,42 +287,71 @@ class GraspAny(Task):
         share = self.holding_force / self.config.ramp_force
         return np.where(now.outcome == SUCCESS, self.config.weights.force * share, 0.0)
 
-    # Episodes ------------------------------------------------------------------------------------------------------
+    # Episodes
+    # ------------------------------------------------------------------------------------------------------
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> Senses:
         self.grip = Grip(num_worlds)
-        self._mass, self._pull = np.zeros((num_worlds, 1)), np.zeros((num_worlds, 3))
-        self._place, self._pushed, self._distance = np.zeros((num_worlds, 3)), np.zeros(num_worlds), np.zeros(num_worlds)
-        self._touch, self._gained = np.zeros(num_worlds), np.zeros(num_worlds)
+        self._mass = np.zeros((num_worlds, 1))
+        self._pull = np.zeros((num_worlds, 3))
+        self._place = np.zeros((num_worlds, 3))
+        self._pushed = np.zeros(num_worlds)
+        self._distance = np.zeros(num_worlds)
+        self._touch = np.zeros(num_worlds)
+        self._gained = np.zeros(num_worlds)
         self._phase = np.zeros(num_worlds, dtype=int)
         self._grasped = np.zeros((num_worlds, 3, 3))
         self._names = np.full(num_worlds, "", dtype=object)
-        self.holding_force, self.turn = np.zeros(num_worlds), np.zeros(num_worlds)
+        self.holding_force = np.zeros(num_worlds)
+        self.turn = np.zeros(num_worlds)
         self.sides = np.zeros(num_worlds, dtype=int)
         return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: object, pose, mass, friction, wrist pose with errors, and direction of the pull."""
+        """Draw one episode: object, pose, mass, friction, wrist pose with errors, and direction of
+        the pull.
+        """
         config = self.config
         entry = self.objects[rng.integers(len(self.objects))]
-        pose, model = entry.poses[rng.integers(len(entry.poses))], entry.model
-        mass, friction = rng.uniform(*config.mass) * model.mass, rng.uniform(*config.friction) * entry.friction
+        pose = entry.poses[rng.integers(len(entry.poses))]
+        model = entry.model
+        mass = rng.uniform(*config.mass) * model.mass
+        friction = rng.uniform(*config.friction) * entry.friction
         scale = self._scale(pose, rng)
-        pose = replace(pose, size=tuple(scale * side for side in pose.size), height=scale * pose.height)
+        pose = replace(
+            pose, size=tuple(scale * side for side in pose.size), height=scale * pose.height
+        )
         extents = tuple(scale * extent for extent in model.half_extents)
         spec = ObjectSpec(model.shape, extents, scale**3 * mass, friction, model, scale)
         turn = placing.best_turn(pose.size) + np.pi * rng.integers(2)
         pull = rng.standard_normal(3)
         setup = SceneSetup(
-            spec, yaw=turn, synergy=open_hand(config.thumb_preshape), hand=hand, object_quaternion=pose.quaternion,
-            rest_height=pose.height, hand_quaternion=placing.SIDE if placing.from_side(entry.stand, pose.size) else placing.ABOVE,
+            spec,
+            yaw=turn,
+            synergy=open_hand(config.thumb_preshape),
+            hand=hand,
+            object_quaternion=pose.quaternion,
+            rest_height=pose.height,
+            hand_quaternion=placing.SIDE
+            if placing.from_side(entry.stand, pose.size)
+            else placing.ABOVE,
             pull=pull / np.linalg.norm(pull),
-        )  # fmt: skip
-        error = rng.uniform(*config.place_error, 3) * [1.0, 1.0, setup.hand_quaternion == placing.SIDE]
-        gap, yaw = rng.uniform(*config.gap), rng.uniform(*config.yaw_error)
+        )
+        error = rng.uniform(*config.place_error, 3) * [
+            1.0,
+            1.0,
+            setup.hand_quaternion == placing.SIDE,
+        ]
+        gap = rng.uniform(*config.gap)
+        yaw = rng.uniform(*config.yaw_error)
         if self._hands:
             variant = self._hands[rng.integers(len(self._hands))]
-            setup = replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=variant.over(setup.hand_settings))
+            setup = replace(
+                setup,
+                hand=variant.hand,
+                geometry=variant.geometry,
+                hand_settings=variant.over(setup.hand_settings),
+            )
         reach = self._reach_of(setup)
         return placing.moved(placing.placed(setup, gap, entry.stand, reach), error, yaw, reach)
 
@@ -263,8 +360,10 @@ class GraspAny(Task):
         low, high = self.config.size
         if low == high == 1.0:
             return 1.0  # without a draw, so that episodes are the same as without this range
-        (narrowest, widest), flattest = self.config.width, self.config.flattest
-        low, high = max(low, narrowest / pose.width, flattest / pose.size[2]), min(high, widest / pose.width)
+        (narrowest, widest) = self.config.width
+        flattest = self.config.flattest
+        low = max(low, narrowest / pose.width, flattest / pose.size[2])
+        high = min(high, widest / pose.width)
         return float(rng.uniform(min(low, 1.0), max(high, 1.0)))
 
     def _reach_of(self, setup: SceneSetup) -> placing.Reach:
@@ -273,15 +372,29 @@ class GraspAny(Task):
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup with the wrist moved by the last four numbers of an episode's first action."""
         way = WRIST_REACH * action[-len(WRIST_REACH) :]
-        return placing.moved(setup, way[:3], float(way[3]), self._reach_of(setup)) if way.any() else setup
+        return (
+            placing.moved(setup, way[:3], float(way[3]), self._reach_of(setup))
+            if way.any()
+            else setup
+        )
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         index = np.asarray(worlds)
         self._mass[index, 0] = [setup.object.mass for setup in setups]
         self._pull[index] = [DOWN if setup.pull is None else setup.pull for setup in setups]
         self._place[index] = [setup.position for setup in setups]
-        self._names[index] = [spec.model.name if spec.model else spec.shape for spec in (setup.object for setup in setups)]
-        for values in (self._pushed, self._distance, self._touch, self._gained, self.holding_force, self.turn):
+        self._names[index] = [
+            spec.model.name if spec.model else spec.shape
+            for spec in (setup.object for setup in setups)
+        ]
+        for values in (
+            self._pushed,
+            self._distance,
+            self._touch,
+            self._gained,
+            self.holding_force,
+            self.turn,
+        ):
             values[index] = 0.0
         self._phase[index] = self.sides[index] = 0
         self.grip.start(index)
@@ -293,13 +406,18 @@ class GraspAny(Task):
         return phase_at(time, self.config.ends)
 
     def push(self, times: Array) -> Array | None:
-        begin, middle = self.config.ends[SHAKE], self.config.ends[SIDES]
+        begin = self.config.ends[SHAKE]
+        middle = self.config.ends[SIDES]
         if times.max() <= begin:
             return None
-        side = np.clip((times - begin) / self.config.side_time - 1e-9, 0, len(SIDE_DIRECTIONS) - 1).astype(int)
+        side = np.clip(
+            (times - begin) / self.config.side_time - 1e-9, 0, len(SIDE_DIRECTIONS) - 1
+        ).astype(int)
         weight = (self._mass * GRAVITY)[:, :, None] * (SIDE_DIRECTIONS[side] - DOWN)
         pull = self._ramp(times)[:, :, None] * self._pull[:, None]
-        return np.where(times[:, :, None] > middle, pull, np.where(times[:, :, None] > begin, weight, 0.0))
+        return np.where(
+            times[:, :, None] > middle, pull, np.where(times[:, :, None] > begin, weight, 0.0)
+        )
 
     def _ramp(self, time: Array) -> Array:
         """Magnitude of the final force ramp [N] at times [s]."""
@@ -309,18 +427,23 @@ class GraspAny(Task):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        An episode fails as soon as the object is out of reach while the hand closes, or the hand does not hold it (`Grip`)
-        between the end of the lift and the end of the shake. An episode in which the object is held through the shake succeeds,
-        and ends when the object slips or the force ramp ends. Knocking an object over is no failure.
-        """
-        config, grip, ran = self.config, self.grip, self._phase
+        An episode fails as soon as the object is out of reach while the hand closes, or the hand
+        does not hold it (`Grip`) between the end of the lift and the end of the shake. An episode
+        in which the object is held through the shake succeeds, and ends when the object slips or
+        the force ramp ends. Knocking an object over is no failure."""
+        config = self.config
+        grip = self.grip
+        ran = self._phase
         grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
-        self._phase = phase_at(state.time + dt / 2, (*config.ends[:-1], np.inf))  # phase of the next step
+        self._phase = phase_at(
+            state.time + dt / 2, (*config.ends[:-1], np.inf)
+        )  # phase of the next step
         begins = self._phase != ran
         grip.settle(begins & (self._phase == SHAKE))
         held = grip.holds
         grip.settle(begins & (self._phase > SHAKE))
-        closing, judged = self._phase == CLOSE, ran <= SHAKE
+        closing = self._phase == CLOSE
+        judged = ran <= SHAKE
         self._watch_closing(state)
         self._grasped[closing] = state.object_rotation[closing]
         cosine = (np.einsum("nij,nij->n", self._grasped, state.object_rotation) - 1) / 2
@@ -329,18 +452,27 @@ class GraspAny(Task):
         failed = np.where(closing, beyond, judged & (self._phase >= SHAKE) & ~held)
         side = np.round((state.time - config.ends[SHAKE]) / config.side_time, 6)
         self.sides += (ran == SIDES) & held & (side == np.floor(side))
-        self.holding_force = np.where((ran == RAMP) & held, self._ramp(state.time), self.holding_force)
+        self.holding_force = np.where(
+            (ran == RAMP) & held, self._ramp(state.time), self.holding_force
+        )
         over = ~judged & (~held | (state.time >= self.duration - dt / 2))
         return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
 
     def _watch_closing(self, state: SceneState) -> None:
-        """Record the last step's gain in touch, and growth of the object's displacement as a fraction of `reach`."""
+        """Record the last step's gain in touch, and growth of the object's displacement as a
+        fraction of `reach`.
+        """
         touch = contact_score(self.config.weights, state.touching)
-        self._gained, self._touch = touch - self._touch, touch
-        distance = np.minimum(np.linalg.norm(state.object_pos - self._place, axis=1) / self.config.reach, 1.0)
-        self._pushed, self._distance = distance - self._distance, distance
+        self._gained = touch - self._touch
+        self._touch = touch
+        distance = np.minimum(
+            np.linalg.norm(state.object_pos - self._place, axis=1) / self.config.reach, 1.0
+        )
+        self._pushed = distance - self._distance
+        self._distance = distance
 
-    # Outputs -------------------------------------------------------------------------------------------------------
+    # Outputs
+    # -------------------------------------------------------------------------------------------------------
 
     def report(self, now: Moment) -> dict[str, Any]:
         return scene_report(self, now) | {

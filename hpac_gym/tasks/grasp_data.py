@@ -1,7 +1,8 @@
-"""The sixteen named grasps as data: object, hand shape, wrist pose, support, noise and held-out variants.
+"""The sixteen named grasps as data: object, hand shape, wrist pose, support, noise and held-out
+variants.
 
-The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes in `hpac_gym.model.POSTURES`.
-"""
+The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes in
+`hpac_gym.model.POSTURES`."""
 
 from __future__ import annotations
 
@@ -33,18 +34,23 @@ class GraspError(HpacError, LookupError):
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """An object that differs from the nominal one: factors of its size, mass and friction, or another object."""
+    """An object that differs from the nominal one: factors of its size, mass and friction, or
+    another object.
+    """
 
     scale: float = 1.0
     mass: float = 1.0
     friction: float = 1.0
     object: ObjectModel | None = None
-    """Object that replaces the grasp's own, in its pose and on its support; None keeps the own one."""
+    """Object that replaces the grasp's own, in its pose and on its support; None keeps the own one.
+    """
 
     def __post_init__(self) -> None:
         factors = (self.scale, self.mass, self.friction)
         if not min(factors) > 0:
-            raise ParameterError(f"scale, mass and friction of a variant are {factors}, must be greater than 0")
+            raise ParameterError(
+                f"scale, mass and friction of a variant are {factors}, must be greater than 0"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +90,9 @@ class NamedGrasp:
         if name == NOMINAL:
             return Variant()
         if not isinstance(name, str) or name not in self.held_out:
-            raise GraspError(f"grasp {self.name} has no variant {name!r}; it has {NOMINAL}, {', '.join(self.held_out)}")
+            raise GraspError(
+                f"grasp {self.name} has no variant {name!r}; it has {NOMINAL}, {', '.join(self.held_out)}"
+            )
         return self.held_out[name]
 
 
@@ -101,7 +109,9 @@ def named_grasp(name: str) -> NamedGrasp:
 
 
 def grasps_from_toml(
-    text: str | dict[str, Any], models: Mapping[str, ObjectModel], closed: Mapping[str, Array] = MappingProxyType({})
+    text: str | dict[str, Any],
+    models: Mapping[str, ObjectModel],
+    closed: Mapping[str, Array] = MappingProxyType({}),
 ) -> dict[str, NamedGrasp]:
     """Grasps described by a TOML text or its parsed tables.
 
@@ -111,7 +121,8 @@ def grasps_from_toml(
         closed: closed hand shapes of grasps that have none in the text, shape (6,) each [rad].
 
     Raises:
-        ParameterError: Not TOML, an unknown object or family, or a field that is missing, unknown or out of bounds.
+        ParameterError: Not TOML, an unknown object or family, or a field that is missing, unknown
+            or out of bounds.
     """
     try:
         table = tomllib.loads(text) if isinstance(text, str) else dict(text)
@@ -130,8 +141,11 @@ def grasps_from_toml(
     return found
 
 
-def _grasp(name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], common: dict[str, Variant]) -> NamedGrasp:
-    model, family = _model(entry.pop("object"), models), entry.pop("family")
+def _grasp(
+    name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], common: dict[str, Variant]
+) -> NamedGrasp:
+    model = _model(entry.pop("object"), models)
+    family = entry.pop("family")
     if family not in FAMILIES:
         raise ParameterError(f"family {family!r} is not one of {', '.join(FAMILIES)}")
     held_out = common | _variants(entry.pop("held_out", {}), models)
@@ -146,7 +160,12 @@ def _grasp(name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], 
         position=_vector(entry, "position"),
         preshape=_synergy(entry, "preshape"),
         closed=_synergy(entry, "closed"),
-        support=Support(**{key: tuple(v) if isinstance(v, list) else v for key, v in entry.pop("support").items()}),
+        support=Support(
+            **{
+                key: tuple(v) if isinstance(v, list) else v
+                for key, v in entry.pop("support").items()
+            }
+        ),
         position_noise=_vector(entry, "position_noise"),
         yaw_noise=float(entry.pop("yaw_noise")),
         held_out=MappingProxyType(held_out),
@@ -156,7 +175,9 @@ def _grasp(name: str, entry: dict[str, Any], models: Mapping[str, ObjectModel], 
     return grasp
 
 
-def _variants(table: Mapping[str, dict[str, Any]], models: Mapping[str, ObjectModel]) -> dict[str, Variant]:
+def _variants(
+    table: Mapping[str, dict[str, Any]], models: Mapping[str, ObjectModel]
+) -> dict[str, Variant]:
     found = {}
     for name, entry in table.items():
         known = {"object": _model(entry["object"], models)} if "object" in entry else {}
@@ -179,12 +200,17 @@ def _vector(entry: dict[str, Any], key: str) -> Vector:
 
 
 def _synergy(entry: dict[str, Any], key: str) -> Array:
-    synergy = as_bounded_array(entry.pop(key), HPAC.synergy_min, HPAC.synergy_max, SERVOS, key, "rad")
+    synergy = as_bounded_array(
+        entry.pop(key), HPAC.synergy_min, HPAC.synergy_max, SERVOS, key, "rad"
+    )
     synergy.setflags(write=False)
     return synergy
 
 
 GRASPS: Mapping[str, NamedGrasp] = MappingProxyType(
-    grasps_from_toml((files("hpac_gym.tasks") / "data" / "grasps.toml").read_text(encoding="utf-8"), load_object_models())
+    grasps_from_toml(
+        (files("hpac_gym.tasks") / "data" / "grasps.toml").read_text(encoding="utf-8"),
+        load_object_models(),
+    )
 )
 """All sixteen grasps by name, in the order of the paper's panels."""

@@ -1,8 +1,8 @@
-"""Rules that define the grasp types: which parts of the hand touch the object, where, and with what force.
+"""Rules that define the grasp types: which parts of the hand touch the object, where, and with what
+force.
 
-A `Rule` is evaluated on a `Hold`, some looks at the contacts while the object is held. ``data/grasp_types.toml`` has the rule
-of every type.
-"""
+A `Rule` is evaluated on a `Hold`, some looks at the contacts while the object is held.
+``data/grasp_types.toml`` has the rule of every type."""
 
 from __future__ import annotations
 
@@ -22,10 +22,22 @@ from hpac_gym.physics.engine import PARTS, Contacts, SceneState
 TOUCHES = 0.5
 """A part counts as touching the object if it does so in at least this fraction of the hold."""
 SPARES = 0.1
-"""Largest fraction of the hold, or of the force, at which a part counts as not touching the object."""
+"""Largest fraction of the hold, or of the force, at which a part counts as not touching the object.
+"""
 ASKED = (
-    "fingers", "digits", "tips", "force", "press", "along_x", "along_y", "along_z", "side", "through", "turn", "tilt",
-)  # fmt: skip
+    "fingers",
+    "digits",
+    "tips",
+    "force",
+    "press",
+    "along_x",
+    "along_y",
+    "along_z",
+    "side",
+    "through",
+    "turn",
+    "tilt",
+)
 """Entries of `Rule.asked`."""
 _AXES = "xyz"
 _GEOMETRY = load_geometry()
@@ -45,10 +57,13 @@ class Hole:
     """Semi-axes of the elliptic opening along the two other axes, in their order [m]."""
 
     def outside(self, start: Array, end: Array) -> float:
-        """Distance by which a segment in the object's frame misses the opening: 0 on a hit, infinite beside its plane [m]."""
+        """Distance by which a segment in the object's frame misses the opening: 0 on a hit,
+        infinite beside its plane [m].
+        """
         normal = _AXES.index(self.axis)
         across = [index for index in range(3) if index != normal]
-        before, after = start[normal] - self.centre[normal], end[normal] - self.centre[normal]
+        before = start[normal] - self.centre[normal]
+        after = end[normal] - self.centre[normal]
         if before * after > 0:
             return np.inf
         share = before / (before - after) if before != after else 0.0
@@ -97,22 +112,33 @@ class Rule:
     def __post_init__(self) -> None:
         for name, allowed in (("touch", PARTS), ("never", PARTS), ("through", DIGITS)):
             if unknown := set(getattr(self, name)) - set(allowed):
-                raise ParameterError(f"{name} has {', '.join(sorted(unknown))}, which is not one of {', '.join(allowed)}")
+                raise ParameterError(
+                    f"{name} has {', '.join(sorted(unknown))}, which is not one of {', '.join(allowed)}"
+                )
         if self.axis not in _AXES or self.side not in ("", *FINGERS):
-            raise ParameterError(f"axis {self.axis!r} must be x, y or z, and side {self.side!r} a finger")
+            raise ParameterError(
+                f"axis {self.axis!r} must be x, y or z, and side {self.side!r} a finger"
+            )
         if not (0 <= self.fingers <= len(FINGERS) and 0 <= self.digits <= len(DIGITS)):
             bounds = f"0 to {len(FINGERS)} and 0 to {len(DIGITS)}"
-            raise ParameterError(f"fingers {self.fingers} and digits {self.digits} must be {bounds}")
+            raise ParameterError(
+                f"fingers {self.fingers} and digits {self.digits} must be {bounds}"
+            )
         if not (0 <= self.along <= 1 and 0 <= self.across <= 1):
             raise ParameterError(f"along {self.along} and across {self.across} must be 0 to 1")
         if not (self.force >= 0 and self.press >= 0 and self.turn_deg > 0 and self.tilt_deg > 0):
             angles = f"turn {self.turn_deg} and tilt {self.tilt_deg} deg greater than 0"
-            raise ParameterError(f"force {self.force} and press {self.press} N must be at least 0, {angles}")
+            raise ParameterError(
+                f"force {self.force} and press {self.press} N must be at least 0, {angles}"
+            )
 
     def scaled(self, scale: float) -> Rule:
         """The rule for an object scaled by a factor."""
         holes = tuple(
-            Hole(tuple(scale * np.array(hole.centre)), hole.axis, tuple(scale * np.array(hole.half))) for hole in self.holes
+            Hole(
+                tuple(scale * np.array(hole.centre)), hole.axis, tuple(scale * np.array(hole.half))
+            )
+            for hole in self.holes
         )
         return replace(self, button=scale * self.button, holes=holes)
 
@@ -124,39 +150,91 @@ class Rule:
 
     @property
     def asked(self) -> list[float]:
-        """The other conditions as numbers, in the order of `ASKED`: counts, forces in 10 N, angles in rad."""
+        """The other conditions as numbers, in the order of `ASKED`: counts, forces in 10 N, angles
+        in rad.
+        """
         along = [(self.along - self.across) * (axis == self.axis) for axis in _AXES]
-        flags, angles = map(float, (bool(self.side), bool(self.through))), np.deg2rad([self.turn_deg, self.tilt_deg]).tolist()
-        return [self.fingers, self.digits, float(self.tips), self.force / 10, self.press / 10, *along, *flags, *angles]
+        flags = map(float, (bool(self.side), bool(self.through)))
+        angles = np.deg2rad([self.turn_deg, self.tilt_deg]).tolist()
+        return [
+            self.fingers,
+            self.digits,
+            float(self.tips),
+            self.force / 10,
+            self.press / 10,
+            *along,
+            *flags,
+            *angles,
+        ]
 
     def terms(self) -> list[tuple[str, Callable[[Hold], float]]]:
-        """The rule's clauses in words, each with its score of a hold: 1 or more satisfies it, less does so in part."""
+        """The rule's clauses in words, each with its score of a hold: 1 or more satisfies it, less
+        does so in part.
+        """
         found: list[tuple[str, Callable[[Hold], float]]] = []
         for part in self.touch:
             found.append((f"{part} touches", lambda hold, part=part: hold.touched[part] / TOUCHES))
         if self.fingers:
-            found.append((f"{self.fingers} fingers touch", lambda hold: hold.most(FINGERS, self.fingers)))
+            found.append(
+                (f"{self.fingers} fingers touch", lambda hold: hold.most(FINGERS, self.fingers))
+            )
         if self.digits:
-            found.append((f"{self.digits} digits touch", lambda hold: hold.most(DIGITS, self.digits)))
+            found.append(
+                (f"{self.digits} digits touch", lambda hold: hold.most(DIGITS, self.digits))
+            )
         for part in self.never:
-            found.append((f"{part} does not touch", lambda hold, part=part: _at_most(hold.touched[part], SPARES)))
+            found.append(
+                (
+                    f"{part} does not touch",
+                    lambda hold, part=part: _at_most(hold.touched[part], SPARES),
+                )
+            )
         if self.tips:
             found.append(("only last links touch", lambda hold: _at_most(hold.off_tips, SPARES)))
         if self.force:
             found.append((f"held with {self.force:g} N", lambda hold: hold.force / self.force))
-        found.append((f"turns by at most {self.turn_deg:g}°", lambda hold: self.turn_deg / max(hold.turn_deg, 1e-9)))
+        found.append(
+            (
+                f"turns by at most {self.turn_deg:g}°",
+                lambda hold: self.turn_deg / max(hold.turn_deg, 1e-9),
+            )
+        )
         if self.tilt_deg < 180:
-            found.append((f"axis within {self.tilt_deg:g}°", lambda hold: self.tilt_deg / max(hold.tilt_deg, 1e-9)))
+            found.append(
+                (
+                    f"axis within {self.tilt_deg:g}°",
+                    lambda hold: self.tilt_deg / max(hold.tilt_deg, 1e-9),
+                )
+            )
         if self.along:
-            found.append((f"held along {self.axis}", lambda hold: hold.along(self.axis) / self.along))
+            found.append(
+                (f"held along {self.axis}", lambda hold: hold.along(self.axis) / self.along)
+            )
         if self.across:
-            found.append((f"held across {self.axis}", lambda hold: _at_most(hold.along(self.axis), 1 - self.across)))
+            found.append(
+                (
+                    f"held across {self.axis}",
+                    lambda hold: _at_most(hold.along(self.axis), 1 - self.across),
+                )
+            )
         if self.side:
-            found.append((f"side of the {self.side}", lambda hold: hold.on_side(self.side) / TOUCHES))
+            found.append(
+                (f"side of the {self.side}", lambda hold: hold.on_side(self.side) / TOUCHES)
+            )
         if self.press:
-            found.append((f"button pressed with {self.press:g} N", lambda hold: hold.pressed(self.button) / self.press))
+            found.append(
+                (
+                    f"button pressed with {self.press:g} N",
+                    lambda hold: hold.pressed(self.button) / self.press,
+                )
+            )
         for digit in self.through:
-            found.append((f"{digit} through an opening", lambda hold, digit=digit: hold.through(self.holes, digit) / TOUCHES))
+            found.append(
+                (
+                    f"{digit} through an opening",
+                    lambda hold, digit=digit: hold.through(self.holes, digit) / TOUCHES,
+                )
+            )
         return found
 
     def clauses(self, hold: Hold) -> dict[str, float]:
@@ -184,16 +262,31 @@ class Hold:
     @property
     def touched(self) -> dict[str, float]:
         """Fraction of the looks in which each part touches."""
-        return {part: float(np.mean([any(_part(link) == part for link in now.links) for now in self.looks])) for part in PARTS}
+        return {
+            part: float(
+                np.mean([any(_part(link) == part for link in now.links) for now in self.looks])
+            )
+            for part in PARTS
+        }
 
     @property
     def part_force(self) -> dict[str, float]:
         """Mean normal force of each part [N]."""
         return {
-            part: float(np.mean([sum(f for f, link in zip(now.force, now.links, strict=True) if _part(link) == part)
-                                 for now in self.looks]))
+            part: float(
+                np.mean(
+                    [
+                        sum(
+                            f
+                            for f, link in zip(now.force, now.links, strict=True)
+                            if _part(link) == part
+                        )
+                        for now in self.looks
+                    ]
+                )
+            )
             for part in PARTS
-        }  # fmt: skip
+        }
 
     @property
     def force(self) -> float:
@@ -203,7 +296,9 @@ class Hold:
     @property
     def off_tips(self) -> float:
         """Fraction of the contact force that is not on distal links."""
-        return self._share(lambda now: np.array([link not in _TIPS for link in now.links], dtype=float))
+        return self._share(
+            lambda now: np.array([link not in _TIPS for link in now.links], dtype=float)
+        )
 
     @property
     def turn_deg(self) -> float:
@@ -217,18 +312,23 @@ class Hold:
         return max(_angle_deg(self.start[:, 2] @ now.rotation[:, 2]) for now in self.looks)
 
     def along(self, axis: str) -> float:
-        """Fraction of the contact force along an axis of the object, weighted by the normals' squared component."""
+        """Fraction of the contact force along an axis of the object, weighted by the normals'
+        squared component.
+        """
         return self._share(lambda now: now.normal[:, _AXES.index(axis)] ** 2)
 
     def on_side(self, finger: str) -> float:
-        """Fraction of a finger's contact force on its side, where the normal is within 45° of the hinge axis."""
+        """Fraction of a finger's contact force on its side, where the normal is within 45° of the
+        hinge axis.
+        """
         force = side = 0.0
         for now in self.looks:
             frames = dict(now.frames(finger))
             for link, push, normal in zip(now.links, now.force, now.normal, strict=True):
                 if link in frames:
                     lateral = abs((now.rotation @ normal) @ frames[link][:, 1]) > np.sqrt(0.5)
-                    force, side = force + push, side + push * lateral
+                    force = force + push
+                    side = side + push * lateral
         return side / force if force > 0 else 0.0
 
     def pressed(self, button: float) -> float:
@@ -236,11 +336,18 @@ class Hold:
         found = []
         for now in self.looks:
             down = now.force * np.maximum(-now.normal[:, 2], 0.0)
-            found.append(down[(now.point[:, 2] > button) & np.array([link in _BEYOND_ROOT for link in now.links], bool)].sum())
+            found.append(
+                down[
+                    (now.point[:, 2] > button)
+                    & np.array([link in _BEYOND_ROOT for link in now.links], bool)
+                ].sum()
+            )
         return float(np.mean(found))
 
     def through(self, holes: Sequence[Hole], digit: str) -> float:
-        """Fraction of the looks with a digit through an opening and touching; below `TOUCHES`, near misses count in part."""
+        """Fraction of the looks with a digit through an opening and touching; below `TOUCHES`, near
+        misses count in part.
+        """
         seen = np.array([max(now.through(hole, digit) for hole in holes) for now in self.looks])
         share = float(np.mean(seen == 1.0))
         return share if share >= TOUCHES else min(float(np.mean(seen)), 0.99 * TOUCHES)
@@ -253,12 +360,20 @@ class Hold:
 
     def _share(self, weight: Any) -> float:
         total = sum(now.force.sum() for now in self.looks)
-        return float(sum((now.force * weight(now)).sum() for now in self.looks if len(now.links)) / total) if total > 0 else 0.0
+        return (
+            float(
+                sum((now.force * weight(now)).sum() for now in self.looks if len(now.links)) / total
+            )
+            if total > 0
+            else 0.0
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """Contacts between hand and object at one moment, with the pose of the object and the joint angles."""
+    """Contacts between hand and object at one moment, with the pose of the object and the joint
+    angles.
+    """
 
     links: tuple[str, ...]
     """Link of the hand in each contact."""
@@ -278,7 +393,9 @@ class Look:
     def poses(self, digit: str) -> list[tuple[Array, Array]]:
         """Position and rotation of a digit's links in the hand frame."""
         body = _GEOMETRY.digit(digit)
-        return link_poses(body, self.joint_pos[[JOINT_INDEX[phalanx.joint] for phalanx in body.phalanges]])
+        return link_poses(
+            body, self.joint_pos[[JOINT_INDEX[phalanx.joint] for phalanx in body.phalanges]]
+        )
 
     def frames(self, digit: str) -> list[tuple[str, Array]]:
         """Name and rotation in the hand frame of a digit's links."""
@@ -286,7 +403,9 @@ class Look:
         return [(link, turn) for link, (_, turn) in zip(links, self.poses(digit), strict=True)]
 
     def through(self, hole: Hole, digit: str) -> float:
-        """1 if one of the last two links is in the opening and the digit touches, 0.4 without touch, up to 0.3 for a miss."""
+        """1 if one of the last two links is in the opening and the digit touches, 0.4 without
+        touch, up to 0.3 for a miss.
+        """
         poses = self.poses(digit)
         tip = poses[-1][0] + poses[-1][1] @ (0.0, 0.0, _GEOMETRY.digit(digit).phalanges[-1].length)
         places = (np.array([place for place, _ in poses] + [tip]) - self.centre) @ self.rotation
@@ -302,9 +421,14 @@ def look_at(contacts: Contacts, state: SceneState, world: int, hand_rotation: Ar
     rotation = state.object_rotation[world].copy()
     to_object = (hand_rotation @ rotation).T
     return Look(
-        contacts.link, contacts.force, (contacts.point - contacts.centre) @ to_object.T, contacts.normal @ to_object.T,
-        rotation, state.object_pos[world].copy(), state.joint_pos[world].copy(),
-    )  # fmt: skip
+        contacts.link,
+        contacts.force,
+        (contacts.point - contacts.centre) @ to_object.T,
+        contacts.normal @ to_object.T,
+        rotation,
+        state.object_pos[world].copy(),
+        state.joint_pos[world].copy(),
+    )
 
 
 def _part(link: str) -> str:

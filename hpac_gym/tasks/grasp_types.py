@@ -1,9 +1,10 @@
-"""HPAC-GraspType-v0: the paper's sixteen grasps with one policy for all, each judged by the rule of its type.
+"""HPAC-GraspType-v0: the paper's sixteen grasps with one policy for all, each judged by the rule of
+its type.
 
-A grasp type has no hand shape of its own: its hand closes to the posture of the same name in `hpac_gym.model.POSTURES` by
-Eqs. (14) and (15), without retuning, and the object is placed to fit that posture. ``data/grasp_types.toml`` has the placement
-and the rule by which the grasp is judged (`hpac_gym.tasks.grasp_rules`).
-"""
+A grasp type has no hand shape of its own: its hand closes to the posture of the same name in
+`hpac_gym.model.POSTURES` by Eqs. (14) and (15), without retuning, and the object is placed to fit
+that posture. ``data/grasp_types.toml`` has the placement and the rule by which the grasp is judged
+(`hpac_gym.tasks.grasp_rules`)."""
 
 from __future__ import annotations
 
@@ -32,7 +33,15 @@ from hpac_gym.model import (
     synergy_from_joints,
 )
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_QUATERNION, PARTS, POST, Contacts, SceneSetup, SceneState, matrix_from_quaternion
+from hpac_gym.physics.engine import (
+    HAND_QUATERNION,
+    PARTS,
+    POST,
+    Contacts,
+    SceneSetup,
+    SceneState,
+    matrix_from_quaternion,
+)
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_grasp
@@ -40,8 +49,24 @@ from hpac_gym.tasks.grasp_data import NOMINAL, GraspError, NamedGrasp, grasps_fr
 from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, look_at
 from hpac_gym.tasks.occlusion import Skeleton
 from hpac_gym.tasks.phases import Timetable
-from hpac_gym.tasks.task import FAILURE, FINGER_PARTS, SUCCESS, THUMB_PART, effort_term, outcome_term, scene_report, setting
-from hpac_gym.tasks.terms import COMMAND_TERMS, OBJECT_TERMS, Moment, RewardTerm, Term, progress_terms
+from hpac_gym.tasks.task import (
+    FAILURE,
+    FINGER_PARTS,
+    SUCCESS,
+    THUMB_PART,
+    effort_term,
+    outcome_term,
+    scene_report,
+    setting,
+)
+from hpac_gym.tasks.terms import (
+    COMMAND_TERMS,
+    OBJECT_TERMS,
+    Moment,
+    RewardTerm,
+    Term,
+    progress_terms,
+)
 
 HELD_OUT_TYPES = ("large_sphere", "three_finger_pinch", "screwdriver", "tape_roll")
 """Held-out types, never used in training. Chosen: each is similar to one of the others."""
@@ -49,15 +74,26 @@ OBJECTS = ("train", "test")
 WRISTS = ("free", "script")
 WRIST_ACTIONS = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
 START = np.array([0.20, 0.0, 0.11])
-"""Centre of the object in the hand frame when an episode with a free wrist begins: out of reach [m]."""
-WRIST_CENTRE, WRIST_REACH = np.array([0.06, 0.0, 0.11]), 0.065
-"""Object centre in the hand frame for a wrist action of 0, and its displacement along the hand's axes for one of 1 [m]."""
+"""Centre of the object in the hand frame when an episode with a free wrist begins: out of reach
+[m].
+"""
+WRIST_CENTRE = np.array([0.06, 0.0, 0.11])
+WRIST_REACH = 0.065
+"""Object centre in the hand frame for a wrist action of 0, and its displacement along the hand's
+axes for one of 1 [m].
+"""
 WRIST_TURN = 2.0
-"""Component of the rotation vector from `HAND_QUATERNION`, along the hand's axes, for an action of 1 [rad]."""
+"""Component of the rotation vector from `HAND_QUATERNION`, along the hand's axes, for an action of
+1 [rad].
+"""
 SETTLES = 0.002
-"""Displacement in the first step beyond which the arriving hand has pushed the object; settling alone takes 1 mm [m]."""
+"""Displacement in the first step beyond which the arriving hand has pushed the object; settling
+alone takes 1 mm [m].
+"""
 LOOK_EVERY = 4
-"""Control steps between two evaluations of the contacts of a hold, since one takes about as long as a step."""
+"""Control steps between two evaluations of the contacts of a hold, since one takes about as long as
+a step.
+"""
 NOTHING = "nothing touches"
 """Missed clause of a hold that has not been evaluated."""
 _SKELETON = Skeleton(1)
@@ -65,7 +101,9 @@ _SKELETON = Skeleton(1)
 
 @dataclass(frozen=True, slots=True)
 class GraspType:
-    """One of the sixteen types: the placement of its object for the posture, and the rule that defines it."""
+    """One of the sixteen types: the placement of its object for the posture, and the rule that
+    defines it.
+    """
 
     start: NamedGrasp
     """Object, wrist and support; `closed` is the synergy of the posture of the same name."""
@@ -81,10 +119,12 @@ def synergy_of_posture(name: str, hand: Hand = HPAC) -> Array:
 
 
 def grasp_types_from_toml(text: str) -> dict[str, GraspType]:
-    """Types described by a TOML text: each is a grasp as in ``grasps.toml`` without `closed`, and its `rule`.
+    """Types described by a TOML text: each is a grasp as in ``grasps.toml`` without `closed`, and
+    its `rule`.
 
     Raises:
-        ParameterError: Not TOML, a name without a posture, or a field that is missing, unknown or out of bounds.
+        ParameterError: Not TOML, a name without a posture, or a field that is missing, unknown or
+            out of bounds.
     """
     try:
         table = tomllib.loads(text)
@@ -97,20 +137,30 @@ def grasp_types_from_toml(text: str) -> dict[str, GraspType]:
         if name not in POSTURES:
             raise ParameterError(f"grasp type {name}: there is no posture of this name")
         if "closed" in entry:
-            raise ParameterError(f"grasp type {name}: unknown fields closed; the posture {name} says how the hand closes")
+            raise ParameterError(
+                f"grasp type {name}: unknown fields closed; the posture {name} says how the hand closes"
+            )
         try:
             rules[name] = _rule(entry.pop("rule"))
         except KeyError as error:
             raise ParameterError(f"grasp type {name}: {error.args[0]} is missing") from None
         except (TypeError, ValueError) as error:
             raise ParameterError(f"grasp type {name}: {error}") from None
-    starts = grasps_from_toml(table, load_object_models(), {name: synergy_of_posture(name) for name in rules})
+    starts = grasps_from_toml(
+        table, load_object_models(), {name: synergy_of_posture(name) for name in rules}
+    )
     return {name: GraspType(start, rules[name]) for name, start in starts.items()}
 
 
 def _rule(entry: dict[str, Any]) -> Rule:
-    holes = tuple(Hole(tuple(hole["centre"]), hole["axis"], tuple(hole["half"])) for hole in entry.pop("holes", ()))
-    return Rule(holes=holes, **{key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()})
+    holes = tuple(
+        Hole(tuple(hole["centre"]), hole["axis"], tuple(hole["half"]))
+        for hole in entry.pop("holes", ())
+    )
+    return Rule(
+        holes=holes,
+        **{key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()},
+    )
 
 
 def data_text() -> str:
@@ -128,16 +178,42 @@ TYPE_SPLITS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 TYPE_TERMS = (
-    Term("type", tuple(GRASP_TYPES), "0/1", 0.0, 1.0, "requested grasp type, one-hot",
-         lambda setup: [float(setup.grasp == name) for name in GRASP_TYPES], fixed=True),
-    Term("asked_parts", PARTS, "1", -1.0, 1.0, "1 for a part that must touch the object, −1 for one that must not",
-         lambda setup: GRASP_TYPES[setup.grasp].rule.asked_parts, fixed=True),
-    Term("asked", ASKED, "1, 10 N, rad", -1.0, 4.0, "other conditions: least numbers of fingers and digits that touch, only "
-         "last links, least force, least force on the button, shares of the force along the object's axes (negative: across), "
-         "side of the index, thumb through an opening, largest turn in the hand and of the object's axis",
-         lambda setup: GRASP_TYPES[setup.grasp].rule.asked, fixed=True),
-)  # fmt: skip
-"""Encoding of the type for a policy: its name, and the conditions of its rule, which also describe unseen types."""
+    Term(
+        "type",
+        tuple(GRASP_TYPES),
+        "0/1",
+        0.0,
+        1.0,
+        "requested grasp type, one-hot",
+        lambda setup: [float(setup.grasp == name) for name in GRASP_TYPES],
+        fixed=True,
+    ),
+    Term(
+        "asked_parts",
+        PARTS,
+        "1",
+        -1.0,
+        1.0,
+        "1 for a part that must touch the object, −1 for one that must not",
+        lambda setup: GRASP_TYPES[setup.grasp].rule.asked_parts,
+        fixed=True,
+    ),
+    Term(
+        "asked",
+        ASKED,
+        "1, 10 N, rad",
+        -1.0,
+        4.0,
+        "other conditions: least numbers of fingers and digits that touch, only "
+        "last links, least force, least force on the button, shares of the force along the object's axes (negative: across), "
+        "side of the index, thumb through an opening, largest turn in the hand and of the object's axis",
+        lambda setup: GRASP_TYPES[setup.grasp].rule.asked,
+        fixed=True,
+    ),
+)
+"""Encoding of the type for a policy: its name, and the conditions of its rule, which also describe
+unseen types.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +238,9 @@ class GraspTypeConfig:
     """
 
     spread: float = setting(1.0, "factor of a type's position and yaw noise", bounds=(0.0, 5.0))
-    drop_distance: float = setting(0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0))
+    drop_distance: float = setting(
+        0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0)
+    )
     timetable: Timetable = field(default_factory=Timetable)
     weights: GraspTypeWeights = field(default_factory=GraspTypeWeights)
 
@@ -171,13 +249,15 @@ class GraspTypeConfig:
 
 
 class GraspByType(Grasp):
-    """Draws episodes of grasp types; success requires that the object is held, as in `Grasp`, according to the type's `Rule`.
+    """Draws episodes of grasp types; success requires that the object is held, as in `Grasp`,
+    according to the type's `Rule`.
 
     Args:
         types: a split of `TYPE_SPLITS`, the name of a type, or several names.
         objects: "train" has the types' own objects, "test" draws from their held-out variants.
-        wrist: "free" begins with the open hand out of reach, and an episode's first action sets the wrist pose and the hand's
-            preshape; "script" begins at the wrist pose of the type's data.
+        wrist: "free" begins with the open hand out of reach, and an episode's first action sets the
+            wrist pose and the hand's preshape; "script" begins at the wrist pose of the type's
+            data.
         config: spread, drop criterion, timetable and reward weights.
 
     Raises:
@@ -186,16 +266,25 @@ class GraspByType(Grasp):
     """
 
     def __init__(
-        self, types: str | Sequence[str] = "all", objects: str = "train", wrist: str = "free",
+        self,
+        types: str | Sequence[str] = "all",
+        objects: str = "train",
+        wrist: str = "free",
         config: GraspTypeConfig = GraspTypeConfig(),
-    ) -> None:  # fmt: skip
+    ) -> None:
         for name, given, known in (("objects", objects, OBJECTS), ("wrist", wrist, WRISTS)):
             if given not in known:
                 raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
         self.kinds = tuple(GRASP_TYPES[name] for name in _names(types))
-        self.objects, self.wrist_actions = objects, WRIST_ACTIONS if wrist == "free" else ()
+        self.objects = objects
+        self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
         super().__init__(config)
-        self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *TYPE_TERMS, *progress_terms(self.phases, self.duration))
+        self.terms = (
+            *COMMAND_TERMS,
+            *OBJECT_TERMS,
+            *TYPE_TERMS,
+            *progress_terms(self.phases, self.duration),
+        )
 
     def _rewards(self) -> tuple[RewardTerm, ...]:
         weights = self.config.weights
@@ -211,7 +300,9 @@ class GraspByType(Grasp):
                 "carry",
                 f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support, "
                 "times the score of the type's rule: the mean over its clauses at the last evaluation",
-                lambda now: np.where(now.phase == CLOSE, 0.0, weights.carry * self.grip.firmness * self.kept),
+                lambda now: np.where(
+                    now.phase == CLOSE, 0.0, weights.carry * self.grip.firmness * self.kept
+                ),
             ),
             effort_term(weights),
             outcome_term(weights),
@@ -219,7 +310,9 @@ class GraspByType(Grasp):
 
     def _paid_touch(self, state: SceneState) -> Array:
         weights = self.config.weights
-        return weights.touch * self._touched_share(state.touching) + weights.avoid * (state.touching & self._never).sum(axis=1)
+        return weights.touch * self._touched_share(state.touching) + weights.avoid * (
+            state.touching & self._never
+        ).sum(axis=1)
 
     def _touched_share(self, touching: NDArray[np.bool_]) -> Array:
         """Fraction of the required parts that touch, shape (n,)."""
@@ -228,14 +321,19 @@ class GraspByType(Grasp):
         found = (touching & self._touch).sum(axis=1) + np.minimum(counts, self._counts).sum(axis=1)
         return found / np.maximum(self._touch.sum(axis=1) + self._counts.sum(axis=1), 1)
 
-    # Episodes ------------------------------------------------------------------------------------------------------
+    # Episodes
+    # ------------------------------------------------------------------------------------------------------
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
         self._touch, self._never = np.zeros((2, num_worlds, len(PARTS)), dtype=bool)
         self._counts = np.zeros((num_worlds, 2), dtype=int)
         self._rotation, self._hand = np.zeros((2, num_worlds, 3, 3))
-        self._seen, self._rules, self._types, self._missed = (np.full(num_worlds, "", dtype=object) for _ in range(4))
-        self.held, self.free, self.kept = np.zeros(num_worlds, bool), np.ones(num_worlds, bool), np.zeros(num_worlds)
+        self._seen, self._rules, self._types, self._missed = (
+            np.full(num_worlds, "", dtype=object) for _ in range(4)
+        )
+        self.held = np.zeros(num_worlds, bool)
+        self.free = np.ones(num_worlds, bool)
+        self.kept = np.zeros(num_worlds)
         return super().prepare(num_worlds, noise)
 
     def draw(self, rng: np.random.Generator) -> GraspType:
@@ -247,20 +345,30 @@ class GraspByType(Grasp):
         start = self.draw(rng).start
         variants = list(start.held_out) if self.objects == "test" else [NOMINAL]
         variant = start.variant(variants[rng.integers(len(variants))])
-        setup = replace(setup_of_grasp(start, variant, rng, hand, self.config.spread), grasp=start.name)
+        setup = replace(
+            setup_of_grasp(start, variant, rng, hand, self.config.spread), grasp=start.name
+        )
         if not self.wrist_actions:
             return setup
-        return _elsewhere(setup, np.zeros(len(SERVOS)), START + setup.position - start.position, HAND_QUATERNION)
+        return _elsewhere(
+            setup, np.zeros(len(SERVOS)), START + setup.position - start.position, HAND_QUATERNION
+        )
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
-        """The setup requested by an episode's first action, shape (12,): hand synergy, wrist position and rotation.
+        """The setup requested by an episode's first action, shape (12,): hand synergy, wrist
+        position and rotation.
 
         The object's position noise is kept, since the arm does not know it.
         """
         place, turn = np.split(action[len(SERVOS) :], 2)
         rotation = Rotation.from_quat(HAND_QUATERNION) * Rotation.from_rotvec(WRIST_TURN * turn)
         position = WRIST_CENTRE + WRIST_REACH * place + setup.position - START
-        return _elsewhere(setup, synergy_from_action(action[: len(SERVOS)], setup.hand), position, rotation.as_quat())
+        return _elsewhere(
+            setup,
+            synergy_from_action(action[: len(SERVOS)], setup.hand),
+            position,
+            rotation.as_quat(),
+        )
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin to judge episodes in some worlds.
@@ -271,21 +379,39 @@ class GraspByType(Grasp):
         super().start(worlds, setups)
         for world, setup in zip(worlds, setups, strict=True):
             if setup.grasp not in GRASP_TYPES:
-                raise ParameterError(f"setup grasp {setup.grasp!r} is not one of {', '.join(GRASP_TYPES)}")
+                raise ParameterError(
+                    f"setup grasp {setup.grasp!r} is not one of {', '.join(GRASP_TYPES)}"
+                )
             rule = GRASP_TYPES[setup.grasp].rule.scaled(setup.object.scale)
             parts = np.array(rule.asked_parts)
-            self._touch[world], self._never[world], self._counts[world] = parts > 0, parts < 0, (rule.fingers, rule.digits)
-            self._rules[world], self._types[world], self._missed[world], self._seen[world] = rule, setup.grasp, NOTHING, ()
+            self._touch[world] = parts > 0
+            self._never[world] = parts < 0
+            self._counts[world] = (rule.fingers, rule.digits)
+            self._rules[world] = rule
+            self._types[world] = setup.grasp
+            self._missed[world] = NOTHING
+            self._seen[world] = ()
             self._hand[world] = setup.hand_rotation
-            self._rotation[world] = setup.hand_rotation.T @ matrix_from_quaternion(setup.object_turn[0])
-            self.held[world], self.kept[world] = False, 0.0
-            self.free[world] = not _SKELETON.thumb_in_finger(joints_from_synergy(setup.synergy, setup.hand), 0)
+            self._rotation[world] = setup.hand_rotation.T @ matrix_from_quaternion(
+                setup.object_turn[0]
+            )
+            self.held[world] = False
+            self.kept[world] = 0.0
+            self.free[world] = not _SKELETON.thumb_in_finger(
+                joints_from_synergy(setup.synergy, setup.hand), 0
+            )
 
     def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
-        """Evaluate the contacts of held objects every `LOOK_EVERY` steps from the end of the lift, and in the last step."""
+        """Evaluate the contacts of held objects every `LOOK_EVERY` steps from the end of the lift,
+        and in the last step.
+        """
         since = np.round((state.time - self.timetable.ends[1]) / dt)
         over = state.time >= self.duration - dt / 2
-        looks = (since >= 0) & ((since % LOOK_EVERY == 0) | over) & (state.touching.any(axis=1) | self.grip.carrying)
+        looks = (
+            (since >= 0)
+            & ((since % LOOK_EVERY == 0) | over)
+            & (state.touching.any(axis=1) | self.grip.carrying)
+        )
         self.kept = np.where(since < 0, self._touched_share(state.touching), self.kept)
         for world in np.flatnonzero(looks):
             if since[world] == 0:
@@ -306,9 +432,9 @@ class GraspByType(Grasp):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        An episode fails where `Grasp` fails; if the hand arrives with its thumb inside a finger, or touches or pushes the
-        object on arrival; and at the end if the object was held but not according to the type's rule.
-        """
+        An episode fails where `Grasp` fails; if the hand arrives with its thumb inside a finger, or
+        touches or pushes the object on arrival; and at the end if the object was held but not
+        according to the type's rule."""
         outcome = super().judge(state, dt)
         arrived = state.time < 1.5 * dt
         self.free = self.free & ~(arrived & (state.touching.any(axis=1) | (self._moved > SETTLES)))
@@ -328,26 +454,44 @@ def _names(types: str | Sequence[str]) -> tuple[str, ...]:
     if isinstance(types, str):
         types = TYPE_SPLITS.get(types, (types,))
     names = types if isinstance(types, list | tuple) else (types,)
-    if not names or (unknown := [name for name in names if not isinstance(name, str) or name not in GRASP_TYPES]):
+    if not names or (
+        unknown := [name for name in names if not isinstance(name, str) or name not in GRASP_TYPES]
+    ):
         wrong = unknown[0] if names else types
-        raise GraspError(f"no grasp type {wrong!r}; there are {', '.join((*TYPE_SPLITS, *GRASP_TYPES))}")
+        raise GraspError(
+            f"no grasp type {wrong!r}; there are {', '.join((*TYPE_SPLITS, *GRASP_TYPES))}"
+        )
     return tuple(names)
 
 
-def _elsewhere(setup: SceneSetup, synergy: Array, position: Array, quaternion: Sequence[float]) -> SceneSetup:
-    """The setup with another synergy, another object position in the hand frame, and another hand orientation.
+def _elsewhere(
+    setup: SceneSetup, synergy: Array, position: Array, quaternion: Sequence[float]
+) -> SceneSetup:
+    """The setup with another synergy, another object position in the hand frame, and another hand
+    orientation.
 
-    Engines keep the wrist in place, so the object, its support and the table move up or down instead.
-    """
-    rises = (matrix_from_quaternion(quaternion) @ position - setup.hand_rotation @ setup.position)[2]
+    Engines keep the wrist in place, so the object, its support and the table move up or down
+    instead."""
+    rises = (matrix_from_quaternion(quaternion) @ position - setup.hand_rotation @ setup.position)[
+        2
+    ]
     support = setup.support or POST
     return replace(
-        setup, synergy=synergy, position=position, hand_quaternion=tuple(map(float, quaternion)),
+        setup,
+        synergy=synergy,
+        position=position,
+        hand_quaternion=tuple(map(float, quaternion)),
         support=replace(support, table_height=support.table_height + float(rises)),
-    )  # fmt: skip
+    )
 
 
 def wrist_choice(start: NamedGrasp) -> Array:
-    """Last six numbers of the first action that moves the wrist to the pose of a type's data, shape (6,), −1…1."""
-    turn = Rotation.from_quat(HAND_QUATERNION).inv() * Rotation.from_quat(quaternion_from_rpy(start.hand_rpy))
-    return np.concatenate([(np.array(start.position) - WRIST_CENTRE) / WRIST_REACH, turn.as_rotvec() / WRIST_TURN])
+    """Last six numbers of the first action that moves the wrist to the pose of a type's data, shape
+    (6,), −1…1.
+    """
+    turn = Rotation.from_quat(HAND_QUATERNION).inv() * Rotation.from_quat(
+        quaternion_from_rpy(start.hand_rpy)
+    )
+    return np.concatenate(
+        [(np.array(start.position) - WRIST_CENTRE) / WRIST_REACH, turn.as_rotvec() / WRIST_TURN]
+    )

@@ -1,4 +1,6 @@
-"""Grip detection, shared by all tasks: whether the hand holds the object, the hold time, and the slip."""
+"""Grip detection, shared by all tasks: whether the hand holds the object, the hold time, and the
+slip.
+"""
 
 from __future__ import annotations
 
@@ -10,28 +12,36 @@ from numpy.typing import NDArray
 from hpac_gym.model.checks import Array
 
 MAX_SLIP = 0.02
-"""Displacement of a carried object in the hand beyond which it counts as slipped out of the grasp [m]."""
+"""Displacement of a carried object in the hand beyond which it counts as slipped out of the grasp
+[m].
+"""
 _MISSED_STEPS = 1
-"""Control steps without contact that do not end a grip: an object shaken off one finger lands on another."""
+"""Control steps without contact that do not end a grip: an object shaken off one finger lands on
+another.
+"""
 
 
 class Grip:
     """Tracks the grip in n worlds.
 
-    The hand carries the object while it touches it and no support does. It holds the object while it carries it without
-    interruption and the slip since carrying began, or since `settle`, is at most `MAX_SLIP`.
+    The hand carries the object while it touches it and no support does. It holds the object while
+    it carries it without interruption and the slip since carrying began, or since `settle`, is at
+    most `MAX_SLIP`.
 
     Attributes:
         carrying: True where the hand carries the object, shape (n,).
         time: duration of carrying without interruption, shape (n,) [s].
-        slip: displacement of the object's centre in the hand since then, or since `settle`, shape (n,) [m].
+        slip: displacement of the object's centre in the hand since then, or since `settle`, shape
+            (n,) [m].
     """
 
     def __init__(self, num_worlds: int) -> None:
         self.carrying = np.zeros(num_worlds, dtype=bool)
-        self.time, self.slip = np.zeros(num_worlds), np.zeros(num_worlds)
+        self.time = np.zeros(num_worlds)
+        self.slip = np.zeros(num_worlds)
         self._missed = np.zeros(num_worlds, dtype=int)
-        self._origin, self._now = np.zeros((num_worlds, 3)), np.zeros((num_worlds, 3))
+        self._origin = np.zeros((num_worlds, 3))
+        self._now = np.zeros((num_worlds, 3))
 
     def start(self, worlds: Sequence[int]) -> None:
         """Begin episodes: nothing is carried."""
@@ -42,7 +52,9 @@ class Grip:
         self.time[where] = self.slip[where] = 0.0
         self._missed[where] = 0
 
-    def follow(self, object_pos: Array, touched: NDArray[np.bool_], supported: NDArray[np.bool_], dt: float) -> None:
+    def follow(
+        self, object_pos: Array, touched: NDArray[np.bool_], supported: NDArray[np.bool_], dt: float
+    ) -> None:
         """Advance by one control step of `dt` seconds.
 
         Args:
@@ -69,7 +81,9 @@ class Grip:
 
     @property
     def firmness(self) -> Array:
-        """1 − slip / `MAX_SLIP` for a carried object, but at least 0; 0 for one that is not carried, shape (n,)."""
+        """1 − slip / `MAX_SLIP` for a carried object, but at least 0; 0 for one that is not
+        carried, shape (n,).
+        """
         return np.where(self.carrying, np.maximum(1.0 - self.slip / MAX_SLIP, 0.0), 0.0)
 
     @property

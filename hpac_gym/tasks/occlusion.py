@@ -1,4 +1,6 @@
-"""Visibility of an object's surface points to a camera: points that face it and are not occluded by the hand."""
+"""Visibility of an object's surface points to a camera: points that face it and are not occluded by
+the hand.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from hpac_gym.model import JOINTS
 from hpac_gym.model.checks import Array
 
 SKIN = 0.9
-"""Fraction of a capsule's radius that occludes: a point under the edge of a touching finger stays visible."""
+"""Fraction of a capsule's radius that occludes: a point under the edge of a touching finger stays
+visible.
+"""
 
 
 class Skeleton:
@@ -29,7 +33,9 @@ class Skeleton:
 
     def __init__(self, num_worlds: int) -> None:
         digits = HPAC_GEOMETRY.digits
-        self._joints = np.array([[JOINTS.index(phalanx.joint) for phalanx in digit.phalanges] for digit in digits])
+        self._joints = np.array(
+            [[JOINTS.index(phalanx.joint) for phalanx in digit.phalanges] for digit in digits]
+        )
         roots = [digit.phalanges[0] for digit in digits]
         self._base = np.array([root.origin for root in roots])
         self._rest = np.array([rotation_from_rpy(root.rpy) for root in roots])
@@ -38,7 +44,8 @@ class Skeleton:
         self._square = self._cross @ self._cross
         palm = [part for solid in HPAC_GEOMETRY.palm_solids for part in _capsules(solid)]
         self._palm = np.array([part.start for part in palm]), np.array([part.end for part in palm])
-        self._length, self._end = np.zeros((num_worlds, len(digits), 3)), np.zeros((num_worlds, len(digits), 3))
+        self._length = np.zeros((num_worlds, len(digits), 3))
+        self._end = np.zeros((num_worlds, len(digits), 3))
         self.radius = np.zeros((num_worlds, 3 * len(digits) + len(palm)))
         self.radius[:, 3 * len(digits) :] = [part.radius for part in palm]
         for world in range(num_worlds):
@@ -61,45 +68,72 @@ class Skeleton:
         Returns:
             Shapes (k, m, 3) [m].
         """
-        n, angles = len(joint_pos), joint_pos[:, self._joints]
-        sine, cosine = np.sin(angles[:, :, :1, None]), np.cos(angles[:, :, :1, None])
+        n = len(joint_pos)
+        angles = joint_pos[:, self._joints]
+        sine = np.sin(angles[:, :, :1, None])
+        cosine = np.cos(angles[:, :, :1, None])
         root = self._rest @ (np.eye(3) + sine * self._cross + (1 - cosine) * self._square)
-        bend = np.cumsum(np.concatenate([np.zeros((n, len(self._base), 1)), angles[:, :, 1:]], axis=2), axis=2)
+        bend = np.cumsum(
+            np.concatenate([np.zeros((n, len(self._base), 1)), angles[:, :, 1:]], axis=2), axis=2
+        )
         # The other two joints turn about the root link's y axis, so the digit stays in its plane.
-        along = np.sin(bend)[..., None] * root[:, :, None, :, 0] + np.cos(bend)[..., None] * root[:, :, None, :, 2]
+        along = (
+            np.sin(bend)[..., None] * root[:, :, None, :, 0]
+            + np.cos(bend)[..., None] * root[:, :, None, :, 2]
+        )
         links = np.cumsum(self._length[worlds][..., None] * along, axis=2)
-        start = self._base[:, None] + np.concatenate([np.zeros_like(links[:, :, :1]), links[:, :, :-1]], axis=2)
+        start = self._base[:, None] + np.concatenate(
+            [np.zeros_like(links[:, :, :1]), links[:, :, :-1]], axis=2
+        )
         end = start + self._end[worlds][..., None] * along
         palm = (np.broadcast_to(part, (n, *part.shape)) for part in self._palm)
         pairs = zip((start, end), palm, strict=True)
-        first, second = (np.concatenate([digits.reshape(n, -1, 3), part], axis=1) for digits, part in pairs)
+        first, second = (
+            np.concatenate([digits.reshape(n, -1, 3), part], axis=1) for digits, part in pairs
+        )
         return first, second
 
     def thumb_in_finger(self, joint_pos: Array, world: int) -> bool:
-        """True if the thumb of one hand penetrates a finger at these joint angles, shape (15,) [rad]."""
+        """True if the thumb of one hand penetrates a finger at these joint angles, shape (15,)
+        [rad].
+        """
         first, second = self.segments(joint_pos[None], np.array([world]))
-        radius, fingers = self.radius[[world]], slice(3, 3 * len(self._base))
-        first_of, second_of, wide = first[:, fingers], second[:, fingers], radius[:, fingers]
+        radius = self.radius[[world]]
+        fingers = slice(3, 3 * len(self._base))
+        first_of = first[:, fingers]
+        second_of = second[:, fingers]
+        wide = radius[:, fingers]
         return any(
-            covered(first[:, link], second[:, [link]], first_of, second_of, wide + radius[:, [link]]).any() for link in range(3)
+            covered(
+                first[:, link], second[:, [link]], first_of, second_of, wide + radius[:, [link]]
+            ).any()
+            for link in range(3)
         )
 
 
 def _capsules(solid: Box | Capsule) -> list[Capsule]:
-    """Capsules of a solid: the capsule itself, or a flat box approximated by a row of capsules along z."""
+    """Capsules of a solid: the capsule itself, or a flat box approximated by a row of capsules
+    along z.
+    """
     if isinstance(solid, Capsule):
         return [solid]
-    (x, y, z), (thick, wide, tall), radius = solid.center, solid.size, solid.size[0] / 2
-    across = np.linspace(y - wide / 2 + radius, y + wide / 2 - radius, int(np.ceil(wide / thick)) + 1).tolist()
+    (x, y, z) = solid.center
+    (thick, wide, tall) = solid.size
+    radius = solid.size[0] / 2
+    across = np.linspace(
+        y - wide / 2 + radius, y + wide / 2 - radius, int(np.ceil(wide / thick)) + 1
+    ).tolist()
     half = tall / 2 - radius
     return [Capsule((x, place, z - half), (x, place, z + half), radius) for place in across]
 
 
-def covered(eye: Array, points: Array, first: Array, second: Array, radius: Array) -> NDArray[np.bool_]:
+def covered(
+    eye: Array, points: Array, first: Array, second: Array, radius: Array
+) -> NDArray[np.bool_]:
     """True where a capsule occludes a point from the eye.
 
-    Based on the shortest distance between two segments, the line of sight and the capsule's axis: Ericson, Real-Time
-    Collision Detection (2005), section 5.1.9.
+    Based on the shortest distance between two segments, the line of sight and the capsule's axis:
+    Ericson, Real-Time Collision Detection (2005), section 5.1.9.
 
     Args:
         eye: position of the eye in each world, shape (n, 3) [m].
@@ -111,11 +145,14 @@ def covered(eye: Array, points: Array, first: Array, second: Array, radius: Arra
     Returns:
         shape (n, p).
     """
-    ray, bone, way = points - eye[:, None], second - first, eye[:, None] - first
+    ray = points - eye[:, None]
+    bone = second - first
+    way = eye[:, None] - first
     a = np.einsum("npi,npi->np", ray, ray)[:, :, None]
     e = np.einsum("nmi,nmi->nm", bone, bone)[:, None]
     f = np.einsum("nmi,nmi->nm", bone, way)[:, None]
-    b, c = ray @ bone.swapaxes(1, 2), ray @ way.swapaxes(1, 2)
+    b = ray @ bone.swapaxes(1, 2)
+    c = ray @ way.swapaxes(1, 2)
     along = _share((b * f - c * e) / np.maximum(a * e - b * b, 1e-18))
     across = _share((b * along + f) / e)
     along = _share((b * across - c) / a)
@@ -129,9 +166,11 @@ def _share(value: Array) -> Array:
 
 
 def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Array]:
-    """Uniformly random points of an object's surface [m], and their outward normals, shapes (count, 3).
+    """Uniformly random points of an object's surface [m], and their outward normals, shapes (count,
+    3).
 
-    The name is the seed, so that an object always has the same points. Points inside another solid are left out.
+    The name is the seed, so that an object always has the same points. Points inside another solid
+    are left out.
 
     Args:
         name: name of the object.
@@ -139,14 +178,20 @@ def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Arra
         count: number of points.
     """
     rng = np.random.default_rng(crc32(name.encode()))
-    points, normals = np.zeros((0, 3)), np.zeros((0, 3))
+    points = np.zeros((0, 3))
+    normals = np.zeros((0, 3))
     areas = np.array([_area(solid) for solid in solids])
     while len(points) < count:
         chosen = rng.choice(len(solids), 2 * count, p=areas / areas.sum())
         drawn = [_on_surface(solids[index], rng) for index in chosen]
-        place, normal = np.array([place for place, _ in drawn]), np.array([normal for _, normal in drawn])
-        inside = np.any([_inside(solid, place) & (chosen != index) for index, solid in enumerate(solids)], axis=0)
-        points, normals = np.concatenate([points, place[~inside]]), np.concatenate([normals, normal[~inside]])
+        place = np.array([place for place, _ in drawn])
+        normal = np.array([normal for _, normal in drawn])
+        inside = np.any(
+            [_inside(solid, place) & (chosen != index) for index, solid in enumerate(solids)],
+            axis=0,
+        )
+        points = np.concatenate([points, place[~inside]])
+        normals = np.concatenate([normals, normal[~inside]])
     return points[:count], normals[:count]
 
 
@@ -162,7 +207,9 @@ def _area(solid: Solid) -> float:
 
 
 def _triangles(solid: Solid) -> tuple[Array, Array, Array]:
-    """Corners of a hull's faces, shape (m, 3, 3) [m], their outward normals, and their areas [m²]."""
+    """Corners of a hull's faces, shape (m, 3, 3) [m], their outward normals, and their areas
+    [m²].
+    """
     corners = solid.hull.vertices[solid.hull.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     double = np.linalg.norm(across, axis=1, keepdims=True)
@@ -174,25 +221,31 @@ def _on_surface(solid: Solid, rng: np.random.Generator) -> tuple[Array, Array]:
     half = np.array(solid.size) / 2
     if solid.kind == "box":
         faces = np.array([half[1] * half[2], half[0] * half[2], half[0] * half[1]])
-        axis, place, normal = rng.choice(3, p=faces / faces.sum()), rng.uniform(-half, half), np.zeros(3)
+        axis = rng.choice(3, p=faces / faces.sum())
+        place = rng.uniform(-half, half)
+        normal = np.zeros(3)
         normal[axis] = rng.choice([-1.0, 1.0])
         place[axis] = normal[axis] * half[axis]
     elif solid.kind == "hull":
         corners, normals, areas = _triangles(solid)
         face = rng.choice(len(areas), p=areas / areas.sum())
-        place, normal = rng.dirichlet(np.ones(3)) @ corners[face], normals[face]
+        place = rng.dirichlet(np.ones(3)) @ corners[face]
+        normal = normals[face]
     elif solid.kind == "cylinder":
-        angle, radius = rng.uniform(0, 2 * np.pi), half[0]
+        angle = rng.uniform(0, 2 * np.pi)
+        radius = half[0]
         out = np.array([np.cos(angle), np.sin(angle), 0.0])
         if rng.random() < radius / (radius + 2 * half[2]):
             normal = np.array([0.0, 0.0, rng.choice([-1.0, 1.0])])
             place = radius * np.sqrt(rng.random()) * out + half[2] * normal
         else:
-            place, normal = radius * out + [0.0, 0.0, rng.uniform(-half[2], half[2])], out
+            place = radius * out + [0.0, 0.0, rng.uniform(-half[2], half[2])]
+            normal = out
     else:
         normal = rng.standard_normal(3)
         normal /= np.linalg.norm(normal)
-        place, middle = half[0] * normal, half[2] - half[0]
+        place = half[0] * normal
+        middle = half[2] - half[0]
         if rng.random() < middle / half[2]:
             normal = np.array([*normal[:2], 0.0]) / np.hypot(*normal[:2])
             place = half[0] * normal + [0.0, 0.0, rng.uniform(-middle, middle)]
@@ -203,7 +256,8 @@ def _on_surface(solid: Solid, rng: np.random.Generator) -> tuple[Array, Array]:
 
 def _inside(solid: Solid, points: Array) -> NDArray[np.bool_]:
     """True where points in the object's frame, shape (p, 3) [m], are inside a solid."""
-    own, half = (points - solid.center) @ solid.rotation, np.array(solid.size) / 2
+    own = (points - solid.center) @ solid.rotation
+    half = np.array(solid.size) / 2
     if solid.kind == "box":
         return (np.abs(own) < half).all(axis=1)
     if solid.kind == "hull":

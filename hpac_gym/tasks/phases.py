@@ -33,13 +33,17 @@ class Timetable:
     """Amplitude of the shake along x, then y, then z, so in six directions [m]."""
     place_time: float = 0.5
     clearance: float = MAX_SLIP
-    """Final height of the wrist above its start, so that a held object does not touch its support at the end [m]."""
+    """Final height of the wrist above its start, so that a held object does not touch its support
+    at the end [m].
+    """
 
     def __post_init__(self) -> None:
         if not min(self.close_time, self.lift_time, self.shake_time, self.place_time) > 0:
             raise ValueError(f"durations of {self} must be greater than 0 s")
         if not (self.shake_distance >= 0 and 0 <= self.clearance <= self.lift_height):
-            raise ValueError(f"distances of {self} must not be negative, nor the clearance beyond the lift")
+            raise ValueError(
+                f"distances of {self} must not be negative, nor the clearance beyond the lift"
+            )
 
     @property
     def ends(self) -> tuple[float, float, float, float]:
@@ -49,7 +53,9 @@ class Timetable:
         return self.close_time, lift, shake, shake + self.place_time
 
     def wrist_offset(self, time: float) -> tuple[float, float, float]:
-        """Offset of the wrist in the world [m]: at rest, up, to and fro along each axis, down; with continuous velocity."""
+        """Offset of the wrist in the world [m]: at rest, up, to and fro along each axis, down; with
+        continuous velocity.
+        """
         close, lift, shake, _ = self.ends
         offset = [0.0, 0.0, 0.0]
         offset[2] = self.lift_height * moved((time - close) / self.lift_time)
@@ -67,17 +73,23 @@ def wrist_table(timetable: Timetable, times: tuple[float, ...]) -> Array:
 
 
 def phase_at(time: Array, ends: Sequence[float]) -> NDArray[np.int_]:
-    """Index of the phase that is running or begins at times [s], given the phases' end times [s]; the last phase stays."""
+    """Index of the phase that is running or begins at times [s], given the phases' end times [s];
+    the last phase stays.
+    """
     return np.minimum((time[:, None] > np.array(ends) - 1e-9).sum(axis=1), len(ends) - 1)
 
 
 def moved(share: float) -> float:
-    """Fraction of a minimum-jerk move that is complete after a fraction of its duration; 0 before and 1 after the move."""
+    """Fraction of a minimum-jerk move that is complete after a fraction of its duration; 0 before
+    and 1 after the move.
+    """
     return minimum_jerk(min(max(share, 0.0), 1.0))
 
 
 def _swing(share: float) -> float:
-    """Windowed sine at a fraction of its duration: to 1, to −1 and back to 0, starting and ending at rest."""
+    """Windowed sine at a fraction of its duration: to 1, to −1 and back to 0, starting and ending
+    at rest.
+    """
     return sin(2 * pi * share) * sin(pi * share) ** 2 / _SWING_PEAK
 
 

@@ -1,4 +1,6 @@
-"""HPAC-PickPlace-v0: the paper's four phases. The wrist is scripted; the policy decides when and how to close and open."""
+"""HPAC-PickPlace-v0: the paper's four phases. The wrist is scripted; the policy decides when and
+how to close and open.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,17 @@ from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.phases import moved, phase_at
-from hpac_gym.tasks.task import FAILURE, RUNNING, SUCCESS, Task, contact_term, effort_term, open_hand, outcome_term, setting
+from hpac_gym.tasks.task import (
+    FAILURE,
+    RUNNING,
+    SUCCESS,
+    Task,
+    contact_term,
+    effort_term,
+    open_hand,
+    outcome_term,
+    setting,
+)
 from hpac_gym.tasks.terms import (
     AXES,
     COMMAND_TERMS,
@@ -39,7 +51,8 @@ REACH, CLOSE, LIFT, PLACE = range(4)
 
 @dataclass(frozen=True, slots=True)
 class PickPlaceTimetable:
-    """Durations of the moves [s], and path of the wrist: sideways to the object, up, across, down, and back.
+    """Durations of the moves [s], and path of the wrist: sideways to the object, up, across, down,
+    and back.
 
     Raises:
         ValueError: A duration that is not positive.
@@ -70,9 +83,15 @@ class PickPlaceTimetable:
     def durations(self) -> tuple[float, ...]:
         """Durations of reach, close, lift, carry, lower, release, retreat and rest [s]."""
         return (
-            self.reach_time, self.close_time, self.lift_time, self.carry_time,
-            self.lower_time, self.release_time, self.retreat_time, self.rest_time,
-        )  # fmt: skip
+            self.reach_time,
+            self.close_time,
+            self.lift_time,
+            self.carry_time,
+            self.lower_time,
+            self.release_time,
+            self.retreat_time,
+            self.rest_time,
+        )
 
     @property
     def ends(self) -> tuple[float, ...]:
@@ -80,9 +99,13 @@ class PickPlaceTimetable:
         return tuple(np.cumsum(self.durations).tolist())
 
     def wrist_path(self, times: tuple[float, ...]) -> Array:
-        """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one minimum-jerk profile per move."""
-        offset, ends = np.zeros((len(times), 3)), self.ends
-        reach, up = np.array(self.reach), np.array([0.0, 0.0, self.lift_height])
+        """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one
+        minimum-jerk profile per move.
+        """
+        offset = np.zeros((len(times), 3))
+        ends = self.ends
+        reach = np.array(self.reach)
+        up = np.array([0.0, 0.0, self.lift_height])
         moves = (  # start time [s], duration [s] and displacement, shape (3,) [m]
             (0.0, self.reach_time, reach),
             (ends[1], self.lift_time, up),
@@ -112,33 +135,55 @@ class PickPlaceConfig:
         ParameterError: A number or a range leaves its bounds.
     """
 
-    radius: tuple[float, float] = setting((0.020, 0.028), "radius of a cylinder, half-width of a box [m]", bounds=(0.002, 0.06))
+    radius: tuple[float, float] = setting(
+        (0.020, 0.028), "radius of a cylinder, half-width of a box [m]", bounds=(0.002, 0.06)
+    )
     half_height: tuple[float, float] = setting(
-        (0.068, 0.080), "half-height, tall enough for the hand to clear the object's support [m]", bounds=(0.005, 0.15)
+        (0.068, 0.080),
+        "half-height, tall enough for the hand to clear the object's support [m]",
+        bounds=(0.005, 0.15),
     )
     mass: tuple[float, float] = setting((0.05, 0.20), "mass of the object [kg]", bounds=(1e-3, 2.0))
     friction: tuple[float, float] = setting(
-        (0.6, 1.0), "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9", bounds=(0.05, 3.0)
+        (0.6, 1.0),
+        "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9",
+        bounds=(0.05, 3.0),
     )
     gap: tuple[float, float] = setting(
-        (0.006, 0.015), "distance from the palm to the object, once the wrist has reached it [m]", bounds=(0.0, 0.1)
+        (0.006, 0.015),
+        "distance from the palm to the object, once the wrist has reached it [m]",
+        bounds=(0.0, 0.1),
     )
     towards_thumb: tuple[float, float] = setting(
-        (-0.005, 0.010), "place of the object's centre along y of the hand frame [m]", bounds=(-0.1, 0.1)
+        (-0.005, 0.010),
+        "place of the object's centre along y of the hand frame [m]",
+        bounds=(-0.1, 0.1),
     )
     beyond_wrist: tuple[float, float] = setting(
         (0.105, 0.125),
         "place of the object's centre along z of the hand frame, once the wrist has reached it [m]",
         bounds=(0.02, 0.25),
     )
-    carry_forward: tuple[float, float] = setting((-0.04, 0.08), "target offset along the fingers [m]", bounds=(-0.3, 0.3))
-    carry_aside: tuple[float, float] = setting((0.16, 0.24), "target offset along the palm's normal [m]", bounds=(0.07, 0.4))
-    thumb_preshape: float = setting(1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57))
-    drop_distance: float = setting(
-        0.06, "displacement from its intended place beyond which an object is dropped [m]", bounds=(5e-3, 1.0)
+    carry_forward: tuple[float, float] = setting(
+        (-0.04, 0.08), "target offset along the fingers [m]", bounds=(-0.3, 0.3)
     )
-    tolerance: float = setting(0.03, "largest horizontal distance from the target [m]", bounds=(1e-3, 0.2))
-    upright: float = setting(0.05, "largest tilt of an object that stands [rad]", bounds=(1e-3, 1.57))
+    carry_aside: tuple[float, float] = setting(
+        (0.16, 0.24), "target offset along the palm's normal [m]", bounds=(0.07, 0.4)
+    )
+    thumb_preshape: float = setting(
+        1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57)
+    )
+    drop_distance: float = setting(
+        0.06,
+        "displacement from its intended place beyond which an object is dropped [m]",
+        bounds=(5e-3, 1.0),
+    )
+    tolerance: float = setting(
+        0.03, "largest horizontal distance from the target [m]", bounds=(1e-3, 0.2)
+    )
+    upright: float = setting(
+        0.05, "largest tilt of an object that stands [rad]", bounds=(1e-3, 1.57)
+    )
     timetable: PickPlaceTimetable = field(default_factory=PickPlaceTimetable)
     weights: PickPlaceWeights = field(default_factory=PickPlaceWeights)
 
@@ -154,7 +199,8 @@ class PickPlace(Task):
     privileged_terms = PRIVILEGED_TERMS
 
     def __init__(self, config: PickPlaceConfig = PickPlaceConfig()) -> None:
-        self.config, self.timetable = config, config.timetable
+        self.config = config
+        self.timetable = config.timetable
         self.duration = self.timetable.ends[-1]
         meaning = "target position of the object, as `object_pos`"
         target = Term("target_pos", AXES, "0.05 m", -10.0, 10.0, meaning, self._seen_target)
@@ -162,29 +208,47 @@ class PickPlace(Task):
         weights = config.weights
         self.reward_terms = (
             contact_term(weights, CLOSE),
-            RewardTerm("push", f"while reaching and closing: {weights.push:g} · min(displacement / drop_distance, 1)",
-                       self._push),
-            RewardTerm("carry", f"from the lift until the hand is lowered: {weights.carry:g} for carrying the object free of its "
-                       "support. Paid any longer, never releasing would be the best policy", self._carry),
-            RewardTerm("place", f"while placing: {weights.place:g} for an object that stands at its target, {weights.release:g} "
-                       "more when the hand has released it", self._set_down),
+            RewardTerm(
+                "push",
+                f"while reaching and closing: {weights.push:g} · min(displacement / drop_distance, 1)",
+                self._push,
+            ),
+            RewardTerm(
+                "carry",
+                f"from the lift until the hand is lowered: {weights.carry:g} for carrying the object free of its "
+                "support. Paid any longer, never releasing would be the best policy",
+                self._carry,
+            ),
+            RewardTerm(
+                "place",
+                f"while placing: {weights.place:g} for an object that stands at its target, {weights.release:g} "
+                "more when the hand has released it",
+                self._set_down,
+            ),
             effort_term(weights),
             outcome_term(weights),
-        )  # fmt: skip
+        )
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
         self.grip = Grip(num_worlds)
         self._place, self._target, self._grasped_at = (np.zeros((num_worlds, 3)) for _ in range(3))
         self._rotation = np.zeros((num_worlds, 3, 3))
-        self._astray, self._lowered, self._standing = (np.zeros(num_worlds, dtype=kind) for kind in (float, bool, bool))
+        self._astray, self._lowered, self._standing = (
+            np.zeros(num_worlds, dtype=kind) for kind in (float, bool, bool)
+        )
         return ObjectCamera(num_worlds, noise)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
-        """Draw one episode: the object, its position in front of the hand, its target, and the open hand."""
+        """Draw one episode: the object, its position in front of the hand, its target, and the open
+        hand.
+        """
         config = self.config
         shape = ("cylinder", "box")[rng.integers(2)]
-        width, height = rng.uniform(*config.radius), rng.uniform(*config.half_height)
-        spec = ObjectSpec(shape, (width, width, height), rng.uniform(*config.mass), rng.uniform(*config.friction))
+        width = rng.uniform(*config.radius)
+        height = rng.uniform(*config.half_height)
+        spec = ObjectSpec(
+            shape, (width, width, height), rng.uniform(*config.mass), rng.uniform(*config.friction)
+        )
         place = np.array(
             [
                 PALM_SURFACE + width + rng.uniform(*config.gap),
@@ -194,7 +258,9 @@ class PickPlace(Task):
         )
         forward, aside, up = self.timetable.reach
         place += [aside, up, forward]
-        target = place + np.array([rng.uniform(*config.carry_aside), 0.0, rng.uniform(*config.carry_forward)])
+        target = place + np.array(
+            [rng.uniform(*config.carry_aside), 0.0, rng.uniform(*config.carry_forward)]
+        )
         return SceneSetup(spec, place, 0.0, open_hand(config.thumb_preshape), hand, target=target)
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
@@ -206,23 +272,34 @@ class PickPlace(Task):
         if any(setup.target is None for setup in setups):
             raise ParameterError("a setup of PickPlace needs a target, shape (3,) [m], not None")
         index = np.asarray(worlds)
-        self._place[index], self._target[index] = [s.position for s in setups], [s.target for s in setups]
+        self._place[index] = [s.position for s in setups]
+        self._target[index] = [s.target for s in setups]
         self._rotation[index] = [setup.hand_rotation for setup in setups]
-        self._astray[index], self._lowered[index], self._standing[index] = 0.0, False, False
+        self._astray[index] = 0.0
+        self._lowered[index] = False
+        self._standing[index] = False
         self.grip.start(index)
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
-        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m], via the setup's target."""
+        """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m], via
+        the setup's target.
+        """
         aside, up, forward = setup.target - setup.position
-        return replace(self.timetable, carry=(float(forward), float(aside), float(up))).wrist_path(times)
+        return replace(self.timetable, carry=(float(forward), float(aside), float(up))).wrist_path(
+            times
+        )
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `PHASES` of the phase that is running or begins at times [s], shape (n,); all after the lift is "place"."""
+        """Index into `PHASES` of the phase that is running or begins at times [s], shape (n,); all
+        after the lift is "place".
+        """
         ends = self.timetable.ends
         return phase_at(time, (*ends[: LIFT + 1], ends[-1]))
 
     def _offset(self, state: SceneState) -> Array:
-        """Displacement of the wrist from its start, along the axes of the hand frame, shape (n, 3) [m]."""
+        """Displacement of the wrist from its start, along the axes of the hand frame, shape (n, 3)
+        [m].
+        """
         return np.einsum("nji,nj->ni", self._rotation, state.palm_offset)
 
     def _seen_target(self, now: Moment) -> Array:
@@ -231,13 +308,17 @@ class PickPlace(Task):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        An episode fails as soon as the object is knocked away before the lift, or lost between lift and release. It succeeds
-        at the end of the timetable if the object stands at its target and the hand does not touch it.
-        """
-        config, touched = self.config, state.touching.any(axis=1)
+        An episode fails as soon as the object is knocked away before the lift, or lost between lift
+        and release. It succeeds at the end of the timetable if the object stands at its target and
+        the hand does not touch it."""
+        config = self.config
+        touched = state.touching.any(axis=1)
         self.grip.follow(state.object_pos, touched, state.supported, dt)
-        away = state.object_pos + self._offset(state)  # along the hand's axes, from the hand's initial position
-        close, lowered = self.timetable.ends[1], self.timetable.ends[4]
+        away = state.object_pos + self._offset(
+            state
+        )  # along the hand's axes, from the hand's initial position
+        close = self.timetable.ends[1]
+        lowered = self.timetable.ends[4]
         closing = state.time < close - dt / 2
         self._lowered = state.time > lowered - dt / 2
         up = np.einsum("ni,ni->n", self._rotation[:, 2], state.object_rotation[:, :, 2])
@@ -258,11 +339,18 @@ class PickPlace(Task):
         return np.where(now.phase <= CLOSE, self.config.weights.push * share, 0.0)
 
     def _carry(self, now: Moment) -> Array:
-        return np.where((now.phase <= CLOSE) | self._lowered, 0.0, self.config.weights.carry * (self.grip.time > 0))
+        return np.where(
+            (now.phase <= CLOSE) | self._lowered,
+            0.0,
+            self.config.weights.carry * (self.grip.time > 0),
+        )
 
     def _set_down(self, now: Moment) -> Array:
-        weights, free = self.config.weights, ~now.state.touching.any(axis=1)
-        return np.where((now.phase == PLACE) & self._standing, weights.place + weights.release * free, 0.0)
+        weights = self.config.weights
+        free = ~now.state.touching.any(axis=1)
+        return np.where(
+            (now.phase == PLACE) & self._standing, weights.place + weights.release * free, 0.0
+        )
 
 
 @lru_cache(maxsize=64)

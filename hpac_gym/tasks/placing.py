@@ -1,8 +1,8 @@
 """Wrist placement for an object of known size and pose, by one rule for all objects.
 
-Engines do not move the wrist before an episode. Instead, the object and its support are displaced in the hand's frame, and a
-rotation of the wrist about the vertical becomes the opposite rotation of the object about the wrist.
-"""
+Engines do not move the wrist before an episode. Instead, the object and its support are displaced
+in the hand's frame, and a rotation of the wrist about the vertical becomes the opposite rotation of
+the object about the wrist."""
 
 from __future__ import annotations
 
@@ -15,35 +15,55 @@ from hpac_gym.body.hands import HandVariant
 from hpac_gym.body.objects import Support
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, HAND_QUATERNION, SceneSetup, matrix_from_quaternion
+from hpac_gym.physics.engine import (
+    HAND_POSITION,
+    HAND_QUATERNION,
+    SceneSetup,
+    matrix_from_quaternion,
+)
 from hpac_gym.tasks.grasp import PALM_SURFACE, quaternion_from_rpy
 
 TILT = np.deg2rad(16.0)
-"""Downward tilt of the fingers of a hand above an object, at which they reach as deep as the thumb [rad]."""
-SIDE, ABOVE = HAND_QUATERNION, quaternion_from_rpy((0.0, np.pi / 2 + TILT, 0.0))
-"""Orientations of the hand, xyzw: palm to the side, thumb up; palm down. Fingers point along the world's x in both."""
+"""Downward tilt of the fingers of a hand above an object, at which they reach as deep as the thumb
+[rad].
+"""
+SIDE = HAND_QUATERNION
+ABOVE = quaternion_from_rpy((0.0, np.pi / 2 + TILT, 0.0))
+"""Orientations of the hand, xyzw: palm to the side, thumb up; palm down. Fingers point along the
+world's x in both.
+"""
 TALL = 0.085
 """Least height of an object on the table that is gripped from the side [m]."""
 LONG = 1.25
 """Ratio of length to height above which an object is gripped from above."""
-BOARD, BOARD_HALF_WIDTH = 0.004, (0.15, 0.15)
+BOARD = 0.004
+BOARD_HALF_WIDTH = (0.15, 0.15)
 """Board on the table under lying objects: thickness, and half of its sides [m]."""
 POST_SHARE = 0.4
 """Half-width of a post as a fraction of the width of the object on it."""
 SIDE_HEIGHT = 0.06
 """Least height above the table of a hand beside an object: half of the hand's width [m]."""
 THUMB = 0.081
-"""Least distance along the fingers from the wrist to an object in front of the palm, so that it clears the thumb [m]."""
+"""Least distance along the fingers from the wrist to an object in front of the palm, so that it
+clears the thumb [m].
+"""
 THUMB_ABOVE = 0.055
 """The same, measured horizontally, for an object below the palm [m]."""
 DIGIT_DEPTH = 0.1135
-"""Depth below the wrist that the digits of a hand above an object reach: the open thumb, and the closing fingers [m]."""
+"""Depth below the wrist that the digits of a hand above an object reach: the open thumb, and the
+closing fingers [m].
+"""
 PALM_DEPTH = 0.042
 """Depth below the wrist that the palm of such a hand reaches at the object [m]."""
-FINGER_END, FINGER_RADIUS = 0.195, 0.012
-"""Distance from the wrist to the tips of the straight fingers, and the fingers' radius, with 3 mm clearance [m]."""
-CENTRE_SIDE, CENTRE_ABOVE = 0.1125, 0.088
-"""Best object position for closing, along the fingers, as horizontal distance from the wrist [m]."""
+FINGER_END = 0.195
+FINGER_RADIUS = 0.012
+"""Distance from the wrist to the tips of the straight fingers, and the fingers' radius, with 3 mm
+clearance [m].
+"""
+CENTRE_SIDE = 0.1125
+CENTRE_ABOVE = 0.088
+"""Best object position for closing, along the fingers, as horizontal distance from the wrist [m].
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,24 +82,45 @@ NOMINAL_REACH = Reach()
 
 
 def reach_of(variant: HandVariant, synergy: Array) -> Reach:
-    """The reach of a hand that starts in a posture, shape (6,) [rad], and whose servos then move it to their own zeros."""
-    starts, views = (synergy, synergy + variant.servo_zero), (SIDE, ABOVE)
-    reached = np.array([[_thumb(variant.geometry, variant.hand, start, view) for start in starts] for view in views])
+    """The reach of a hand that starts in a posture, shape (6,) [rad], and whose servos then move it
+    to their own zeros.
+    """
+    starts = (synergy, synergy + variant.servo_zero)
+    views = (SIDE, ABOVE)
+    reached = np.array(
+        [
+            [_thumb(variant.geometry, variant.hand, start, view) for start in starts]
+            for view in views
+        ]
+    )
     more = reached - np.array([[_thumb(HPAC_GEOMETRY, HPAC, synergy, view)] for view in views])
     thicker = [
         phalanx.capsule.radius - usual.capsule.radius
         for name in FINGERS
-        for phalanx, usual in zip(variant.geometry.digit(name).phalanges, HPAC_GEOMETRY.digit(name).phalanges, strict=True)
+        for phalanx, usual in zip(
+            variant.geometry.digit(name).phalanges, HPAC_GEOMETRY.digit(name).phalanges, strict=True
+        )
     ]
-    return Reach(max(0.0, float(more[..., 0].max())), max(0.0, float(more[1, :, 1].max())), max(0.0, *thicker))
+    return Reach(
+        max(0.0, float(more[..., 0].max())),
+        max(0.0, float(more[1, :, 1].max())),
+        max(0.0, *thicker),
+    )
 
 
 def _thumb(geometry: Geometry, hand: Hand, synergy: Array, quaternion: tuple[float, ...]) -> Array:
     """How far forward and down the thumb reaches from the wrist, shape (2,) [m]."""
-    joints, digit, rotation = joints_from_synergy(synergy, hand), geometry.digit("thumb"), matrix_from_quaternion(quaternion)
+    joints = joints_from_synergy(synergy, hand)
+    digit = geometry.digit("thumb")
+    rotation = matrix_from_quaternion(quaternion)
     poses = link_poses(digit, [joints[JOINT_INDEX[phalanx.joint]] for phalanx in digit.phalanges])
     capsules = [phalanx.capsule for phalanx in digit.phalanges]
-    ends = np.array([rotation @ (place + turn @ capsule.end) for (place, turn), capsule in zip(poses, capsules, strict=True)])
+    ends = np.array(
+        [
+            rotation @ (place + turn @ capsule.end)
+            for (place, turn), capsule in zip(poses, capsules, strict=True)
+        ]
+    )
     radii = np.array([capsule.radius for capsule in capsules])
     return np.array([(ends[:, 0] + radii).max(), (radii - ends[:, 2]).max()])
 
@@ -100,7 +141,8 @@ def from_side(stand: bool, size: Array) -> bool:
 
 
 def best_turn(size: Array) -> float:
-    """Rotation of an object about the vertical that puts its longer horizontal side across the fingers, 0 or π/2 [rad].
+    """Rotation of an object about the vertical that puts its longer horizontal side across the
+    fingers, 0 or π/2 [rad].
 
     Args:
         size: extents of its bounding box before the rotation, shape (3,) [m].
@@ -113,11 +155,13 @@ def placed(setup: SceneSetup, gap: float, stand: bool, reach: Reach = NOMINAL_RE
 
     Args:
         setup: setup with the object and the orientations of object and hand.
-        gap: distance from the palm to an object beside it; below the palm, a quarter of it is added to the least clearance [m].
+        gap: distance from the palm to an object beside it; below the palm, a quarter of it is added
+            to the least clearance [m].
         stand: whether the object stands on a post.
         reach: reach of the hand.
     """
-    around, low = extents(setup), setup.stand_height
+    around = extents(setup)
+    low = setup.stand_height
     if setup.hand_quaternion == SIDE:
         height = low if stand else max(low, SIDE_HEIGHT)
         centre = [CENTRE_SIDE, PALM_SURFACE + around[1] / 2 + gap, low - height]
@@ -127,10 +171,14 @@ def placed(setup: SceneSetup, gap: float, stand: bool, reach: Reach = NOMINAL_RE
 
 
 def on_something(setup: SceneSetup, stand: bool) -> SceneSetup:
-    """The setup with a post under an object that stands on one, and a board on the table under any other object."""
+    """The setup with a post under an object that stands on one, and a board on the table under any
+    other object.
+    """
     if stand:
         width, depth, _ = (POST_SHARE * extents(replace(setup, yaw=0.0))).tolist()
-        return replace(setup, support=Support((width, depth)) if setup.hand_quaternion == SIDE else None)
+        return replace(
+            setup, support=Support((width, depth)) if setup.hand_quaternion == SIDE else None
+        )
     floor = float(HAND_POSITION[2] + (setup.hand_rotation @ setup.position)[2] - setup.stand_height)
     return replace(setup, support=Support(BOARD_HALF_WIDTH, table_height=floor - BOARD))
 
@@ -144,12 +192,16 @@ def moved(setup: SceneSetup, way: Array, turn: float, reach: Reach = NOMINAL_REA
         turn: subsequent rotation of the wrist about the vertical [rad].
         reach: reach of the hand.
     """
-    sine, cosine = np.sin(-turn), np.cos(-turn)
+    sine = np.sin(-turn)
+    cosine = np.cos(-turn)
     x, y, z = setup.hand_rotation @ setup.position - way
     turned = replace(setup, yaw=setup.yaw - turn)
     stand = setup.support is None or setup.support.half_width != BOARD_HALF_WIDTH
-    around, low = extents(turned), setup.stand_height
-    forward, aside, up = cosine * x - sine * y, sine * x + cosine * y, z
+    around = extents(turned)
+    low = setup.stand_height
+    forward = cosine * x - sine * y
+    aside = sine * x + cosine * y
+    up = z
     if setup.hand_quaternion == SIDE:
         forward = max(forward, THUMB + reach.forward + around[0] / 2)
         aside = max(aside, PALM_SURFACE + 0.002 + around[1] / 2)
@@ -157,11 +209,17 @@ def moved(setup: SceneSetup, way: Array, turn: float, reach: Reach = NOMINAL_REA
     else:
         forward = max(forward, THUMB_ABOVE + reach.forward + around[0] / 2)
         up = min(up, _highest(forward, around, low, stand, reach))
-    return on_something(replace(turned, position=setup.hand_rotation.T @ np.array([forward, aside, up])), stand)
+    return on_something(
+        replace(turned, position=setup.hand_rotation.T @ np.array([forward, aside, up])), stand
+    )
 
 
 def _highest(forward: float, around: Array, low: float, stand: bool, reach: Reach) -> float:
-    """Highest z of an object's centre relative to the wrist [m], limited by the hand on the object or its digits on the table."""
-    below_fingers = (FINGER_RADIUS + reach.fingers) / np.cos(TILT) + np.tan(TILT) * min(forward + around[0] / 2, FINGER_END)
+    """Highest z of an object's centre relative to the wrist [m], limited by the hand on the object
+    or its digits on the table.
+    """
+    below_fingers = (FINGER_RADIUS + reach.fingers) / np.cos(TILT) + np.tan(TILT) * min(
+        forward + around[0] / 2, FINGER_END
+    )
     beneath_hand = -around[2] / 2 - max(PALM_DEPTH, below_fingers)
     return beneath_hand if stand else min(beneath_hand, low - DIGIT_DEPTH - reach.down)

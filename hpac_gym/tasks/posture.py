@@ -21,23 +21,36 @@ from hpac_gym.tasks.terms import COMMAND_TERMS, HAND_TERMS, Moment, RewardTerm, 
 TOLERANCE = 0.05
 """Default of `PostureConfig.tolerance` [rad]."""
 CAMERA_NOISE = np.deg2rad(0.1)
-"""Standard deviation of a joint angle that a camera measures from markers, as in the paper's experiment [rad]."""
+"""Standard deviation of a joint angle that a camera measures from markers, as in the paper's
+experiment [rad].
+"""
 FREE_THUMB_FINGERS = 0.35
-"""Upper limit of the fingers' MCP in goals that move the thumb freely, which keeps the fingers out of its way [rad]."""
+"""Upper limit of the fingers' MCP in goals that move the thumb freely, which keeps the fingers out
+of its way [rad].
+"""
 FREE_FINGERS_THUMB = (0.5, 0.3)
-"""Upper limits of the thumb's MP and CMC in goals that move the fingers freely, which keep it out of their way [rad]."""
+"""Upper limits of the thumb's MP and CMC in goals that move the fingers freely, which keep it out
+of their way [rad].
+"""
 
 
-BLOCKED_MP, BLOCKED_CMC = 0.75, (0.05, 1.0)
-"""In goals that move the thumb freely, the index finger blocks a thumb with more MP than this and CMC in this range [rad]."""
+BLOCKED_MP = 0.75
+BLOCKED_CMC = (0.05, 1.0)
+"""In goals that move the thumb freely, the index finger blocks a thumb with more MP than this and
+CMC in this range [rad].
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class PostureConfig:
     """Duration of an episode, and tolerance of its goal."""
 
-    duration: float = setting(2.0, "length of an episode, set by the time limit [s]", bounds=(0.05, 1e3))
-    tolerance: float = setting(TOLERANCE, "largest joint error of a reached posture [rad]", bounds=(1e-3, 1.0))
+    duration: float = setting(
+        2.0, "length of an episode, set by the time limit [s]", bounds=(0.05, 1e3)
+    )
+    tolerance: float = setting(
+        TOLERANCE, "largest joint error of a reached posture [rad]", bounds=(1e-3, 1.0)
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "config")
@@ -51,7 +64,8 @@ def goal_error(achieved: Array, desired: Array) -> Array:
 class Posture(Task):
     """Draws goals and measures how far the joints are from them: a `hpac_gym.tasks.task.Task`.
 
-    The hand is alone, palm to the side, without object and wrist motion. Only the time limit ends an episode.
+    The hand is alone, palm to the side, without object and wrist motion. Only the time limit ends
+    an episode.
 
     Args:
         config: duration and tolerance.
@@ -62,14 +76,27 @@ class Posture(Task):
     terms = COMMAND_TERMS
     privileged_terms = HAND_TERMS
     goal_terms = (
-        Term("joint_pos", JOINTS, "rad", -0.5, 2.0, "joint angle: achieved as a camera measures it, or desired",
-             lambda now: now.seen["joint_pos"]),
-    )  # fmt: skip
+        Term(
+            "joint_pos",
+            JOINTS,
+            "rad",
+            -0.5,
+            2.0,
+            "joint angle: achieved as a camera measures it, or desired",
+            lambda now: now.seen["joint_pos"],
+        ),
+    )
 
     def __init__(self, config: PostureConfig = PostureConfig(), reachable: bool = False) -> None:
-        self.config, self.duration, self.reachable = config, config.duration, reachable
+        self.config = config
+        self.duration = config.duration
+        self.reachable = reachable
         self.reward_terms = (
-            RewardTerm("error", "−1 · mean distance of the joints from the goal [rad]", lambda now: -self._error.mean(axis=1)),
+            RewardTerm(
+                "error",
+                "−1 · mean distance of the joints from the goal [rad]",
+                lambda now: -self._error.mean(axis=1),
+            ),
         )
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> MarkerCamera:
@@ -79,7 +106,9 @@ class Posture(Task):
             ParameterError: Noise of an object camera is given, but the task has no object.
         """
         if noise != CameraNoise():
-            raise ParameterError(f"noise {noise}: a posture has no object; its camera has a noise of {CAMERA_NOISE:.3g} rad")
+            raise ParameterError(
+                f"noise {noise}: a posture has no object; its camera has a noise of {CAMERA_NOISE:.3g} rad"
+            )
         self.goal = np.zeros((num_worlds, len(JOINTS)))
         self._error = np.zeros((num_worlds, len(JOINTS)))
         return MarkerCamera(num_worlds, CAMERA_NOISE)
@@ -87,17 +116,23 @@ class Posture(Task):
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the open hand, and a goal.
 
-        Half of the goals move the thumb freely and half the fingers, since they can block each other. With `reachable`, goals
-        in which the index finger blocks the thumb are redrawn.
-        """
+        Half of the goals move the thumb freely and half the fingers, since they can block each
+        other. With `reachable`, goals in which the index finger blocks the thumb are redrawn."""
         highest = hand.synergy_max.copy()
-        mp, cmc = SERVO_INDEX["thumb_mp"], SERVO_INDEX["thumb_cmc"]
+        mp = SERVO_INDEX["thumb_mp"]
+        cmc = SERVO_INDEX["thumb_cmc"]
         if rng.random() < 0.5:
-            highest[[index for index in range(len(SERVOS)) if index not in (mp, cmc)]] = FREE_THUMB_FINGERS
+            highest[[index for index in range(len(SERVOS)) if index not in (mp, cmc)]] = (
+                FREE_THUMB_FINGERS
+            )
         else:
             highest[[mp, cmc]] = FREE_FINGERS_THUMB
         synergy = rng.uniform(hand.synergy_min, highest)
-        while self.reachable and synergy[mp] > BLOCKED_MP and BLOCKED_CMC[0] < synergy[cmc] < BLOCKED_CMC[1]:
+        while (
+            self.reachable
+            and synergy[mp] > BLOCKED_MP
+            and BLOCKED_CMC[0] < synergy[cmc] < BLOCKED_CMC[1]
+        ):
             synergy = rng.uniform(hand.synergy_min, highest)
         return SceneSetup(None, hand=hand, goal=joints_from_synergy(synergy, hand))
 
@@ -117,7 +152,9 @@ class Posture(Task):
         return np.full(len(state.time), RUNNING)
 
     def measure(self, achieved: Array, desired: Array) -> None:
-        """Record the error of the measured joint angles from the observed goal, shapes (n, 15) [rad]."""
+        """Record the error of the measured joint angles from the observed goal, shapes (n, 15)
+        [rad].
+        """
         self._error = goal_error(achieved, desired)
 
     def sparse_reward(self, now: Moment) -> Array:
@@ -125,9 +162,15 @@ class Posture(Task):
         return -(self._error.max(axis=1) > self.config.tolerance).astype(float)
 
     def goal_reward(self, achieved: Array, desired: Array, dense: bool) -> Array:
-        """The dense or the sparse reward of postures against goals, shapes (..., 15) [rad], for hindsight replay."""
+        """The dense or the sparse reward of postures against goals, shapes (..., 15) [rad], for
+        hindsight replay.
+        """
         error = goal_error(achieved, desired)
-        return -error.mean(axis=-1) if dense else -(error.max(axis=-1) > self.config.tolerance).astype(float)
+        return (
+            -error.mean(axis=-1)
+            if dense
+            else -(error.max(axis=-1) > self.config.tolerance).astype(float)
+        )
 
     def report(self, now: Moment) -> dict[str, Any]:
         largest = self._error.max(axis=1)

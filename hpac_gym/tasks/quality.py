@@ -1,9 +1,9 @@
 """Grasp quality: the epsilon metric of Ferrari and Canny (1992).
 
-A contact can push along any direction of its friction cone. The force together with its torque about the object's centre is a
-wrench; epsilon is the radius of the largest ball about the origin inside the convex hull of all contacts' wrenches: the
-smallest disturbance that contact forces adding up to 1 N cannot resist [N]. Zero when some direction cannot be resisted at all.
-"""
+A contact can push along any direction of its friction cone. The force together with its torque
+about the object's centre is a wrench; epsilon is the radius of the largest ball about the origin
+inside the convex hull of all contacts' wrenches: the smallest disturbance that contact forces
+adding up to 1 N cannot resist [N]. Zero when some direction cannot be resisted at all."""
 
 from __future__ import annotations
 
@@ -23,11 +23,18 @@ def grasp_quality(touching: Contacts, spec: ObjectSpec) -> float:
     if len(touching.point) < 2:
         return 0.0
     length = max(spec.half_extents)
-    return largest_ball(contact_wrenches(touching.point, touching.normal, touching.friction, touching.centre, length))
+    return largest_ball(
+        contact_wrenches(
+            touching.point, touching.normal, touching.friction, touching.centre, length
+        )
+    )
 
 
-def contact_wrenches(point: Array, normal: Array, friction: float, centre: Array, length: float) -> Array:
-    """The primitive wrenches: every edge of every contact's friction cone, with a normal force of 1 N.
+def contact_wrenches(
+    point: Array, normal: Array, friction: float, centre: Array, length: float
+) -> Array:
+    """The primitive wrenches: every edge of every contact's friction cone, with a normal force of 1
+    N.
 
     Args:
         point: contact points, shape (n, 3) [m].
@@ -50,7 +57,9 @@ def contact_wrenches(point: Array, normal: Array, friction: float, centre: Array
 
 
 def largest_ball(points: Array) -> float:
-    """Radius of the largest ball about the origin inside the convex hull of points, shape (n, d); 0 if there is none."""
+    """Radius of the largest ball about the origin inside the convex hull of points, shape (n, d); 0
+    if there is none.
+    """
     try:
         hull = ConvexHull(points)
     except (QhullError, ValueError):  # too few points, or coplanar ones

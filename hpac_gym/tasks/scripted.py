@@ -23,19 +23,27 @@ CLOSE_TIME = 0.8
 """Duration from open to closed [s]."""
 THUMB_CLOSED = 0.8
 """MP of the closed thumb [rad]; with more it pushes small objects out."""
-PLACE_TIME, PLACE_CLOSED, PLACE_THUMB, PLACE_OPPOSED = 0.9, 0.56, 0.9, 1.04
-"""Closure for pick and place: duration from open to closed [s], fraction of the fingers' full closure, MP of the closed thumb
-[rad] and constant CMC [rad]; a hand that closes less releases sooner."""
+PLACE_TIME = 0.9
+PLACE_CLOSED = 0.56
+PLACE_THUMB = 0.9
+PLACE_OPPOSED = 1.04
+"""Closure for pick and place: duration from open to closed [s], fraction of the fingers' full
+closure, MP of the closed thumb [rad] and constant CMC [rad]; a hand that closes less releases
+sooner."""
 THUMB_OPPOSED = 1.2
 """Constant CMC [rad]."""
 POSTURE_GAIN = 0.12
 """Fraction of a driven joint's error that each step of `ScriptedPosture` adds to the command."""
 POSTURE_NEAR = 0.3
-"""Largest distance from its goal at which a command is corrected; before, it moves to the goal itself [rad]."""
+"""Largest distance from its goal at which a command is corrected; before, it moves to the goal
+itself [rad].
+"""
 _DRIVEN = [JOINT_INDEX[name] for name in SERVOS]
 _COMMANDED = [Layout(COMMAND_TERMS, 1).slices["joint_pos"].start + joint for joint in _DRIVEN]
-"""Entries of an observation with the driven joints' angles that the model predicts for the command."""
-THUMB_TIME, OPPOSED_TIME = 0.7, 0.3
+"""Entries of an observation with the driven joints' angles that the model predicts for the command.
+"""
+THUMB_TIME = 0.7
+OPPOSED_TIME = 0.3
 """Closing times of the thumb's MP and CMC in `ScriptedGraspAny` [s]."""
 
 
@@ -65,8 +73,9 @@ ANY_CLOSURES = {
     (False, 1): AnyClosure(0.97, 0.56, 1.07, 0.08, 1.01),
     (False, 2): AnyClosure(1.02, 0.45, 1.07, 0.05, 0.97),
 }
-"""Closures by (hand beside the object, index of its width). Means of those random closures that held training objects through
-the shake; narrow objects beside the hand, for which too few did, have the next kind's."""
+"""Closures by (hand beside the object, index of its width). Means of those random closures that
+held training objects through the shake; narrow objects beside the hand, for which too few did, have
+the next kind's."""
 
 
 class Script:
@@ -85,7 +94,8 @@ class ScriptedClosure(Script):
     """Closes all digits at constant speed, then holds, regardless of the observation.
 
     Args:
-        grasp: grasp from whose preshape to whose closed synergy it moves; None closes the whole hand with opposed thumb.
+        grasp: grasp from whose preshape to whose closed synergy it moves; None closes the whole
+            hand with opposed thumb.
     """
 
     def __init__(self, grasp: NamedGrasp | None = None) -> None:
@@ -106,10 +116,13 @@ class ScriptedClosure(Script):
 
 
 class ScriptedPickPlace(Script):
-    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its target."""
+    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its
+    target.
+    """
 
     def __init__(self, timetable: PickPlaceTimetable = PickPlaceTimetable()) -> None:
-        self._close, self._open = timetable.ends[0], timetable.ends[4]
+        self._close = timetable.ends[0]
+        self._open = timetable.ends[4]
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action, shape (6,); the observation is ignored."""
@@ -123,57 +136,83 @@ class ScriptedPickPlace(Script):
 
 
 class ScriptedPosture(Script):
-    """Integral controller for `Posture`: moves to the goal, then corrects the command by the camera's measurements.
+    """Integral controller for `Posture`: moves to the goal, then corrects the command by the
+    camera's measurements.
 
-    It starts from the command that the servos have reached within their rate limit, so that a motion in progress is not
-    corrected as an error.
+    It starts from the command that the servos have reached within their rate limit, so that a
+    motion in progress is not corrected as an error.
 
     Args:
         gain: fraction of the driven joints' errors that each step adds to the command.
-        near: largest distance of the command from the goal at which it is corrected [rad]; 0: never, a constant action.
+        near: largest distance of the command from the goal at which it is corrected [rad]; 0:
+            never, a constant action.
     """
 
     def __init__(self, gain: float = POSTURE_GAIN, near: float = POSTURE_NEAR) -> None:
-        self._gain, self._near = gain, near
+        self._gain = gain
+        self._near = near
 
     def act(self, observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
         """The next action, shape (..., 6), for observations with any leading axes."""
-        goal, reached = (observation[name][..., _DRIVEN].astype(float) for name in ("desired_goal", "achieved_goal"))
+        goal, reached = (
+            observation[name][..., _DRIVEN].astype(float)
+            for name in ("desired_goal", "achieved_goal")
+        )
         command = observation["observation"][..., _COMMANDED].astype(float)
-        synergy = np.where(np.abs(command - goal) < self._near, command + self._gain * (goal - reached), goal)
-        return action_from_synergy(np.clip(synergy, HPAC.synergy_min, HPAC.synergy_max)).astype(np.float32)
+        synergy = np.where(
+            np.abs(command - goal) < self._near, command + self._gain * (goal - reached), goal
+        )
+        return action_from_synergy(np.clip(synergy, HPAC.synergy_min, HPAC.synergy_max)).astype(
+            np.float32
+        )
 
 
 class ScriptedGraspAny(Script):
-    """One closure, chosen by the size and pose of the object at the start of the episode, then held.
+    """One closure, chosen by the size and pose of the object at the start of the episode, then
+    held.
 
     Args:
         task: task whose observations it receives, as a vector or in a dictionary.
         closures: closure for each kind of object.
     """
 
-    def __init__(self, task: GraspAny, closures: Mapping[tuple[bool, int], AnyClosure] = ANY_CLOSURES) -> None:
-        self._slices, self._wrist = Layout(task.terms, 1).slices, np.zeros(len(task.wrist_actions))
+    def __init__(
+        self, task: GraspAny, closures: Mapping[tuple[bool, int], AnyClosure] = ANY_CLOSURES
+    ) -> None:
+        self._slices = Layout(task.terms, 1).slices
+        self._wrist = np.zeros(len(task.wrist_actions))
         self._closures = closures
 
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
-        """The next action; it uses only the first observation of an episode, and does not move a free wrist."""
+        """The next action; it uses only the first observation of an episode, and does not move a
+        free wrist.
+        """
         if self._time == 0.0:
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._closure = self._closures[self.kind(vector)]
         self._time += 1 / CONTROL_HZ
-        closure, synergy = self._closure, np.zeros(len(SERVO_INDEX))
+        closure = self._closure
+        synergy = np.zeros(len(SERVO_INDEX))
         closed = np.minimum(closure.fingers, HPAC.synergy_max)
-        synergy[1:-1] = (closed * min(max(self._time - max(-closure.thumb_later, 0.0), 0.0) / closure.time, 1.0))[1:-1]
+        synergy[1:-1] = (
+            closed * min(max(self._time - max(-closure.thumb_later, 0.0), 0.0) / closure.time, 1.0)
+        )[1:-1]
         share = min(max(self._time - max(closure.thumb_later, 0.0), 0.0) / THUMB_TIME, 1.0)
         synergy[SERVO_INDEX["thumb_mp"]] = closure.thumb * share
         share = min(self._time / OPPOSED_TIME, 1.0)
-        synergy[SERVO_INDEX["thumb_cmc"]] = THUMB_OPPOSED + (closure.opposed - THUMB_OPPOSED) * share
+        synergy[SERVO_INDEX["thumb_cmc"]] = (
+            THUMB_OPPOSED + (closure.opposed - THUMB_OPPOSED) * share
+        )
         return np.append(action_from_synergy(synergy), self._wrist).astype(np.float32)
 
     def kind(self, vector: NDArray[np.float32]) -> tuple[bool, int]:
-        """Whether the hand is beside the object, and the index of its width along the fingers in `ANY_WIDTHS`."""
-        up, side, half, down = (vector[self._slices[name]] for name in ("object_up", "object_side", "object_size", "down"))
+        """Whether the hand is beside the object, and the index of its width along the fingers in
+        `ANY_WIDTHS`.
+        """
+        up, side, half, down = (
+            vector[self._slices[name]]
+            for name in ("object_up", "object_side", "object_size", "down")
+        )
         beside = abs(down[0]) < 0.5
         along = np.array([0.0, 0.0, 1.0]) - down[2] * down  # the fingers' direction, horizontally
         along /= np.linalg.norm(along)
@@ -181,22 +220,27 @@ class ScriptedGraspAny(Script):
         if not up.any():
             width = x
         elif side.any():
-            width = abs(along @ side) * x + abs(along @ np.cross(up, side)) * y + abs(along @ up) * z
+            width = (
+                abs(along @ side) * x + abs(along @ np.cross(up, side)) * y + abs(along @ up) * z
+            )
         else:
             width = abs(along @ up) * z + np.sqrt(max(1 - (along @ up) ** 2, 0.0)) * x
         return beside, int(np.searchsorted(ANY_WIDTHS, 2 * width))
 
 
 class ScriptedGraspType(Script):
-    """Closure of each type: the wrist at the pose of the type's data, then linearly from the preshape to the posture.
+    """Closure of each type: the wrist at the pose of the type's data, then linearly from the
+    preshape to the posture.
 
     Args:
         task: task whose observations it receives, as a vector or in a dictionary.
-        closure: name of a type whose closure all types use, with their own wrist poses; None is each type's own.
+        closure: name of a type whose closure all types use, with their own wrist poses; None is
+            each type's own.
     """
 
     def __init__(self, task: GraspByType, closure: str | None = None) -> None:
-        self._told, self._free = Layout(task.terms, 1).slices["type"], bool(task.wrist_actions)
+        self._told = Layout(task.terms, 1).slices["type"]
+        self._free = bool(task.wrist_actions)
         self._closes = closure and GRASP_TYPES[closure].start
 
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
@@ -205,7 +249,8 @@ class ScriptedGraspType(Script):
             vector = observation["deploy"] if isinstance(observation, dict) else observation
             self._start = list(GRASP_TYPES.values())[int(vector[self._told].argmax())].start
             self._wrist = wrist_choice(self._start) if self._free else np.zeros(0)
-        start, share = self._closes or self._start, min(self._time / CLOSE_TIME, 1.0)
+        start = self._closes or self._start
+        share = min(self._time / CLOSE_TIME, 1.0)
         self._time += 1 / CONTROL_HZ
         action = action_from_synergy(start.preshape + share * (start.closed - start.preshape))
         return np.append(action, self._wrist).astype(np.float32)

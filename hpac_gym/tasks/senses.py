@@ -1,4 +1,6 @@
-"""Sensing with a camera and low-cost servos: the camera loses an occluded object, and servos report their load."""
+"""Sensing with a camera and low-cost servos: the camera loses an occluded object, and servos report
+their load.
+"""
 
 from __future__ import annotations
 
@@ -24,38 +26,63 @@ _SPREAD = 160
 _PROBED = 48
 """Number of those points that decide whether the object is seen."""
 SEEN_SHARE = 0.7
-"""Least visible fraction of the camera-facing points of a seen object; chosen: a tracker needs most of the outline."""
+"""Least visible fraction of the camera-facing points of a seen object; chosen: a tracker needs most
+of the outline.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ServoSenses:
     """Feedback of a low-cost servo.
 
-    The nearest servo to this hand's with a published data sheet is the DYNAMIXEL XL-320 (see `physics.settings.BODIES`). Its
-    manual gives the stall torque, a position of 10 bits over 300° and a present load; it does not specify the load's noise.
-    """
+    The nearest servo to this hand's with a published data sheet is the DYNAMIXEL XL-320 (see
+    `physics.settings.BODIES`). Its manual gives the stall torque, a position of 10 bits over 300°
+    and a present load; it does not specify the load's noise."""
 
     stall_torque: float = 0.39
     """Stall torque at 7.4 V; XL-320's manual [N·m]."""
     horn_step: float = np.deg2rad(300.0) / 1023
     """Resolution of the horn's angle; XL-320's manual: 1023 steps over 300° [rad]."""
     load_step: float = 1 / 128
-    """Resolution of the load as a fraction of the stall torque; chosen: 8 bits with sign, as from a shunt and a small ADC."""
+    """Resolution of the load as a fraction of the stall torque; chosen: 8 bits with sign, as from a
+    shunt and a small ADC.
+    """
     load_noise: float = 0.02
-    """Standard deviation of the load in every reading, as a fraction of the stall torque; chosen."""
+    """Standard deviation of the load in every reading, as a fraction of the stall torque; chosen.
+    """
     load_bias: float = 0.03
-    """Standard deviation of a servo's load bias per episode, as a fraction of the stall torque; chosen: friction of its gears."""
+    """Standard deviation of a servo's load bias per episode, as a fraction of the stall torque;
+    chosen: friction of its gears.
+    """
     period: int = 2
-    """Control steps between readings; chosen: six servos are polled in turn on one bus, 10 readings per second."""
+    """Control steps between readings; chosen: six servos are polled in turn on one bus, 10 readings
+    per second.
+    """
 
 
 LOAD_TERMS = (
-    Term("load", SERVOS[:-1], "1", -1.0, 1.0, "load of the servo that pulls the digit's tendon, as a share of its stall torque",
-         lambda now: now.seen["load"]),
-    Term("horn_lag", SERVOS, "0.1 rad", -5.0, 5.0, "commanded servo angle less the horn's as the servo tells it",
-         lambda now: (now.servo - now.seen["horn"]) / 0.1),
-)  # fmt: skip
-"""Terms that `obs="load"` adds. The servo of the CMC, which pulls no tendon, has no load in the simulation."""
+    Term(
+        "load",
+        SERVOS[:-1],
+        "1",
+        -1.0,
+        1.0,
+        "load of the servo that pulls the digit's tendon, as a share of its stall torque",
+        lambda now: now.seen["load"],
+    ),
+    Term(
+        "horn_lag",
+        SERVOS,
+        "0.1 rad",
+        -5.0,
+        5.0,
+        "commanded servo angle less the horn's as the servo tells it",
+        lambda now: (now.servo - now.seen["horn"]) / 0.1,
+    ),
+)
+"""Terms that `obs="load"` adds. The servo of the CMC, which pulls no tendon, has no load in the
+simulation.
+"""
 
 
 class Senses:
@@ -70,20 +97,37 @@ class Senses:
     """
 
     def __init__(
-        self, num_worlds: int, noise: CameraNoise, view: Viewpoint, centre: Array, servos: ServoSenses = ServoSenses()
+        self,
+        num_worlds: int,
+        noise: CameraNoise,
+        view: Viewpoint,
+        centre: Array,
+        servos: ServoSenses = ServoSenses(),
     ) -> None:
         self._camera = ObjectCamera(num_worlds, noise)
-        self._view, self._centre, self._servos = view, centre, servos
+        self._view = view
+        self._centre = centre
+        self._servos = servos
         self._skeleton = Skeleton(num_worlds)
         self._surfaces: dict[ObjectModel, tuple[Array, Array]] = {}
         self._eye = np.zeros((num_worlds, 3))
-        self._points, self._normals = np.zeros((num_worlds, _SPREAD, 3)), np.zeros((num_worlds, _SPREAD, 3))
+        self._points = np.zeros((num_worlds, _SPREAD, 3))
+        self._normals = np.zeros((num_worlds, _SPREAD, 3))
         self._radius = np.zeros((num_worlds, len(DIGITS)))
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
         self._bias = np.zeros((num_worlds, len(DIGITS)))
         self._count = np.zeros(num_worlds, dtype=int)
-        sizes = {"position": 3, "up": 3, "side": 3, "half_extents": 3, "load": len(DIGITS), "horn": len(SERVOS)}
-        self._seen = {name: np.zeros((num_worlds, size)) for name, size in sizes.items()} | {"visible": np.zeros(num_worlds)}
+        sizes = {
+            "position": 3,
+            "up": 3,
+            "side": 3,
+            "half_extents": 3,
+            "load": len(DIGITS),
+            "horn": len(SERVOS),
+        }
+        self._seen = {name: np.zeros((num_worlds, size)) for name, size in sizes.items()} | {
+            "visible": np.zeros(num_worlds)
+        }
 
     def start(self, world: int, setup: SceneSetup, factor: float, rng: np.random.Generator) -> None:
         """Begin an episode of a setup, with `factor` times the noise, drawn from `rng`."""
@@ -93,13 +137,19 @@ class Senses:
         self._points[world], self._normals[world] = self._surface(setup.object)
         self._eye[world] = self._centre + setup.hand_rotation.T @ eye_offset(self._view)
         self._radius[world] = setup.hand.servo_radius[: len(DIGITS)]
-        self._bias[world] = self._servos.load_bias * factor * self._rng[world].standard_normal(len(DIGITS))
+        self._bias[world] = (
+            self._servos.load_bias * factor * self._rng[world].standard_normal(len(DIGITS))
+        )
         self._count[world] = 0
 
     def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
         if spec.model is None:
             width, depth, height = (2 * half for half in spec.half_extents)
-            return surface(spec.shape, [Solid(spec.shape, 1.0, (width, depth, height), np.zeros(3), np.eye(3))], _SPREAD)
+            return surface(
+                spec.shape,
+                [Solid(spec.shape, 1.0, (width, depth, height), np.zeros(3), np.eye(3))],
+                _SPREAD,
+            )
         if spec.model not in self._surfaces:
             self._surfaces[spec.model] = surface(spec.model.name, spec.model.solids, _SPREAD)
         points, normals = self._surfaces[spec.model]
@@ -109,12 +159,14 @@ class Senses:
         """Measure some worlds anew; the others keep their last measurement.
 
         Returns:
-            Output of `ObjectCamera.look` when the object was last seen; `visible` (n,), 1 where it is seen now; the servos'
-            `load` (n, 5), as a fraction of the stall torque, and `horn` angles (n, 6) [rad], at the last reading.
+            Output of `ObjectCamera.look` when the object was last seen; `visible` (n,), 1 where it
+            is seen now; the servos' `load` (n, 5), as a fraction of the stall torque, and `horn`
+            angles (n, 6) [rad], at the last reading.
         """
         rows = np.fromiter(worlds, int)
         seen = self._camera.look(state, rows)
-        first, visible = self._count[rows] == 0, self._share(state, rows) >= SEEN_SHARE
+        first = self._count[rows] == 0
+        visible = self._share(state, rows) >= SEEN_SHARE
         self._seen["visible"][rows] = visible
         taken = rows[visible | first]  # in the first look the hand is not there yet
         for name in ("position", "up", "side", "half_extents"):
@@ -125,8 +177,14 @@ class Senses:
 
     def _read_servos(self, state: SceneState, rows: NDArray[np.int_]) -> None:
         servos = self._servos
-        noise = np.array([self._rng[row].standard_normal(len(DIGITS)) for row in rows]).reshape(-1, len(DIGITS))
-        load = state.tension[rows] * self._radius[rows] / servos.stall_torque + self._bias[rows] + servos.load_noise * noise
+        noise = np.array([self._rng[row].standard_normal(len(DIGITS)) for row in rows]).reshape(
+            -1, len(DIGITS)
+        )
+        load = (
+            state.tension[rows] * self._radius[rows] / servos.stall_torque
+            + self._bias[rows]
+            + servos.load_noise * noise
+        )
         self._seen["load"][rows] = np.round(load / servos.load_step) * servos.load_step
         self._seen["horn"][rows] = np.round(state.horn[rows] / servos.horn_step) * servos.horn_step
 
@@ -135,24 +193,37 @@ class Senses:
         facing, clear, _ = self._sight(state, rows, _PROBED)
         return (facing & clear).sum(axis=1) / np.maximum(facing.sum(axis=1), 1)
 
-    def _sight(self, state: SceneState, rows: NDArray, count: int) -> tuple[NDArray, NDArray, Array]:
-        """Masks of the points that face the camera and of those that are not occluded, and all points in the hand frame [m]."""
+    def _sight(
+        self, state: SceneState, rows: NDArray, count: int
+    ) -> tuple[NDArray, NDArray, Array]:
+        """Masks of the points that face the camera and of those that are not occluded, and all
+        points in the hand frame [m].
+        """
         rotation = state.object_rotation[rows].swapaxes(1, 2)
         points = self._points[rows, :count] @ rotation + state.object_pos[rows, None]
-        normals, eye = self._normals[rows, :count] @ rotation, self._eye[rows]
+        normals = self._normals[rows, :count] @ rotation
+        eye = self._eye[rows]
         facing = np.einsum("npi,npi->np", normals, eye[:, None] - points) > 0
         bones = self._skeleton.segments(state.joint_pos[rows], rows)
         return facing, ~covered(eye, points, *bones, self._skeleton.radius[rows]), points
 
     def points(self, state: SceneState) -> NDArray[np.float32]:
-        """Visible points, shape (n, POINTS, 4): x, y, z from `GRASP_CENTRE` in `LENGTH_UNIT`, and 1; unused rows are zero."""
+        """Visible points, shape (n, POINTS, 4): x, y, z from `GRASP_CENTRE` in `LENGTH_UNIT`, and
+        1; unused rows are zero.
+        """
         facing, clear, points = self._sight(state, np.arange(len(self._eye)), _SPREAD)
-        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][:, None]  # one error for all points
-        seen, found = facing & clear, np.zeros((len(points), POINTS, 4), np.float32)
+        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][
+            :, None
+        ]  # one error for all points
+        seen = facing & clear
+        found = np.zeros((len(points), POINTS, 4), np.float32)
         order = np.argsort(~seen, axis=1, kind="stable")[:, :POINTS]
         mask = np.take_along_axis(seen, order, axis=1)
-        places = np.take_along_axis(points, order[:, :, None], axis=1) + shift[:, None] - GRASP_CENTRE
-        found[..., :3], found[..., 3] = places / LENGTH_UNIT * mask[:, :, None], mask
+        places = (
+            np.take_along_axis(points, order[:, :, None], axis=1) + shift[:, None] - GRASP_CENTRE
+        )
+        found[..., :3] = places / LENGTH_UNIT * mask[:, :, None]
+        found[..., 3] = mask
         return np.clip(found, -POINTS_BOUND, POINTS_BOUND)
 
 
@@ -161,6 +232,11 @@ POINTS_BOUND = 10.0
 
 
 def eye_offset(view: Viewpoint) -> Array:
-    """Vector from the target of a viewpoint to the camera, along the world's axes, shape (3,) [m]."""
-    yaw, pitch = np.deg2rad(view.yaw_deg), np.deg2rad(view.pitch_deg)
-    return view.distance * np.array([np.sin(yaw) * np.cos(pitch), -np.cos(yaw) * np.cos(pitch), -np.sin(pitch)])
+    """Vector from the target of a viewpoint to the camera, along the world's axes, shape (3,)
+    [m].
+    """
+    yaw = np.deg2rad(view.yaw_deg)
+    pitch = np.deg2rad(view.pitch_deg)
+    return view.distance * np.array(
+        [np.sin(yaw) * np.cos(pitch), -np.cos(yaw) * np.cos(pitch), -np.sin(pitch)]
+    )

@@ -1,8 +1,8 @@
-"""Interface between environments and tasks: sampling and judging of episodes, reward, and the tables of terms.
+"""Interface between environments and tasks: sampling and judging of episodes, reward, and the
+tables of terms.
 
-A task is a plain object. It holds the state of n episodes as arrays between `start` and their outcomes. It depends on no engine,
-only on the `SceneState` that it receives.
-"""
+A task is a plain object. It holds the state of n episodes as arrays between `start` and their
+outcomes. It depends on no engine, only on the `SceneState` that it receives."""
 
 from __future__ import annotations
 
@@ -48,9 +48,13 @@ class Task(Protocol):
     grip: Grip | None = None
     """Grip of the hands on their objects; None for a task without objects."""
     sensed_terms: Mapping[str, tuple[Term, ...]] = MappingProxyType({})
-    """Kinds of `obs` that only this task has, and the terms that each adds to the deployed observation."""
+    """Kinds of `obs` that only this task has, and the terms that each adds to the deployed
+    observation.
+    """
     wrist_actions: tuple[str, ...] = ()
-    """Entries of an action beyond the six for the servos; in an episode's first action they move the wrist."""
+    """Entries of an action beyond the six for the servos; in an episode's first action they move
+    the wrist.
+    """
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera | MarkerCamera:
         """Allocate the state of n worlds; returns their camera."""
@@ -69,22 +73,32 @@ class Task(Protocol):
         ...
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the last phase stays."""
+        """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the
+        last phase stays.
+        """
         ...
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
-        """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),), −1…1."""
+        """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),),
+        −1…1.
+        """
         return setup
 
     def push(self, times: Array) -> Array | None:
-        """Force on the objects, shape (n, k, 3) [N], along the world's axes, at times, shape (n, k) [s]; None for no force."""
+        """Force on the objects, shape (n, k, 3) [N], along the world's axes, at times, shape (n, k)
+        [s]; None for no force.
+        """
         return None
 
     def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
-        """Inspect a state before it is judged, for tasks that need contacts; `contacts` takes milliseconds per world."""
+        """Inspect a state before it is judged, for tasks that need contacts; `contacts` takes
+        milliseconds per world.
+        """
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
-        """Advance by one control step of `dt` [s] and judge the episodes: indices into `OUTCOMES`, shape (n,)."""
+        """Advance by one control step of `dt` [s] and judge the episodes: indices into `OUTCOMES`,
+        shape (n,).
+        """
         ...
 
     def sparse_reward(self, now: Moment) -> Array:
@@ -97,7 +111,9 @@ class Task(Protocol):
 
 
 def open_hand(thumb_cmc: float) -> Array:
-    """Synergy of the open hand with a CMC at which the thumb opposes the fingers, shape (6,) [rad]."""
+    """Synergy of the open hand with a CMC at which the thumb opposes the fingers, shape (6,)
+    [rad].
+    """
     synergy = np.zeros(len(SERVO_INDEX))
     synergy[SERVO_INDEX["thumb_cmc"]] = thumb_cmc
     return synergy
@@ -125,8 +141,11 @@ THUMB_PART = PARTS.index("thumb")
 
 def contact_score(weights: Weights, touching: NDArray[np.bool_]) -> Array:
     """Score of the parts that touch the object, shape (n,), for `SceneState.touching`."""
-    fingers, thumb = touching[:, FINGER_PARTS].sum(axis=1), touching[:, THUMB_PART]
-    return weights.thumb * thumb + weights.finger * fingers + weights.opposed * (thumb & (fingers > 0))
+    fingers = touching[:, FINGER_PARTS].sum(axis=1)
+    thumb = touching[:, THUMB_PART]
+    return (
+        weights.thumb * thumb + weights.finger * fingers + weights.opposed * (thumb & (fingers > 0))
+    )
 
 
 def contact_term(weights: Weights, phase: int) -> RewardTerm:
@@ -136,7 +155,9 @@ def contact_term(weights: Weights, phase: int) -> RewardTerm:
         f"{weights.opposed:g} when they oppose each other"
     )
     return RewardTerm(
-        "contact", meaning, lambda now: np.where(now.phase == phase, contact_score(weights, now.state.touching), 0.0)
+        "contact",
+        meaning,
+        lambda now: np.where(now.phase == phase, contact_score(weights, now.state.touching), 0.0),
     )
 
 
@@ -157,7 +178,9 @@ def outcome_term(weights: Weights) -> RewardTerm:
 
 
 def scene_report(task: Task, now: Moment) -> dict[str, Any]:
-    """The `info` of a task with an object; its entries are described in `docs/environments/README.md`."""
+    """The `info` of a task with an object; its entries are described in
+    `docs/environments/README.md`.
+    """
     return {
         "is_success": now.outcome == SUCCESS,
         "outcome": _OUTCOMES[now.outcome],

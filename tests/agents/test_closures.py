@@ -1,4 +1,6 @@
-"""The learner of closures, on a task without physics: a closure holds if its numbers lie where the observation says."""
+"""The learner of closures, on a task without physics: a closure holds if its numbers lie where the
+observation says.
+"""
 
 import copy
 
@@ -16,12 +18,21 @@ from hpac_gym.tasks.scripted import ScriptedGraspType
 SEEN = 6
 HIDDEN = 8
 """What only the critics see: which trials fail whatever is done."""
-SMALL = {"hidden": "32,32", "batch_size": "128", "random_episodes": "600", "episodes": "1800", "updates_per_episode": "0.3",
-         "learning_rate": "5e-3", "dropout": "0"}  # fmt: skip
+SMALL = {
+    "hidden": "32,32",
+    "batch_size": "128",
+    "random_episodes": "600",
+    "episodes": "1800",
+    "updates_per_episode": "0.3",
+    "learning_rate": "5e-3",
+    "dropout": "0",
+}
 
 
 def survived(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
-    """Phases that trials get through: one for each of two numbers near to what is seen, none where luck is against it."""
+    """Phases that trials get through: one for each of two numbers near to what is seen, none where
+    luck is against it.
+    """
     near = np.abs(decisions[:, :2] - 0.6 * seen[:, :2]) < 0.5
     return np.where(seen[:, SEEN] > 0.6, 0, near[:, 0] + (near[:, 0] & near[:, 1]).astype(int))
 
@@ -32,9 +43,12 @@ def came_to(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
 
 
 def learned(meaning, **settings: str) -> tuple[Learner, np.ndarray]:
-    """A learner after its trials, and how often its policy then succeeds on observations that it has not met."""
+    """A learner after its trials, and how often its policy then succeeds on observations that it
+    has not met.
+    """
     recipe = with_settings(RECIPES["grasp"], SMALL | settings)
-    learner, rng = Learner(recipe, observed=SEEN + HIDDEN, deployed=SEEN, phases=2), np.random.default_rng(recipe.seed)
+    learner = Learner(recipe, observed=SEEN + HIDDEN, deployed=SEEN, phases=2)
+    rng = np.random.default_rng(recipe.seed)
     while learner.trials.count < recipe.episodes:
         seen = rng.uniform(-1, 1, (50, SEEN + HIDDEN)).astype(np.float32)
         decisions = learner.decide(seen)
@@ -72,16 +86,27 @@ def test_the_critics_see_what_the_actor_does_not_unless_they_observe_deploy(taug
     lucky, lost = taught[0].predicted(seen, np.zeros((2, 8)))
     assert lucky > lost + 0.3
     assert taught[0].policy().sizes == (SEEN, 8)
-    lucky, lost = learned(survived, critic_obs="deploy", episodes="600")[0].predicted(seen, np.zeros((2, 8)))
+    lucky, lost = learned(survived, critic_obs="deploy", episodes="600")[0].predicted(
+        seen, np.zeros((2, 8))
+    )
     assert lucky == lost
 
 
 def test_the_critics_predict_what_a_trial_comes_to(taught):
-    learner, rng = taught[0], np.random.default_rng(7)
-    seen, decisions = rng.uniform(-1, 1, (500, SEEN + HIDDEN)), rng.uniform(-1, 1, (500, 8))
-    values = torch.from_numpy(np.concatenate([(seen - learner.mean) / learner.scale, decisions], axis=1).astype(np.float32))
+    learner = taught[0]
+    rng = np.random.default_rng(7)
+    seen = rng.uniform(-1, 1, (500, SEEN + HIDDEN))
+    decisions = rng.uniform(-1, 1, (500, 8))
+    values = torch.from_numpy(
+        np.concatenate([(seen - learner.mean) / learner.scale, decisions], axis=1).astype(
+            np.float32
+        )
+    )
     with torch.no_grad():
-        predicted = learner.critics(values).mean(0)[:, 2:4].numpy() * learner.scale_came_to[:2] + learner.mean_came_to[:2]
+        predicted = (
+            learner.critics(values).mean(0)[:, 2:4].numpy() * learner.scale_came_to[:2]
+            + learner.mean_came_to[:2]
+        )
     error = came_to(seen, decisions)[:, :2] - predicted
     assert np.mean(error**2) < 0.3 * np.var(came_to(seen, decisions)[:, :2])
 
@@ -104,7 +129,9 @@ TOLD = 78
 
 
 def asked_for(kinds: np.ndarray) -> np.ndarray:
-    """Observations that contain the name of a type, and its number in binary as its only other description."""
+    """Observations that contain the name of a type, and its number in binary as its only other
+    description.
+    """
     seen = np.zeros((len(kinds), TOLD + HIDDEN), np.float32)
     seen[:, TYPE] = np.eye(TYPES)[kinds]
     seen[:, :4] = kinds[:, None] >> np.arange(4) & 1
@@ -112,35 +139,52 @@ def asked_for(kinds: np.ndarray) -> np.ndarray:
 
 
 def test_scripted_decisions_are_the_closures_of_the_script():
-    script, seen, closures = ScriptedGraspType(GraspByType()), asked_for(np.arange(TYPES)), RECIPES["grasp-type"].closures
+    script = ScriptedGraspType(GraspByType())
+    seen = asked_for(np.arange(TYPES))
+    closures = RECIPES["grasp-type"].closures
     for row, decision in zip(seen, scripted_decisions(closures, seen), strict=True):
         script.reset()
         acted = [script.act(row[:TOLD]) for _ in range(40)]
-        np.testing.assert_allclose(closures.actions(np.tile(decision, (40, 1)), np.arange(40)), acted, atol=1e-6)
+        np.testing.assert_allclose(
+            closures.actions(np.tile(decision, (40, 1)), np.arange(40)), acted, atol=1e-6
+        )
 
 
 def test_the_actor_imitates_first_trials_about_the_script_that_succeeded_and_is_not_told_the_type_s_name():
     """A trial succeeds if its wrist is farther than the script's, in one half of the cases."""
-    settings = {"hidden": "64", "random_episodes": "600", "episodes": "600", "batch_size": "128", "learning_rate": "5e-3"}
+    settings = {
+        "hidden": "64",
+        "random_episodes": "600",
+        "episodes": "600",
+        "batch_size": "128",
+        "learning_rate": "5e-3",
+    }
     recipe = with_settings(RECIPES["grasp-type"], settings | {"updates_per_episode": "0.5"})
-    learner, rng = Learner(recipe, TOLD + HIDDEN, TOLD, phases=1), np.random.default_rng(0)
+    learner = Learner(recipe, TOLD + HIDDEN, TOLD, phases=1)
+    rng = np.random.default_rng(0)
     seen = asked_for(rng.integers(TYPES, size=600))
-    script, tried = scripted_decisions(recipe.closures, seen), learner.decide(seen)
+    script = scripted_decisions(recipe.closures, seen)
+    tried = learner.decide(seen)
     assert 0.02 < np.abs(tried - script).mean() < 0.06
     won = tried[:, 8] > script[:, 8]
     lost = copy.deepcopy(learner)
     lost.trials.add(seen, tried, np.zeros(600, int), np.zeros((600, HIDDEN)))
-    with pytest.raises(RunError, match=r"none of the first 600 trials held: a lower spread than 0\.1 may help"):
+    with pytest.raises(
+        RunError, match=r"none of the first 600 trials held: a lower spread than 0\.1 may help"
+    ):
         lost.learn(0.0)
     learner.trials.add(seen, tried, won.astype(int), np.zeros((600, HIDDEN)))
     learner.learn(0.0)
-    policy, rows = learner.policy(), asked_for(np.arange(TYPES))[:, :TOLD]
+    policy = learner.policy()
+    rows = asked_for(np.arange(TYPES))[:, :TOLD]
     missed = np.array([policy(row) for row in rows]) - scripted_decisions(recipe.closures, rows)
     assert missed[:, 8].mean() > 0.01 > abs(missed[:, 9].mean())
     assert np.abs(missed).mean() < 0.1, "0.4 to the script of another type, on average"
     renamed = rows.copy()
     renamed[:, TYPE] = rows[::-1, TYPE]
-    np.testing.assert_allclose([policy(row) for row in renamed], [policy(row) for row in rows], atol=1e-6)
+    np.testing.assert_allclose(
+        [policy(row) for row in renamed], [policy(row) for row in rows], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(
@@ -157,7 +201,8 @@ def test_a_recipe_trains_on_the_sizes_and_hands_that_it_asks_for(sizes, least, m
 
 
 def test_a_decision_that_was_rounded_to_1_can_be_imitated():
-    actor, seen = Spread(SEEN, (16,), 3), torch.zeros(1, SEEN)
+    actor = Spread(SEEN, (16,), 3)
+    seen = torch.zeros(1, SEEN)
     assert torch.atanh(torch.ones(1)).isinf()  # so its density would not be finite
     density = actor(seen, torch.tensor([[1.0, -1.0, 0.5]]))[1]
     density.backward()

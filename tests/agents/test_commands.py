@@ -20,14 +20,22 @@ MISTAKES = [
     ("train", "grasp-ppo --out {folder}/run", "unknown recipe 'grasp-ppo'"),
     ("train", GRASP + " --episodes 0", "episodes is 0: it must lie in 1…1e+08"),
     ("train", GRASP + " --time-limit soon", "'soon' is not a positive number of minutes"),
-    ("train", GRASP + " --env-id Nothing-v3", "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v1, "
-     "HPAC-GraspType-v0, HPAC-PickPlace-v0"),
+    (
+        "train",
+        GRASP + " --env-id Nothing-v3",
+        "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v1, "
+        "HPAC-GraspType-v0, HPAC-PickPlace-v0",
+    ),
     ("train", GRASP + " --gamma 0.9", "unrecognized arguments: --gamma"),
     ("train", "grasp --out {folder}/file/run", "cannot write to folder"),
     ("train", "grasp --out /proc/run", "cannot write to folder '/proc/run'"),
     ("train", "grasp --out {folder}/taken", "already holds a run"),
     ("train", "grasp --out {folder}/policy", "already holds a run"),
-    ("train", GRASP + " --begin 5,6 --release 1,2", "begin is up to 6 steps, release from 1 on: it must come later"),
+    (
+        "train",
+        GRASP + " --begin 5,6 --release 1,2",
+        "begin is up to 6 steps, release from 1 on: it must come later",
+    ),
     ("train", GRASP + " --trials-of {folder}/policy {folder}/policy", "it names a run twice"),
     ("train", "--out {folder}/run --resume", "no run in"),
     ("train", "--out {folder}/taken --resume", "cannot read the settings of"),
@@ -36,18 +44,42 @@ MISTAKES = [
     ("evaluate", "--policy {folder}/none.zip", "no policy file"),
     ("evaluate", "--policy {folder}/file", "is damaged"),
     ("evaluate", "--policy random --env Nothing-v3", "no environment 'Nothing-v3'"),
-    ("evaluate", "--policy random --env nothing_here:Nothing-v3", "no environment 'nothing_here:Nothing-v3'"),
+    (
+        "evaluate",
+        "--policy random --env nothing_here:Nothing-v3",
+        "no environment 'nothing_here:Nothing-v3'",
+    ),
     ("evaluate", "--policy random --episodes 0", "'0' is not a whole number of at least 1"),
-    ("evaluate", "--policy random --seed-start 9223372036854775808", "is not a whole number of at least 0 and below 2⁶³"),
+    (
+        "evaluate",
+        "--policy random --seed-start 9223372036854775808",
+        "is not a whole number of at least 0 and below 2⁶³",
+    ),
     ("evaluate", "--policy random --workers none", "'none' is not a whole number of at least 1"),
-    ("evaluate", f"--policy random --env {TINY} --episodes 1 --out /proc/no/results.json", "cannot write to folder"),
-    ("evaluate", f"--policy random --env {TINY} --episodes 1 --out {{folder}}/policy", "policy': it is a folder"),
+    (
+        "evaluate",
+        f"--policy random --env {TINY} --episodes 1 --out /proc/no/results.json",
+        "cannot write to folder",
+    ),
+    (
+        "evaluate",
+        f"--policy random --env {TINY} --episodes 1 --out {{folder}}/policy",
+        "policy': it is a folder",
+    ),
     ("evaluate", "--policy {folder}/file --out {folder}/file", "file', a policy to evaluate"),
-    ("nodes", "grasp --seeds 2 --seed 3 --out {folder}/nodes", "--seed is 3: --seeds gives the runs the seeds 0 to 1"),
+    (
+        "nodes",
+        "grasp --seeds 2 --seed 3 --out {folder}/nodes",
+        "--seed is 3: --seeds gives the runs the seeds 0 to 1",
+    ),
     ("race", "sac --hidden , --out {folder}/race", "hidden needs at least one width"),
     ("race", "sac --out {folder}/bent", "already holds a run"),
     ("curves", "{folder}", "nothing to show"),
-    ("curves", "{folder}/rated", "is not a learning curve: ValueError('a row has no time, no trial, or a rate"),
+    (
+        "curves",
+        "{folder}/rated",
+        "is not a learning curve: ValueError('a row has no time, no trial, or a rate",
+    ),
     ("curves", "{folder}/bent", "is not a learning curve"),
     ("demo", "--minutes 0", "'0' is not a positive number of minutes"),
 ]
@@ -62,14 +94,20 @@ def folder(tmp_path_factory) -> Path:
     (folder / "bent").mkdir()
     (folder / "bent" / "progress.csv").write_text("steps\none\n")
     (folder / "rated").mkdir()
-    (folder / "rated" / "progress.csv").write_text("episodes,seconds,success_rate,window,entropy\n10,1.0,2.0,10,nan\n")
+    (folder / "rated" / "progress.csv").write_text(
+        "episodes,seconds,success_rate,window,entropy\n10,1.0,2.0,10,nan\n"
+    )
     (folder / "policy").mkdir()
     (folder / "policy" / "policy.zip").touch()
     return folder
 
 
-@pytest.mark.parametrize(("command", "words", "complaint"), MISTAKES, ids=[f"{c} {w}" for c, w, _ in MISTAKES])
-def test_a_mistake_ends_in_one_line_and_status_2(folder, command, words, complaint, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("command", "words", "complaint"), MISTAKES, ids=[f"{c} {w}" for c, w, _ in MISTAKES]
+)
+def test_a_mistake_ends_in_one_line_and_status_2(
+    folder, command, words, complaint, monkeypatch, capsys
+):
     monkeypatch.setattr(sys, "argv", [command, *words.format(folder=folder).split()])
     with pytest.raises(SystemExit) as left:
         sys.exit(run(import_module(f"agents.{command}").main))
@@ -84,5 +122,8 @@ def test_the_whole_command_says_no_more_than_that_line(folder):
     line = [sys.executable, "-m", "agents.train", "grasp-ppo", "--out", str(folder / "run")]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == f"error: unknown recipe 'grasp-ppo': known are {', '.join(sorted(RECIPES))}\n"
+    assert (
+        done.stderr
+        == f"error: unknown recipe 'grasp-ppo': known are {', '.join(sorted(RECIPES))}\n"
+    )
     assert not (folder / "run").exists()

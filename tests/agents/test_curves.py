@@ -43,12 +43,27 @@ def test_rows_after_a_checkpoint_and_half_rows_are_taken_back(curve):
 
 def test_a_report_draws_what_there_is(curve):
     assert [path.name for path in report(curve.parent)] == ["learning_curve.png"]
-    numbers = {"episodes": 10, "success_rate": 0.5, "interval_95": [0.24, 0.76], "return_mean": 1.0, "failures_by_phase": {}}
-    results = {"env_id": "a:B-v0", "first_seed": 1, "last_seed": 10, "policies": {"random": numbers}, "differences": []}
+    numbers = {
+        "episodes": 10,
+        "success_rate": 0.5,
+        "interval_95": [0.24, 0.76],
+        "return_mean": 1.0,
+        "failures_by_phase": {},
+    }
+    results = {
+        "env_id": "a:B-v0",
+        "first_seed": 1,
+        "last_seed": 10,
+        "policies": {"random": numbers},
+        "differences": [],
+    }
     results["policy"] = {"file": "clone/policy.zip", "sha256": "12ab" * 16}
     (curve.parent / "results.json").write_text(json.dumps(results))
     written = report(curve.parent)
     assert {path.name for path in written} == {"learning_curve.png", "results.md"}
     assert all(path.stat().st_size for path in written)
     assert "| random | 10 | 50.0% | 24.0% … 76.0% |" in (curve.parent / "results.md").read_text()
-    assert "Learned: clone/policy.zip, weights SHA-256 `12ab12ab12ab12ab…`" in (curve.parent / "results.md").read_text()
+    assert (
+        "Learned: clone/policy.zip, weights SHA-256 `12ab12ab12ab12ab…`"
+        in (curve.parent / "results.md").read_text()
+    )

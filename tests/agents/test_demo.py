@@ -34,7 +34,17 @@ def test_the_results_before_are_kept_until_there_is_another_policy(tmp_path, mon
 
 @pytest.mark.slow
 def test_the_demo_goes_from_random_weights_to_the_wire(tmp_path):
-    line = [sys.executable, "-m", "agents.demo", "--out", str(tmp_path), "--minutes", "0.4", "--episodes", "3"]
+    line = [
+        sys.executable,
+        "-m",
+        "agents.demo",
+        "--out",
+        str(tmp_path),
+        "--minutes",
+        "0.4",
+        "--episodes",
+        "3",
+    ]
     done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert all((tmp_path / name).stat().st_size for name in RESULTS)

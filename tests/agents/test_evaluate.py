@@ -26,14 +26,20 @@ TINY = "tests.tiny_task:Tiny-v0"
 def test_episodes_do_not_depend_on_the_number_of_workers():
     alone = evaluate(["random"], TINY, 12, workers=1)
     assert evaluate(["random"], TINY, 12, workers=2) == alone
-    assert evaluate(["random"], TINY, 5, workers=1).episodes["random"] == alone.episodes["random"][:5]
-    assert [episode.seed for episode in alone.episodes["random"]] == list(range(HELD_OUT_SEED, HELD_OUT_SEED + 12))
+    assert (
+        evaluate(["random"], TINY, 5, workers=1).episodes["random"] == alone.episodes["random"][:5]
+    )
+    assert [episode.seed for episode in alone.episodes["random"]] == list(
+        range(HELD_OUT_SEED, HELD_OUT_SEED + 12)
+    )
 
 
 REAL = pytest.param("HPAC-GraspAny-v1", {"objects": "real"}, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(("name", "options"), [("HPAC-Grasp-v0", {}), ("HPAC-Posture-v1", {}), REAL])
+@pytest.mark.parametrize(
+    ("name", "options"), [("HPAC-Grasp-v0", {}), ("HPAC-Posture-v1", {}), REAL]
+)
 def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has(name, options):
     env = make_task(name, engine="mujoco", **options)
     policies = [load_policy("scripted", env) for _ in range(3)]
@@ -42,7 +48,11 @@ def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has(name, options):
     together = run_batch(envs, policies, seeds)
     for seed, episode in zip(seeds, together, strict=True):
         rewards, infos = zip(*control_steps(env, policies[0], seed), strict=True)
-        assert (episode.seed, episode.total_reward, episode.steps) == (seed, sum(rewards), len(rewards))
+        assert (episode.seed, episode.total_reward, episode.steps) == (
+            seed,
+            sum(rewards),
+            len(rewards),
+        )
         told = (infos[-1].get(name) for name in ("is_success", "phase", "holding_force"))
         assert (episode.success, episode.phase, episode.holding_force) == tuple(told)
     assert len({episode.total_reward for episode in together}) == len(seeds)
@@ -57,7 +67,9 @@ def test_the_summary_counts_what_the_episodes_say():
     numbers = result.summary()["policies"]["random"]
     assert numbers["successes"] == wins
     assert tuple(numbers["interval_95"]) == wilson_interval(wins, 60)
-    assert numbers["return_mean"] == pytest.approx(np.mean([episode.total_reward for episode in episodes]))
+    assert numbers["return_mean"] == pytest.approx(
+        np.mean([episode.total_reward for episode in episodes])
+    )
     assert numbers["failures_by_phase"] == {"end": 60 - wins}
     assert f"| random | 60 | {wins / 60:.1%} |" in table(result.summary())
 
@@ -70,14 +82,40 @@ def test_a_time_limit_takes_fewer_episodes_and_says_so():
 
 def test_json_is_one_object_on_standard_output(capsys, tmp_path):
     out = tmp_path / "new" / "results.json"
-    assert main(["--policy", "random", "--env", TINY, "--episodes", "3", "--workers", "1", "--json", "--out", str(out)]) == 0
+    assert (
+        main(
+            [
+                "--policy",
+                "random",
+                "--env",
+                TINY,
+                "--episodes",
+                "3",
+                "--workers",
+                "1",
+                "--json",
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads(out.read_text())
     assert (printed["env_id"], printed["first_seed"]) == (TINY, HELD_OUT_SEED)
 
 
 def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
-    words = ["--policy", "hpac_gym.evaluation.closures:Blind", "--engine", "mujoco", "--episodes", "2", "--workers", "1"]
+    words = [
+        "--policy",
+        "hpac_gym.evaluation.closures:Blind",
+        "--engine",
+        "mujoco",
+        "--episodes",
+        "2",
+        "--workers",
+        "1",
+    ]
     assert main([*words, "--no-baselines", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert (printed["policies"]["learned"]["episodes"], "policy" in printed) == (2, False)
@@ -100,10 +138,14 @@ def test_the_options_of_an_environment_are_passed_on_and_one_that_it_lacks_is_to
 
 def test_the_workers_of_a_killed_evaluation_end(tmp_path):
     words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
-    command = subprocess.Popen([sys.executable, "-m", "agents.evaluate", *words], cwd=ROOT, stdout=subprocess.DEVNULL)
+    command = subprocess.Popen(
+        [sys.executable, "-m", "agents.evaluate", *words], cwd=ROOT, stdout=subprocess.DEVNULL
+    )
     children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
     try:
-        wait_for(lambda: len(children.read_text().split()) >= 3)  # two workers, and the tracker of their resources
+        wait_for(
+            lambda: len(children.read_text().split()) >= 3
+        )  # two workers, and the tracker of their resources
         workers = children.read_text().split()
         time.sleep(0.5)
     finally:
@@ -114,13 +156,32 @@ def test_the_workers_of_a_killed_evaluation_end(tmp_path):
 
 def test_a_result_says_on_which_engine_and_body_it_was_found(tmp_path, capsys):
     out = tmp_path / "results.json"
-    assert main(f"--policy random --env HPAC-Grasp-v0 --randomize hand --episodes 1 --workers 1 --out {out}".split()) == 0
-    assert json.loads(out.read_text())["options"] == {"randomize": "hand", "engine": default_engine(), "body": "twin"}
-    assert f"Options: randomize hand, engine {default_engine()}, body twin." in capsys.readouterr().out
+    assert (
+        main(
+            f"--policy random --env HPAC-Grasp-v0 --randomize hand --episodes 1 --workers 1 --out {out}".split()
+        )
+        == 0
+    )
+    assert json.loads(out.read_text())["options"] == {
+        "randomize": "hand",
+        "engine": default_engine(),
+        "body": "twin",
+    }
+    assert (
+        f"Options: randomize hand, engine {default_engine()}, body twin." in capsys.readouterr().out
+    )
 
 
 def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_path):
-    words = ["elsewhere", "--policy", "scripted", "--episodes", "2", "--out", str(tmp_path / "cells.json")]
+    words = [
+        "elsewhere",
+        "--policy",
+        "scripted",
+        "--episodes",
+        "2",
+        "--out",
+        str(tmp_path / "cells.json"),
+    ]
     assert reproduce.main(words) == 0
     lines = capsys.readouterr().out.splitlines()
     cells = json.loads((tmp_path / "cells.json").read_text())
@@ -133,13 +194,30 @@ def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_
 
 def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp_path):
     policies = [f"--policy=agents/trained/{name}.zip" for name in ("grasp", "grasp", "grasp-best")]
-    numbers, picture = tmp_path / "cells.json", tmp_path / "picture.png"
-    assert reproduce.main(["seeds", *policies, "--episodes", "4", "--out", str(numbers), "--picture", str(picture)]) == 0
+    numbers = tmp_path / "cells.json"
+    picture = tmp_path / "picture.png"
+    assert (
+        reproduce.main(
+            [
+                "seeds",
+                *policies,
+                "--episodes",
+                "4",
+                "--out",
+                str(numbers),
+                "--picture",
+                str(picture),
+            ]
+        )
+        == 0
+    )
     *_, first, second, third, _, last = capsys.readouterr().out.splitlines()
     assert first == second
     assert first.startswith("| closures | 0 | 60,0")
     assert third.startswith("| closures | 0 | 300,000 ")
-    assert last.startswith("closures, at most 60,000 trials: 2 runs: median "), "the third has another number of trials"
+    assert last.startswith("closures, at most 60,000 trials: 2 runs: median "), (
+        "the third has another number of trials"
+    )
     cells = json.loads(numbers.read_text())
     assert [cell["trials"] for cell in cells] == ["of one run", "of one run", "of several runs"]
     draw_trials(tmp_path / "again.png", cells)
@@ -156,4 +234,6 @@ def test_a_picture_of_trials_needs_runs(capsys):
 
 def test_several_runs_are_summed_up_by_median_lowest_and_interquartile_mean():
     cells = [{"success_rate": rate} for rate in (0.5, 0.9, 0.8, 0.7, 0.6)]
-    assert reproduce.over_runs(cells).startswith("5 runs: median 70.0, lowest 50.0, interquartile mean 70.0 [")
+    assert reproduce.over_runs(cells).startswith(
+        "5 runs: median 70.0, lowest 50.0, interquartile mean 70.0 ["
+    )

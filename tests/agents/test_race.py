@@ -1,4 +1,6 @@
-"""Algorithms of Stable-Baselines3 as contenders: what they train acts from a policy file as it does in their own hands."""
+"""Algorithms of Stable-Baselines3 as contenders: what they train acts from a policy file as it does
+in their own hands.
+"""
 
 import os
 import re
@@ -16,34 +18,52 @@ from hpac import INTERRUPTED, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 
-pytestmark = pytest.mark.filterwarnings("ignore:jax.core.pytype_aval_mappings")  # of TensorFlow Probability, on import
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true")  # faster
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:jax.core.pytype_aval_mappings"
+)  # of TensorFlow Probability, on import
+os.environ.setdefault(
+    "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+)  # faster
 GRASP = "HPAC-Grasp-v0"
 FEW_UPDATES = {"learning_starts": 8, "gradient_steps": 1, "batch_size": 16}
-FEW = {"ppo": {"n_steps": 8, "batch_size": 16, "n_epochs": 1}, "sbx-crossq": FEW_UPDATES | {"policy_delay": 1}}  # one compilation
+FEW = {
+    "ppo": {"n_steps": 8, "batch_size": 16, "n_epochs": 1},
+    "sbx-crossq": FEW_UPDATES | {"policy_delay": 1},
+}  # one compilation
 
 
 def small(name: str) -> race.Contender:
     return replace(race.CONTENDERS[name], num_envs=2, **FEW.get(name, FEW_UPDATES))
 
 
-SLOW = [pytest.param(name, True, marks=pytest.mark.slow) for name in race.CONTENDERS if name not in ("ppo", "crossq")]
+SLOW = [
+    pytest.param(name, True, marks=pytest.mark.slow)
+    for name in race.CONTENDERS
+    if name not in ("ppo", "crossq")
+]
 
 
-@pytest.mark.parametrize(("name", "trained"), [("ppo", True), ("crossq", True), ("sbx-crossq", False), *SLOW])
+@pytest.mark.parametrize(
+    ("name", "trained"), [("ppo", True), ("crossq", True), ("sbx-crossq", False), *SLOW]
+)
 def test_the_policy_file_acts_as_the_trained_model_predicts(name, trained, tmp_path):
     model = race.learner_of(small(name), share=lambda: 0.0)
     random = np.random.default_rng(0)
     if trained:
         model.learn(40)
     else:  # changes every array instead, since JAX takes long to compile the training
-        state, more = model.policy.actor_state, lambda array: array + random.uniform(0.1, 0.5, np.shape(array))
+        state = model.policy.actor_state
+
+        def more(array):
+            return array + random.uniform(0.1, 0.5, np.shape(array))
+
         changed = {name: tree.map(more, getattr(state, name)) for name in ("params", "batch_stats")}
         model.policy.actor_state = state.replace(**changed)
     if name == "ppo":
         model.policy.action_net.bias.data[0] = 5.0  # beyond the bound
     write_policy(tmp_path / "policy.zip", PolicyFile(race.actor_of(model), {"env_id": GRASP}))
-    actor, scaling = read_policy(tmp_path / "policy.zip").actor, model.get_vec_normalize_env()
+    actor = read_policy(tmp_path / "policy.zip").actor
+    scaling = model.get_vec_normalize_env()
     seen = random.uniform(-1, 1, (20, 44))
     predicted, _ = model.predict(scaling.normalize_obs(seen), deterministic=True)
     wanted = np.tanh(predicted) if name == "ppo" else predicted
@@ -68,14 +88,21 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     assert last.startswith("sac: 2 runs: median ")
     about = read_policy(tmp_path / "sac-1" / "policy.zip").about
     assert about["processor_seconds"] >= 0.3
-    assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == ("sac", 1, small("sac").action_repeat)
+    assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == (
+        "sac",
+        1,
+        small("sac").action_repeat,
+    )
     with pytest.raises(RunError, match="already holds a run"):
         race.main(["sac", "--out", str(tmp_path / "sac-0")])
     path = tmp_path / "sac-1" / "policy.zip"
     write_policy(path, PolicyFile(read_policy(path).actor, about | {"processor_seconds": 0.2}))
     assert reproduce.main([*words, "--learner", "sac", "--seeds", "2"]) == 0
     told = capsys.readouterr()
-    assert "sac-1' was interrupted after 0 s: remove it to train it again; its row is left out" in told.err
+    assert (
+        "sac-1' was interrupted after 0 s: remove it to train it again; its row is left out"
+        in told.err
+    )
     assert told.out.splitlines()[-1].startswith("| sac | 0 |")
     with pytest.raises(RecipeError, match="unknown learner 'td3': known are sac, grasp"):
         reproduce.main([*words, "--learner", "td3"])
@@ -84,7 +111,10 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
 def test_ctrl_c_in_a_training_ends_the_table(tmp_path, monkeypatch, capsys):
     begun = []
     monkeypatch.setattr(train, "main", lambda words: begun.append(words) or INTERRUPTED)
-    assert run(lambda: reproduce.main(f"race --runs {tmp_path} --learner grasp --seeds 3".split())) == INTERRUPTED
+    assert (
+        run(lambda: reproduce.main(f"race --runs {tmp_path} --learner grasp --seeds 3".split()))
+        == INTERRUPTED
+    )
     assert len(begun) == 1
 
 
@@ -98,7 +128,9 @@ def test_a_training_that_diverges_ends_in_one_error(name, tmp_path, monkeypatch)
             model.policy.action_net.bias.data[0] = float("nan")
         else:
             state = model.policy.actor_state
-            model.policy.actor_state = state.replace(params=tree.map(lambda values: values * float("nan"), state.params))
+            model.policy.actor_state = state.replace(
+                params=tree.map(lambda values: values * float("nan"), state.params)
+            )
         return model
 
     monkeypatch.setattr(race, "learner_of", broken)
@@ -106,7 +138,9 @@ def test_a_training_that_diverges_ends_in_one_error(name, tmp_path, monkeypatch)
         race.race(small(name), tmp_path, time_limit=60.0)
 
 
-def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(tmp_path, monkeypatch, capsys):
+def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setitem(sys.modules, "sbx", None)
     monkeypatch.setattr(race, "CONTENDERS", {"sbx-sac": small("sbx-sac")})
     needs = "sbx-sac needs sbx, which is not installed: pip install 'hpac_gym[train,sbx]'"
@@ -125,15 +159,26 @@ def test_help_shows_every_setting_with_its_default_for_each_algorithm(capsys):
     with pytest.raises(SystemExit):
         race.main(["--help"])
     told = " ".join(capsys.readouterr().out.split())
-    assert all(f"--{entry.name.replace('_', '-')} VALUE" in told for entry in fields(race.Contender) if entry.name != "algorithm")
-    assert "number of parallel worlds (default: ppo 128, sac 32, tqc 32, crossq 32, sbx-sac 32," in told
-    assert "sac, tqc, sbx-sac, sbx-tqc: step of the target networks towards the critics (default: 0.01)" in told
+    assert all(
+        f"--{entry.name.replace('_', '-')} VALUE" in told
+        for entry in fields(race.Contender)
+        if entry.name != "algorithm"
+    )
+    assert (
+        "number of parallel worlds (default: ppo 128, sac 32, tqc 32, crossq 32, sbx-sac 32,"
+        in told
+    )
+    assert (
+        "sac, tqc, sbx-sac, sbx-tqc: step of the target networks towards the critics (default: 0.01)"
+        in told
+    )
 
 
 @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
 @pytest.mark.parametrize("name", race.CONTENDERS)
 def test_every_setting_can_be_changed_and_reaches_its_algorithm(name):
-    contender, changed = race.CONTENDERS[name], {"num_envs": 3, "hidden": (16,), "log_std_init": -1.0}
+    contender = race.CONTENDERS[name]
+    changed = {"num_envs": 3, "hidden": (16,), "log_std_init": -1.0}
     for key, value in contender.settings.items():
         if key not in (*changed, "algorithm"):
             changed[key] = value + 1 if isinstance(value, int) else 0.9 * value + 0.01
@@ -145,7 +190,10 @@ def test_every_setting_can_be_changed_and_reaches_its_algorithm(name):
         value = {**model.policy_kwargs, **vars(model)}[key]
         value = value.frequency if key == "train_freq" else value(1.0) if callable(value) else value
         assert value == changed[key] != getattr(contender, key), key
-    assert (model.env.num_envs, [len(bias) for _, bias in race.actor_of(model).layers]) == (3, [16, 6])
+    assert (model.env.num_envs, [len(bias) for _, bias in race.actor_of(model).layers]) == (
+        3,
+        [16, 6],
+    )
     model.env.close()
 
 
@@ -155,7 +203,10 @@ def test_every_setting_can_be_changed_and_reaches_its_algorithm(name):
         ("ppo --tau 0.02", "tau is a setting of sac, tqc, sbx-sac, sbx-tqc, not of ppo"),
         ("sac --gamma 2", "gamma is 2.0: it must lie in 0…1"),
         ("crossq --n-steps few", "n_steps is 'few': it must be a whole number"),
-        ("ppo --n-steps 1 --num-envs 1", "num_envs and n_steps are 1: an update of ppo needs at least 2 decisions"),
+        (
+            "ppo --n-steps 1 --num-envs 1",
+            "num_envs and n_steps are 1: an update of ppo needs at least 2 decisions",
+        ),
     ],
 )
 def test_a_wrong_setting_is_refused_before_there_is_a_folder(words, complaint, tmp_path):
@@ -165,22 +216,29 @@ def test_a_wrong_setting_is_refused_before_there_is_a_folder(words, complaint, t
 
 
 def test_a_decision_is_held_and_an_episode_that_begins_meanwhile_waits_with_an_open_hand():
-    plain, held = HandVecEnv(GRASP, 2, engine="mujoco"), HandVecEnv(GRASP, 2, engine="mujoco")
+    plain = HandVecEnv(GRASP, 2, engine="mujoco")
+    held = HandVecEnv(GRASP, 2, engine="mujoco")
     held = race.Decisions(held, 5, bound=3.0)
     for worlds in (plain, held):
         worlds.seed(4)
         worlds.reset()
-    decision, ends = np.full((2, 6), 0.5), []
+    decision = np.full((2, 6), 0.5)
+    ends = []
     while not ends:
-        rewards, over = np.zeros(2), np.zeros(2, dtype=bool)
+        rewards = np.zeros(2)
+        over = np.zeros(2, dtype=bool)
         for step in range(5):
             seen, gained, done, _ = plain.step(np.where(over[:, None], -1.0, np.tanh(decision)))
-            rewards, over, ends = rewards + gained * ~over, over | done, ends + [step] * any(done)
+            rewards = rewards + gained * ~over
+            over = over | done
+            ends = ends + [step] * any(done)
         same, summed, dones, infos = held.step(decision)
         np.testing.assert_array_equal(same, seen)
         np.testing.assert_allclose(summed, rewards, rtol=1e-6)
         np.testing.assert_array_equal(dones, over)
     assert min(ends) < 4, "an episode began within the decision"
-    assert all(("terminal_observation" in told) == done for told, done in zip(infos, dones, strict=True))
+    assert all(
+        ("terminal_observation" in told) == done for told, done in zip(infos, dones, strict=True)
+    )
     plain.close()
     held.close()

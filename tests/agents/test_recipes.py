@@ -11,7 +11,12 @@ GRASP = RECIPES["grasp"]
 
 
 def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
-    texts = {"dropout": "0.2", "episodes": " 1_000", "hidden": "64, 32", "set_ups": "mujoco/twin, pybullet/twin"}
+    texts = {
+        "dropout": "0.2",
+        "episodes": " 1_000",
+        "hidden": "64, 32",
+        "set_ups": "mujoco/twin, pybullet/twin",
+    }
     changed = with_settings(GRASP, texts)
     assert (changed.dropout, changed.episodes, changed.hidden) == (0.2, 1000, (64, 32))
     assert changed.set_ups == ("mujoco/twin", "pybullet/twin")
@@ -31,16 +36,28 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("hidden", "0", "hidden is 0: it must lie in 1…4096"),
         ("hidden", "", "hidden and set_ups need at least one entry"),
         ("num_envs", "0", "num_envs is 0"),
-        ("set_ups", "mujoco/heavy", "set_ups is 'mujoco/heavy': it must be one of pybullet/twin, mujoco/twin, mujoco/light"),
+        (
+            "set_ups",
+            "mujoco/heavy",
+            "set_ups is 'mujoco/heavy': it must be one of pybullet/twin, mujoco/twin, mujoco/light",
+        ),
         ("set_ups", "pybullet/light", "set_ups is 'pybullet/light': it must be one of"),
         ("release", "9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
         ("release", "3,9", "begin and release are given together"),
         ("sizes", "1.2,0.8", "sizes is (1.2, 0.8): it must be a lower and an upper bound"),
         ("doubt", "-1", "doubt is -1.0: it must lie in 0…10"),
-        ("spread", "0.1", "spread is 0.1: only HPAC-GraspType-v0 has a script for it, not HPAC-Grasp-v0"),
+        (
+            "spread",
+            "0.1",
+            "spread is 0.1: only HPAC-GraspType-v0 has a script for it, not HPAC-Grasp-v0",
+        ),
         ("sizes", "0.8,1.2", "only HPAC-GraspAny-v1 has objects of other sizes, not HPAC-Grasp-v0"),
         ("hands", "test", "hands is 'test': it must be one of nominal, train"),
-        ("hands", "train", "hands is 'train': only HPAC-GraspAny-v1 has other hands, not HPAC-Grasp-v0"),
+        (
+            "hands",
+            "train",
+            "hands is 'train': only HPAC-GraspAny-v1 has other hands, not HPAC-Grasp-v0",
+        ),
     ],
 )
 def test_a_wrong_setting_is_refused_in_its_own_terms(name, text, complaint):
@@ -57,7 +74,9 @@ def test_what_a_run_saves_of_its_settings_makes_the_same_recipe(recipe):
 @pytest.mark.parametrize("change", [{"depth": 3}, {"doubt": None}])
 def test_settings_of_another_version_are_refused_by_their_names(change):
     saved = {name: value for name, value in (asdict(GRASP) | change).items() if value is not None}
-    with pytest.raises(TypeError, match=f"of another version, whose settings differ in {next(iter(change))}"):
+    with pytest.raises(
+        TypeError, match=f"of another version, whose settings differ in {next(iter(change))}"
+    ):
         settings_of(saved)
 
 

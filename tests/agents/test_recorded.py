@@ -11,7 +11,18 @@ from agents.recorded import COLUMNS, Recorded
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 from tests.processes import once_alive
 
-SMALL = ["--num-envs", "4", "--hidden", "16", "--batch-size", "16", "--random-episodes", "8", "--checkpoint-every", "8"]
+SMALL = [
+    "--num-envs",
+    "4",
+    "--hidden",
+    "16",
+    "--batch-size",
+    "16",
+    "--random-episodes",
+    "8",
+    "--checkpoint-every",
+    "8",
+]
 SET_UPS = {"twin": "mujoco/twin", "both": "mujoco/light,mujoco/twin"}
 TOGETHER = ["grasp", "--set-ups", "mujoco/twin,mujoco/light", *SMALL]
 
@@ -36,27 +47,60 @@ def runs(tmp_path_factory):
     """A run on the twin, one on both bodies, and one that learned from their trials."""
     folder = tmp_path_factory.mktemp("runs")
     for seed, (name, set_ups) in enumerate(SET_UPS.items()):
-        assert run("grasp", "--episodes", 20, "--seed", seed, "--set-ups", set_ups, *SMALL, "--out", folder / name) == 0
+        assert (
+            run(
+                "grasp",
+                "--episodes",
+                20,
+                "--seed",
+                seed,
+                "--set-ups",
+                set_ups,
+                *SMALL,
+                "--out",
+                folder / name,
+            )
+            == 0
+        )
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(Worlds, "step", None)  # no physics
-        assert run(*TOGETHER, "--trials-of", *(folder / name for name in SET_UPS), "--out", folder / "together") == 0
+        assert (
+            run(
+                *TOGETHER,
+                "--trials-of",
+                *(folder / name for name in SET_UPS),
+                "--out",
+                folder / "together",
+            )
+            == 0
+        )
     return folder
 
 
 def test_it_learns_from_every_trial_once_without_physics(runs):
     about = {name: read_policy(runs / name / "policy.zip").about for name in (*SET_UPS, "together")}
     assert about["together"]["episodes"] == sum(about[name]["episodes"] for name in SET_UPS)
-    assert about["together"]["env_steps"] == pytest.approx(sum(about[name]["env_steps"] for name in SET_UPS), rel=0.05)
+    assert about["together"]["env_steps"] == pytest.approx(
+        sum(about[name]["env_steps"] for name in SET_UPS), rel=0.05
+    )
     assert about["together"]["settings"]["trials_of"] == [str(runs / name) for name in SET_UPS]
-    together, parts = trials(runs / "together"), [trials(runs / name) for name in SET_UPS]
-    for name, sensed in (("seen", slice(0, -2)), ("decisions", slice(None)), ("came_to", slice(0, -2))):
+    together = trials(runs / "together")
+    parts = [trials(runs / name) for name in SET_UPS]
+    for name, sensed in (
+        ("seen", slice(0, -2)),
+        ("decisions", slice(None)),
+        ("came_to", slice(0, -2)),
+    ):
         apart = [parts[0][name], parts[1][name][:, sensed]]
         assert sorted(together[name][:, sensed].tolist()) == sorted(np.concatenate(apart).tolist())
-    assert not np.array_equal(together["decisions"][: len(parts[0]["decisions"])], parts[0]["decisions"]), "in random order"
+    assert not np.array_equal(
+        together["decisions"][: len(parts[0]["decisions"])], parts[0]["decisions"]
+    ), "in random order"
 
 
 def test_critics_are_told_the_set_ups_by_the_numbers_of_the_new_run(runs):
-    together, light = trials(runs / "together"), trials(runs / "both")
+    together = trials(runs / "together")
+    light = trials(runs / "both")
     on_light = {tuple(row) for row in light["decisions"][light["seen"][:, -2] == 1]}
     told = [tuple(row) in on_light for row in together["decisions"]]
     assert 0 < sum(told) < len(told)
@@ -65,7 +109,9 @@ def test_critics_are_told_the_set_ups_by_the_numbers_of_the_new_run(runs):
         np.testing.assert_array_equal(together[name][:, -2], np.logical_not(told))
 
 
-def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoints_hold_no_trials(runs, tmp_path):
+def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoints_hold_no_trials(
+    runs, tmp_path
+):
     with pytest.MonkeyPatch.context() as dying:
         dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
@@ -74,13 +120,19 @@ def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoin
     with np.load(train.latest_checkpoint(tmp_path) / "arrays.npz") as file:
         assert not set(COLUMNS) & set(file)
     run("--resume", "--out", tmp_path)
-    hashes = {read_policy(folder / "policy.zip").about["sha256"] for folder in (tmp_path, runs / "together")}
+    hashes = {
+        read_policy(folder / "policy.zip").about["sha256"]
+        for folder in (tmp_path, runs / "together")
+    }
     assert len(hashes) == 1
 
 
 def other_closures(folder):
     policy = read_policy(folder / "policy.zip")
-    write_policy(folder / "policy.zip", PolicyFile(policy.actor, policy.about | {"closure": {"goal": [0, 1]}}))
+    write_policy(
+        folder / "policy.zip",
+        PolicyFile(policy.actor, policy.about | {"closure": {"goal": [0, 1]}}),
+    )
 
 
 def half_a_checkpoint(folder):
@@ -97,19 +149,49 @@ def learned_from_others(folder):
 @pytest.mark.parametrize(
     ("words", "change", "complaint"),
     [
-        (["grasp"], lambda folder: shutil.rmtree(train.latest_checkpoint(folder)), "no trials in .*: it holds no checkpoint"),
-        (["grasp"], lambda folder: (folder / "policy.zip").unlink(), "cannot learn from the trials of .*: no policy file"),
+        (
+            ["grasp"],
+            lambda folder: shutil.rmtree(train.latest_checkpoint(folder)),
+            "no trials in .*: it holds no checkpoint",
+        ),
+        (
+            ["grasp"],
+            lambda folder: (folder / "policy.zip").unlink(),
+            "cannot learn from the trials of .*: no policy file",
+        ),
         (["grasp"], half_a_checkpoint, "cannot learn from the trials of .*: "),
         (["grasp"], other_closures, "it is of another environment, hand or range of closures"),
-        (["grasp"], learned_from_others, "its checkpoint has no .*; did it learn from other runs itself?"),
+        (
+            ["grasp"],
+            learned_from_others,
+            "its checkpoint has no .*; did it learn from other runs itself?",
+        ),
         (["pick-place"], None, "it is of another environment, hand or range of closures"),
-        (["grasp", "--set-ups", "mujoco/light"], None, "set_ups of this run do not have its mujoco/twin"),
-        (["grasp", "--episodes", 1000], None, "episodes is 1,000: the runs have 2. trials together"),
-        (["grasp", "--nodes", 1], None, "--trials-of needs no physics, so it does not go with --nodes"),
-        (["grasp", "--out", "source"], None, "whose trials it should learn from: it must be another folder"),
+        (
+            ["grasp", "--set-ups", "mujoco/light"],
+            None,
+            "set_ups of this run do not have its mujoco/twin",
+        ),
+        (
+            ["grasp", "--episodes", 1000],
+            None,
+            "episodes is 1,000: the runs have 2. trials together",
+        ),
+        (
+            ["grasp", "--nodes", 1],
+            None,
+            "--trials-of needs no physics, so it does not go with --nodes",
+        ),
+        (
+            ["grasp", "--out", "source"],
+            None,
+            "whose trials it should learn from: it must be another folder",
+        ),
     ],
 )
-def test_runs_that_cannot_be_learned_from_are_refused_and_kept(runs, tmp_path, monkeypatch, words, change, complaint):
+def test_runs_that_cannot_be_learned_from_are_refused_and_kept(
+    runs, tmp_path, monkeypatch, words, change, complaint
+):
     for name in ("source", "new"):
         shutil.copytree(runs / "twin", tmp_path / name)
     monkeypatch.chdir(tmp_path)
@@ -117,5 +199,12 @@ def test_runs_that_cannot_be_learned_from_are_refused_and_kept(runs, tmp_path, m
         change(tmp_path / "source")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises((train.RunError, train.RecipeError), match=complaint):
-        run(*words, *SMALL, "--trials-of", "source", "--overwrite", *([] if "--out" in words else ["--out", "new"]))
+        run(
+            *words,
+            *SMALL,
+            "--trials-of",
+            "source",
+            "--overwrite",
+            *([] if "--out" in words else ["--out", "new"]),
+        )
     assert sorted(tmp_path.rglob("*")) == before

@@ -21,7 +21,9 @@ def replayed(out, *arguments: str) -> dict:
 
 def film_the_beginning(policy, env_id, options, commands, *rest) -> None:
     """Instead of the whole film, which takes seconds; the test of the demo makes one."""
-    film(policy, env_id, options, {seed: received[:3] for seed, received in commands.items()}, *rest)
+    film(
+        policy, env_id, options, {seed: received[:3] for seed, received in commands.items()}, *rest
+    )
 
 
 SHORT = ("--engine", "mujoco", "--seed-start", "1000007")
@@ -30,15 +32,30 @@ GOALS = ("--virtual", "--policy", "agents/trained/posture.zip", "--engine", "muj
 FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
 
 
-@pytest.mark.parametrize("arguments", [SHORT, FREE_WRIST, GOALS], ids=["host process on a pty", "from a preshape", "goals"])
-def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(tmp_path, monkeypatch, arguments):
+@pytest.mark.parametrize(
+    "arguments",
+    [SHORT, FREE_WRIST, GOALS],
+    ids=["host process on a pty", "from a preshape", "goals"],
+)
+def test_every_frame_is_acknowledged_and_every_pulse_is_the_command(
+    tmp_path, monkeypatch, arguments
+):
     monkeypatch.setattr("agents.replay.film", film_the_beginning)
     report = replayed(tmp_path, *arguments)
     lines = [json.loads(line) for line in (tmp_path / "wire.jsonl").read_text().splitlines()]
-    moves = dict.fromkeys(line["seq"] for line in lines if line["direction"] == "sent" and line["message"] == "move")
-    assert moves == dict.fromkeys(line["seq"] for line in lines if line.get("acked") == "move" and line["reason"] == "ok")
+    moves = dict.fromkeys(
+        line["seq"] for line in lines if line["direction"] == "sent" and line["message"] == "move"
+    )
+    assert moves == dict.fromkeys(
+        line["seq"] for line in lines if line.get("acked") == "move" and line["reason"] == "ok"
+    )
     assert len(moves) == report["moves"]
-    assert report["frames_sent"] - report["frames_retried"] == report["frames_acked"] > report["moves"] >= 10
+    assert (
+        report["frames_sent"] - report["frames_retried"]
+        == report["frames_acked"]
+        > report["moves"]
+        >= 10
+    )
     assert report["frames_rejected"] == 0
     assert 0 < report["worst_pulse_error_rad"] <= PULSE_TOLERANCE
     assert (tmp_path / "grasps.mp4").stat().st_size > 1_000
@@ -53,7 +70,9 @@ def test_a_hand_at_a_port_of_its_own_is_driven_too(tmp_path, monkeypatch):
     assert report["frames_acked"] == report["frames_sent"] - report["frames_retried"]
 
 
-def test_where_an_engine_cannot_draw_the_wire_is_checked_all_the_same(tmp_path, monkeypatch, capsys):
+def test_where_an_engine_cannot_draw_the_wire_is_checked_all_the_same(
+    tmp_path, monkeypatch, capsys
+):
     def no_opengl(env):
         raise PhysicsError("no OpenGL for pictures")
 
@@ -65,7 +84,14 @@ def test_where_an_engine_cannot_draw_the_wire_is_checked_all_the_same(tmp_path, 
 
 
 def test_a_wrong_port_is_one_line_and_status_2(tmp_path, capfd):
-    assert run(lambda: main(["--policy", "scripted", "--out", str(tmp_path), "--port", "/dev/no-such-port"])) == 2
+    assert (
+        run(
+            lambda: main(
+                ["--policy", "scripted", "--out", str(tmp_path), "--port", "/dev/no-such-port"]
+            )
+        )
+        == 2
+    )
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
     assert "/dev/no-such-port" in said[0]
@@ -75,12 +101,24 @@ def test_a_wrong_port_is_one_line_and_status_2(tmp_path, capfd):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_is_one_line_that_names_the_file(tmp_path, capfd):
     (tmp_path / "wire.jsonl").symlink_to("/dev/full")
-    assert run(lambda: main(["--policy", "scripted", "--out", str(tmp_path), "--virtual", "--episodes", "1"])) == 2
-    assert capfd.readouterr().err.splitlines()[-1] == f"error: cannot write '{tmp_path}/wire.jsonl': No space left on device"
+    assert (
+        run(
+            lambda: main(
+                ["--policy", "scripted", "--out", str(tmp_path), "--virtual", "--episodes", "1"]
+            )
+        )
+        == 2
+    )
+    assert (
+        capfd.readouterr().err.splitlines()[-1]
+        == f"error: cannot write '{tmp_path}/wire.jsonl': No space left on device"
+    )
 
 
 def test_a_wire_that_breaks_its_promise_is_reported():
-    report = Report("scripted", "HPAC-Grasp-v0", 0, worst_pulse_error_rad=1e-3, frames_sent=10, frames_acked=9)
+    report = Report(
+        "scripted", "HPAC-Grasp-v0", 0, worst_pulse_error_rad=1e-3, frames_sent=10, frames_acked=9
+    )
     assert len(report.faults) == 2
     assert not Report("scripted", "HPAC-Grasp-v0", 0).faults
     assert not replace(report, worst_pulse_error_rad=0.0, frames_retried=1).faults

@@ -1,4 +1,6 @@
-"""The training script, run as a person runs it: whole, killed, resumed, stopped, with a full disk."""
+"""The training script, run as a person runs it: whole, killed, resumed, stopped, with a full
+disk.
+"""
 
 import copy
 import csv
@@ -24,8 +26,16 @@ from hpac_gym.policies import read_policy
 from tests.processes import once_alive, wait_for
 
 ROOT = Path(__file__).resolve().parents[2]
-SETTINGS = {"num_envs": "4", "hidden": "16", "batch_size": "16", "random_episodes": "8", "checkpoint_every": "8"}
-SMALL = [word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)]
+SETTINGS = {
+    "num_envs": "4",
+    "hidden": "16",
+    "batch_size": "16",
+    "random_episodes": "8",
+    "checkpoint_every": "8",
+}
+SMALL = [
+    word for name, value in SETTINGS.items() for word in (f"--{name.replace('_', '-')}", value)
+]
 
 
 def curve(folder: Path) -> list[int]:
@@ -41,7 +51,18 @@ def train_here(monkeypatch, *words, make=None) -> None:
 
 RUNS = {
     "grasp": ["grasp", "--episodes", 24, "--seed", 3, *SMALL, "--random-episodes", 4],
-    "grasp-type": ["grasp-type", "--episodes", 24, "--seed", 3, *SMALL, "--random-episodes", 4, "--spread", 0.01],
+    "grasp-type": [
+        "grasp-type",
+        "--episodes",
+        24,
+        "--seed",
+        3,
+        *SMALL,
+        "--random-episodes",
+        4,
+        "--spread",
+        0.01,
+    ],
 }
 
 
@@ -60,7 +81,14 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     assert about["env_id"] == "hpac_gym:HPAC-Grasp-v0"
     assert about["episodes"] >= 24
     assert (about["settings"]["seed"], about["settings"]["set_ups"]) == (3, ["mujoco/twin"])
-    assert set(about["versions"]) >= {"python", "torch", "mujoco-core", "gymnasium", "numpy", "hpac_gym"}
+    assert set(about["versions"]) >= {
+        "python",
+        "torch",
+        "mujoco-core",
+        "gymnasium",
+        "numpy",
+        "hpac_gym",
+    }
     assert curve(trained / "grasp")[-1] == about["episodes"]
     assert len(list((trained / "grasp").glob("checkpoint-*"))) == 1
     assert (trained / "grasp" / "learning_curve.png").stat().st_size
@@ -68,17 +96,26 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
 
 @pytest.mark.parametrize(
     ("recipe", "env_id", "sizes", "options"),
-    [("grasp", "HPAC-Grasp-v0", (44, 6), {}), ("grasp-type", "HPAC-GraspType-v0", (78, 12), {"types": "test"})],
+    [
+        ("grasp", "HPAC-Grasp-v0", (44, 6), {}),
+        ("grasp-type", "HPAC-GraspType-v0", (78, 12), {"types": "test"}),
+    ],
 )
 def test_a_trained_policy_is_judged(trained, recipe, env_id, sizes, options):
     policy = trained / recipe / "policy.zip"
-    assert read_policy(policy).sizes == sizes == (len(read_policy(policy).about["made_for"]["observation"]), sizes[1])
+    assert (
+        read_policy(policy).sizes
+        == sizes
+        == (len(read_policy(policy).about["made_for"]["observation"]), sizes[1])
+    )
     judged = evaluate([str(policy)], env_id, 2, options={"engine": "mujoco", **options})
     assert judged.summary()["policies"]["learned"]["episodes"] == 2
 
 
 @pytest.mark.parametrize("recipe", RUNS)
-def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_one(recipe, trained, tmp_path, monkeypatch):
+def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_one(
+    recipe, trained, tmp_path, monkeypatch
+):
     with monkeypatch.context() as dying:
         dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
@@ -88,22 +125,40 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
         file.write("20,1.0,0.5,20,0.1\n2")  # after the checkpoint
     train_here(monkeypatch, "--out", tmp_path, "--resume")
     assert curve(tmp_path) == curve(trained / recipe)
-    hashes = {read_policy(folder / "policy.zip").about["sha256"] for folder in (tmp_path, trained / recipe)}
+    hashes = {
+        read_policy(folder / "policy.zip").about["sha256"]
+        for folder in (tmp_path, trained / recipe)
+    }
     assert len(hashes) == 1
 
 
-def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(tmp_path, monkeypatch, capsys):
-    command = [sys.executable, "-m", "agents.train", "grasp", "--out", tmp_path, "--episodes", "100000", *SMALL]
+def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_one_saves_itself(
+    tmp_path, monkeypatch, capsys
+):
+    command = [
+        sys.executable,
+        "-m",
+        "agents.train",
+        "grasp",
+        "--out",
+        tmp_path,
+        "--episodes",
+        "100000",
+        *SMALL,
+    ]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
         wait_for(lambda: train.latest_checkpoint(tmp_path) or process.poll() is not None, 600)
     finally:
         process.kill()
         process.wait()
-    killed, kept = state_of(tmp_path), train.latest_checkpoint(tmp_path)
+    killed = state_of(tmp_path)
+    kept = train.latest_checkpoint(tmp_path)
     handlers = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
     over = threading.Event()
-    interrupt = threading.Thread(target=interrupt_after, args=[lambda: train.latest_checkpoint(tmp_path) != kept, over])
+    interrupt = threading.Thread(
+        target=interrupt_after, args=[lambda: train.latest_checkpoint(tmp_path) != kept, over]
+    )
     interrupt.start()
     try:
         assert train.main(["--out", str(tmp_path), "--resume"]) == 130
@@ -128,7 +183,9 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
 
 
 def interrupt_after(condition, over: threading.Event) -> None:
-    """Interrupt the training of this process once something holds, or does not come; nothing if the training is over."""
+    """Interrupt the training of this process once something holds, or does not come; nothing if the
+    training is over.
+    """
     try:
         wait_for(lambda: condition() or over.is_set(), 600)
     finally:
@@ -141,23 +198,51 @@ def state_of(folder: Path) -> dict:
 
 
 def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
-    train_here(monkeypatch, "grasp", "--out", tmp_path, "--time-limit", 0.01, *SMALL, "--checkpoint-every", 10_000)
+    train_here(
+        monkeypatch,
+        "grasp",
+        "--out",
+        tmp_path,
+        "--time-limit",
+        0.01,
+        *SMALL,
+        "--checkpoint-every",
+        10_000,
+    )
     assert capsys.readouterr().err.splitlines()[-1].startswith("time limit after")
     assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 0.6
 
 
-def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_given(tmp_path, monkeypatch):
+def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_given(
+    tmp_path, monkeypatch
+):
     tasks = []
-    train_here(monkeypatch, "grasp", "--out", tmp_path, "--env-steps", 403, *SMALL,
-               make=lambda recipe: tasks.append(training_task(recipe)) or tasks[-1])  # fmt: skip
+    train_here(
+        monkeypatch,
+        "grasp",
+        "--out",
+        tmp_path,
+        "--env-steps",
+        403,
+        *SMALL,
+        make=lambda recipe: tasks.append(training_task(recipe)) or tasks[-1],
+    )
     assert len(tasks) == 1
     about = read_policy(tmp_path / "policy.zip").about
     assert about["env_steps"] == 400
-    assert about["env_steps"] >= about["episodes"] * 20, "a trial takes at least as long as the closing"
+    assert about["env_steps"] >= about["episodes"] * 20, (
+        "a trial takes at least as long as the closing"
+    )
 
 
 def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path, monkeypatch):
-    leaves = {"run.json", "policy.zip", "progress.csv", "learning_curve.png", "checkpoint-000000012"}
+    leaves = {
+        "run.json",
+        "policy.zip",
+        "progress.csv",
+        "learning_curve.png",
+        "checkpoint-000000012",
+    }
     for name in (leaves - {"checkpoint-000000012"}) | {"results.json", "results.md"}:
         (tmp_path / name).write_text("of the run before")
     (tmp_path / "checkpoint-000000900").mkdir()
@@ -168,7 +253,9 @@ def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path, monkeypat
 def test_a_checkpoint_that_cannot_be_removed_is_not_continued_by_another_run(tmp_path, monkeypatch):
     (tmp_path / "checkpoint-000000008").mkdir()
     monkeypatch.setattr("shutil.rmtree", lambda path, **how: None)
-    with pytest.raises(RunError, match=r"cannot remove checkpoint '.*checkpoint-000000008' of the run before"):
+    with pytest.raises(
+        RunError, match=r"cannot remove checkpoint '.*checkpoint-000000008' of the run before"
+    ):
         train.main(["grasp", "--out", str(tmp_path), *SMALL])
 
 
@@ -182,7 +269,8 @@ def learner(recipe):
     """A learner that has been fitted to trials of no meaning."""
     rng = np.random.default_rng(0)
     made = Learner(recipe, observed=60, deployed=44, phases=4)
-    seen, came_to = rng.standard_normal((30, 60)), rng.standard_normal((30, 16))
+    seen = rng.standard_normal((30, 60))
+    came_to = rng.standard_normal((30, 16))
     made.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), came_to)
     made.learn(0.5)
     return made
@@ -263,14 +351,18 @@ def started(recipe, seed):
 
 def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed(monkeypatch):
     monkeypatch.setattr("agents.closures.DRAWS", 1)
-    recipe = with_settings(RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/twin"})
+    recipe = with_settings(
+        RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/twin"}
+    )
     made = started(recipe, 100)
     for worlds in made:
         worlds.step(Patient())
     drawn = [worlds.first_seen for worlds in made]
     assert [len(seen) for seen in drawn] == [2, 3]
     assert len(np.unique(np.concatenate(drawn)[:, :44], axis=0)) == 5
-    assert [row.tolist() for seen in drawn for row in seen[:, -2:]] == 2 * [[1, 0]] + 3 * [[0, 1]], "critics are told the set-up"
+    assert [row.tolist() for seen in drawn for row in seen[:, -2:]] == 2 * [[1, 0]] + 3 * [
+        [0, 1]
+    ], "critics are told the set-up"
     for worlds in made:
         worlds.close()
 
@@ -278,7 +370,9 @@ def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed(monkeypatch):
 def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning():
     drawn = {}
     for contacts in ("usual", "weak"):
-        [worlds] = started(with_settings(RECIPES["grasp"], {"num_envs": "8", "contacts": contacts}), 100)
+        [worlds] = started(
+            with_settings(RECIPES["grasp"], {"num_envs": "8", "contacts": contacts}), 100
+        )
         worlds.step(Patient())
         friction = [setup.hand_settings.contact_friction for setup in worlds.episodes.setups]
         drawn[contacts] = np.array(friction), worlds.episodes.options.world.torsion
@@ -290,7 +384,8 @@ def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning()
 
 
 def test_something_runs_beside_each_step_of_the_physics_and_a_trial_tells_how_its_closing_ended():
-    [worlds], calls = started(with_settings(RECIPES["grasp"], {"num_envs": "2"}), 7), []
+    [worlds] = started(with_settings(RECIPES["grasp"], {"num_envs": "2"}), 7)
+    calls = []
     seen, *_, came_to = worlds.step(Patient())
     while not len(seen):
         seen, *_, came_to = worlds.step(Patient(), lambda: calls.append(0))
@@ -300,8 +395,10 @@ def test_something_runs_beside_each_step_of_the_physics_and_a_trial_tells_how_it
 
 
 def test_trials_that_are_sure_to_succeed_are_tried_less_often(learner):
-    seen, decisions = np.zeros((4_000, 60), np.float32), np.zeros((4_000, 8))
-    sure, lost = copy.deepcopy(learner), copy.deepcopy(learner)
+    seen = np.zeros((4_000, 60), np.float32)
+    decisions = np.zeros((4_000, 8))
+    sure = copy.deepcopy(learner)
+    lost = copy.deepcopy(learner)
     sure.critics.biases[-1].data.fill_(50.0)
     lost.critics.biases[-1].data.fill_(-50.0)
     assert 0.25 < sure.wanted(seen, decisions).mean() < 0.35
@@ -331,7 +428,9 @@ def test_a_diverged_learner_is_not_saved_over_the_checkpoint_before(learner, tmp
         broken = copy.deepcopy(learner)
         next(getattr(broken, name).parameters()).data[0] = float("nan")
         broken.trials.count -= 1
-        with pytest.raises(RunError, match=rf"diverged, {name}/\S+ is not finite; '{kept.name}' is kept"):
+        with pytest.raises(
+            RunError, match=rf"diverged, {name}/\S+ is not finite; '{kept.name}' is kept"
+        ):
             train.save_checkpoint(tmp_path, broken, {"seconds": 2.0})
     assert list(tmp_path.iterdir()) == [kept]
 
@@ -345,12 +444,19 @@ def half(path: Path) -> None:
     [
         ("state.json", half, "damaged"),
         ("arrays.npz", half, "damaged"),
-        ("state.json", lambda path: path.write_text(re.sub(r'"mujoco-core": "[^"]*"', '"mujoco-core": "1.2"', path.read_text())),
-         r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here"),
+        (
+            "state.json",
+            lambda path: path.write_text(
+                re.sub(r'"mujoco-core": "[^"]*"', '"mujoco-core": "1.2"', path.read_text())
+            ),
+            r"of other versions: it was written with mujoco-core 1\.2, not \S+ as here",
+        ),
     ],
     ids=["half a state", "half of the arrays", "other versions"],
-)  # fmt: skip
-def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(learner, recipe, tmp_path, name, change, complaint):
+)
+def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(
+    learner, recipe, tmp_path, name, change, complaint
+):
     path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     change(path / name)
     with pytest.raises(RunError, match=complaint):

@@ -39,15 +39,23 @@ def test_it_says_how_it_was_made(name, env_id, trials):
         ("grasp", "mujoco", 12, 9),
         pytest.param("grasp-best", "mujoco", 12, 10, marks=pytest.mark.slow),  # 92 % of 1,000
         pytest.param("grasp-robust", "mujoco", 12, 9, marks=pytest.mark.slow),  # 91 % of 1,000
-        pytest.param("grasp-any", "mujoco", 12, 5, marks=pytest.mark.slow),  # 80 % of 1,000, random actions 6 %
+        pytest.param(
+            "grasp-any", "mujoco", 12, 5, marks=pytest.mark.slow
+        ),  # 80 % of 1,000, random actions 6 %
         pytest.param("grasp-any-best", "mujoco", 12, 5, marks=pytest.mark.slow),
-        pytest.param("grasp-type", "mujoco", 12, 6, marks=pytest.mark.slow),  # a quarter of its types are held out
+        pytest.param(
+            "grasp-type", "mujoco", 12, 6, marks=pytest.mark.slow
+        ),  # a quarter of its types are held out
         pytest.param("pick-place", "mujoco", 12, 11, marks=pytest.mark.slow),
         ("posture", "mujoco", 12, 8),  # the constant action reaches none
     ],
 )
 def test_it_still_grasps(name, engine, episodes, held):
-    """90 % of 1,000 held-out episodes of grasp on MuJoCo; another observation or physics would drop most of them."""
+    """90 % of 1,000 held-out episodes of grasp on MuJoCo; another observation or physics would drop
+    most of them.
+    """
     about = read_policy(FOLDER / f"{name}.zip").about
-    result = evaluate([str(FOLDER / f"{name}.zip")], about["env_id"], episodes, options={"engine": engine})
+    result = evaluate(
+        [str(FOLDER / f"{name}.zip")], about["env_id"], episodes, options={"engine": engine}
+    )
     assert sum(episode.success for episode in result.episodes["learned"]) >= held

@@ -1,4 +1,6 @@
-"""The object sets: how many, how different, graspable, as published, and at rest in the poses that they come with."""
+"""The object sets: how many, how different, graspable, as published, and at rest in the poses that
+they come with.
+"""
 
 import itertools
 from dataclasses import replace
@@ -7,7 +9,14 @@ import numpy as np
 import pytest
 
 from hpac_gym.body.object_models import load_object_models
-from hpac_gym.body.object_sets import SPAN, SPLITS, RestingObject, difference, object_set, resting_pose
+from hpac_gym.body.object_sets import (
+    SPAN,
+    SPLITS,
+    RestingObject,
+    difference,
+    object_set,
+    resting_pose,
+)
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import matrix_from_quaternion
 from hpac_gym.tasks.grasp_data import GRASPS
@@ -19,7 +28,11 @@ DRAWN = [*SETS["train"], *SETS["test"]]
 
 
 def test_there_are_200_to_train_on_50_held_out_and_52_real_ones():
-    assert {split: len(things) for split, things in SETS.items()} == {"train": 200, "test": 50, "real": 52}
+    assert {split: len(things) for split, things in SETS.items()} == {
+        "train": 200,
+        "test": 50,
+        "real": 52,
+    }
     assert len({thing.name for thing in EVERY}) == 302
     assert [thing.name for thing in SETS["train"][:2]] == ["train_000", "train_001"]
     assert object_set("test") is object_set("test")
@@ -32,10 +45,15 @@ def test_an_unknown_split_names_the_splits(split):
 
 
 def test_no_held_out_object_is_like_a_training_object():
-    nearest = [min(difference(held.model, known.model) for known in SETS["train"]) for held in SETS["test"]]
+    nearest = [
+        min(difference(held.model, known.model) for known in SETS["train"]) for held in SETS["test"]
+    ]
     assert min(nearest) > MIN_DIFFERENCE == 0.1
     known = SETS["train"][0].model
-    assert difference(known, replace(known, size=tuple(1.04 * side for side in known.size))) < MIN_DIFFERENCE
+    assert (
+        difference(known, replace(known, size=tuple(1.04 * side for side in known.size)))
+        < MIN_DIFFERENCE
+    )
 
 
 def test_held_out_objects_are_partly_of_families_that_training_has_not():
@@ -47,9 +65,14 @@ def test_held_out_objects_are_partly_of_families_that_training_has_not():
 
 
 def test_objects_are_bodies_that_there_can_be():
-    """Positive mass; moments of inertia of which none is more than the sum of both others; mass centre inside."""
-    for name, model in ({thing.name: thing.model for thing in EVERY} | load_object_models()).items():
-        moments, (low, high) = np.linalg.eigvalsh(model.inertia), model.bounds
+    """Positive mass; moments of inertia of which none is more than the sum of both others; mass
+    centre inside.
+    """
+    for name, model in (
+        {thing.name: thing.model for thing in EVERY} | load_object_models()
+    ).items():
+        moments = np.linalg.eigvalsh(model.inertia)
+        (low, high) = model.bounds
         assert min(solid.mass for solid in model.solids) > 0, name
         assert moments[0] > 0, name
         assert moments[2] <= (moments[0] + moments[1]) * (1 + 1e-9), name
@@ -61,7 +84,9 @@ def test_objects_are_bodies_that_there_can_be():
 
 
 def test_mass_centres_are_not_all_in_the_middle():
-    """Of the drawn objects, a fifth and more have theirs farther from it than a tenth of their longest side."""
+    """Of the drawn objects, a fifth and more have theirs farther from it than a tenth of their
+    longest side.
+    """
     off = [np.linalg.norm(thing.model.center_of_mass) / max(thing.model.size) for thing in DRAWN]
     assert np.mean(np.array(off) > 0.1) > 0.2
 
@@ -93,7 +118,9 @@ def test_solids_reach_as_far_as_their_points_do():
     """The extents of a turned object, against points on the surfaces of its solids."""
     angles = np.linspace(0, 2 * np.pi, 3601)
     rim = np.column_stack([np.cos(angles), np.sin(angles)])
-    turn = matrix_from_quaternion(tuple(np.array([0.1, 0.5, -0.3, 0.8]) / np.linalg.norm([0.1, 0.5, -0.3, 0.8])))
+    turn = matrix_from_quaternion(
+        tuple(np.array([0.1, 0.5, -0.3, 0.8]) / np.linalg.norm([0.1, 0.5, -0.3, 0.8]))
+    )
     for name in ("train_000", "train_045", "train_065", "train_085", "train_105"):
         model = next(thing.model for thing in SETS["train"] if thing.name == name)
         points = []
@@ -103,7 +130,12 @@ def test_solids_reach_as_far_as_their_points_do():
             if solid.kind == "sphere":  # where a ball reaches farthest along each axis of the world
                 local = half[0] * np.concatenate([np.eye(3), -np.eye(3)]) @ turn @ solid.rotation
             elif solid.kind == "cylinder":
-                local = np.concatenate([np.column_stack([half[0] * rim, np.full(len(rim), z)]) for z in (-half[2], half[2])])
+                local = np.concatenate(
+                    [
+                        np.column_stack([half[0] * rim, np.full(len(rim), z)])
+                        for z in (-half[2], half[2])
+                    ]
+                )
             points.append((local @ solid.rotation.T + solid.center) @ turn.T)
         low, high = model.turned_bounds(turn)
         found = np.concatenate(points)
@@ -113,7 +145,9 @@ def test_solids_reach_as_far_as_their_points_do():
 
 
 def test_real_objects_are_within_five_percent_of_what_their_sources_print():
-    """Every measure that is not published says where it is from; the quoit is the one named object that is in no set."""
+    """Every measure that is not published says where it is from; the quoit is the one named object
+    that is in no set.
+    """
     for model in (*(thing.model for thing in SETS["real"]), load_object_models()["quoit"]):
         low, high = model.bounds
         found = dict(zip("xyz", high - low, strict=True)) | {"mass": model.mass}
@@ -124,13 +158,17 @@ def test_real_objects_are_within_five_percent_of_what_their_sources_print():
 
 
 def test_most_real_objects_have_all_their_measures_from_a_source():
-    assert sum(thing.model.published.keys() == {"x", "y", "z", "mass"} for thing in SETS["real"]) >= 35
+    assert (
+        sum(thing.model.published.keys() == {"x", "y", "z", "mass"} for thing in SETS["real"]) >= 35
+    )
 
 
 def test_named_grasps_objects_are_the_same_here_but_for_the_quoit():
     named = {grasp.object.name: grasp for grasp in GRASPS.values() if grasp.object.name != "quoit"}
     here = {thing.name: thing for thing in SETS["real"] if thing.name in named}
-    assert {name: thing.friction for name, thing in here.items()} == {name: grasp.friction for name, grasp in named.items()}
+    assert {name: thing.friction for name, thing in here.items()} == {
+        name: grasp.friction for name, grasp in named.items()
+    }
     assert all(thing.model is load_object_models()[name] for name, thing in here.items())
 
 

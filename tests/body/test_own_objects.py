@@ -1,4 +1,6 @@
-"""An object of one's own: files from outside become convex parts that both engines collide, or one clear line."""
+"""An object of one's own: files from outside become convex parts that both engines collide, or one
+clear line.
+"""
 
 import json
 import pickle
@@ -25,8 +27,15 @@ L_SHAPE = [(0, 0), (60, 0), (60, 20), (20, 20), (20, 80), (0, 80)]
 CUT = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
 DEPTH = 40.0
 """[mm]"""
-WEDGE = np.array([[[0, 0, 0], [0, 40, 0], [60, 0, 0]], [[0, 0, 0], [60, 0, 0], [0, 0, 120]],
-                  [[0, 0, 0], [0, 0, 120], [0, 40, 0]], [[60, 0, 0], [0, 40, 0], [0, 0, 120]]], dtype=float)  # fmt: skip
+WEDGE = np.array(
+    [
+        [[0, 0, 0], [0, 40, 0], [60, 0, 0]],
+        [[0, 0, 0], [60, 0, 0], [0, 0, 120]],
+        [[0, 0, 0], [0, 0, 120], [0, 40, 0]],
+        [[60, 0, 0], [0, 40, 0], [0, 0, 120]],
+    ],
+    dtype=float,
+)
 """Triangles of a convex mesh, which is its own single part, found without CoACD [mm]."""
 BOX = ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8)
 
@@ -34,16 +43,23 @@ BOX = ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8)
 def l_faces() -> np.ndarray:
     """Triangles of the L, shape (20, 3, 3) [mm]."""
     front, back = (np.array([(x, y, z) for x, z in L_SHAPE]) for y in (0.0, DEPTH))
-    faces = [front[list(corners)] for corners in CUT] + [back[list(reversed(corners))] for corners in CUT]
+    faces = [front[list(corners)] for corners in CUT] + [
+        back[list(reversed(corners))] for corners in CUT
+    ]
     for one, other in zip(range(6), [*range(1, 6), 0], strict=True):
-        faces += [np.array([front[other], front[one], back[one]]), np.array([front[other], back[one], back[other]])]
+        faces += [
+            np.array([front[other], front[one], back[one]]),
+            np.array([front[other], back[one], back[other]]),
+        ]
     return np.array(faces)
 
 
 def stl(faces: np.ndarray) -> str:
     """Text of an STL file."""
     corners = ["".join(f"vertex {x} {y} {z}\n" for x, y, z in face) for face in faces]
-    facets = "".join(f"facet normal 0 0 0\nouter loop\n{text}endloop\nendfacet\n" for text in corners)
+    facets = "".join(
+        f"facet normal 0 0 0\nouter loop\n{text}endloop\nendfacet\n" for text in corners
+    )
     return f"solid shape\n{facets}endsolid shape\n"
 
 
@@ -73,24 +89,33 @@ def decomposed(tmp_path_factory):
 def test_a_mesh_becomes_convex_parts_with_its_volume_mass_and_inertia(ell, decomposed):
     model = own_object(ell, mass=0.12, scale=0.001, folder=decomposed).model
     assert len(model.solids) > 1
-    assert sum(solid.hull.moments()[0] for solid in model.solids) == pytest.approx(0.04 * (0.06 * 0.02 + 0.02 * 0.06), rel=0.02)
+    assert sum(solid.hull.moments()[0] for solid in model.solids) == pytest.approx(
+        0.04 * (0.06 * 0.02 + 0.02 * 0.06), rel=0.02
+    )
     np.testing.assert_allclose(model.size, (0.06, 0.04, 0.08), atol=1e-5)
-    # Foot 60 x 20 and shaft 20 x 60, of one density: mass centre 10 mm beside and 10 mm below the middle of the box around.
+    # Foot 60 x 20 and shaft 20 x 60, of one density: mass centre 10 mm beside and 10 mm below the
+    # middle of the box around.
     np.testing.assert_allclose(model.center_of_mass, (-0.01, 0.0, -0.01), atol=2e-4)
-    foot, shaft = ((0.06, 0.02), (0.0, -0.03)), ((0.02, 0.06), (-0.02, 0.01))
+    foot = ((0.06, 0.02), (0.0, -0.03))
+    shaft = ((0.02, 0.06), (-0.02, 0.01))
     about_y = sum(
-        0.06 * ((x * x + z * z) / 12 + (place[0] + 0.01) ** 2 + (place[1] + 0.01) ** 2) for (x, z), place in (foot, shaft)
+        0.06 * ((x * x + z * z) / 12 + (place[0] + 0.01) ** 2 + (place[1] + 0.01) ** 2)
+        for (x, z), place in (foot, shaft)
     )
     assert model.inertia[1, 1] == pytest.approx(about_y, rel=0.01)
 
 
-def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(wedge, tmp_path, monkeypatch):
+def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(
+    wedge, tmp_path, monkeypatch
+):
     own_object(wedge, mass=0.1, scale=0.001)
     assert {path.name for path in tmp_path.iterdir()} == {"ell.stl", "ell.hulls.json"}
     monkeypatch.setitem(sys.modules, "coacd", None)
     again = own_object(wedge, mass=0.2, scale=0.0005, up="y")
     np.testing.assert_allclose(again.model.size, (0.03, 0.06, 0.02), atol=1e-5)
-    with pytest.raises(ParameterError, match=r"needs the package coacd: pip install 'hpac_gym\[objects\]'"):
+    with pytest.raises(
+        ParameterError, match=r"needs the package coacd: pip install 'hpac_gym\[objects\]'"
+    ):
         own_object(wedge, mass=0.1, scale=0.001, folder=tmp_path / "parts")
     monkeypatch.undo()
     own_object(wedge, mass=0.1, scale=0.001, folder=tmp_path / "parts")
@@ -98,9 +123,13 @@ def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(wedg
 
 
 @pytest.mark.parametrize("kept", ["of another mesh", "{ half a fi"])
-def test_parts_of_another_mesh_of_the_same_name_or_a_damaged_file_are_made_anew(kept, wedge, decomposed):
+def test_parts_of_another_mesh_of_the_same_name_or_a_damaged_file_are_made_anew(
+    kept, wedge, decomposed
+):
     file = wedge.with_name("ell.hulls.json")
-    file.write_text((decomposed / "ell.hulls.json").read_text() if kept == "of another mesh" else kept)
+    file.write_text(
+        (decomposed / "ell.hulls.json").read_text() if kept == "of another mesh" else kept
+    )
     assert own_object(wedge, mass=0.1, scale=0.001).model.size[2] == pytest.approx(0.12, abs=1e-5)
     assert len(json.loads(file.read_text())["parts"]) == 1
 
@@ -120,13 +149,25 @@ def urdf(geometry: str, mass: str = "0.1") -> str:
 
 FLAT = np.array([[[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 0, 0], [0, 9, 0], [9, 0, 0]]], dtype=float)
 BAD_FILES = {
-    "a hole": ("hole.stl", stl(l_faces()[1:]), "'.*hole.stl' is not watertight: every edge must belong to two triangles"),
+    "a hole": (
+        "hole.stl",
+        stl(l_faces()[1:]),
+        "'.*hole.stl' is not watertight: every edge must belong to two triangles",
+    ),
     "flat": ("flat.stl", stl(FLAT), "'.*flat.stl' is flat: it has no volume"),
-    "no triangles": ("none.stl", "solid x\nendsolid x\n", "'.*none.stl' (cannot be read as a mesh|has no triangles)"),
+    "no triangles": (
+        "none.stl",
+        "solid x\nendsolid x\n",
+        "'.*none.stl' (cannot be read as a mesh|has no triangles)",
+    ),
     "not a mesh": ("text.obj", "hello", "'.*text.obj' (cannot be read as a mesh|has no triangles)"),
     "not finite": ("nan.obj", "v 0 0 0\nv nan 0 1\nv 0 1 0\nf 1 2 3\n", "'.*nan.obj'"),
     "not XML": ("bad.urdf", "<robot", "'.*bad.urdf' is not a URDF"),
-    "no shape": ("empty.urdf", "<robot name='x'><link name='a'/></robot>", "'.*empty.urdf' has no collision shape"),
+    "no shape": (
+        "empty.urdf",
+        "<robot name='x'><link name='a'/></robot>",
+        "'.*empty.urdf' has no collision shape",
+    ),
     "no number": (
         "word.urdf",
         "<robot name='x'><link name='a'><collision><geometry><sphere radius='big'/></geometry></collision></link></robot>",
@@ -143,17 +184,37 @@ BAD_FILES = {
         "</joint></robot>",
         "joint 'j' of '.*hinge.urdf' is revolute: all joints must be fixed",
     ),
-    "another kind": ("thing.step", "", "'.*thing.step' is not one of .stl, .obj, .ply, .off, nor a .urdf"),
-    "another kind of mesh": ("dae.urdf", urdf("<mesh filename='dae.urdf'/>"), "'.*dae.urdf' is not one of .stl, .obj"),
+    "another kind": (
+        "thing.step",
+        "",
+        "'.*thing.step' is not one of .stl, .obj, .ply, .off, nor a .urdf",
+    ),
+    "another kind of mesh": (
+        "dae.urdf",
+        urdf("<mesh filename='dae.urdf'/>"),
+        "'.*dae.urdf' is not one of .stl, .obj",
+    ),
     "a ring of joints": (
         "ring.urdf",
         "<robot name='x'><link name='a'/><link name='b'/><joint type='fixed'><parent link='a'/><child link='b'/></joint>"
         "<joint type='fixed'><parent link='b'/><child link='a'/></joint></robot>",
         "joints of '.*ring.urdf' form a ring through link 'a'",
     ),
-    "no size": ("zero.urdf", urdf("<sphere radius='0'/>"), "a sphere of '.*zero.urdf' is 0 x 0 x 0 m: sides must be"),
-    "a negative size": ("less.urdf", urdf("<box size='-.04 1 1'/>"), "a box of '.*less.urdf' is -0.04 x 1 x 1 m: sides must be"),
-    "a size that is not a number": ("nan.urdf", urdf("<box size='nan 1 1'/>"), "a box of '.*nan.urdf' is nan x 1 x 1 m"),
+    "no size": (
+        "zero.urdf",
+        urdf("<sphere radius='0'/>"),
+        "a sphere of '.*zero.urdf' is 0 x 0 x 0 m: sides must be",
+    ),
+    "a negative size": (
+        "less.urdf",
+        urdf("<box size='-.04 1 1'/>"),
+        "a box of '.*less.urdf' is -0.04 x 1 x 1 m: sides must be",
+    ),
+    "a size that is not a number": (
+        "nan.urdf",
+        urdf("<box size='nan 1 1'/>"),
+        "a box of '.*nan.urdf' is nan x 1 x 1 m",
+    ),
 }
 
 
@@ -169,13 +230,25 @@ def test_a_bad_file_is_one_clear_line(name, text, message, tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"scale": 1.0}, r"ell.stl' is 60 x 40 x 120 m: sides must be 0.002 to 0.4 m; scale=0.001 is for a file in mm"),
+        (
+            {"scale": 1.0},
+            r"ell.stl' is 60 x 40 x 120 m: sides must be 0.002 to 0.4 m; scale=0.001 is for a file in mm",
+        ),
         ({"scale": 1e-5}, r"sides must be 0.002 to 0.4 m"),
-        ({"scale": 0.0}, r"scale 0.0 of '.*ell.stl' must be a number greater than 0 and at most 1000"),
-        ({"mass": -0.3}, r"mass -0.3 kg of '.*ell.stl' must be a number greater than 0 and at most 5 kg"),
+        (
+            {"scale": 0.0},
+            r"scale 0.0 of '.*ell.stl' must be a number greater than 0 and at most 1000",
+        ),
+        (
+            {"mass": -0.3},
+            r"mass -0.3 kg of '.*ell.stl' must be a number greater than 0 and at most 5 kg",
+        ),
         ({"mass": float("nan")}, r"mass nan kg"),
         ({"mass": None}, r"'.*ell.stl' says no mass: give one in kg"),
-        ({"friction": -1.0}, r"friction -1.0 of '.*ell.stl' must be a number greater than 0 and at most 2"),
+        (
+            {"friction": -1.0},
+            r"friction -1.0 of '.*ell.stl' must be a number greater than 0 and at most 2",
+        ),
         ({"mass": "0.3"}, r"mass '0.3' kg of '.*ell.stl' must be a number greater than 0"),
         ({"scale": None}, r"scale None of '.*ell.stl' must be a number greater than 0"),
         ({"up": "w"}, r"up 'w' is not one of z, y"),
@@ -189,7 +262,10 @@ def test_a_bad_argument_is_one_clear_line(wedge, change, message):
 @pytest.mark.parametrize("mass", ["70", "-0.1", "nan"])
 def test_the_mass_that_a_urdf_says_is_checked_as_one_that_is_given(mass, tmp_path):
     (tmp_path / "box.urdf").write_text(urdf("<box size='.04 .04 .1'/>", mass))
-    with pytest.raises(ParameterError, match=rf"mass {mass}\.?0? kg of '.*box.urdf' must be a number .* at most 5 kg"):
+    with pytest.raises(
+        ParameterError,
+        match=rf"mass {mass}\.?0? kg of '.*box.urdf' must be a number .* at most 5 kg",
+    ):
         own_object(tmp_path / "box.urdf")
     assert own_object(tmp_path / "box.urdf", mass=0.2).mass == 0.2
 
@@ -219,18 +295,28 @@ def test_a_urdf_is_read_with_its_fixed_joints_its_meshes_and_its_masses(ell, dec
     assert model.mass == pytest.approx(0.12)
     assert {solid.kind for solid in model.solids} == {"cylinder", "hull"}
     low, high = model.bounds
-    np.testing.assert_allclose(high - low, (0.03, 0.04, 0.14), atol=1e-5)  # the L is turned: 20 mm deep along -x, 30 along y
-    assert own_object(ell.parent / "mallet.urdf", mass=0.3, scale=0.5, folder=decomposed).model.size[2] == pytest.approx(0.07)
+    np.testing.assert_allclose(
+        high - low, (0.03, 0.04, 0.14), atol=1e-5
+    )  # the L is turned: 20 mm deep along -x, 30 along y
+    assert own_object(
+        ell.parent / "mallet.urdf", mass=0.3, scale=0.5, folder=decomposed
+    ).model.size[2] == pytest.approx(0.07)
 
 
 def test_a_mirrored_mesh_is_as_heavy_as_the_mesh(ell, decomposed):
     """A mirror image has a mass centre on the other side, and the same moments of inertia."""
     models = []
     for side in ("0.001", "-0.001"):
-        (ell.parent / "one.urdf").write_text(urdf(f"<mesh filename='ell.stl' scale='{side} 0.001 0.001'/>"))
+        (ell.parent / "one.urdf").write_text(
+            urdf(f"<mesh filename='ell.stl' scale='{side} 0.001 0.001'/>")
+        )
         models.append(own_object(ell.parent / "one.urdf", folder=decomposed).model)
-    assert all(solid.mass > 0 and solid.hull.moments()[0] > 0 for model in models for solid in model.solids)
-    np.testing.assert_allclose(models[1].center_of_mass, models[0].center_of_mass * [-1, 1, 1], atol=1e-9)
+    assert all(
+        solid.mass > 0 and solid.hull.moments()[0] > 0 for model in models for solid in model.solids
+    )
+    np.testing.assert_allclose(
+        models[1].center_of_mass, models[0].center_of_mass * [-1, 1, 1], atol=1e-9
+    )
     np.testing.assert_allclose(np.diag(models[1].inertia), np.diag(models[0].inertia), rtol=1e-9)
 
 
@@ -248,11 +334,15 @@ def test_both_engines_load_its_mass_inertia_and_extents(ell, decomposed):
     np.testing.assert_allclose(sorted(body.inertia), wanted, rtol=1e-6)
     corners = []
     for index in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
-        mesh, (w, x, y, z) = model.mesh(model.geom_dataid[index]), model.geom_quat[index]
+        mesh = model.mesh(model.geom_dataid[index])
+        (w, x, y, z) = model.geom_quat[index]
         rotation = matrix_from_quaternion((x, y, z, w))
-        start, count = mesh.vertadr[0], mesh.vertnum[0]
+        start = mesh.vertadr[0]
+        count = mesh.vertnum[0]
         corners.append(model.geom_pos[index] + model.mesh_vert[start : start + count] @ rotation.T)
-    np.testing.assert_allclose(np.ptp(np.concatenate(corners), axis=0), (0.06, 0.04, 0.08), atol=1e-5)
+    np.testing.assert_allclose(
+        np.ptp(np.concatenate(corners), axis=0), (0.06, 0.04, 0.08), atol=1e-5
+    )
     other = make_engine("pybullet")
     other.reset([0], [SceneSetup(spec, np.array([0.06, 0.0, 0.12]))])
     scene = other.scenes[0]
@@ -271,14 +361,18 @@ def test_the_hand_grasps_it_with_the_scripted_closure(engine, ell, decomposed):
         assert any(run(env, ScriptedClosure(), seed=seed)[0][-1]["is_success"] for seed in range(6))
 
 
-def test_a_dictionary_makes_the_same_environment_and_survives_json_and_a_spec_survives_pickle(ell, decomposed):
+def test_a_dictionary_makes_the_same_environment_and_survives_json_and_a_spec_survives_pickle(
+    ell, decomposed
+):
     given = {"path": str(ell), "mass": 0.08, "scale": 0.001, "folder": str(decomposed)}
     with gymnasium.make("HPAC-Grasp-v0", object=given, engine="mujoco") as env:
         again = gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json())
         wanted = env.reset(seed=3)[0]
     with gymnasium.make(again) as env:
         np.testing.assert_array_equal(env.reset(seed=3)[0], wanted)
-    spec = pickle.loads(pickle.dumps(own_object(**given)))  # on PyBullet a vector environment sends it to its processes
+    spec = pickle.loads(
+        pickle.dumps(own_object(**given))
+    )  # on PyBullet a vector environment sends it to its processes
     vector = gymnasium.make_vec("HPAC-Grasp-v0", num_envs=2, object=spec, engine="mujoco")
     np.testing.assert_array_equal(vector.reset(seed=[3, 4])[0][0], wanted)
     vector.close()
@@ -287,10 +381,26 @@ def test_a_dictionary_makes_the_same_environment_and_survives_json_and_a_spec_su
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"object": "mug.stl"}, ParameterError, r"object 'mug.stl' is neither an ObjectSpec, as own_object gives"),
-        ({"object": {"path": "no_such.stl", "mass": 0.1}}, ParameterError, r"no object file 'no_such.stl'"),
-        ({"object": {"weight": 0.1}}, ParameterError, r"object {'weight': 0.1}: .*unexpected keyword argument 'weight'"),
-        ({"object": BOX, "grasp": "hook"}, GraspError, r"grasp 'hook' has its own object: give either grasp or object"),
+        (
+            {"object": "mug.stl"},
+            ParameterError,
+            r"object 'mug.stl' is neither an ObjectSpec, as own_object gives",
+        ),
+        (
+            {"object": {"path": "no_such.stl", "mass": 0.1}},
+            ParameterError,
+            r"no object file 'no_such.stl'",
+        ),
+        (
+            {"object": {"weight": 0.1}},
+            ParameterError,
+            r"object {'weight': 0.1}: .*unexpected keyword argument 'weight'",
+        ),
+        (
+            {"object": BOX, "grasp": "hook"},
+            GraspError,
+            r"grasp 'hook' has its own object: give either grasp or object",
+        ),
         ({"object": BOX, "variant": "large"}, GraspError, r"variant 'large' needs a named grasp"),
     ],
 )
@@ -303,5 +413,7 @@ def test_an_unknown_name_and_a_scale_of_an_own_object_are_refused(ell, decompose
     with pytest.raises(ValueError, match=r"model 'mug' is not one of beverage_can, tennis_ball"):
         ObjectSpec("box", (0.02, 0.02, 0.05), 0.1, 0.8, "mug")
     spec = own_object(ell, mass=0.08, scale=0.001, folder=decomposed)
-    with pytest.raises(ValueError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"):
+    with pytest.raises(
+        ValueError, match=r"scale 1.1 of ell: an object of one's own has the scale 1 here"
+    ):
         replace(spec, scale=1.1)

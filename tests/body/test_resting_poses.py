@@ -12,6 +12,7 @@ from tools.resting_poses import Found, Table, poses_of, restless, stable_poses
 EVERY = [(thing, pose) for split in SPLITS for thing in object_set(split) for pose in thing.poses]
 SAMPLE = EVERY[5 :: len(EVERY) // 6][:6]
 
+
 def names(entries: list, found: list[int]) -> list[str]:
     return [f"{entries[index][0].name} in {entries[index][1]}" for index in found]
 
@@ -43,15 +44,22 @@ def test_what_is_no_pose_does_not_keep_still(physics):
 
 
 def test_a_pose_that_is_not_stable_is_rejected():
-    """A baton on its end stands, and comes back from a tilt of 5 degrees; a cable on its end does not."""
-    for name, axis, kept in (("relay_baton", [0, 0, 1], True), ("cable", [0, 0, 1], False), ("cable", [0, 1, 0], True)):
+    """A baton on its end stands, and comes back from a tilt of 5 degrees; a cable on its end does
+    not.
+    """
+    for name, axis, kept in (
+        ("relay_baton", [0, 0, 1], True),
+        ("cable", [0, 0, 1], False),
+        ("cable", [0, 1, 0], True),
+    ):
         model = load_object_models()[name]
         turn = Rotation.align_vectors([[0, 0, 1]], [axis])[0].as_matrix()
         assert Table(model, 0.6).keeps(Found.of(model, turn)) == kept, (name, axis)
 
 
 def test_a_can_has_a_pose_upright_and_a_cable_has_none():
-    cable, can = load_object_models()["cable"], load_object_models()["beverage_can"]
+    cable = load_object_models()["cable"]
+    can = load_object_models()["beverage_can"]
     assert all(pose.heights[2] < 0.01 for pose, _ in stable_poses(cable, 0.6, drops=3))
     assert any(pose.heights[2] > 0.11 for pose, _ in stable_poses(can, 0.6, drops=3))
 

@@ -1,4 +1,6 @@
-"""Hands to talk to: the firmware core in this process, and as a process behind a pseudo-terminal."""
+"""Hands to talk to: the firmware core in this process, and as a process behind a
+pseudo-terminal.
+"""
 
 import pytest
 

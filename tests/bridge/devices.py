@@ -7,7 +7,10 @@ from hpac_gym.bridge.protocol import MESSAGES
 HELLO_OF_A_HAND = Frame(
     "device_hello",
     seq=1,
-    fields={field.name: (0,) * field.count if field.is_array else 0 for field in MESSAGES["device_hello"].fields},
+    fields={
+        field.name: (0,) * field.count if field.is_array else 0
+        for field in MESSAGES["device_hello"].fields
+    },
 )
 
 
@@ -33,12 +36,14 @@ class Device(VirtualTransport):
 
     def __init__(self, hand, reply):
         super().__init__(hand)
-        self.reply, self.said = reply, b""
+        self.reply = reply
+        self.said = b""
 
     def write(self, data):
         self.said += self.reply(data)
 
     def read(self, timeout):
         super().read(0.0 if self.said else timeout)
-        said, self.said = self.said, b""
+        said = self.said
+        self.said = b""
         return said

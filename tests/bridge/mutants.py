@@ -2,11 +2,11 @@
 
     python tests/bridge/mutants.py --count 200 --seed 1
 
-A mutant deletes a statement, flips a comparison, shifts a constant or swaps two arguments; they are drawn at random from all
-that there are. Prints the share that a test noticed with its 95 % Wilson interval, and every survivor. `--record FILE` lets a run
-that was cut short go on: what was noticed is not tried again while its module stays as it is, a survivor is. Survivors that were
-looked at and change nothing stand in `EQUIVALENT`, with the reason, and are left out of the share.
-"""
+A mutant deletes a statement, flips a comparison, shifts a constant or swaps two arguments; they are
+drawn at random from all that there are. Prints the share that a test noticed with its 95 % Wilson
+interval, and every survivor. `--record FILE` lets a run that was cut short go on: what was noticed
+is not tried again while its module stays as it is, a survivor is. Survivors that were looked at and
+change nothing stand in `EQUIVALENT`, with the reason, and are left out of the share."""
 
 from __future__ import annotations
 
@@ -51,9 +51,17 @@ EQUIVALENT = {
 }
 """What a mutant does, without its line number, and why nothing that a user can see differs."""
 FLIPPED = {
-    ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
-}  # fmt: skip
+    ast.Lt: ast.GtE,
+    ast.GtE: ast.Lt,
+    ast.Gt: ast.LtE,
+    ast.LtE: ast.Gt,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+}
 
 
 def sites(tree: ast.Module) -> Iterator[tuple[str, int]]:
@@ -61,15 +69,25 @@ def sites(tree: ast.Module) -> Iterator[tuple[str, int]]:
     words = [node for node in ast.walk(tree) if isinstance(node, ast.keyword)]
     without_effect = {id(word.value) for word in words if word.arg in ("strict", "slots")}
     for number, node in enumerate(ast.walk(tree)):
-        call = isinstance(node, ast.Expr) and not isinstance(node.value, ast.Constant | ast.Yield | ast.YieldFrom)
+        call = isinstance(node, ast.Expr) and not isinstance(
+            node.value, ast.Constant | ast.Yield | ast.YieldFrom
+        )
         result = isinstance(node, ast.Return) and node.value is not None
         if call or result or isinstance(node, ast.Assign | ast.AugAssign | ast.Raise):
             yield "delete", number
         elif isinstance(node, ast.Compare) and type(node.ops[0]) in FLIPPED:
             yield "flip", number
-        elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool) and id(node) not in without_effect:
+        elif (
+            isinstance(node, ast.Constant)
+            and type(node.value) in (int, float, bool)
+            and id(node) not in without_effect
+        ):
             yield "shift", number
-        elif isinstance(node, ast.Call) and len(node.args) >= 2 and not any(isinstance(a, ast.Starred) for a in node.args[:2]):
+        elif (
+            isinstance(node, ast.Call)
+            and len(node.args) >= 2
+            and not any(isinstance(a, ast.Starred) for a in node.args[:2])
+        ):
             if getattr(node.func, "id", "") not in ("min", "max"):
                 yield "swap", number
 
@@ -88,26 +106,41 @@ def mutate(text: str, kind: str, number: int) -> tuple[str, str]:
     elif kind == "flip":
         node.ops[0] = FLIPPED[type(node.ops[0])]()
     elif kind == "shift":
-        node.value = not node.value if isinstance(node.value, bool) else node.value + 1 if node.value < 1 else node.value * 2
+        node.value = (
+            not node.value
+            if isinstance(node.value, bool)
+            else node.value + 1
+            if node.value < 1
+            else node.value * 2
+        )
     else:
         node.args[0], node.args[1] = node.args[1], node.args[0]
     now = "" if kind == "delete" else ast.unparse(node).split("\n")[0][:90]
     now += f" in {text.splitlines()[node.lineno - 1].strip()}" if kind == "shift" else ""
-    return ast.unparse(ast.fix_missing_locations(tree)), f"line {node.lineno}: {kind} {was}" + (f" → {now}" if now else "")
+    return ast.unparse(ast.fix_missing_locations(tree)), f"line {node.lineno}: {kind} {was}" + (
+        f" → {now}" if now else ""
+    )
 
 
 class Watch:
-    """Pytest plugin of a child process: runs the tests in the order of `rank` and tells which one begins.
+    """Pytest plugin of a child process: runs the tests in the order of `rank` and tells which one
+    begins.
 
     Args:
-        tell: called as `tell(test, called)` at the beginning of each test; `called` has the functions of the bridge that
-            have been called since, as (file, first line, last line), if `trace` is set.
+        tell: called as `tell(test, called)` at the beginning of each test; `called` has the
+            functions of the bridge that have been called since, as (file, first line, last line),
+            if `trace` is set.
         rank: sort key of a test's name.
         patience: longest time of a test by its name [s]; if it takes longer, the process ends.
     """
 
-    def __init__(self, tell: Callable, rank: Callable, patience: Callable[[str], float], trace: bool) -> None:
-        self._tell, self._rank, self._patience, self._trace = tell, rank, patience, trace
+    def __init__(
+        self, tell: Callable, rank: Callable, patience: Callable[[str], float], trace: bool
+    ) -> None:
+        self._tell = tell
+        self._rank = rank
+        self._patience = patience
+        self._trace = trace
         self._called: set[CodeType] = set()
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
@@ -123,7 +156,12 @@ class Watch:
         """Tell that a test begins, or by an empty name that all have passed."""
         sys.settrace(None)
         ours = [code for code in self._called if str(BRIDGE) in code.co_filename]
-        self._tell((test, [(Path(code.co_filename), code.co_firstlineno, max(_lines(code))) for code in ours]))
+        self._tell(
+            (
+                test,
+                [(Path(code.co_filename), code.co_firstlineno, max(_lines(code))) for code in ours],
+            )
+        )
         self._called.clear()
 
 
@@ -132,63 +170,88 @@ def _lines(code: CodeType) -> list[int]:
 
 
 class Judge:
-    """Runs the tests on a copy of the project, each time in a fork of this process, which has imported all but the bridge."""
+    """Runs the tests on a copy of the project, each time in a fork of this process, which has
+    imported all but the bridge.
+    """
 
     def __init__(self, folder: Path, files: list[str]) -> None:
         self.folder = folder
         self._seconds: dict[str, float] = {}
         self._called: dict[str, list[tuple[Path, int, int]]] = {}
         for part in ("hpac_gym", "agents", "tools", "tests", "docs"):
-            shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images"))
+            shutil.copytree(
+                ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__", "images")
+            )
         (folder / "assets").symlink_to(ROOT / "assets")
-        shutil.copytree(ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build"))
+        shutil.copytree(
+            ROOT / "firmware", folder / "firmware", ignore=shutil.ignore_patterns("build")
+        )
         shutil.copy(ROOT / "pyproject.toml", folder)
-        os.environ |= {"PYTHONPATH": str(folder), "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build")}
+        os.environ |= {
+            "PYTHONPATH": str(folder),
+            "HPAC_FIRMWARE_BUILD": str(ROOT / "firmware" / "build"),
+        }
         os.chdir(folder)
         sys.path[0] = str(folder)
         for name in ("hypothesis", "serial", "hpac_gym.model"):
             import_module(name)
         if found := self._failure(*files):
             sys.exit(f"{found} fails without any fault")
-        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # what is compiled of one text must not stand for the next
+        os.environ["PYTHONDONTWRITEBYTECODE"] = (
+            "1"  # what is compiled of one text must not stand for the next
+        )
         sys.dont_write_bytecode = True
 
     def _failure(self, *words: str) -> str:
         """The test that fails, hangs or crashes; empty if none does. The quicker run first."""
         known = dict(self._seconds)
         ours, theirs = Pipe(duplex=False)
-        watch = Watch(theirs.send, lambda test: known.get(test, 0), lambda test: 60 + 10 * known.get(test, 60), trace=not known)
+        watch = Watch(
+            theirs.send,
+            lambda test: known.get(test, 0),
+            lambda test: 60 + 10 * known.get(test, 60),
+            trace=not known,
+        )
         child = get_context("fork").Process(target=_run_tests, args=(watch, words))
         child.start()
         theirs.close()
-        test, begins = "collection", time.monotonic()
+        test = "collection"
+        begins = time.monotonic()
         with suppress(EOFError):
             while test:
                 after, called = ours.recv()
                 if not known and "::" in test:
-                    self._seconds[test], self._called[test] = time.monotonic() - begins, called
-                test, begins = after, time.monotonic()
+                    self._seconds[test] = time.monotonic() - begins
+                    self._called[test] = called
+                test = after
+                begins = time.monotonic()
         child.join()
         return test
 
     def notices(self, module: Path, line: int, was: str, becomes: str) -> str:
-        """Which test notices that a module `becomes` something else than it `was`, at a line; empty if none does.
+        """Which test notices that a module `becomes` something else than it `was`, at a line; empty
+        if none does.
 
-        Only the tests that call the function of that line run, and those whose calls are not known: in processes, or traced. All
-        of them run if the line is outside of functions.
-        A test that waits for real time counts if it fails twice with the fault and passes without it: on a busy machine one may
-        fail by itself.
-        """
+        Only the tests that call the function of that line run, and those whose calls are not known:
+        in processes, or traced. All of them run if the line is outside of functions. A test that
+        waits for real time counts if it fails twice with the fault and passes without it: on a busy
+        machine one may fail by itself."""
         calls = {
             test: any(path == module and first <= line <= last for path, first, last in called)
             for test, called in self._called.items()
         }
-        near = {test for test, hit in calls.items() if hit or not any(calls.values()) or not self._called[test]}
+        near = {
+            test
+            for test, hit in calls.items()
+            if hit or not any(calls.values()) or not self._called[test]
+        }
         try:
             while True:
                 module.write_text(becomes)
                 test = self._failure(*sorted(near)) if near else ""
-                if "::" not in test or self._seconds[test] < _QUICK:  # the first: none, or they could not even be collected
+                if (
+                    "::" not in test or self._seconds[test] < _QUICK
+                ):  # the first: none, or they could not even be collected
                     return test
                 again = self._failure(test)
                 module.write_text(was)
@@ -202,7 +265,9 @@ class Judge:
 def _run_tests(watch: Watch, words: tuple[str, ...]) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     os.dup2(1, 2)
-    resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))  # a loop without end must not take all of the memory
+    resource.setrlimit(
+        resource.RLIMIT_AS, (4 << 30, 4 << 30)
+    )  # a loop without end must not take all of the memory
     faulthandler.dump_traceback_later(60, exit=True)
     options = ["-x", *(f"-pno:{name}" for name in ("cacheprovider", "faulthandler", "xdist"))]
     if pytest.main([*options, *words], plugins=[watch]) == 0:
@@ -213,18 +278,28 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=200, help="mutants (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
-    parser.add_argument("--minutes", type=float, default=1e9, help="stop after so long, with what has been tried until then")
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=1e9,
+        help="stop after so long, with what has been tried until then",
+    )
     parser.add_argument("--part", choices=TESTS, default="conversation", help="which modules")
     parser.add_argument("--record", type=Path, help="file of what was noticed before; grows")
     options = parser.parse_args()
-    before = options.record.read_text().split() if options.record and options.record.exists() else []
+    before = (
+        options.record.read_text().split() if options.record and options.record.exists() else []
+    )
     paths = [path for path in sorted((ROOT / BRIDGE).rglob("*.py")) if path.name not in LEFT_OUT]
     paths = [path for path in paths if ("evidence" in path.parts) == (options.part == "evidence")]
     texts = {path: path.read_text() for path in paths}
     everything = [(path, *site) for path, text in texts.items() for site in sites(ast.parse(text))]
     drawn = random.Random(options.seed).sample(everything, min(options.count, len(everything)))
     files = [f"tests/bridge/test_{name}.py" for name in TESTS[options.part].split()]
-    killed, equivalent, survivors, start = 0, 0, [], time.monotonic()
+    killed = 0
+    equivalent = 0
+    survivors = []
+    start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="hpac_mutants_") as name:
         judge = Judge(Path(name), files)
         for path, kind, number in drawn:
@@ -239,7 +314,9 @@ def main() -> int:
             how = "before" if key in before else ""
             if not how:
                 line = int(re.search(r"line (\d+)", what)[1])
-                how = judge.notices(judge.folder / path.relative_to(ROOT), line, texts[path], mutated)
+                how = judge.notices(
+                    judge.folder / path.relative_to(ROOT), line, texts[path], mutated
+                )
                 print(f"{'killed  ' if how else 'SURVIVED'} {where}  [{how}]", flush=True)
                 if how and options.record:
                     with options.record.open("a") as record:

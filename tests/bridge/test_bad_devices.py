@@ -1,4 +1,6 @@
-"""What hangs on the other end may be slow, loud, half dead or just starting: no call waits for ever."""
+"""What hangs on the other end may be slow, loud, half dead or just starting: no call waits for
+ever.
+"""
 
 import contextlib
 import socket
@@ -22,7 +24,8 @@ class RateLimitedTransport(VirtualTransport):
 
     def __init__(self, hand, baud=CONSTANTS["baud"]):
         super().__init__(hand)
-        self._baud, self._heard = baud, b""
+        self._baud = baud
+        self._heard = b""
 
     def _pass(self, count):
         until_us = self._hand.now_us + count * BITS_PER_BYTE * 1e6 / self._baud
@@ -45,8 +48,14 @@ def test_unacknowledged_moves_fill_the_line_to_within_a_tenth():
     with HandLink(lambda: RateLimitedTransport(hand)) as link:
         link.arm()
         command = ServoCommand(np.full(6, 0.05), 0.1)
-        count, length = 2000, len(encode(Frame("move", 1, 0, {"session": 1 << 24, "duration_ms": 100, "servo": (500,) * 6})))
-        before, start = link.status().counters["accepted"], hand.now_us
+        count = 2000
+        length = len(
+            encode(
+                Frame("move", 1, 0, {"session": 1 << 24, "duration_ms": 100, "servo": (500,) * 6})
+            )
+        )
+        before = link.status().counters["accepted"]
+        start = hand.now_us
         for _ in range(count):
             link.move(command, acknowledge=False, pace=False)
         seconds = (hand.now_us - start) * 1e-6
@@ -85,7 +94,9 @@ def flooded(junk):
     assert not thread.is_alive()
 
 
-@pytest.mark.parametrize("junk", [b"x" * 4096, b"\0" * 4096, b"\5abc\0" * 800], ids=["text", "zeros", "broken frames"])
+@pytest.mark.parametrize(
+    "junk", [b"x" * 4096, b"\0" * 4096, b"\5abc\0" * 800], ids=["text", "zeros", "broken frames"]
+)
 def test_a_flood_of_junk_ends_in_a_handshake_error(junk):
     with flooded(junk) as port:
         start = time.monotonic()
@@ -108,7 +119,8 @@ class DribblingTransport(VirtualTransport):
 
     def read(self, timeout):
         self._heard += super().read(5e-4 if self._heard else timeout)
-        said, self._heard = self._heard[:1], self._heard[1:]
+        said = self._heard[:1]
+        self._heard = self._heard[1:]
         return said
 
 
@@ -121,7 +133,9 @@ def test_a_device_that_dribbles_single_bytes_still_works(virtual_hand):
 
 
 def test_half_a_frame_before_the_cable_is_pulled_does_no_harm(virtual_hand, armed):
-    virtual_hand.receive(encode(Frame("move", 50, 0, {"session": 1, "duration_ms": 500, "servo": (5000,) * 6}))[:13])
+    virtual_hand.receive(
+        encode(Frame("move", 50, 0, {"session": 1, "duration_ms": 500, "servo": (5000,) * 6}))[:13]
+    )
     armed.reconnect()
     armed.arm()
     armed.move(ServoCommand(np.full(6, 0.2), 0.4))

@@ -70,7 +70,9 @@ def test_wiggle_takes_its_time(angle, move, monkeypatch):
         link.clear()
     begun = hand.now_us
     assert run("wiggle", "--port", "virtual", "--servo", "index_mcp", "--angle", angle) == 0
-    assert (hand.now_us - begun) * 1e-6 == pytest.approx(0.4 + 2 * (move + 0.2), abs=0.15)  # after the start from rest
+    assert (hand.now_us - begun) * 1e-6 == pytest.approx(
+        0.4 + 2 * (move + 0.2), abs=0.15
+    )  # after the start from rest
 
 
 def test_wiggle_refuses_an_angle_past_the_limits():
@@ -118,7 +120,9 @@ def test_doctor_does_not_touch_an_armed_hand(virtual_hand, armed):
     assert armed.heartbeat() == "armed"
     received = armed.statistics.received
     armed.sleep(0.2)
-    assert armed.statistics.received - received >= 10, "the other program's periodic STATUS has ended"
+    assert armed.statistics.received - received >= 10, (
+        "the other program's periodic STATUS has ended"
+    )
 
 
 def test_doctor_names_the_hand_that_a_firmware_was_built_for(slower_hand, tmp_path):
@@ -134,7 +138,11 @@ def test_doctor_names_the_hand_that_a_firmware_was_built_for(slower_hand, tmp_pa
     [
         (lambda data: b"", "silence", "powered"),
         (lambda data: data, "echo", "jumper"),
-        (lambda data: b"Grbl 1.1\r\n" * 200, "text instead of frames (4096 bytes, such as 'Grbl 1.1')", "another firmware"),
+        (
+            lambda data: b"Grbl 1.1\r\n" * 200,
+            "text instead of frames (4096 bytes, such as 'Grbl 1.1')",
+            "another firmware",
+        ),
         (lambda data: bytes(range(1, 255, 7)), "neither frames nor text", "baud"),
         (of_another_version, "protocol 9", "flash"),
         (refusing, "HELLO with an ACK (length)", "flash"),
@@ -168,7 +176,8 @@ def test_doctor_sees_a_port_in_use_and_does_not_disturb_it(host_board):
         assert link.heartbeat() == "armed"
 
 
-# --- clear, estop, --hand -------------------------------------------------------------------------------------------
+# --- clear, estop, --hand
+# -------------------------------------------------------------------------------------------
 
 
 def test_estop_stops_a_hand_that_another_program_has_armed(host_board, capsys):
@@ -199,8 +208,12 @@ def test_clear_leaves_a_fault_that_holds(host_board, capsys):
 
 
 def test_an_estop_that_nobody_confirms_says_what_to_do(monkeypatch):
-    monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand.connect", lambda self: Device(self, lambda data: b""))
-    with pytest.raises(LinkTimeout, match=r"switch the servo supply off: no answer to estop: 20 times, 0\.1 s each"):
+    monkeypatch.setattr(
+        "hpac_gym.bridge.commands.VirtualHand.connect", lambda self: Device(self, lambda data: b"")
+    )
+    with pytest.raises(
+        LinkTimeout, match=r"switch the servo supply off: no answer to estop: 20 times, 0\.1 s each"
+    ):
         run("estop", "--port", "virtual")
     with pytest.raises(PortError, match="switch the servo supply off: /dev/does_not_exist"):
         run("estop", "--port", "/dev/does_not_exist")

@@ -1,4 +1,6 @@
-"""The conformance suite: the firmware passes it, and every rule and every check of it is failed by a wrong device."""
+"""The conformance suite: the firmware passes it, and every rule and every check of it is failed by
+a wrong device.
+"""
 
 import json
 import sys
@@ -30,7 +32,9 @@ class LosesStep(judged_hand.JudgedHand):
 
 
 def rewriting(name, heard=lambda body: body, said=lambda body: body):
-    """A hand that changes the frames that it hears or says: header and payload of each, without its CRC."""
+    """A hand that changes the frames that it hears or says: header and payload of each, without its
+    CRC.
+    """
 
     class Hand(judged_hand.JudgedHand):
         def heard(self, data):
@@ -53,7 +57,10 @@ def put(body, when, at, value):
 SILENCE = {"silence: detach", "silence: relax", "silence: hold, then relax"}
 REPEATS = {"a MOVE comes once; old numbers are refused", "a MOVE from before CLEAR is refused"}
 WRONG = {
-    judged_hand.DeafToEstop: {"ESTOP is accepted from any sender, with any contents", "a fault is latched until CLEAR"},
+    judged_hand.DeafToEstop: {
+        "ESTOP is accepted from any sender, with any contents",
+        "a fault is latched until CLEAR",
+    },
     judged_hand.NoWatchdog: SILENCE | {"counters", "messages that feed the watchdog, and others"},
     judged_hand.Renumbering: REPEATS,
     judged_hand.Forgiving: {
@@ -62,30 +69,37 @@ WRONG = {
         "order of the checks of a frame",
     },
     LosesStep: {"junk does not affect later frames", "a lost byte costs at most one frame"},
-    rewriting("Chatty", heard=lambda body: put(body, body[1] in (oracle.MOVE, oracle.HEARTBEAT), -1, body[4] & ~2)): {
-        "no ACK where none is wanted, refusals always"
+    rewriting(
+        "Chatty",
+        heard=lambda body: put(body, body[1] in (oracle.MOVE, oracle.HEARTBEAT), -1, body[4] & ~2),
+    ): {"no ACK where none is wanted, refusals always"},
+    rewriting(
+        "ChattyInMoves", heard=lambda body: put(body, body[1] == oracle.MOVE, -1, body[4] & ~2)
+    ): {"no ACK where none is wanted, refusals always"},
+    rewriting(
+        "GoesOnTelling",
+        heard=lambda body: put(body, body[1] == oracle.STATUS and not any(body[5:]), 0, 50),
+    ): {"periodic STATUS"},
+    rewriting(
+        "TakenOverByALook", heard=lambda body: put(body, body[1] == 1 and not any(body[5:9]), 0, 1)
+    ): {"HELLO 0 is answered and changes nothing"},
+    rewriting(
+        "Faithful",
+        heard=lambda body: body[:5] + bytes(4) if body[1] == 1 and body[5:] != OURS else body,
+    ): {"HELLO of another controller disarms and takes over"},
+    rewriting(
+        "HearsItself", heard=lambda body: body[:1] + b"\4" + body[2:] if body[1] >= 0x80 else body
+    ): {"messages of the hand's own types are ignored"},
+    rewriting(
+        "StartsFive", said=lambda body: put(body, body[1] == 0x83, 6, body[11 % len(body)] & 0x1F)
+    ): {"servos start one after the other; MOVE waits for them"},
+    rewriting("NeverAtRest", said=lambda body: put(body, body[1] == 0x83, 7, 1)): {
+        "MOVE arrives; minimum jerk"
     },
-    rewriting("ChattyInMoves", heard=lambda body: put(body, body[1] == oracle.MOVE, -1, body[4] & ~2)): {
-        "no ACK where none is wanted, refusals always"
-    },
-    rewriting("GoesOnTelling", heard=lambda body: put(body, body[1] == oracle.STATUS and not any(body[5:]), 0, 50)): {
-        "periodic STATUS"
-    },
-    rewriting("TakenOverByALook", heard=lambda body: put(body, body[1] == 1 and not any(body[5:9]), 0, 1)): {
-        "HELLO 0 is answered and changes nothing"
-    },
-    rewriting("Faithful", heard=lambda body: body[:5] + bytes(4) if body[1] == 1 and body[5:] != OURS else body): {
-        "HELLO of another controller disarms and takes over"
-    },
-    rewriting("HearsItself", heard=lambda body: body[:1] + b"\4" + body[2:] if body[1] >= 0x80 else body): {
-        "messages of the hand's own types are ignored"
-    },
-    rewriting("StartsFive", said=lambda body: put(body, body[1] == 0x83, 6, body[11 % len(body)] & 0x1F)): {
-        "servos start one after the other; MOVE waits for them"
-    },
-    rewriting("NeverAtRest", said=lambda body: put(body, body[1] == 0x83, 7, 1)): {"MOVE arrives; minimum jerk"},
-    rewriting("Detaches", heard=lambda body: put(body, body[1] == 2, 10, 2)): SILENCE - {"silence: detach"},
-    rewriting("Holds", heard=lambda body: put(body, body[1] == 2, 10, 0)): SILENCE - {"silence: hold, then relax"},
+    rewriting("Detaches", heard=lambda body: put(body, body[1] == 2, 10, 2)): SILENCE
+    - {"silence: detach"},
+    rewriting("Holds", heard=lambda body: put(body, body[1] == 2, 10, 0)): SILENCE
+    - {"silence: hold, then relax"},
     rewriting("GoesOn", heard=lambda body: body[:1] + b"\4" + body[2:] if body[1] == 6 else body): {
         "CLEAR stops motion and pulses"
     },
@@ -108,12 +122,18 @@ PERIOD_US = 5000
 """Of the wrong hands' ticks; fewer of them take less time to judge."""
 
 
-@pytest.mark.parametrize("kind", [judged_hand.DeafToEstop, judged_hand.NoWatchdog], ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize(
+    "kind", [judged_hand.DeafToEstop, judged_hand.NoWatchdog], ids=lambda kind: kind.__name__
+)
 def test_a_wrong_device_keeps_the_other_rules(kind):
-    assert {row.rule for row in conform(kind(PERIOD_US).connect(), patience=0.1) if not row.holds} == WRONG[kind]
+    assert {
+        row.rule for row in conform(kind(PERIOD_US).connect(), patience=0.1) if not row.holds
+    } == WRONG[kind]
 
 
-@pytest.mark.parametrize("wrong", [{"state": State.armed}, {"fault": Fault.estop}, {"powered": True}], ids=str)
+@pytest.mark.parametrize(
+    "wrong", [{"state": State.armed}, {"fault": Fault.estop}, {"powered": True}], ids=str
+)
 def test_a_device_in_another_state_breaks_the_rule(wrong):
     device = Device(VirtualHand().connect(), HPAC, patience=0.1)
     device.idle()
@@ -125,7 +145,9 @@ def test_a_device_in_another_state_breaks_the_rule(wrong):
         device.must_have_told(Fault.estop)
 
 
-def test_conform_finds_renumbered_moves_leaves_the_hand_without_pulses_and_tells_its_status(capsys, monkeypatch):
+def test_conform_finds_renumbered_moves_leaves_the_hand_without_pulses_and_tells_its_status(
+    capsys, monkeypatch
+):
     hand = judged_hand.Renumbering(PERIOD_US)
     monkeypatch.setattr("hpac_gym.bridge.commands.VirtualHand", lambda config: hand)
     assert run("conform", "--port", "virtual", "--json") == 1
@@ -134,7 +156,8 @@ def test_conform_finds_renumbered_moves_leaves_the_hand_without_pulses_and_tells
     assert not hand.pulses().any()
 
 
-# --- every check ----------------------------------------------------------------------------------------------------
+# --- every check
+# ----------------------------------------------------------------------------------------------------
 
 
 class Liar(VirtualHand):
@@ -152,13 +175,15 @@ class Liar(VirtualHand):
 
 
 class Watched(Device):
-    """The device under test, which notes the line of each check and the type of the message before it.
+    """The device under test, which notes the line of each check and the type of the message before
+    it.
 
-    The hand behind it lies from check number `begin` of the rule on, counted from 0, until check number `end` is done.
-    """
+    The hand behind it lies from check number `begin` of the rule on, counted from 0, until check
+    number `end` is done."""
 
     def __init__(self, lie: Callable[[bytes], bytes] = bytes, begin: int = 0, end: int = 0) -> None:
-        self._hand, self._span = Liar(lie), range(begin, end)
+        self._hand = Liar(lie)
+        self._span = range(begin, end)
         super().__init__(self._hand.connect(), HPAC, patience=0.05)
         self.checks: list[tuple[str, int]] = []
         self.kinds: list[int] = []
@@ -167,7 +192,9 @@ class Watched(Device):
     def run(self, rule: str) -> bool:
         """Whether the hand keeps a rule."""
         self.hash = self.hello(0).limits_hash
-        self.tried, self.checks, self.kinds = 0, [], []
+        self.tried = 0
+        self.checks = []
+        self.kinds = []
         self._hand.lying = 0 in self._span
         try:
             RULES[rule](self)
@@ -215,12 +242,20 @@ def test_a_mute_device_breaks_every_rule():
 
 
 READ = (4, 5, 6, 7, 8, 9, 10, 30, 32, 36, 38, 42, 48)
-"""Bytes of STATUS's payload that the suite reads, the lowest of each field, and the first servo's two."""
+"""Bytes of STATUS's payload that the suite reads, the lowest of each field, and the first servo's
+two.
+"""
 LIES = {
     0: [silent, turned(oracle.FAULT, 5, 1)],
-    oracle.DEVICE_HELLO: [turned(oracle.DEVICE_HELLO, *where) for where in ((0, 1), (1, 3), (5, 1), (12, 1), (34, 1))],
+    oracle.DEVICE_HELLO: [
+        turned(oracle.DEVICE_HELLO, *where) for where in ((0, 1), (1, 3), (5, 1), (12, 1), (34, 1))
+    ],
     oracle.ACK: [turned(oracle.ACK, at, 1) for at in (1, 6, 7)],
-    oracle.DEVICE_STATUS: [turned(oracle.DEVICE_STATUS, at, bits) for at in (1, *(5 + at for at in READ)) for bits in (1, 2, 7)],
+    oracle.DEVICE_STATUS: [
+        turned(oracle.DEVICE_STATUS, at, bits)
+        for at in (1, *(5 + at for at in READ))
+        for bits in (1, 2, 7)
+    ],
 }
 """Lies after a message of a type: a wrong version, type or field; 0: after any message."""
 
@@ -252,8 +287,14 @@ def test_every_check_is_failed_by_a_wrong_device(rule):
         device.transport = kind(PERIOD_US).connect()
         assert not device.run(rule)
         found.add(device.checks[-1])
-    helpers = suite.__file__ if rule != "MOVE arrives; minimum jerk" else ""  # that one needs all of `Device`'s
-    checks = [check for check in dict.fromkeys(honest(rule).checks) if check not in found and check[0].startswith(helpers)]
+    helpers = (
+        suite.__file__ if rule != "MOVE arrives; minimum jerk" else ""
+    )  # that one needs all of `Device`'s
+    checks = [
+        check
+        for check in dict.fromkeys(honest(rule).checks)
+        if check not in found and check[0].startswith(helpers)
+    ]
     assert not [check for check in checks if not failed(rule, check)]
 
 

@@ -1,4 +1,6 @@
-"""The evidence itself: it holds for the hand that ships, and goes red for hands that break one promise each."""
+"""The evidence itself: it holds for the hand that ships, and goes red for hands that break one
+promise each.
+"""
 
 import json
 import os
@@ -15,12 +17,13 @@ from tests.bridge.test_commands import run
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
-# --- the safety case ------------------------------------------------------------------------------------------------
+# --- the safety case
+# ------------------------------------------------------------------------------------------------
 
 
 def check(claims):
-    """No claim allows a single violation, only times. On the wall clock a busy machine may be later than the limit; there it
-    counts that the control is later still."""
+    """No claim allows a single violation, only times. On the wall clock a busy machine may be later
+    than the limit; there it counts that the control is later still."""
     for claim in claims:
         assert claim.limit == 0 or claim.unit in ("s", "ms"), claim
         limit = claim.control if "wall clock" in claim.claim else claim.limit
@@ -37,7 +40,8 @@ def test_every_claim_about_a_hand_holds_beside_a_control_that_does_not(row):
 
 
 def test_every_other_claim_holds_beside_a_control_that_does_not():
-    driver, wall_clock = list(safety._driver(frames=20_000, seed=1)), list(safety._wall_clock(trials=2))
+    driver = list(safety._driver(frames=20_000, seed=1))
+    wall_clock = list(safety._wall_clock(trials=2))
     assert (len(driver), len(wall_clock)) == (3, 2)
     check(driver + wall_clock)
 
@@ -63,7 +67,9 @@ def test_a_claim_that_was_not_tried_does_not_hold(capsys, monkeypatch):
 
 
 def test_a_broken_claim_is_told_and_ends_in_status_1(capsys, monkeypatch):
-    monkeypatch.setattr(safety, "measure", lambda *_: iter([safety.Claim("it is safe", 21.0, 20.0, "ms", 1, 30.0)]))
+    monkeypatch.setattr(
+        safety, "measure", lambda *_: iter([safety.Claim("it is safe", 21.0, 20.0, "ms", 1, 30.0)])
+    )
     assert run("safety") == 1
     assert "BROKEN" in capsys.readouterr().out
     assert run("safety", "--json") == 1
@@ -99,22 +105,34 @@ def test_a_firmware_that_breaks_a_promise_breaks_its_claim(tmp_path, file, was, 
         "    print(figure <= limit, name)"
     )
     environment = os.environ | {BUILD_VARIABLE: str(copy / "build")}
-    answer = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-    assert [line for line in answer.stdout.splitlines() if line.startswith("False") and claim in line], answer.stdout
+    answer = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    assert [
+        line for line in answer.stdout.splitlines() if line.startswith("False") and claim in line
+    ], answer.stdout
 
 
-# --- random sessions ------------------------------------------------------------------------------------------------
+# --- random sessions
+# ------------------------------------------------------------------------------------------------
 
 
 def check_sessions(result: sessions.Sessions) -> None:
     assert result.powered == result.untold == result.swallowed == 0, result
-    assert all(result.longest_cut_off[action] <= bound for action, bound in sessions.BOUND.items()), result
+    assert all(
+        result.longest_cut_off[action] <= bound for action, bound in sessions.BOUND.items()
+    ), result
     assert result.with_pulses > 0.6 * result.sessions, result
-    assert min(result.interrupted, result.cut_off.total(), result.lossy, result.unconfirmed) > 0.03 * result.sessions, result
+    assert (
+        min(result.interrupted, result.cut_off.total(), result.lossy, result.unconfirmed)
+        > 0.03 * result.sessions
+    ), result
     assert result.interrupted_twice > 0.01 * result.sessions, result
 
 
-def test_no_random_session_leaves_the_hand_powered_and_those_without_last_words_are_found_out(monkeypatch):
+def test_no_random_session_leaves_the_hand_powered_and_those_without_last_words_are_found_out(
+    monkeypatch,
+):
     ran = []
 
     def run_sessions(count, seed, **how):

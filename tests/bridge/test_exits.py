@@ -1,4 +1,6 @@
-"""However a program ends, the hand ends without pulses, or the program says that this is not confirmed."""
+"""However a program ends, the hand ends without pulses, or the program says that this is not
+confirmed.
+"""
 
 # ruff: noqa: PT012, PT031 - what a session raises comes out of all of it, its end included
 
@@ -49,7 +51,8 @@ def signals_as_in_a_terminal():
     signal.signal(signal.SIGINT, before)
 
 
-# --- signals --------------------------------------------------------------------------------------------------------
+# --- signals
+# --------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -59,10 +62,12 @@ def short_arming(monkeypatch):
 
 
 def session_with_ctrl_c(at_line, again_after=None):
-    """Play a session that gets SIGINT when so many lines of the bridge have run, and again so many seconds later.
+    """Play a session that gets SIGINT when so many lines of the bridge have run, and again so many
+    seconds later.
 
     Returns:
-        The hand, the lines that ran until tracing ended, what came out, and whether the second signal came.
+        The hand, the lines that ran until tracing ended, what came out, and whether the second
+        signal came.
     """
     hand = VirtualHand()
     lines = 0
@@ -86,7 +91,8 @@ def session_with_ctrl_c(at_line, again_after=None):
         if not over:  # an alarm that waited until then would end the tests themselves
             signal.raise_signal(signal.SIGINT)
 
-    came_out, over = None, False
+    came_out = None
+    over = False
     before = signal.signal(signal.SIGALRM, again)
     try:
         sys.settrace(trace)
@@ -99,7 +105,8 @@ def session_with_ctrl_c(at_line, again_after=None):
             over = True
             signal.setitimer(signal.ITIMER_REAL, 0)
     except BaseException as error:
-        over, came_out = True, error
+        over = True
+        came_out = error
     finally:
         signal.signal(signal.SIGALRM, before)
     return hand, lines, came_out, came_again
@@ -124,7 +131,9 @@ def check_ctrl_c(lines):
 
 
 def test_ctrl_c_at_any_line_and_again_leaves_no_pulses(short_arming):
-    _, last = (session_with_ctrl_c(0)[1] for _ in range(2))  # the first session runs lines whose results are kept
+    _, last = (
+        session_with_ctrl_c(0)[1] for _ in range(2)
+    )  # the first session runs lines whose results are kept
     anywhere = np.random.default_rng(1).choice(np.arange(1, last - 400), 60, replace=False).tolist()
     check_ctrl_c(anywhere + list(range(last - 400, last, 4)))
 
@@ -182,7 +191,8 @@ def test_a_program_keeps_its_own_signal_handlers(virtual_hand):
         signal.signal(signal.SIGTERM, before)
 
 
-# --- processes ------------------------------------------------------------------------------------------------------
+# --- processes
+# ------------------------------------------------------------------------------------------------------
 
 PROGRAM = """
 import os, signal, sys, time, warnings
@@ -203,8 +213,12 @@ with link:
 
 
 def run_against(board, body, *signals, whole=None):
-    """A program of its own that arms the hand and goes on with `body`; gets the signals once it is armed."""
-    program = PROGRAM + textwrap.dedent(whole or SESSION.format(body=textwrap.indent(body, "    ").strip()))
+    """A program of its own that arms the hand and goes on with `body`; gets the signals once it is
+    armed.
+    """
+    program = PROGRAM + textwrap.dedent(
+        whole or SESSION.format(body=textwrap.indent(body, "    ").strip())
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", program, board.port],
         stdout=subprocess.PIPE,
@@ -213,7 +227,9 @@ def run_against(board, body, *signals, whole=None):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     assert process.stdout.readline().strip() == "armed"
-    process.send_signal(signal.SIGSTOP)  # so that all the signals find it in the session, however busy the machine is
+    process.send_signal(
+        signal.SIGSTOP
+    )  # so that all the signals find it in the session, however busy the machine is
     os.waitid(os.P_PID, process.pid, os.WSTOPPED)
     for number in signals:
         process.send_signal(number)
@@ -244,7 +260,9 @@ def test_a_killed_program_leaves_the_hand_safe_within_the_watchdog_time(host_boa
     move = "link.move(ServoCommand([0.5] * 6, 10.0))"
     whole = f"link.connect(); link.arm(Action.detach); {move}; print('armed', flush=True); link.sleep(60)"
     assert run_against(host_board, "", signal.SIGKILL, whole=whole)[0] == -signal.SIGKILL
-    wait_for(lambda: not host_board.pulses().any(), 20)  # the hand's watchdog of 0.4 s, and a busy machine
+    wait_for(
+        lambda: not host_board.pulses().any(), 20
+    )  # the hand's watchdog of 0.4 s, and a busy machine
     with HandLink(host_board.connect) as link:
         with pytest.raises(FaultError, match="watchdog"):
             link.arm()
@@ -288,7 +306,9 @@ assert len(link.status().attached) == 6
     assert not host_board.pulses().any()
 
 
-@pytest.mark.parametrize("call", [HandLink.estop, HandLink.heartbeat, HandLink.clear, HandLink.status])
+@pytest.mark.parametrize(
+    "call", [HandLink.estop, HandLink.heartbeat, HandLink.clear, HandLink.status]
+)
 def test_no_call_of_another_process_reaches_the_hand(virtual_hand, armed, call):
     armed._connection._owner += 1
     sent = armed.statistics.sent
@@ -298,7 +318,8 @@ def test_no_call_of_another_process_reaches_the_hand(virtual_hand, armed, call):
     armed._connection._owner -= 1
 
 
-# --- answers and links that are lost --------------------------------------------------------------------------------
+# --- answers and links that are lost
+# --------------------------------------------------------------------------------
 
 
 class Failing(VirtualTransport):
@@ -381,7 +402,8 @@ def test_a_latched_fault_without_pulses_is_left_for_the_next_session(virtual_han
     assert HandLink(virtual_hand.connect).connect().state == "fault"
 
 
-# --- logs -----------------------------------------------------------------------------------------------------------
+# --- logs
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_closed_log_does_not_stand_between_the_program_and_the_hand(virtual_hand, tmp_path):
@@ -405,7 +427,11 @@ def test_a_log_that_is_not_on_the_disk_is_an_error_of_its_own_block(virtual_hand
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_a_full_disk_neither_stops_an_estop_nor_hides_the_users_exception(virtual_hand):
     with pytest.warns(LogWarning, match="space"):
-        with pytest.raises(ZeroDivisionError), WireLog("/dev/full") as log, HandLink(virtual_hand.connect, log=log) as link:
+        with (
+            pytest.raises(ZeroDivisionError),
+            WireLog("/dev/full") as log,
+            HandLink(virtual_hand.connect, log=log) as link,
+        ):
             link.arm(Action.hold)
             for _ in range(300):
                 link.estop()
@@ -427,7 +453,8 @@ def test_a_log_that_fails_is_told_once_even_where_warnings_are_errors(virtual_ha
     assert not capsys.readouterr().err
 
 
-# --- e-stop from elsewhere ------------------------------------------------------------------------------------------
+# --- e-stop from elsewhere
+# ------------------------------------------------------------------------------------------
 
 
 def test_estop_from_a_signal_handler_ends_the_interrupted_call(host_board):
@@ -447,7 +474,9 @@ def test_estop_from_a_signal_handler_ends_the_interrupted_call(host_board):
                     told += "stopped by estop()" in str(error)
                 assert link.state == "fault"
                 assert not host_board.pulses().any()
-            assert told >= 2, "an e-stop between two calls interrupts none of them, but most come during one"
+            assert told >= 2, (
+                "an e-stop between two calls interrupts none of them, but most come during one"
+            )
         finally:
             signal.signal(signal.SIGALRM, before)
 
@@ -457,7 +486,9 @@ def test_estop_from_another_thread_ends_the_call_that_waits(host_board):
         for wait in (lambda: link.sleep(30), lambda: [link.status() for _ in range(10**6)]):
             link.arm(Action.hold)
             confirmed = []
-            stopper = threading.Timer(0.05, lambda confirmed=confirmed: confirmed.append(link.estop()))
+            stopper = threading.Timer(
+                0.05, lambda confirmed=confirmed: confirmed.append(link.estop())
+            )
             start = time.monotonic()
             stopper.start()
             with pytest.raises(StoppedError):
@@ -493,7 +524,8 @@ def test_an_estop_that_is_not_confirmed_says_so(virtual_hand, failing):
         assert not virtual_hand.pulses().any()
 
 
-# --- what the hand says unasked -------------------------------------------------------------------------------------
+# --- what the hand says unasked
+# -------------------------------------------------------------------------------------
 
 
 def test_unacknowledged_moves_into_a_latched_fault_raise_at_once(virtual_hand, armed):

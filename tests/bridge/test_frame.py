@@ -1,7 +1,7 @@
 """The codec: inverse of itself, equal to the C codec, and deaf to whatever is not a frame of ours.
 
-The test vectors of docs/wire_vectors.csv are what the Python codec says here and the C codecs in the firmware's tests.
-"""
+The test vectors of docs/wire_vectors.csv are what the Python codec says here and the C codecs in
+the firmware's tests."""
 
 import csv
 
@@ -24,7 +24,9 @@ COMPLAINTS = {
     "type": "unknown message type 0x(70|08)",
     **dict.fromkeys(("version", "look", "estop"), "protocol version [139]"),
 }
-"""What `decode` says to a frame that no hand takes, or of another version. Flags and sessions are not the codec's business."""
+"""What `decode` says to a frame that no hand takes, or of another version. Flags and sessions are
+not the codec's business.
+"""
 
 
 def _field_values(field):
@@ -41,7 +43,12 @@ def frames(draw):
     return Frame(message.name, draw(st.integers(0, 0xFFFF)), draw(st.integers(0, 255)), fields)
 
 
-MOVE = Frame("move", 7, 0, {"session": 0x12345678, "duration_ms": 50, "servo": (0, 1, -1, 32767, -32768, 256)})
+MOVE = Frame(
+    "move",
+    7,
+    0,
+    {"session": 0x12345678, "duration_ms": 50, "servo": (0, 1, -1, 32767, -32768, 256)},
+)
 
 
 @given(frames())
@@ -90,7 +97,9 @@ def test_there_is_a_vector_of_every_message_and_of_every_way_to_refuse_a_frame()
     assert {row["verdict"] for row in ROWS} >= {*COMPLAINTS, "ok", "flags", "session"}
 
 
-MALFORMED = {row["name"]: bytes.fromhex(row["wire"])[1:-1] for row in ROWS if row["verdict"] in COMPLAINTS} | {"empty": b""}
+MALFORMED = {
+    row["name"]: bytes.fromhex(row["wire"])[1:-1] for row in ROWS if row["verdict"] in COMPLAINTS
+} | {"empty": b""}
 
 
 @pytest.mark.parametrize("by", ["whole", "byte by byte"])
@@ -130,7 +139,15 @@ def test_splitter_remembers_the_version_that_it_could_not_read():
         Frame("move", 70000, 0, {"session": 1, "duration_ms": 50, "servo": (0,) * 6}),
         Frame("hello", 1, 0, {"nonce": 1, "extra": 1}),
     ],
-    ids=["unknown", "missing field", "five servos", "angle overflow", "duration overflow", "sequence overflow", "extra field"],
+    ids=[
+        "unknown",
+        "missing field",
+        "five servos",
+        "angle overflow",
+        "duration overflow",
+        "sequence overflow",
+        "extra field",
+    ],
 )
 def test_encode_refuses_what_does_not_fit(frame):
     with pytest.raises(FrameError):

@@ -36,7 +36,9 @@ def test_streamed_commands_are_acknowledged_and_the_pulses_decode_to_them(host_b
             link.move(command)
             link.wait()
             np.testing.assert_allclose(servo_from_pulses(host_board.pulses()), servo, atol=2e-4)
-        assert link.statistics.acked == link.statistics.sent - link.statistics.retried  # a busy machine repeats frames
+        assert (
+            link.statistics.acked == link.statistics.sent - link.statistics.retried
+        )  # a busy machine repeats frames
         assert link.statistics.rejected == 0
 
 
@@ -72,7 +74,9 @@ def test_the_board_ends_with_its_parent(tmp_path):
         "import os, sys; from hpac_gym.bridge import HostBoard\n"
         "board = HostBoard().__enter__(); print(board.process.pid, flush=True); os._exit(1)"
     )
-    answer = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=False)
+    answer = subprocess.run(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True, check=False
+    )
     wait_for(lambda: not _alive(int(answer.stdout)), 20)
 
 
@@ -90,7 +94,12 @@ def test_a_board_that_does_not_end_is_killed_after_a_second(monkeypatch):
 
     class Stuck:
         stdout = io.StringIO()
-        terminate, kill = (lambda self: ends.append("terminate")), (lambda self: ends.append("kill"))
+
+        def terminate(self):
+            ends.append("terminate")
+
+        def kill(self):
+            ends.append("kill")
 
         def wait(self, timeout=None):
             ends.append(timeout)
@@ -98,7 +107,8 @@ def test_a_board_that_does_not_end_is_killed_after_a_second(monkeypatch):
                 raise subprocess.TimeoutExpired("hpac_host", timeout)
 
     with HostBoard() as board:
-        folder, process = board._folder, board.process
+        folder = board._folder
+        process = board.process
         board.process = Stuck()
         board.__exit__()
         assert ends == ["terminate", 1.0, "kill", None]
@@ -109,7 +119,9 @@ def test_a_board_that_does_not_end_is_killed_after_a_second(monkeypatch):
 
 def test_a_board_that_says_nothing_is_given_up_after_five_seconds(monkeypatch):
     waits = []
-    monkeypatch.setattr("hpac_gym.bridge.hands.select.select", lambda *words: waits.append(words[3]) or ([], [], []))
+    monkeypatch.setattr(
+        "hpac_gym.bridge.hands.select.select", lambda *words: waits.append(words[3]) or ([], [], [])
+    )
     with pytest.raises(PortError, match="did not open a pseudo-terminal"):
         HostBoard().__enter__()
     assert waits == [5.0]
@@ -128,7 +140,10 @@ def test_a_replugged_board_is_found_again_and_not_armed():
         link.connect()
         link.arm(watchdog=2.0)
         boards[0].__exit__()
-        for call in (lambda: link.sleep(1.0), lambda: link.move(ServoCommand(POSE, 1.0), acknowledge=False)):
+        for call in (
+            lambda: link.sleep(1.0),
+            lambda: link.move(ServoCommand(POSE, 1.0), acknowledge=False),
+        ):
             with pytest.raises(PortError):
                 call()
         with pytest.raises(PortError, match="no such port"):
@@ -174,9 +189,14 @@ def test_dtr_and_rts_are_low_before_the_port_opens(monkeypatch):
         def reset_input_buffer(self):
             events.append("flush")
 
-    monkeypatch.setattr("hpac_gym.bridge.transport.serial.serial_for_url", lambda *_, **how: events.append(how) or FakeSerial())
+    monkeypatch.setattr(
+        "hpac_gym.bridge.transport.serial.serial_for_url",
+        lambda *_, **how: events.append(how) or FakeSerial(),
+    )
     open_transport("/dev/ttyUSB9")
     how, *before = events[: events.index("open")]
-    assert {("dtr", False), ("rts", False), ("exclusive", True), ("baudrate", 460_800)} <= set(before)
+    assert {("dtr", False), ("rts", False), ("exclusive", True), ("baudrate", 460_800)} <= set(
+        before
+    )
     assert how == {"do_not_open": True, "timeout": 0, "write_timeout": 1.0}
     assert events[-1] == "flush"

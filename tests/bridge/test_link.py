@@ -34,7 +34,9 @@ POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
 
 
 def streamed(rng, count):
-    """Commands as the environment makes them: 20 Hz, at the rate limit, towards a target that changes."""
+    """Commands as the environment makes them: 20 Hz, at the rate limit, towards a target that
+    changes.
+    """
     servo = np.zeros(6)
     for i in range(count):
         if i % 10 == 0:
@@ -60,7 +62,9 @@ def test_every_streamed_command_is_acknowledged_and_reached(virtual_hand, armed)
     for command in streamed(np.random.default_rng(1), 200):
         armed.move(command)
         status = armed.wait()
-        np.testing.assert_allclose(servo_from_pulses(virtual_hand.pulses()), command.servo, atol=1e-4)
+        np.testing.assert_allclose(
+            servo_from_pulses(virtual_hand.pulses()), command.servo, atol=1e-4
+        )
         np.testing.assert_allclose(status.servo, command.servo, atol=1e-4)
     assert armed.statistics.acked == armed.statistics.sent
     assert armed.statistics.rejected == 0
@@ -80,27 +84,70 @@ def test_two_runs_give_the_same_pulses_to_the_nanosecond():
     np.testing.assert_array_equal(trace(), trace())
 
 
-# --- refusals -------------------------------------------------------------------------------------------------------
+# --- refusals
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("call", "error", "says"),
     [
-        (lambda link: link.move(ServoCommand([0, 1.4] + [0] * 4, 2.0)), RejectedError, "index_mcp: 1.4 rad, allowed 0 to 1.386"),
-        (lambda link: link.move(ServoCommand([0] * 5 + [-0.001], 2.0)), RejectedError, "angle at servo thumb_cmc: -0.001 rad"),
-        (lambda link: link.move(ServoCommand([0, 0, 1, 0, 0, 0], 0.1)), RejectedError, "rate at servo middle_mcp: 1 rad within"),
-        (lambda link: link.move(ServoCommand(np.full(6, 1.0), 0.1)), RejectedError, "1 rad within 100 ms, allowed 2 rad/s"),
-        (lambda link: link.move(ServoCommand(POSE, 10.001)), RejectedError, "duration: 10001 ms, allowed 10 to 10000 ms"),
-        (lambda link: link.arm(watchdog=2.001), RejectedError, "arm: period: watchdog 2001 ms, allowed 100 to 2000 ms"),
-        (lambda link: link.status(0.009), RejectedError, "status: period: 9 ms, allowed 0 or at least 10 ms"),
-        (lambda link: link.arm(watchdog=np.nan), FrameError, "watchdog = nan s, allowed 0 to 65.535 s"),
+        (
+            lambda link: link.move(ServoCommand([0, 1.4] + [0] * 4, 2.0)),
+            RejectedError,
+            "index_mcp: 1.4 rad, allowed 0 to 1.386",
+        ),
+        (
+            lambda link: link.move(ServoCommand([0] * 5 + [-0.001], 2.0)),
+            RejectedError,
+            "angle at servo thumb_cmc: -0.001 rad",
+        ),
+        (
+            lambda link: link.move(ServoCommand([0, 0, 1, 0, 0, 0], 0.1)),
+            RejectedError,
+            "rate at servo middle_mcp: 1 rad within",
+        ),
+        (
+            lambda link: link.move(ServoCommand(np.full(6, 1.0), 0.1)),
+            RejectedError,
+            "1 rad within 100 ms, allowed 2 rad/s",
+        ),
+        (
+            lambda link: link.move(ServoCommand(POSE, 10.001)),
+            RejectedError,
+            "duration: 10001 ms, allowed 10 to 10000 ms",
+        ),
+        (
+            lambda link: link.arm(watchdog=2.001),
+            RejectedError,
+            "arm: period: watchdog 2001 ms, allowed 100 to 2000 ms",
+        ),
+        (
+            lambda link: link.status(0.009),
+            RejectedError,
+            "status: period: 9 ms, allowed 0 or at least 10 ms",
+        ),
+        (
+            lambda link: link.arm(watchdog=np.nan),
+            FrameError,
+            "watchdog = nan s, allowed 0 to 65.535 s",
+        ),
         (lambda link: link.status(-0.001), FrameError, "period = -0.001 s, allowed 0 to 65.535 s"),
-        (lambda link: link.move(ServoCommand(POSE, 65.536)), FrameError, "duration = 65.536 s, allowed 0 to 65.535 s"),
-        (lambda link: link.move(ServoCommand([0] * 5 + [-3.2768], 1.0)), FrameError, "angle of -3.2768 rad, allowed ±3.2767"),
+        (
+            lambda link: link.move(ServoCommand(POSE, 65.536)),
+            FrameError,
+            "duration = 65.536 s, allowed 0 to 65.535 s",
+        ),
+        (
+            lambda link: link.move(ServoCommand([0] * 5 + [-3.2768], 1.0)),
+            FrameError,
+            "angle of -3.2768 rad, allowed ±3.2767",
+        ),
         (lambda link: link.arm(3), ValueError, "3 is not a valid Action"),
     ],
-)  # fmt: skip
-def test_bad_input_is_one_line_with_value_bound_and_unit_and_moves_nothing(virtual_hand, armed, call, error, says):
+)
+def test_bad_input_is_one_line_with_value_bound_and_unit_and_moves_nothing(
+    virtual_hand, armed, call, error, says
+):
     before = virtual_hand.pulses()
     with pytest.raises(error) as caught:
         call(armed)
@@ -116,7 +163,9 @@ def test_a_move_that_was_refused_unacknowledged_is_named_by_the_next_call(virtua
     armed.move(ServoCommand(POSE, 1.0), acknowledge=False)
     armed.move(ServoCommand(POSE, 0.005), acknowledge=False, pace=False)
     del armed._connection.exchange.listen
-    with pytest.raises(RejectedError, match=r"refused move: duration: 5 ms, allowed 10 to 10000 ms"):
+    with pytest.raises(
+        RejectedError, match=r"refused move: duration: 5 ms, allowed 10 to 10000 ms"
+    ):
         armed.sleep(0.1)
 
 
@@ -128,7 +177,8 @@ def test_arm_refuses_a_firmware_with_other_limits(virtual_hand):
         assert link.state == "idle"
 
 
-# --- silence, faults ------------------------------------------------------------------------------------------------
+# --- silence, faults
+# ------------------------------------------------------------------------------------------------
 
 
 def test_silence_ends_in_a_latched_fault_that_clear_leaves(virtual_hand, armed):
@@ -183,13 +233,15 @@ def test_the_chosen_safe_action_happens(virtual_hand, link, action):
         assert not virtual_hand.pulses().any()
 
 
-# --- bad lines ------------------------------------------------------------------------------------------------------
+# --- bad lines
+# ------------------------------------------------------------------------------------------------------
 
 
 def test_every_command_arrives_once_over_a_line_that_loses_a_tenth(virtual_hand):
     lossy = BadTransport(virtual_hand, np.random.default_rng(5))
     lossy.loss_out = lossy.loss_in = 0.1
-    lossy.dies_at, lossy.interrupt_at = 0, set()
+    lossy.dies_at = 0
+    lossy.interrupt_at = set()
     with HandLink(lambda: lossy, attempts=10, timeout=0.03) as link:
         link.arm()
         for command in streamed(np.random.default_rng(6), 200):
@@ -273,7 +325,8 @@ def test_all_errors_are_one_tree():
     assert issubclass(LinkTimeout, TimeoutError)
 
 
-# --- log, pulses ----------------------------------------------------------------------------------------------------
+# --- log, pulses
+# ----------------------------------------------------------------------------------------------------
 
 
 def test_the_wire_log_has_every_frame(virtual_hand, tmp_path):
@@ -287,7 +340,11 @@ def test_the_wire_log_has_every_frame(virtual_hand, tmp_path):
     assert len(lines) == link.statistics.sent + link.statistics.received
     move = next(line for line in sent if line["message"] == "move")
     session = {"session": link.info.session}
-    assert move["fields"] == {**session, "duration_ms": 1000, "servo": [5000, 4000, 3000, 2000, 1000, 6000]}
+    assert move["fields"] == {
+        **session,
+        "duration_ms": 1000,
+        "servo": [5000, 4000, 3000, 2000, 1000, 6000],
+    }
     assert encode(Frame("move", move["seq"], 0, move["fields"]))[1:-1].hex() == move["hex"]
     ack = next(line for line in answers if line.get("acked") == "move")
     assert (ack["reason"], ack["state"]) == ("ok", "armed")

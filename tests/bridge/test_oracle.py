@@ -1,4 +1,6 @@
-"""The oracle alone, given bytes and pulses: it complains beyond each bound of docs/wire.md, and not at it."""
+"""The oracle alone, given bytes and pulses: it complains beyond each bound of docs/wire.md, and not
+at it.
+"""
 
 import struct
 
@@ -11,8 +13,10 @@ from hpac_gym.bridge.evidence.oracle import Oracle, Reader, seal, unseal
 from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.protocol import MESSAGES
 
-OURS, OTHER = struct.pack("<I", 0x1234), struct.pack("<I", 0x1235)
-REST, HALF = np.zeros(6), np.full(6, 0.5)
+OURS = struct.pack("<I", 0x1234)
+OTHER = struct.pack("<I", 0x1235)
+REST = np.zeros(6)
+HALF = np.full(6, 0.5)
 WATCHDOG_MS = 250
 
 
@@ -28,16 +32,22 @@ class Stage:
     """An oracle, and the host and the hand whose bytes and pulses it sees; `now` is in ms."""
 
     def __init__(self, *messages):
-        self.oracle, self.now, self.seq = Oracle(), 0.0, 0
+        self.oracle = Oracle()
+        self.now = 0.0
+        self.seq = 0
         for kind, payload in messages:
             self.say(kind, payload)
 
     def say(self, kind, payload=b"", seq=None, flags=0, version=2, reason=0):
-        """The host says something, and the hand acknowledges all but HELLO with a reason; 0 is ok."""
+        """The host says something, and the hand acknowledges all but HELLO with a reason; 0 is
+        ok.
+        """
         self.seq = self.seq + 1 if seq is None else seq
         self.oracle.host(self._us, wire.frame(kind, self.seq, payload, flags, version))
         if kind != wire.HELLO:
-            self.oracle.device(self._us, wire.frame(wire.ACK, self.seq, bytes([kind, reason, 255, 0])))
+            self.oracle.device(
+                self._us, wire.frame(wire.ACK, self.seq, bytes([kind, reason, 255, 0]))
+            )
 
     @property
     def _us(self):
@@ -47,7 +57,10 @@ class Stage:
         """The hand's pulses so many ms later: an angle of each servo, or none."""
         self.now += after
         none = [angle is None for angle in angles]
-        self.oracle.pulses(self._us, np.where(none, 0, pulses_from_servo(np.where(none, 0.0, angles).astype(float))))
+        self.oracle.pulses(
+            self._us,
+            np.where(none, 0, pulses_from_servo(np.where(none, 0.0, angles).astype(float))),
+        )
         return self
 
     def started(self, angles=REST):
@@ -66,7 +79,8 @@ HELLO = (wire.HELLO, OURS)
 ARMED = (HELLO, (wire.ARM, arm()))
 
 
-# --- messages -------------------------------------------------------------------------------------------------------
+# --- messages
+# -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -106,7 +120,7 @@ ARMED = (HELLO, (wire.ARM, arm()))
         (wire.MOVE, move(steps=(0, 0, 13_503, 0, 0, 0)), 0, True),
         (wire.MOVE, move(steps=(0, 0, 0, 0, 0, -1)), 0, True),
     ],
-)  # fmt: skip
+)
 def test_what_an_armed_hand_must_refuse(kind, payload, flags, refused):
     stage = Stage(*ARMED)
     stage.say(kind, payload, flags=flags)
@@ -184,7 +198,8 @@ def test_what_is_carried_out_must_have_come():
     assert stage.oracle.broken["accept"] == 2, "of another version"
 
 
-# --- pulses ---------------------------------------------------------------------------------------------------------
+# --- pulses
+# ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("messages", [(), (HELLO,), (*ARMED, (wire.CLEAR, OURS)), (*ARMED, HELLO)])
@@ -197,8 +212,16 @@ def test_no_pulses_unless_armed(messages):
 
 def test_servos_start_one_by_one_where_they_were():
     assert not Stage(*ARMED).started().broken
-    for first, second, after in (([0, 0], [0, 0], 61.0), ([0, None], [0, 0], 58.0), ([0.002, None], [0.002, 0], 61.0)):
-        stage = Stage(*ARMED).show([*first, *[None] * 4], after=61.0).show([*second, *[None] * 4], after=after)
+    for first, second, after in (
+        ([0, 0], [0, 0], 61.0),
+        ([0, None], [0, 0], 58.0),
+        ([0.002, None], [0.002, 0], 61.0),
+    ):
+        stage = (
+            Stage(*ARMED)
+            .show([*first, *[None] * 4], after=61.0)
+            .show([*second, *[None] * 4], after=after)
+        )
         assert stage.broken == {"start"}
     stage = Stage(*ARMED).started()
     stage.show([0.001] * 6)
@@ -210,7 +233,8 @@ def test_servos_start_one_by_one_where_they_were():
 
 
 def test_every_angle_is_within_its_range():
-    low, high = REST, np.array([1.3566, 1.386, 1.3502, 1.3608, 1.3497, 1.57])
+    low = REST
+    high = np.array([1.3566, 1.386, 1.3502, 1.3608, 1.3497, 1.57])
     for angles, within in ((low, True), (low - 5e-6, False), (high, True), (high + 5e-6, False)):
         stage = Stage(*ARMED)
         stage.oracle._pose = list(angles)
@@ -251,7 +275,9 @@ RELAX_MS = 1.57 / 0.5 * 1e3
 
 
 @pytest.mark.parametrize(
-    ("action", "longest"), [(wire.DETACH, 0.0), (wire.RELAX, RELAX_MS), (wire.HOLD, 30_000 + RELAX_MS)], ids=str
+    ("action", "longest"),
+    [(wire.DETACH, 0.0), (wire.RELAX, RELAX_MS), (wire.HOLD, 30_000 + RELAX_MS)],
+    ids=str,
 )
 def test_the_watchdogs_action_ends_the_pulses_in_time(action, longest):
     longest += WATCHDOG_MS + 2
@@ -302,7 +328,9 @@ def test_how_a_hand_moves_in_its_safe_action(after, slow, angle, broken):
     assert stage.show(HALF, after=after).show([angle] * 6).broken == broken
 
 
-@pytest.mark.parametrize(("flags", "payload", "version"), [(0, b"", 2), (255, b"x", 2), (0, b"", 9)])
+@pytest.mark.parametrize(
+    ("flags", "payload", "version"), [(0, b"", 2), (255, b"x", 2), (0, b"", 9)]
+)
 def test_an_estop_ends_the_pulses_in_two_ticks(flags, payload, version):
     stage = Stage(*ARMED).started()
     stage.say(wire.ESTOP, payload, flags=flags, version=version)
@@ -313,7 +341,13 @@ def test_an_estop_ends_the_pulses_in_two_ticks(flags, payload, version):
 
 @pytest.mark.parametrize(
     ("fault", "after", "broken"),
-    [(3, RELAX_MS, set()), (3, RELAX_MS + 5, {"silence"}), (4, 2.0, set()), (4, 4.0, {"silence"}), (8, 4.0, {"silence"})],
+    [
+        (3, RELAX_MS, set()),
+        (3, RELAX_MS + 5, {"silence"}),
+        (4, 2.0, set()),
+        (4, 4.0, {"silence"}),
+        (8, 4.0, {"silence"}),
+    ],
 )
 def test_overload_relaxes_and_other_faults_end_the_pulses(fault, after, broken):
     stage = Stage(*ARMED).started()
@@ -343,12 +377,16 @@ def test_an_oracle_that_saw_nothing_has_tried_nothing():
     assert Oracle().tried.total() == 0
 
 
-# --- the codec ------------------------------------------------------------------------------------------------------
+# --- the codec
+# ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", MESSAGES)
 def test_the_oracles_codec_is_the_codec(name):
-    fields = {field.name: (1, 0, 200, 3, 4, 5)[: field.count] if field.is_array else 77 for field in MESSAGES[name].fields}
+    fields = {
+        field.name: (1, 0, 200, 3, 4, 5)[: field.count] if field.is_array else 77
+        for field in MESSAGES[name].fields
+    }
     data = encode(Frame(name, 0x1234, 1, fields))
     (message,) = Reader().push(data)
     assert (message.kind, message.seq, message.flags) == (MESSAGES[name].code, 0x1234, 1)

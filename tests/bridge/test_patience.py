@@ -1,4 +1,6 @@
-"""How often and when a link speaks: repeats, heartbeats, last words, counters; all in virtual time."""
+"""How often and when a link speaks: repeats, heartbeats, last words, counters; all in virtual
+time.
+"""
 
 import dataclasses
 import threading
@@ -34,7 +36,8 @@ class Overheard(VirtualTransport):
 
     def __init__(self, hand, deaf=False):
         super().__init__(hand)
-        self.deaf, self.frames = deaf, []
+        self.deaf = deaf
+        self.frames = []
 
     def write(self, data):
         self.frames.append((self.now(), decode(data[1:-1])))
@@ -105,7 +108,9 @@ def test_what_is_not_said_has_the_documented_values(talking, overheard):
     ((_, arm),) = overheard.of("arm")
     assert (arm.fields["watchdog_ms"], arm.fields["action"], arm.flags) == (400, Action.relax, 0)
     talking.move(ServoCommand(np.full(6, 0.01), 0.05))
-    talking.move(ServoCommand(np.full(6, 0.02), 0.050001), minimum_jerk=True, acknowledge=False, pace=False)
+    talking.move(
+        ServoCommand(np.full(6, 0.02), 0.050001), minimum_jerk=True, acknowledge=False, pace=False
+    )
     first, second = (frame for _, frame in overheard.of("move"))
     assert (first.fields["duration_ms"], first.flags) == (50, 0)
     assert (second.fields["duration_ms"], second.flags) == (51, FLAG_MINIMUM_JERK | FLAG_NO_ACK)
@@ -134,8 +139,11 @@ def test_arming_asks_every_twentieth_of_a_second(talking, overheard):
 
 def test_waiting_for_a_hand_that_never_stops_ends_a_second_after_its_time(talking, monkeypatch):
     talking.arm()
-    still, asked = talking.status(), []
-    monkeypatch.setattr(HandLink, "status", lambda self: asked.append(1) or dataclasses.replace(still, moving=True))
+    still = talking.status()
+    asked = []
+    monkeypatch.setattr(
+        HandLink, "status", lambda self: asked.append(1) or dataclasses.replace(still, moving=True)
+    )
     talking.move(ServoCommand(np.full(6, 0.01), 0.5))
     start = talking._now()
     with pytest.raises(LinkTimeout, match="still moves 1 s after"):
@@ -152,8 +160,20 @@ def test_the_counters_of_a_session_are_exact(virtual_hand):
     with pytest.raises(RejectedError, match=r"refused move: state \(state idle\)"):
         link.move(ServoCommand(np.zeros(6), 1.0))
     counted = link.statistics
-    assert (counted.connections, counted.sent, counted.acked, counted.rejected, counted.received) == (1, 5, 4, 1, 5)
-    assert (counted.retried, counted.timeouts, counted.bad_frames, counted.bad_bytes, counted.unlogged) == (0, 0, 0, 0, 0)
+    assert (
+        counted.connections,
+        counted.sent,
+        counted.acked,
+        counted.rejected,
+        counted.received,
+    ) == (1, 5, 4, 1, 5)
+    assert (
+        counted.retried,
+        counted.timeouts,
+        counted.bad_frames,
+        counted.bad_bytes,
+        counted.unlogged,
+    ) == (0, 0, 0, 0, 0)
     assert len(counted.round_trips) == 5
     link.connect()
     assert counted.connections == 2
@@ -165,7 +185,8 @@ def test_what_is_no_frame_is_counted_when_the_connection_ends(virtual_hand):
         noise = b"boot\0text\0"
 
         def read(self, timeout):
-            noise, self.noise = self.noise, b""
+            noise = self.noise
+            self.noise = b""
             return noise + super().read(timeout)
 
     link = HandLink(lambda: Noisy(virtual_hand))
@@ -198,7 +219,9 @@ def test_a_call_that_is_stopped_says_so_whatever_the_port_does(virtual_hand, met
     transport = virtual_hand.connect()
     setattr(transport, method, stop)
     with pytest.raises(StoppedError):
-        Exchange(transport, LinkStatistics(), KnownState(), check).request("estop", timeout=0.0, attempts=1)
+        Exchange(transport, LinkStatistics(), KnownState(), check).request(
+            "estop", timeout=0.0, attempts=1
+        )
 
 
 @pytest.mark.parametrize("method", ["write", "read"])
@@ -216,7 +239,8 @@ def test_a_port_that_fails_in_one_direction_ends_the_call_at_once(virtual_hand, 
     assert len(calls) == 1
 
 
-# --- doctor -----------------------------------------------------------------------------------------------------------
+# --- doctor
+# -----------------------------------------------------------------------------------------------------------
 
 
 def test_doctor_listens_for_three_seconds(virtual_hand):
@@ -229,11 +253,18 @@ def test_doctor_listens_for_three_seconds(virtual_hand):
     assert deaf.now() == pytest.approx(3.0, abs=0.15)
 
 
-@pytest.mark.parametrize(("bad", "accepted", "noisy"), [(10, 1, False), (11, 1, True), (11, 1100, False), (12, 1199, True)])
-def test_doctor_calls_more_than_ten_and_one_in_a_hundred_damaged_frames_noise(talking, bad, accepted, noisy):
+@pytest.mark.parametrize(
+    ("bad", "accepted", "noisy"),
+    [(10, 1, False), (11, 1, True), (11, 1100, False), (12, 1199, True)],
+)
+def test_doctor_calls_more_than_ten_and_one_in_a_hundred_damaged_frames_noise(
+    talking, bad, accepted, noisy
+):
     status = talking.status()
     for counter in ("bad_crc", "bad_frame", "overrun"):
-        status.counters.update({"bad_crc": 0, "bad_frame": 0, "overrun": 0, "accepted": accepted} | {counter: bad})
+        status.counters.update(
+            {"bad_crc": 0, "bad_frame": 0, "overrun": 0, "accepted": accepted} | {counter: bad}
+        )
         finding = _judge("here", talking.info, status, LinkStatistics(), talking._hand)
         assert (finding.port, finding.healthy) == ("here", not noisy)
         assert ("line noise" in finding.advice) is noisy
@@ -264,18 +295,22 @@ def test_doctor_tells_what_the_board_measures_the_trims_and_the_round_trip_in_mi
     plain = _judge("here", talking.info, talking.status(), statistics, talking._hand).what
     assert "round trip 2.0 ms" in plain
     assert not any(word in plain for word in ("supply", "heat", "trims"))
-    status = dataclasses.replace(talking.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0]))
+    status = dataclasses.replace(
+        talking.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0])
+    )
     info = dataclasses.replace(talking.info, trim_ns=(0, -300, 0, 0, 0, 20_000))
     what = _judge("here", info, status, LinkStatistics(), talking._hand).what
     assert "boot 1, supply 5.02 V, heat up to 34%, trims 0 -300 0 0 0 20000 ns" in what
 
 
-# --- turns ------------------------------------------------------------------------------------------------------------
+# --- turns
+# ------------------------------------------------------------------------------------------------------------
 
 
 def in_a_turn(turns, seconds):
     """A thread that has the turn for so long; returns it, and what its end was."""
-    begun, ends = threading.Event(), []
+    begun = threading.Event()
+    ends = []
 
     def call():
         try:
@@ -293,7 +328,8 @@ def in_a_turn(turns, seconds):
 
 
 def test_who_preempts_waits_for_the_call_to_end_and_insists_meanwhile():
-    turns, insisted = Turns(), []
+    turns = Turns()
+    insisted = []
     thread, ends = in_a_turn(turns, 0.3)
     with turns.preempt("estop()", lambda: insisted.append(time.monotonic())):
         assert not turns._depth, "the other call has not ended yet"
@@ -317,7 +353,8 @@ def test_a_call_that_does_not_end_is_passed_over(monkeypatch):
 
 
 def test_who_preempts_insists_every_fiftieth_of_a_second_for_three(monkeypatch):
-    clock, insisted = [0.0], []
+    clock = [0.0]
+    insisted = []
 
     class Held:
         """A lock that never comes free."""
@@ -335,13 +372,18 @@ def test_who_preempts_insists_every_fiftieth_of_a_second_for_three(monkeypatch):
 
 
 def test_reconnecting_is_tried_every_twentieth_of_a_second_for_ten(monkeypatch):
-    clock, pauses = [0.0], []
+    clock = [0.0]
+    pauses = []
 
     def refuse():
         raise PortError("no such port")
 
     monkeypatch.setattr(link, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(link, "sleep", lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)))
+    monkeypatch.setattr(
+        link,
+        "sleep",
+        lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)),
+    )
     with pytest.raises(PortError, match="no such port"):
         HandLink(refuse).reconnect()
     assert set(pauses) == {0.05}

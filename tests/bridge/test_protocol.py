@@ -1,4 +1,6 @@
-"""The protocol has one owner: what is generated from it is up to date, and the servo table is the model's."""
+"""The protocol has one owner: what is generated from it is up to date, and the servo table is the
+model's.
+"""
 
 import dataclasses
 
@@ -15,7 +17,9 @@ from tools import generate
 def test_generated_files_are_up_to_date(capsys, tmp_path):
     (tmp_path / "hand.toml").write_text(hand_to_toml(HPAC))
     assert generate.main(["--check", "--hand", str(tmp_path / "hand.toml")]) == 0
-    (tmp_path / "hand.toml").write_text(hand_to_toml(dataclasses.replace(HPAC, rate_limit=HPAC.rate_limit / 2)))
+    (tmp_path / "hand.toml").write_text(
+        hand_to_toml(dataclasses.replace(HPAC, rate_limit=HPAC.rate_limit / 2))
+    )
     assert generate.main(["--check", "--hand", str(tmp_path / "hand.toml")]) == 1
     assert "firmware/core/hpac_protocol.h: out of date" in capsys.readouterr().out
 

@@ -1,4 +1,6 @@
-"""What the hand says about itself: every field in its unit, and what may be concluded from an answer."""
+"""What the hand says about itself: every field in its unit, and what may be concluded from an
+answer.
+"""
 
 import argparse
 import json
@@ -28,7 +30,12 @@ EXAMPLES = {name: decode(wire[1:-1]) for name, verdict, wire in vectors() if ver
 def test_every_field_of_a_status_is_read_in_its_unit():
     status = HandStatus.from_frame(EXAMPLES["device_status"])
     assert status.uptime == pytest.approx(0x01020304 * 1e-3)
-    assert (status.state, status.fault, status.attached, status.moving) == ("armed", "watchdog", SERVOS, True)
+    assert (status.state, status.fault, status.attached, status.moving) == (
+        "armed",
+        "watchdog",
+        SERVOS,
+        True,
+    )
     np.testing.assert_allclose(status.servo, [0, 1e-4, 0.0255, 0.0256, 0.8191, 1.3])
     np.testing.assert_allclose(status.heat, [0, 0.01, 0.02, 0.99, 1.0, 2.55])
     assert (status.rate_share, status.supply, status.last_seq) == (1.0, 5.0, 0xABCD)
@@ -45,13 +52,26 @@ def test_what_a_board_does_not_measure_is_not_a_number():
 def test_every_field_of_a_hello_is_read_in_its_unit():
     info = HandInfo.from_frame(EXAMPLES["device_hello"])
     assert (info.firmware_version, info.watchdog, info.reset, info.boot_count, info.state) == (
-        "0.2.0", 0.25, "power_on", 258, "armed",
-    )  # fmt: skip
-    assert (info.session, info.trim_ns, info.reversed_mask) == (0x12345678, (0, -1, 1, -20000, 20000, 256), 0b100010)
+        "0.2.0",
+        0.25,
+        "power_on",
+        258,
+        "armed",
+    )
+    assert (info.session, info.trim_ns, info.reversed_mask) == (
+        0x12345678,
+        (0, -1, 1, -20000, 20000, 256),
+        0b100010,
+    )
 
 
 def status_frame(state, attached):
-    return Frame("device_status", 1, 0, EXAMPLES["device_status"].fields | {"state": state, "attached": attached})
+    return Frame(
+        "device_status",
+        1,
+        0,
+        EXAMPLES["device_status"].fields | {"state": state, "attached": attached},
+    )
 
 
 def ack(state, reason=Reason.ok, servo=255):
@@ -75,8 +95,16 @@ def ack(state, reason=Reason.ok, servo=255):
         (ack(State.idle), "estop", True),
         (ack(State.idle), "move", True),
         (ack(State.idle), "arm", True),
-        (Frame("device_hello", 1, 0, EXAMPLES["device_hello"].fields | {"state": State.idle}), "hello", False),
-        (Frame("device_hello", 1, 0, EXAMPLES["device_hello"].fields | {"state": State.fault}), "hello", True),
+        (
+            Frame("device_hello", 1, 0, EXAMPLES["device_hello"].fields | {"state": State.idle}),
+            "hello",
+            False,
+        ),
+        (
+            Frame("device_hello", 1, 0, EXAMPLES["device_hello"].fields | {"state": State.fault}),
+            "hello",
+            True,
+        ),
     ],
 )
 def test_only_an_answer_that_says_so_means_no_power(frame, answered, may_have_power):
@@ -93,7 +121,12 @@ def test_only_an_answer_that_says_so_means_no_power(frame, answered, may_have_po
 def test_a_fault_is_known_until_the_hand_says_otherwise():
     known = KnownState()
     known.take_in(Frame("fault", 0, 0, {"fault": Fault.overload, "servo": 1, "uptime_ms": 5}))
-    assert (known.state, known.fault, known.in_fault, known.armed) == ("fault", "overload", True, False)
+    assert (known.state, known.fault, known.in_fault, known.armed) == (
+        "fault",
+        "overload",
+        True,
+        False,
+    )
     known.take_in(ack(State.fault, Reason.state))
     assert known.fault == "overload"
     known.take_in(ack(State.armed))
@@ -105,11 +138,36 @@ def test_a_fault_is_known_until_the_hand_says_otherwise():
 @pytest.mark.parametrize(
     ("frame", "words", "reason", "servo"),
     [
-        (ack(State.armed, Reason.rate, 5), "the hand refused move: rate at servo thumb_cmc (state armed)", "rate", "thumb_cmc"),
-        (ack(State.armed, Reason.rate, 6), "the hand refused move: rate (state armed)", "rate", None),
-        (ack(State.armed, Reason.session), "another program has greeted the hand since", "session", None),
-        (ack(State.fault, Reason.hot, 0), "the hand is in fault (none): move refused; clear() leaves it", "hot", "thumb_mp"),
-        (ack(State.armed, 99), "the hand refused move: unknown_99 (state armed)", "unknown_99", None),
+        (
+            ack(State.armed, Reason.rate, 5),
+            "the hand refused move: rate at servo thumb_cmc (state armed)",
+            "rate",
+            "thumb_cmc",
+        ),
+        (
+            ack(State.armed, Reason.rate, 6),
+            "the hand refused move: rate (state armed)",
+            "rate",
+            None,
+        ),
+        (
+            ack(State.armed, Reason.session),
+            "another program has greeted the hand since",
+            "session",
+            None,
+        ),
+        (
+            ack(State.fault, Reason.hot, 0),
+            "the hand is in fault (none): move refused; clear() leaves it",
+            "hot",
+            "thumb_mp",
+        ),
+        (
+            ack(State.armed, 99),
+            "the hand refused move: unknown_99 (state armed)",
+            "unknown_99",
+            None,
+        ),
     ],
 )
 def test_a_refusal_says_what_and_where(frame, words, reason, servo):
@@ -130,7 +188,8 @@ def test_round_trips_are_kept_within_bounds():
 
 
 def test_what_belongs_to_a_connection_starts_anew_with_the_next():
-    hand, other = VirtualHand(), VirtualHand()
+    hand = VirtualHand()
+    other = VirtualHand()
     hands = iter((hand, other))
     with HandLink(lambda: next(hands).connect()) as link:
         link.arm(watchdog=2.0)
@@ -142,7 +201,8 @@ def test_what_belongs_to_a_connection_starts_anew_with_the_next():
         assert link.statistics.connections == 2
 
 
-# --- a socket ---------------------------------------------------------------------------------------------------------
+# --- a socket
+# ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -187,7 +247,10 @@ def test_a_socket_whose_other_end_has_gone_is_a_port_error(pair):
     [
         ("/dev/does_not_exist", ": no such port"),
         ("socket://localhost:1", " cannot be opened"),
-        *((f"socket://{rest}", ": write socket://HOST:PORT") for rest in ("", "host", ":1", "host:", "host:x")),
+        *(
+            (f"socket://{rest}", ": write socket://HOST:PORT")
+            for rest in ("", "host", ":1", "host:", "host:x")
+        ),
     ],
 )
 def test_a_wrong_port_is_named_and_says_what_is_wrong(name, says):
@@ -215,11 +278,13 @@ class FakePort:
     timeout = 0.0
 
     def __init__(self, lies):
-        self.lies, self.waits = lies, []
+        self.lies = lies
+        self.waits = []
 
     def read(self, size):
         self.waits.append(self.timeout)
-        taken, self.lies = self.lies[:size], self.lies[size:]
+        taken = self.lies[:size]
+        self.lies = self.lies[size:]
         return taken
 
     @property
@@ -236,16 +301,23 @@ def test_a_serial_read_waits_for_the_first_byte_and_takes_all_that_lies_there(mo
     assert transport._serial.lies == b""
 
 
-# --- values -----------------------------------------------------------------------------------------------------------
+# --- values
+# -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", [Frame, HandInfo, HandStatus, Finding, Field, Message, ServoLimits], ids=lambda k: k.__name__)
+@pytest.mark.parametrize(
+    "kind",
+    [Frame, HandInfo, HandStatus, Finding, Field, Message, ServoLimits],
+    ids=lambda k: k.__name__,
+)
 def test_what_has_been_read_cannot_be_changed(kind):
     assert kind.__dataclass_params__.frozen
     assert hasattr(kind, "__slots__")
 
 
-@pytest.mark.parametrize(("drawn", "session"), [(lambda below: 0, 1), (lambda below: below - 1, 0xFFFFFFFF)])
+@pytest.mark.parametrize(
+    ("drawn", "session"), [(lambda below: 0, 1), (lambda below: below - 1, 0xFFFFFFFF)]
+)
 def test_a_session_is_any_number_of_32_bits_but_zero(monkeypatch, drawn, session):
     monkeypatch.setattr("hpac_gym.bridge.exchange.secrets.randbelow", drawn)
     with HandLink(VirtualHand().connect) as link:
@@ -256,7 +328,12 @@ def test_a_log_line_has_microseconds_and_a_tenth_of_them_for_a_round_trip(tmp_pa
     with WireLog(tmp_path / "log") as log:
         log.record(1 / 3, "sent", b"\x01", Frame("estop", 7), 2 / 3)
     line = json.loads((tmp_path / "log").read_text())
-    assert (line["t"], line["round_trip"], line["hex"], line["seq"]) == (0.333333, 0.6666667, "01", 7)
+    assert (line["t"], line["round_trip"], line["hex"], line["seq"]) == (
+        0.333333,
+        0.6666667,
+        "01",
+        7,
+    )
 
 
 def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
@@ -275,7 +352,17 @@ def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unle
     parser = argparse.ArgumentParser()
     add_safety(parser)
     options = parser.parse_args([])
-    assert (options.frames, options.trials, options.sessions, options.seed) == (10_000_000, 20, 10_000, 1)
-    assert parser.parse_args(["--frames", "1", "--trials", "1", "--sessions", "1", "--seed", "1"]).frames == 1
+    assert (options.frames, options.trials, options.sessions, options.seed) == (
+        10_000_000,
+        20,
+        10_000,
+        1,
+    )
+    assert (
+        parser.parse_args(
+            ["--frames", "1", "--trials", "1", "--sessions", "1", "--seed", "1"]
+        ).frames
+        == 1
+    )
     with pytest.raises(SystemExit):
         parser.parse_args(["--sessions", "0"])

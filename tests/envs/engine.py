@@ -28,12 +28,19 @@ def sim_hand(env: gymnasium.Env) -> SimHand:
 
 
 class Bodies:
-    """The bodies of an environment's world: the hand has joints, the object has a mass, everything else is fixed."""
+    """The bodies of an environment's world: the hand has joints, the object has a mass, everything
+    else is fixed.
+    """
 
     def __init__(self, env: gymnasium.Env) -> None:
         self.client = sim_hand(env).world.client
-        bodies = sorted(pybullet.getBodyUniqueId(index, self.client) for index in range(pybullet.getNumBodies(self.client)))
-        self.hand, *others = sorted(bodies, key=lambda body: -pybullet.getNumJoints(body, self.client))
+        bodies = sorted(
+            pybullet.getBodyUniqueId(index, self.client)
+            for index in range(pybullet.getNumBodies(self.client))
+        )
+        self.hand, *others = sorted(
+            bodies, key=lambda body: -pybullet.getNumJoints(body, self.client)
+        )
         free = [body for body in others if pybullet.getDynamicsInfo(body, -1, self.client)[0] > 0]
         self.object = free[0] if free else None
         self.fixed = [body for body in others if body not in free]
@@ -41,7 +48,10 @@ class Bodies:
     def touching(self) -> bool:
         """Whether the hand touches the object or itself."""
         others = [self.hand] if self.object is None else [self.hand, self.object]
-        found = (pybullet.getContactPoints(self.hand, other, physicsClientId=self.client) for other in others)
+        found = (
+            pybullet.getContactPoints(self.hand, other, physicsClientId=self.client)
+            for other in others
+        )
         return any(contact[8] <= 0 for contacts in found for contact in contacts)
 
     def simple(self) -> bool:
@@ -59,8 +69,11 @@ class Bodies:
 
 @contextmanager
 def watching_for_touch(bodies: Bodies) -> Iterator[Callable[[], bool]]:
-    """Whether the hand has touched the object or itself in any physics step since the block began."""
-    step, seen = pybullet.stepSimulation, []
+    """Whether the hand has touched the object or itself in any physics step since the block
+    began.
+    """
+    step = pybullet.stepSimulation
+    seen = []
 
     def watched(*arguments: Any, **named: Any) -> None:
         step(*arguments, **named)
@@ -72,7 +85,8 @@ def watching_for_touch(bodies: Bodies) -> Iterator[Callable[[], bool]]:
 
 def flick(env: gymnasium.Env, joint: str, speed: float) -> None:
     """Give one joint a speed [rad/s]."""
-    hand, client = sim_hand(env), sim_hand(env).world.client
+    hand = sim_hand(env)
+    client = sim_hand(env).world.client
     index = hand.joint_index[joint]
     angle = pybullet.getJointState(hand.body, index, physicsClientId=client)[0]
     pybullet.resetJointState(hand.body, index, angle, speed, physicsClientId=client)
@@ -89,7 +103,8 @@ class State:
     forces: dict[str, float]
     """Normal force between the object and each part of the hand that touches it [N]."""
     slipped: Vector
-    """Displacement of the object in the world, less that by which it was carried, shape (3,) [m]."""
+    """Displacement of the object in the world, less that by which it was carried, shape (3,) [m].
+    """
     tilt: float
     """Rotation of the object about the world's x axis [rad]."""
     velocity: Vector
@@ -115,15 +130,23 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
     bodies = Bodies(env)
     client = bodies.client
     dt = pybullet.getPhysicsEngineParameters(client)["fixedTimeStep"]
-    info = [pybullet.getJointInfo(bodies.hand, index, client) for index in range(pybullet.getNumJoints(bodies.hand, client))]
+    info = [
+        pybullet.getJointInfo(bodies.hand, index, client)
+        for index in range(pybullet.getNumJoints(bodies.hand, client))
+    ]
     joint_of = {row[0]: JOINTS.index(row[1].decode()) for row in info if row[1].decode() in JOINTS}
     slides = {row[0]: 0.0 for row in info if row[2] == pybullet.JOINT_PRISMATIC}
-    link_of = {part: next(row[0] for row in info if row[12].decode().startswith(part)) for part in ("palm", *DIGITS)}
+    link_of = {
+        part: next(row[0] for row in info if row[12].decode().startswith(part))
+        for part in ("palm", *DIGITS)
+    }
     hand_turn = pybullet.getBasePositionAndOrientation(bodies.hand, client)[1]
     rotation = np.reshape(pybullet.getMatrixFromQuaternion(hand_turn), (3, 3))
     start, turn = pybullet.getBasePositionAndOrientation(bodies.object, client)
     motors = pybullet.setJointMotorControlArray
-    steps, way, wrist = 0, np.zeros(3), np.zeros(3)
+    steps = 0
+    way = np.zeros(3)
+    wrist = np.zeros(3)
 
     @cache
     def state_after(steps: int) -> State:
@@ -134,7 +157,8 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
 
     def step(*_: Any, **__: Any) -> None:
         nonlocal steps, way, wrist
-        steps, before = steps + 1, wrist
+        steps = steps + 1
+        before = wrist
         wrist = rotation @ list(slides.values())
         way = way + (wrist - before) * state().carried
 
@@ -147,12 +171,17 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
         if all(joint in slides for joint in joints):
             return [(slides[joint], 0.0) for joint in joints]
         told = state()
-        return [(float(told.joint_pos[joint_of[joint]]), float(told.joint_vel[joint_of[joint]])) for joint in joints]
+        return [
+            (float(told.joint_pos[joint_of[joint]]), float(told.joint_vel[joint_of[joint]]))
+            for joint in joints
+        ]
 
     def pose(body: int, *_: Any, **__: Any) -> tuple[list[float], tuple[float, ...]]:
         told = state()
         half = told.tilt / 2
-        _, orientation = pybullet.multiplyTransforms((0, 0, 0), (np.sin(half), 0, 0, np.cos(half)), (0, 0, 0), turn)
+        _, orientation = pybullet.multiplyTransforms(
+            (0, 0, 0), (np.sin(half), 0, 0, np.cos(half)), (0, 0, 0), turn
+        )
         return (start + told.slipped + way).tolist(), orientation
 
     def velocity(body: int, *_: Any, **__: Any) -> tuple[list[float], list[float]]:
@@ -167,14 +196,36 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
                 outward = np.array([np.cos(2.4 * place), np.sin(2.4 * place), 0.2 * place - 0.3])
                 outward /= np.linalg.norm(outward)
                 point = centre + 0.02 * outward
-                rows.append((0, bodies.hand, bodies.object, link_of[part], -1, point, point, outward, 0.0, force))
+                rows.append(
+                    (
+                        0,
+                        bodies.hand,
+                        bodies.object,
+                        link_of[part],
+                        -1,
+                        point,
+                        point,
+                        outward,
+                        0.0,
+                        force,
+                    )
+                )
             return rows
         touched = second if first == bodies.object else first
-        met = (told.supported and touched == bodies.fixed[0]) or (told.placed and touched == bodies.fixed[-1])
-        return [(0, bodies.object, touched, -1, -1, start, start, (0, 0, 1), 0.0, 1.0)] if met else []
+        met = (told.supported and touched == bodies.fixed[0]) or (
+            told.placed and touched == bodies.fixed[-1]
+        )
+        return (
+            [(0, bodies.object, touched, -1, -1, start, start, (0, 0, 1), 0.0, 1.0)] if met else []
+        )
 
     with patch.multiple(
-        pybullet, stepSimulation=step, setJointMotorControlArray=control, getJointStates=joint_states,
-        getBasePositionAndOrientation=pose, getBaseVelocity=velocity, getContactPoints=contacts,
-    ):  # fmt: skip
+        pybullet,
+        stepSimulation=step,
+        setJointMotorControlArray=control,
+        getJointStates=joint_states,
+        getBasePositionAndOrientation=pose,
+        getBaseVelocity=velocity,
+        getContactPoints=contacts,
+    ):
         yield

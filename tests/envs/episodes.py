@@ -11,8 +11,10 @@ from hpac_gym.tasks.terms import Layout
 
 EASY = SceneSetup(
     ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.8),
-    np.array([0.048, 0.004, 0.112]), 0.0, np.array([0, 0, 0, 0, 0, 1.2]),
-)  # fmt: skip
+    np.array([0.048, 0.004, 0.112]),
+    0.0,
+    np.array([0, 0, 0, 0, 0, 1.2]),
+)
 """A cylinder in a good place."""
 
 
@@ -35,7 +37,9 @@ def a_setup(**change) -> SceneSetup:
 
 
 def steps(env, policy, setup=None, seed=0) -> Iterator[tuple]:
-    """What the reset and every step of an episode return; of the reset (observation, 0.0, False, False, info)."""
+    """What the reset and every step of an episode return; of the reset (observation, 0.0, False,
+    False, info).
+    """
     observation, info = env.reset(seed=seed, options={"setup": setup} if setup else None)
     policy.reset()
     returned = observation, 0.0, False, False, info

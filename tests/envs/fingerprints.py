@@ -1,13 +1,17 @@
-"""Fingerprints of the environments: `python -m tests.envs.fingerprints --write` writes `fingerprints.json` anew.
+"""Fingerprints of the environments: `python -m tests.envs.fingerprints --write` writes
+`fingerprints.json` anew.
 
-The environments are frozen: whoever has to change the file has changed the physics, the reward or the observation, and raises
-the environment's -v number. The file must hold on every processor, although the last bit of sine and cosine differs between
-processors and contact makes it grow. Each case therefore compares only what cannot grow:
+The environments are frozen: whoever has to change the file has changed the physics, the reward or
+the observation, and raises the environment's -v number. The file must hold on every processor,
+although the last bit of sine and cosine differs between processors and contact makes it grow. Each
+case therefore compares only what cannot grow:
 
-* Free motion, until something touches the hand, to 1e-6. The object is fixed meanwhile: one that stands on its support at a
-  distance of exactly zero falls in the first physics step or not, and a round one goes on rocking by 1e-4 rad.
-* The first `TOUCHED_STEPS` control steps from the first touch on, to 1e-4, if the object is one sphere or one box. On a
-  cylinder, or on many boxes that make up a round shape, the points of contact jump.
+* Free motion, until something touches the hand, to 1e-6. The object is fixed meanwhile: one that
+  stands on its support at a distance of exactly zero falls in the first physics step or not, and a
+  round one goes on rocking by 1e-4 rad.
+* The first `TOUCHED_STEPS` control steps from the first touch on, to 1e-4, if the object is one
+  sphere or one box. On a cylinder, or on many boxes that make up a round shape, the points of
+  contact jump.
 * Stories: whole episodes with prescribed states instead of a simulation, to 1e-5.
 * Outcomes and lengths of many whole episodes, counted.
 
@@ -34,7 +38,15 @@ import numpy as np
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GRASPS, scripted_closure
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_ANY_V0, GRASP_TYPE, PICK_PLACE, POSTURE, POSTURE_V0
+from hpac_gym.envs.options import (
+    GRASP,
+    GRASP_ANY,
+    GRASP_ANY_V0,
+    GRASP_TYPE,
+    PICK_PLACE,
+    POSTURE,
+    POSTURE_V0,
+)
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
@@ -44,15 +56,20 @@ from tests.envs.engine import Bodies, flick, told, watching_for_touch
 from tests.envs.stories import Story
 
 FILE = Path(__file__).with_name("fingerprints.json")
-TIGHT, LOOSE = (1e-6, 1e-6), (1e-4, 1e-5)
-"""Relative and absolute tolerances of means: of what does not touch anything, and of what does or is a picture."""
+TIGHT = (1e-6, 1e-6)
+LOOSE = (1e-4, 1e-5)
+"""Relative and absolute tolerances of means: of what does not touch anything, and of what does or
+is a picture.
+"""
 TOUCHED_STEPS = 3
 """Control steps after the first touch that are compared, 18 physics steps."""
 
-# Policies: the actions of an episode, given its environment, its first observation and a generator ---------------------------
+# Policies: the actions of an episode, given its environment, its first observation and a generator
+# ---------------------------
 
 Policy = Callable[[gymnasium.Env, Any, np.random.Generator], Iterator[np.ndarray]]
-OPEN, CLOSED = np.array([-1.0, -1, -1, -1, -1, 0.5]), np.array([0.3, 1, 1, 1, 1, 0.5])
+OPEN = np.array([-1.0, -1, -1, -1, -1, 0.5])
+CLOSED = np.array([0.3, 1, 1, 1, 1, 0.5])
 CLOSE_STEPS = 16
 NEVER = 10_000
 
@@ -65,7 +82,11 @@ def closing(begin: int = 6, let_go: int = NEVER) -> Policy:
 
     def policy(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
         grasp = getattr(getattr(env.unwrapped, "task", None), "grasp", None)
-        opened, closed = (OPEN, CLOSED) if grasp is None else map(action_from_synergy, (grasp.preshape, grasp.closed))
+        opened, closed = (
+            (OPEN, CLOSED)
+            if grasp is None
+            else map(action_from_synergy, (grasp.preshape, grasp.closed))
+        )
         noise = 0.05 if grasp is None else 0.01
         for step in count():
             share = 0.0 if step >= let_go else min(max((step + 1 - begin) / CLOSE_STEPS, 0.0), 1.0)
@@ -94,7 +115,9 @@ def reaching(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterat
     """Command the goal's synergy, without feedback."""
     goal = first["desired_goal"][[JOINT_INDEX[name] for name in SERVOS]]
     while True:
-        yield action_from_synergy(np.clip(goal, HPAC.synergy_min, HPAC.synergy_max)) + rng.uniform(-0.01, 0.01, 6)
+        yield action_from_synergy(np.clip(goal, HPAC.synergy_min, HPAC.synergy_max)) + rng.uniform(
+            -0.01, 0.01, 6
+        )
 
 
 def flicked(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
@@ -118,7 +141,8 @@ def restless(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterat
         yield from [action] * 5
 
 
-# Episodes ------------------------------------------------------------------------------------------------------------------
+# Episodes
+# ------------------------------------------------------------------------------------------------------------------
 
 
 def flat(observation: Any) -> np.ndarray:
@@ -135,7 +159,9 @@ def leaves(observation: Any) -> list[np.ndarray]:
 
 
 def numbers(info: dict[str, Any], prefix: str = "") -> dict[str, float]:
-    """The numbers of an info by name, without the values drawn by randomization, which would reveal a seeded fault."""
+    """The numbers of an info by name, without the values drawn by randomization, which would reveal
+    a seeded fault.
+    """
     found: dict[str, float] = {}
     for name, value in info.items():
         if name == "randomized":
@@ -143,20 +169,29 @@ def numbers(info: dict[str, Any], prefix: str = "") -> dict[str, float]:
         if isinstance(value, dict):
             found |= numbers(value, f"{prefix}{name}.")
         elif not isinstance(value, str):
-            found |= {f"{prefix}{name}.{index}": float(number) for index, number in enumerate(np.atleast_1d(value))}
+            found |= {
+                f"{prefix}{name}.{index}": float(number)
+                for index, number in enumerate(np.atleast_1d(value))
+            }
     return found
 
 
 def whole(env: gymnasium.Env, action: np.ndarray) -> np.ndarray:
-    """An action of the environment from its first six numbers; a free wrist goes to the pose of the requested type."""
+    """An action of the environment from its first six numbers; a free wrist goes to the pose of the
+    requested type.
+    """
     if env.action_space.shape == (len(SERVOS),):
         return action
-    return np.append(action, wrist_choice(GRASP_TYPES[env.unwrapped.episodes.setups[0].grasp].start)).astype(np.float32)
+    return np.append(
+        action, wrist_choice(GRASP_TYPES[env.unwrapped.episodes.setups[0].grasp].start)
+    ).astype(np.float32)
 
 
 @dataclass
 class Episode:
-    """One episode: observations and infos from the reset on, and the rewards of the steps between them."""
+    """One episode: observations and infos from the reset on, and the rewards of the steps between
+    them.
+    """
 
     observations: list[list[np.ndarray]]
     rewards: list[float]
@@ -165,14 +200,19 @@ class Episode:
     """Index of the first observation after a touch."""
 
     def bits(self) -> bytes:
-        everything = [*chain.from_iterable(self.observations), self.rewards, *(list(info.values()) for info in self.infos)]
+        everything = [
+            *chain.from_iterable(self.observations),
+            self.rewards,
+            *(list(info.values()) for info in self.infos),
+        ]
         return b"".join(np.asarray(part, dtype=float).tobytes() for part in everything)
 
     def means(self, rows: Sequence[int]) -> dict[str, Any]:
-        """Count, sum of rewards, size of an observation, means of its runs of entries, and of the infos by name in order.
+        """Count, sum of rewards, size of an observation, means of its runs of entries, and of the
+        infos by name in order.
 
-        Of an entry x, x + x²/3 is taken, so that neither its sign is lost nor what swings about zero, and how much it changes
-        from step to step, which tells how large its noise is.
+        Of an entry x, x + x²/3 is taken, so that neither its sign is lost nor what swings about
+        zero, and how much it changes from step to step, which tells how large its noise is.
 
         Args:
             rows: of the observations; those beyond the end of the episode are left out.
@@ -191,15 +231,23 @@ class Episode:
             "return": sum(self.rewards[row - 1] for row in rows if row > 0),
             "size": sum(part.size for part in self.observations[0]),
             "observed": runs,
-            "info": [float(np.mean([info[name] for info in infos if name in info])) for name in names],
+            "info": [
+                float(np.mean([info[name] for info in infos if name in info])) for name in names
+            ],
         }
 
 
 def play(
-    env: gymnasium.Env, policy: Policy, seed: int, limit: int = NEVER, disturbance: float = 0.0,
-    options: dict[str, Any] | None = None, story: Story | None = None, watch: bool = False,
+    env: gymnasium.Env,
+    policy: Policy,
+    seed: int,
+    limit: int = NEVER,
+    disturbance: float = 0.0,
+    options: dict[str, Any] | None = None,
+    story: Story | None = None,
+    watch: bool = False,
     pinned: bool = False,
-) -> Episode:  # fmt: skip
+) -> Episode:
     """One episode, or its first steps.
 
     Args:
@@ -217,9 +265,13 @@ def play(
     bodies = Bodies(env) if pinned or watch else None
     if pinned:
         bodies.pin()
-    episode, over = Episode([leaves(observation)], [], [numbers(info)]), False
+    episode = Episode([leaves(observation)], [], [numbers(info)])
+    over = False
     actions = policy(env, observation, np.random.default_rng([seed, 5]))
-    with told(env, story) if story else nullcontext(), watching_for_touch(bodies) if watch else nullcontext(bool) as touched:
+    with (
+        told(env, story) if story else nullcontext(),
+        watching_for_touch(bodies) if watch else nullcontext(bool) as touched,
+    ):
         while not over and len(episode.rewards) < limit:
             action = np.clip(next(actions) + disturbance, -1, 1)
             observation, reward, terminated, truncated, info = env.step(whole(env, action))
@@ -232,7 +284,8 @@ def play(
     return episode
 
 
-# The cases -----------------------------------------------------------------------------------------------------------------
+# The cases
+# -----------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -256,38 +309,57 @@ class Case:
         return gymnasium.make(self.id, **self.options, **options)
 
     def play(self, env: gymnasium.Env, seed: int, limit: int = NEVER, **how: Any) -> Episode:
-        return play(env, self.policy, seed, limit, options=self.reset or None, story=self.story, **how)
+        return play(
+            env, self.policy, seed, limit, options=self.reset or None, story=self.story, **how
+        )
 
 
 def heavy() -> SceneSetup:
     """A box of 60 kg in the way of the wrist of `HPAC-PickPlace-v0`."""
     place = np.array([0.16, 0.0, 0.155])
     spec = ObjectSpec("box", (0.026, 0.026, 0.07), mass=60.0, friction=1.0)
-    return SceneSetup(spec, place, 0.0, np.array([0, 0, 0, 0, 0, 1.2]), target=place + np.array([0.2, 0.0, 0.0]))
+    return SceneSetup(
+        spec, place, 0.0, np.array([0, 0, 0, 0, 0, 1.2]), target=place + np.array([0.2, 0.0, 0.0])
+    )
 
 
-USUAL = {GRASP: closing(), GRASP_ANY: closing(), PICK_PLACE: closing(12, 74), POSTURE_V0: apart, POSTURE: apart}
+USUAL = {
+    GRASP: closing(),
+    GRASP_ANY: closing(),
+    PICK_PLACE: closing(12, 74),
+    POSTURE_V0: apart,
+    POSTURE: apart,
+}
 PRIVILEGED = {"obs": "privileged"}
 PLACED_BY_SCRIPT = {"wrist": "script"}
-"""With a free wrist the first step replaces the scene, after which an object cannot be pinned nor a story be used."""
+"""With a free wrist the first step replaces the scene, after which an object cannot be pinned nor a
+story be used.
+"""
 ASIDE = np.array([0.6, -0.4, 0.3])
 """Direction in which the object of a story slips."""
 HELD = Story(
-    gripped=((0.4, np.inf),), carried=(1.2, np.inf), supported=((0.0, 1.25),),
+    gripped=((0.4, np.inf),),
+    carried=(1.2, np.inf),
+    supported=((0.0, 1.25),),
     slip={0.4: 0 * ASIDE, 1.2: 0.01 * ASIDE, 3.2: 0.024 * ASIDE},
-)  # fmt: skip
+)
 MISSED = replace(HELD, gripped=((0.4, 2.05), (2.1, 2.4), (2.5, np.inf)))
 SLIPS = replace(HELD, slip={1.8: 0 * ASIDE, 3.1: 0.027 * ASIDE})
 KNOCKED = Story(gripped=((0.4, np.inf),), slip={0.5: 0 * ASIDE, 1.0: 0.1 * ASIDE})
 PLACED = Story(
-    gripped=((0.9, 2.05), (2.1, 2.4), (2.5, 3.9)), carried=(1.8, 3.7), supported=((0.0, 1.85),), placed=((3.7, np.inf),),
+    gripped=((0.9, 2.05), (2.1, 2.4), (2.5, 3.9)),
+    carried=(1.8, 3.7),
+    supported=((0.0, 1.85),),
+    placed=((3.7, np.inf),),
     slip={0.9: 0 * ASIDE, 3.7: 0.01 * ASIDE},
-)  # fmt: skip
+)
 DROPPED = Story(gripped=((0.9, 2.6),), carried=(1.8, 2.6), supported=((0.0, 1.85),))
 SQUEEZED = Story(
-    gripped=((0.4, np.inf),), carried=(3.0, np.inf), supported=((0.0, 3.05),),
+    gripped=((0.4, np.inf),),
+    carried=(3.0, np.inf),
+    supported=((0.0, 3.05),),
     slip={3.5: 0 * ASIDE, 5.9: 0.01 * ASIDE, 7.0: 0.05 * ASIDE},
-)  # fmt: skip
+)
 SHAKEN = replace(SQUEEZED, gripped=((0.4, 4.2),))
 ROLLED = Story(gripped=((0.4, np.inf),), slip={0.5: 0 * ASIDE, 2.0: 0.4 * ASIDE})
 STORIES = {
@@ -298,29 +370,60 @@ STORIES = {
 CASES = (
     *(Case(name, {}, policy, range(4)) for name, policy in USUAL.items()),
     *(Case(name, {"obs": "image"}, policy) for name, policy in USUAL.items()),
-    *(Case(name, {"reward": "sparse"}, policy, range(2))
-      for name, policy in (USUAL | {POSTURE_V0: reaching, POSTURE: reaching}).items()),
-    *(Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2)) for name, policy in USUAL.items() for preset in PRESETS),
+    *(
+        Case(name, {"reward": "sparse"}, policy, range(2))
+        for name, policy in (USUAL | {POSTURE_V0: reaching, POSTURE: reaching}).items()
+    ),
+    *(
+        Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2))
+        for name, policy in USUAL.items()
+        for preset in PRESETS
+    ),
     *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in USUAL),
     Case(GRASP_ANY_V0, {}, closing(), range(4)),
-    *(Case(name, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(3)) for name in (GRASP_ANY_V0, GRASP_ANY)),
-    *(Case(GRASP_TYPE, PLACED_BY_SCRIPT | options, own, range(2))
-      for options in ({}, {"reward": "sparse"}, {"objects": "test", "randomize": "full"} | PRIVILEGED)),
+    *(
+        Case(name, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(3))
+        for name in (GRASP_ANY_V0, GRASP_ANY)
+    ),
+    *(
+        Case(GRASP_TYPE, PLACED_BY_SCRIPT | options, own, range(2))
+        for options in (
+            {},
+            {"reward": "sparse"},
+            {"objects": "test", "randomize": "full"} | PRIVILEGED,
+        )
+    ),
     Case(GRASP_TYPE, PLACED_BY_SCRIPT | PRIVILEGED, restless, about="restless"),
-    *(Case(GRASP_TYPE, PLACED_BY_SCRIPT | {"types": name} | PRIVILEGED, own, about="held", story=HELD)
-      for name in ("rod", "large_cylinder")),
+    *(
+        Case(
+            GRASP_TYPE,
+            PLACED_BY_SCRIPT | {"types": name} | PRIVILEGED,
+            own,
+            about="held",
+            story=HELD,
+        )
+        for name in ("rod", "large_cylinder")
+    ),
     *(Case(GRASP, {"grasp": name} | PRIVILEGED, closing(), range(2)) for name in GRASPS),
-    *(Case(GRASP, {"grasp": name, "variant": variant} | PRIVILEGED, closing())
-      for name, grasp in GRASPS.items() for variant in grasp.held_out),
+    *(
+        Case(GRASP, {"grasp": name, "variant": variant} | PRIVILEGED, closing())
+        for name, grasp in GRASPS.items()
+        for variant in grasp.held_out
+    ),
     Case(PICK_PLACE, PRIVILEGED, clenched, about="jams", reset={"setup": heavy()}),
     Case(POSTURE_V0, PRIVILEGED, flicked, about="flicked"),
-    *(Case(name, PRIVILEGED, closing(), about=about, story=story)
-      for name, stories in STORIES.items() for about, story in stories.items()),
+    *(
+        Case(name, PRIVILEGED, closing(), about=about, story=story)
+        for name, stories in STORIES.items()
+        for about, story in stories.items()
+    ),
     Case(GRASP, {"reward": "sparse"}, closing(), about="held", story=HELD),
     Case(PICK_PLACE, {"reward": "sparse"}, closing(), about="placed", story=PLACED),
-    *(Case(GRASP, {"grasp": name} | PRIVILEGED, closing(), about="held", story=HELD)
-      for name in ("large_sphere", "scissors", "hook")),
-)  # fmt: skip
+    *(
+        Case(GRASP, {"grasp": name} | PRIVILEGED, closing(), about="held", story=HELD)
+        for name in ("large_sphere", "scissors", "hook")
+    ),
+)
 BY_NAME = {case.name: case for case in CASES}
 
 
@@ -336,7 +439,12 @@ def tolerances(case: Case) -> dict[str, tuple[float, float]]:
 
 
 def parts(
-    case: Case, env: gymnasium.Env, seed: int, touch: int | None, touched: bool, disturbance: float = 0.0
+    case: Case,
+    env: gymnasium.Env,
+    seed: int,
+    touch: int | None,
+    touched: bool,
+    disturbance: float = 0.0,
 ) -> dict[str, Any]:
     """The means of an episode before and after the first touch.
 
@@ -348,7 +456,13 @@ def parts(
         touched: include the steps after the touch.
         disturbance: added to all actions.
     """
-    free = case.play(env, seed, NEVER if touch is None else touch - 1, disturbance=disturbance, pinned=case.story is None)
+    free = case.play(
+        env,
+        seed,
+        NEVER if touch is None else touch - 1,
+        disturbance=disturbance,
+        pinned=case.story is None,
+    )
     found = {"free": free.means(range(len(free.observations)))}
     if touched:
         rows = range(touch, touch + TOUCHED_STEPS)
@@ -358,12 +472,19 @@ def parts(
 
 def found_now(env: gymnasium.Env, case: Case, disturbance: float = 0.0) -> list[dict[str, Any]]:
     """The fingerprints of the episodes that the file keeps of a case."""
-    return [parts(case, env, then["seed"], then["touch"], "touched" in then, disturbance) for then in kept()[case.name]]
+    return [
+        parts(case, env, then["seed"], then["touch"], "touched" in then, disturbance)
+        for then in kept()[case.name]
+    ]
 
 
 def agree(then: dict[str, Any], now: dict[str, Any], tolerance: tuple[float, float]) -> bool:
     """Whether two episodes' means agree."""
-    return all(np.shape(then[name]) == np.shape(now[name]) and np.allclose(now[name], then[name], *tolerance) for name in now)
+    return all(
+        np.shape(then[name]) == np.shape(now[name])
+        and np.allclose(now[name], then[name], *tolerance)
+        for name in now
+    )
 
 
 def changed(case: Case, disturbance: float = 0.0, **fault: Any) -> bool:
@@ -379,7 +500,9 @@ def changed(case: Case, disturbance: float = 0.0, **fault: Any) -> bool:
 
 
 def digest(env: gymnasium.Env, case: Case, steps: int = 30) -> str:
-    """A hash of the first steps of a case's first episode, to the bit; the hand is closed by then."""
+    """A hash of the first steps of a case's first episode, to the bit; the hand is closed by
+    then.
+    """
     return hashlib.sha256(case.play(env, case.seeds[0], steps).bits()).hexdigest()
 
 
@@ -396,20 +519,23 @@ def taken(case: Case) -> list[dict[str, Any]]:
     return rows
 
 
-# Outcomes ------------------------------------------------------------------------------------------------------------------
+# Outcomes
+# ------------------------------------------------------------------------------------------------------------------
 
 
-FLIPS, ALARM = 0.05, 1e-6
-"""Share of whole episodes that rounding may end otherwise, and how often more of them may by chance.
+FLIPS = 0.05
+ALARM = 1e-6
+"""Share of whole episodes that rounding may end otherwise, and how often more of them may by
+chance.
 
-Of 248 episodes, six took another number of steps with glibc's other sine and cosine, and none had another outcome; with a
-disturbance of 1e-9 up to eight and one.
-"""
+Of 248 episodes, six took another number of steps with glibc's other sine and cosine, and none had
+another outcome; with a disturbance of 1e-9 up to eight and one. """
 
 
 def most_flips(episodes: int) -> int:
     """Largest number of `episodes` that rounding changes, except with probability `ALARM`."""
-    beyond, flips = 1.0, -1
+    beyond = 1.0
+    flips = -1
     while beyond > ALARM:
         flips += 1
         beyond -= comb(episodes, flips) * FLIPS**flips * (1 - FLIPS) ** (episodes - flips)
@@ -425,7 +551,7 @@ BATCHES = {
     "HPAC-Posture-v0": (Case(POSTURE_V0, {}, reaching, range(20)),),
     "HPAC-Posture-v1": (Case(POSTURE, {"randomize": "nominal"}, reaching, range(20)),),
     "named grasps": tuple(Case(GRASP, {"grasp": name}, closing(0)) for name in GRASPS),
-}  # fmt: skip
+}
 """Whole episodes whose ends are counted."""
 
 
@@ -451,7 +577,9 @@ def rounded(value: Any) -> Any:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help=f"write {FILE.name} instead of printing hashes")
+    parser.add_argument(
+        "--write", action="store_true", help=f"write {FILE.name} instead of printing hashes"
+    )
     parser.add_argument("names", nargs="*", default=list(BY_NAME), help="of cases; all by default")
     arguments = parser.parse_args()
     cases = [BY_NAME[name] for name in arguments.names]
@@ -466,7 +594,10 @@ def main() -> None:
     rows = kept() | {case.name: rounded(taken(case)) for case in cases}
     rows |= {f"ends/{name}": ends(batch) for name, batch in BATCHES.items() if batch[0].id in ids}
     known = {*BY_NAME, *(f"ends/{name}" for name in BATCHES)} & set(rows)
-    lines = (f"{json.dumps(name)}:{json.dumps(rows[name], separators=(',', ':'))}" for name in sorted(known))
+    lines = (
+        f"{json.dumps(name)}:{json.dumps(rows[name], separators=(',', ':'))}"
+        for name in sorted(known)
+    )
     FILE.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 

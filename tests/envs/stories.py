@@ -1,7 +1,8 @@
-"""Prescribed sequences of states that replace the simulation, so that an environment's outputs are exact.
+"""Prescribed sequences of states that replace the simulation, so that an environment's outputs are
+exact.
 
-The hand swings smoothly and the wrist follows its targets. Contacts and the object's position follow each story: the object is
-held and slips slowly, is released, is knocked away, is put down.
+The hand swings smoothly and the wrist follows its targets. Contacts and the object's position
+follow each story: the object is held and slips slowly, is released, is knocked away, is put down.
 """
 
 from __future__ import annotations
@@ -40,15 +41,20 @@ class Story:
     placed: tuple[Span, ...] = (NEVER,)
     """Spans in which it touches the post of its target."""
     slip: Mapping[float, Vector] = field(default_factory=dict)
-    """Displacement of the object, less that by which it was carried, at some times, linear in between, shape (3,) [m]."""
+    """Displacement of the object, less that by which it was carried, at some times, linear in
+    between, shape (3,) [m].
+    """
 
     def __call__(self, time: float) -> State:
         """The state at a time [s]."""
-        phase, share = 2 * np.pi * SWING * time, time % 1
+        phase = 2 * np.pi * SWING * time
+        share = time % 1
         return State(
             joint_pos=0.5 * (1 - np.cos(phase)),
             joint_vel=np.pi * SWING * np.sin(phase),
-            forces={part: force * (1 + share) for part, force in GRIP.items()} if within(time, *self.gripped) else {},
+            forces={part: force * (1 + share) for part, force in GRIP.items()}
+            if within(time, *self.gripped)
+            else {},
             slipped=self._slipped(time),
             tilt=0.04 * np.sin(3 * time),
             velocity=np.array([0.3 * share, -0.2, 0.1 + 0.2 * share]),
@@ -61,5 +67,6 @@ class Story:
     def _slipped(self, time: float) -> Vector:
         if not self.slip:
             return np.zeros(3)
-        times, places = list(self.slip), np.array(list(self.slip.values()))
+        times = list(self.slip)
+        places = np.array(list(self.slip.values()))
         return np.array([np.interp(time, times, places[:, axis]) for axis in range(3)])

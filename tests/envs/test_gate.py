@@ -1,4 +1,6 @@
-"""The gate that every environment passes, with every option: checkers, fingerprints, long random runs, misuse."""
+"""The gate that every environment passes, with every option: checkers, fingerprints, long random
+runs, misuse.
+"""
 
 import json
 import os
@@ -40,7 +42,9 @@ from tests.envs.fingerprints import (
 )
 
 
-def marked(values: Iterable[Any], mark: pytest.MarkDecorator, where: Callable[[Any], bool]) -> list[Any]:
+def marked(
+    values: Iterable[Any], mark: pytest.MarkDecorator, where: Callable[[Any], bool]
+) -> list[Any]:
     """Parameters of a test, of which some have a marker."""
     return [pytest.param(value, marks=mark) if where(value) else value for value in values]
 
@@ -48,25 +52,38 @@ def marked(values: Iterable[Any], mark: pytest.MarkDecorator, where: Callable[[A
 OPTIONS = [
     {},
     {"obs": "privileged", "reward": "sparse", "randomize": Randomization(servo_lag=(0.05, 0.15))},
-    *(pytest.param({option: value}, marks=pytest.mark.slow)
-      for option, value in (("obs", "image"), ("reward", "sparse"), ("obs", "privileged"),
-                            *(("randomize", name) for name in PRESETS))),
-]  # fmt: skip
+    *(
+        pytest.param({option: value}, marks=pytest.mark.slow)
+        for option, value in (
+            ("obs", "image"),
+            ("reward", "sparse"),
+            ("obs", "privileged"),
+            *(("randomize", name) for name in PRESETS),
+        )
+    ),
+]
 """The slow ones are joined in the one before them, but for pictures."""
 RANDOM_STEPS = 150
 """Of each id in the default run; `make test-all` makes 350,000 of each."""
 
 PLAIN = [
     *(next(case for case in CASES if case.id == name) for name in IDS),
-    *(BY_NAME[f"{GRASP}/{name}/privileged"] for name in ("large_cylinder", "small_sphere", "tip_pinch", "scissors")),
+    *(
+        BY_NAME[f"{GRASP}/{name}/privileged"]
+        for name in ("large_cylinder", "small_sphere", "tip_pinch", "scissors")
+    ),
 ]
 """The default case of every id, and a cylinder, a sphere, a box and a compound object."""
 
 STOP_GIVES = 0.4
-"""Largest momentary overshoot of a joint's stop, by a digit that snaps free of another one [rad]; 20 rad/s are 0.17 a step."""
+"""Largest momentary overshoot of a joint's stop, by a digit that snaps free of another one [rad];
+20 rad/s are 0.17 a step.
+"""
 
 every_id = pytest.mark.parametrize("name", IDS)
-every_option = pytest.mark.parametrize("options", OPTIONS, ids=lambda options: "-".join(map(str, options.values()))[:30])
+every_option = pytest.mark.parametrize(
+    "options", OPTIONS, ids=lambda options: "-".join(map(str, options.values()))[:30]
+)
 
 
 def hand_settings(env: gymnasium.Env) -> HandSettings:
@@ -101,7 +118,9 @@ def test_the_checkers_of_gymnasium_and_of_stable_baselines3_pass(name, options):
 
 
 # The ids differ in nothing that renders, but for a hand without an object.
-@pytest.mark.parametrize("name", marked(IDS, pytest.mark.slow, lambda name: name not in (GRASP, POSTURE)))
+@pytest.mark.parametrize(
+    "name", marked(IDS, pytest.mark.slow, lambda name: name not in (GRASP, POSTURE))
+)
 def test_the_checkers_pass_with_pictures(name):
     with gymnasium.make(name, obs="image", render_mode="rgb_array") as env:
         check_both(env)
@@ -113,11 +132,15 @@ def test_the_checkers_pass_with_pictures(name):
 
 
 def rounded_otherwise_too(case: Case) -> bool:
-    """Whether the pass with another rounding plays a case: no pictures, and no variants, which differ in numbers alone."""
+    """Whether the pass with another rounding plays a case: no pictures, and no variants, which
+    differ in numbers alone.
+    """
     return "variant" not in case.options and case.options.get("obs") != "image"
 
 
-@pytest.mark.parametrize("case", marked(CASES, pytest.mark.processor, rounded_otherwise_too), ids=lambda case: case.name)
+@pytest.mark.parametrize(
+    "case", marked(CASES, pytest.mark.processor, rounded_otherwise_too), ids=lambda case: case.name
+)
 def test_physics_reward_and_observation_are_those_of_the_version_number(case):
     """If this fails on purpose: raise -v, then run `python -m tests.envs.fingerprints --write`."""
     with case.make() as env:
@@ -129,11 +152,17 @@ def test_physics_reward_and_observation_are_those_of_the_version_number(case):
                 np.testing.assert_allclose(values, then[part][name], *tolerance, err_msg=message)
 
 
-# With another rounding: not the postures, which touch nothing, nor what has the contacts of HPAC-Grasp-v0.
-@pytest.mark.parametrize("name", marked(BATCHES, pytest.mark.processor, lambda name: name.startswith("HPAC-Grasp")))
+# With another rounding: not the postures, which touch nothing, nor what has the contacts of
+# HPAC-Grasp-v0.
+@pytest.mark.parametrize(
+    "name", marked(BATCHES, pytest.mark.processor, lambda name: name.startswith("HPAC-Grasp"))
+)
 def test_as_many_episodes_end_as_they_did(name):
-    """Episodes that ended otherwise are counted, since rounding may turn a few; see `most_flips`."""
-    now, then = np.array(ends(BATCHES[name])), np.array(kept()[f"ends/{name}"])
+    """Episodes that ended otherwise are counted, since rounding may turn a few; see
+    `most_flips`.
+    """
+    now = np.array(ends(BATCHES[name]))
+    then = np.array(kept()[f"ends/{name}"])
     assert now.shape == then.shape
     assert np.count_nonzero(np.any(now != then, axis=1)) <= most_flips(len(then))
 
@@ -144,7 +173,9 @@ def test_every_fingerprint_in_the_file_is_compared():
 
 
 def test_all_that_touches_or_can_be_touched_is_compared():
-    """Every case compares free motion or a story, and of the touches of single spheres and boxes none is left out."""
+    """Every case compares free motion or a story, and of the touches of single spheres and boxes
+    none is left out.
+    """
     rows = [row for name in BY_NAME for row in kept()[name]]
     assert all(row["free"]["rows"] >= 3 for row in rows)
     assert all(row["touched"]["rows"] == TOUCHED_STEPS for row in rows if "touched" in row)
@@ -156,10 +187,14 @@ TOUCHING = [case for case in CASES if any("touched" in row for row in kept()[cas
 
 # The pass with another rounding plays the slow ones too, but for variants.
 @pytest.mark.parametrize(
-    "case", marked(TOUCHING, pytest.mark.slow, lambda case: case.options not in ({}, PRIVILEGED)), ids=lambda case: case.name
+    "case",
+    marked(TOUCHING, pytest.mark.slow, lambda case: case.options not in ({}, PRIVILEGED)),
+    ids=lambda case: case.name,
 )
 def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
-    """A disturbance of every action by 1e-9; and where an object stands by 1e-12, a thousand times as much as rounding."""
+    """A disturbance of every action by 1e-9; and where an object stands by 1e-12, a thousand times
+    as much as rounding.
+    """
     assert not changed(case, disturbance=1e-9)
     if case.id not in (POSTURE_V0, POSTURE) and "randomize" not in case.options:
         assert not changed(case, randomize=Randomization(object_position=(1e-12, 1e-12)))
@@ -180,7 +215,11 @@ def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
         ("HPAC-PickPlace-v0/privileged/jams", "physics.pybullet.hand.WRIST_EFFORT", 150.0),
         ("HPAC-Posture-v0/nominal/privileged", "tasks.terms.FORCE_UNIT", 10.1),
         ("HPAC-Posture-v0/image", "envs.episodes.IMAGE_SIZE", 83),
-        ("HPAC-Posture-v0/sparse", "tasks.posture.PostureConfig.__init__.__defaults__", (PostureConfig().duration, 0.06)),
+        (
+            "HPAC-Posture-v0/sparse",
+            "tasks.posture.PostureConfig.__init__.__defaults__",
+            (PostureConfig().duration, 0.06),
+        ),
         ("HPAC-Posture-v0/privileged/flicked", "physics.pybullet.hand.MAX_JOINT_SPEED", 25.0),
     ],
 )
@@ -223,11 +262,17 @@ def test_a_large_change_of_physics_ends_many_episodes_otherwise(name, fault):
 @pytest.fixture(scope="module")
 def printed():
     """The hashes of another process, which prints nothing else."""
-    paths = os.pathsep.join(path for path in (str(FILE.parents[2]), os.environ.get("PYTHONPATH")) if path)
+    paths = os.pathsep.join(
+        path for path in (str(FILE.parents[2]), os.environ.get("PYTHONPATH")) if path
+    )
     done = subprocess.run(
         [sys.executable, "-m", "tests.envs.fingerprints", *(case.name for case in PLAIN)],
-        capture_output=True, text=True, check=True, timeout=300, env=os.environ | {"PYTHONPATH": paths},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=300,
+        env=os.environ | {"PYTHONPATH": paths},
+    )
     return json.loads(done.stdout)
 
 
@@ -258,7 +303,11 @@ def test_the_last_place_in_a_vector_env_gives_the_same_trajectory(name, env):
     alone, _ = env.reset(seed=9)
     rng = np.random.default_rng(0)
     for _ in range(12):
-        own = {key: rows[place] for key, rows in together.items()} if isinstance(together, dict) else together[place]
+        own = (
+            {key: rows[place] for key, rows in together.items()}
+            if isinstance(together, dict)
+            else together[place]
+        )
         np.testing.assert_array_equal(flat(own), flat(alone))
         actions = rng.uniform(-1, 1, envs.action_space.shape).astype(np.float32)
         actions[:, len(SERVOS) :] = whole(env, actions[0, : len(SERVOS)])[len(SERVOS) :]
@@ -281,7 +330,10 @@ def test_a_randomized_episode_is_its_seed_s_too(name, preset):
                 break
         return np.array(rows)
 
-    with gymnasium.make(name, randomize=preset, obs="privileged") as env, gymnasium.make(name, randomize=preset) as other:
+    with (
+        gymnasium.make(name, randomize=preset, obs="privileged") as env,
+        gymnasium.make(name, randomize=preset) as other,
+    ):
         first = trajectory(env, 5)
         trajectory(env, 6)
         elsewhere = hand_settings(env)
@@ -301,24 +353,36 @@ def memory() -> int:
 
 
 def run_randomly(name: str, steps: int, growth: float) -> None:
-    """Random actions, each held for some steps, in the hardest randomization; no NaN, no escape, memory grows by less [bytes]."""
+    """Random actions, each held for some steps, in the hardest randomization; no NaN, no escape,
+    memory grows by less [bytes].
+    """
     hardest = Randomization(
-        tendon_stiffness=(0.5, 1.3), slack=(0.0, 3e-3), skin_friction=(0.3, 2.0), object_mass=(0.2, 5.0),
-        servo_lag=(0.0, 0.15), dropped_frames=(0.0, 0.5),
-    )  # fmt: skip
+        tendon_stiffness=(0.5, 1.3),
+        slack=(0.0, 3e-3),
+        skin_friction=(0.3, 2.0),
+        object_mass=(0.2, 5.0),
+        servo_lag=(0.0, 0.15),
+        dropped_frames=(0.0, 0.5),
+    )
     rng = np.random.default_rng(1)
     with gymnasium.make(name, obs="privileged", randomize=hardest) as env:
         env.reset(seed=0)
-        settled, files = None, len(os.listdir("/proc/self/fd"))
+        settled = None
+        files = len(os.listdir("/proc/self/fd"))
         for step in range(steps):
             if step % 5 == 0:
                 action = rng.choice([-1.0, 1.0], 6) if rng.random() < 0.3 else rng.uniform(-1, 1, 6)
-            observation, reward, terminated, truncated, _ = env.step(whole(env, action.astype(np.float32)))
+            observation, reward, terminated, truncated, _ = env.step(
+                whole(env, action.astype(np.float32))
+            )
             assert np.isfinite(reward)
             assert env.observation_space.contains(observation)
-            if step % 10 == 0 and not (terminated and name == GRASP_TYPE):  # a hand that arrives in the object is pushed out
+            if step % 10 == 0 and not (
+                terminated and name == GRASP_TYPE
+            ):  # a hand that arrives in the object is pushed out
                 state = env.unwrapped.state
-                joint_pos, joint_vel = state.joint_pos[0], state.joint_vel[0]
+                joint_pos = state.joint_pos[0]
+                joint_vel = state.joint_vel[0]
                 assert np.all(joint_pos > HPAC.joint_min - STOP_GIVES)
                 assert np.all(joint_pos < HPAC.joint_max + STOP_GIVES)
                 assert np.all(np.abs(joint_vel) < 200)
@@ -347,13 +411,22 @@ def test_a_million_random_actions_in_all_break_nothing(name):
 
 BAD_ACTIONS = {
     WorkspaceError: [np.array([0, 0, bad, 0, 0, 0]) for bad in (np.nan, np.inf, 1.5)],
-    ShapeError: [np.zeros(5), np.zeros((2, 6)), np.full(6, 0.5 + 0.5j), np.array(["0.5"] * 6), ["0.5"] * 6, "open", None],
+    ShapeError: [
+        np.zeros(5),
+        np.zeros((2, 6)),
+        np.full(6, 0.5 + 0.5j),
+        np.array(["0.5"] * 6),
+        ["0.5"] * 6,
+        "open",
+        None,
+    ],
 }
 
 
 @every_id
 def test_a_bad_action_raises_and_moves_nothing(name, env):
-    bare, still = env.unwrapped, np.full(6, -1.0, np.float32)
+    bare = env.unwrapped
+    still = np.full(6, -1.0, np.float32)
     bare.reset(seed=0)
     bare.step(whole(bare, still))
     before = bare.episodes.simulation.state().joint_pos
@@ -392,7 +465,9 @@ def test_the_reward_is_the_sum_of_its_named_terms(name, env):
     env.reset(seed=4)
     rng = np.random.default_rng(0)
     for _ in range(20):
-        _, reward, terminated, _, info = env.step(whole(env, rng.uniform(-1, 1, 6).astype(np.float32)))
+        _, reward, terminated, _, info = env.step(
+            whole(env, rng.uniform(-1, 1, 6).astype(np.float32))
+        )
         assert list(info["reward_terms"]) == [term.name for term in env.unwrapped.task.reward_terms]
         assert reward == pytest.approx(sum(info["reward_terms"].values()))
         if terminated:

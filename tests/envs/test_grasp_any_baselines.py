@@ -1,8 +1,8 @@
-"""What HPAC-GraspAny-v1 pays, and what it leaves to learn: `pytest -m slow -s tests/envs/test_grasp_any_baselines.py` prints it.
+"""What HPAC-GraspAny-v1 pays, and what it leaves to learn: `pytest -m slow -s
+tests/envs/test_grasp_any_baselines.py` prints it.
 
-Nothing that is no grasp is paid as well as an honest closure; the script holds some of the real objects, and closures that are
-drawn at random for an episode until one holds, most of them.
-"""
+Nothing that is no grasp is paid as well as an honest closure; the script holds some of the real
+objects, and closures that are drawn at random for an episode until one holds, most of them."""
 
 from collections.abc import Callable, Sequence
 
@@ -84,10 +84,15 @@ class Hands:
         self.envs = HandVectorEnv(self.task, N, "Disabled", engine="mujoco")
 
     def play(self, seeds: Sequence[int], act: Callable[[int, np.ndarray], np.ndarray]) -> "Hands":
-        """Play the episodes of `N` seeds with the actions, shape (N, 6), of a step and the first observations."""
+        """Play the episodes of `N` seeds with the actions, shape (N, 6), of a step and the first
+        observations.
+        """
         first, _ = self.envs.reset(seed=list(seeds))
-        episodes, over = self.envs.episodes, np.zeros(N, bool)
-        self.total, self.force, self.won = np.zeros(N), np.zeros(N), np.zeros(N, bool)
+        episodes = self.envs.episodes
+        over = np.zeros(N, bool)
+        self.total = np.zeros(N)
+        self.force = np.zeros(N)
+        self.won = np.zeros(N, bool)
         for step in range(round(self.task.duration * CONTROL_HZ)):
             self.total += np.where(over, 0.0, episodes.step(act(step, first)))
             ended = (episodes.outcome != RUNNING) & ~over
@@ -102,7 +107,12 @@ class Hands:
         scripts = [scripted_closure(self.task) for _ in seeds]
         for script in scripts:
             script.reset()
-        return self.play(seeds, lambda _, first: np.array([one.act(row) for one, row in zip(scripts, first, strict=True)]))
+        return self.play(
+            seeds,
+            lambda _, first: np.array(
+                [one.act(row) for one, row in zip(scripts, first, strict=True)]
+            ),
+        )
 
 
 @pytest.fixture(scope="module")
@@ -118,30 +128,42 @@ def honest():
 def test_no_exploit_is_paid_as_well_as_an_honest_closure(name, honest):
     synergy = EXPLOITS[name]
     hands = Hands("train")
-    hands.play(range(N), lambda step, _: np.tile(action_from_synergy(synergy((step + 1) / CONTROL_HZ)), (N, 1)))
+    hands.play(
+        range(N),
+        lambda step, _: np.tile(action_from_synergy(synergy((step + 1) / CONTROL_HZ)), (N, 1)),
+    )
     hands.envs.close()
     for about, found in ((name, hands), ("honest", honest)):
         print(f"{about}: return {found.total.mean():.2f}, success {found.won.mean():.2f}")
     assert hands.total.mean() < honest.total.mean() - 1.0
-    assert hands.total[~hands.won].max(initial=-9.0) < honest.total[honest.won].min(), "a loss is paid less than any success"
+    assert hands.total[~hands.won].max(initial=-9.0) < honest.total[honest.won].min(), (
+        "a loss is paid less than any success"
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("objects", "most"), [("train", 0.8), ("test", 0.85), ("real", 0.6)])
 def test_the_script_leaves_headroom(objects, most):
-    hands, won, force = Hands(objects), [], []
+    hands = Hands(objects)
+    won = []
+    force = []
     for first in range(1_000_000, 1_000_000 + 4 * N, N):
         hands.play_script(range(first, first + N))
-        won, force = [*won, *hands.won], [*force, *hands.force]
+        won = [*won, *hands.won]
+        force = [*force, *hands.force]
     hands.envs.close()
     low, high = wilson_interval(int(np.sum(won)), len(won))
-    print(f"{objects}: script {np.mean(won):.3f} [{low:.3f}, {high:.3f}] of {len(won)}, holding force {np.mean(force):.1f} N")
+    print(
+        f"{objects}: script {np.mean(won):.3f} [{low:.3f}, {high:.3f}] of {len(won)}, holding force {np.mean(force):.1f} N"
+    )
     assert 0.35 < np.mean(won) < most
 
 
 @pytest.mark.slow
 def test_most_real_objects_can_be_held():
-    """By a closure that is drawn at random, one after the other, until one holds the object of an episode."""
+    """By a closure that is drawn at random, one after the other, until one holds the object of an
+    episode.
+    """
     found = first_winners(Player("real"), range(48), TRIES)
     print(f"real: the best of {TRIES} closures holds {len(found)} of 48")
     assert len(found) >= 0.85 * 48

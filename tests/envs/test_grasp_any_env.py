@@ -1,4 +1,6 @@
-"""HPAC-GraspAny-v1: what is seen, what the first action moves, what counts. The contract is in test_gate.py."""
+"""HPAC-GraspAny-v1: what is seen, what the first action moves, what counts. The contract is in
+test_gate.py.
+"""
 
 from dataclasses import replace
 
@@ -36,11 +38,14 @@ def easy(**change) -> SceneSetup:
     return replace(a_setup(), pull=np.array([0.0, 0.0, -1.0]), **change)
 
 
-def closing(env: gymnasium.Env, setup: SceneSetup | None = None, seed: int = 0, until: int = 1000) -> list[dict]:
+def closing(
+    env: gymnasium.Env, setup: SceneSetup | None = None, seed: int = 0, until: int = 1000
+) -> list[dict]:
     """The infos of an episode of the closed hand, which opens at a step."""
     env.reset(seed=seed, options=None if setup is None else {"setup": setup})
     opened = action_from_synergy(env.unwrapped.episodes.setups[0].synergy).astype(np.float32)
-    infos, over = [], False
+    infos = []
+    over = False
     while not over:
         *_, over, _, info = env.step(CLOSED if len(infos) < until else opened)
         infos.append(info)
@@ -64,7 +69,11 @@ def test_a_hand_that_opens_loses_what_it_would_have_won():
     lift, shake, sides, ramp = (round(CONTROL_HZ * end) for end in GraspAnyConfig().ends[:4])
     with make() as env:
         setup = easy()
-        for opens, phases, won in ((lift, {"lift", "shake"}, False), (shake, {"shake"}, False), (sides, {"sides", "ramp"}, True)):
+        for opens, phases, won in (
+            (lift, {"lift", "shake"}, False),
+            (shake, {"shake"}, False),
+            (sides, {"sides", "ramp"}, True),
+        ):
             infos = closing(env, setup, until=opens)
             assert infos[-1]["is_success"] == won
             assert infos[-1]["phase"] in phases
@@ -76,7 +85,8 @@ def test_a_hand_that_opens_loses_what_it_would_have_won():
 
 
 def test_the_force_grows_from_zero_along_its_direction_after_gravity_came_from_six_sides():
-    task, config = GraspAny("real"), GraspAnyConfig()
+    task = GraspAny("real")
+    config = GraspAnyConfig()
     setup = easy()
     task.prepare(1, None)
     task.start([0], [setup])
@@ -105,18 +115,25 @@ def test_what_is_knocked_over_may_be_grasped_again_and_what_is_out_of_reach_is_l
     assert task.judge(state, 0.05).tolist() == [0, 2]
 
 
-# What is seen ----------------------------------------------------------------------------------------------------------
+# What is seen
+# ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("obs", ["deploy", "load", "points"])
 def test_mass_and_friction_are_not_seen(obs):
     with make(obs=obs) as env:
         setup = env.unwrapped.task.setup(np.random.default_rng(3))
-        other = replace(setup, object=replace(setup.object, mass=3 * setup.object.mass, friction=0.3 * setup.object.friction))
+        other = replace(
+            setup,
+            object=replace(
+                setup.object, mass=3 * setup.object.mass, friction=0.3 * setup.object.friction
+            ),
+        )
         first, second = (env.reset(seed=3, options={"setup": given})[0] for given in (setup, other))
     if obs == "points":
         np.testing.assert_array_equal(first["points"], second["points"])
-        first, second = first["deploy"], second["deploy"]
+        first = first["deploy"]
+        second = second["deploy"]
     np.testing.assert_array_equal(first, second)
 
 
@@ -126,8 +143,13 @@ def test_a_critic_sees_mass_and_friction_by_their_names():
         heavy = replace(setup, object=replace(setup.object, mass=1.5 * setup.object.mass))
         first, second = (env.reset(seed=3, options={"setup": given})[0] for given in (setup, heavy))
         slices = env.unwrapped.slices
-        assert sum(part.stop - part.start for part in slices.values()) == env.observation_space.shape[0]
-    differs = {name for name, part in slices.items() if not np.array_equal(first[part], second[part])}
+        assert (
+            sum(part.stop - part.start for part in slices.values())
+            == env.observation_space.shape[0]
+        )
+    differs = {
+        name for name, part in slices.items() if not np.array_equal(first[part], second[part])
+    }
     assert differs == {"object_mass"}
     assert first[slices["object_mass"]] == pytest.approx(setup.object.mass)
 
@@ -137,8 +159,10 @@ def test_the_hand_hides_the_object_at_times_and_the_mask_says_so():
         seen = []
         for seed in range(4):
             env.reset(seed=seed)
-            where, place = env.unwrapped.slices["object_seen"], env.unwrapped.slices["object_pos"]
-            rows, over = [], False
+            where = env.unwrapped.slices["object_seen"]
+            place = env.unwrapped.slices["object_pos"]
+            rows = []
+            over = False
             while not over and len(rows) < 60:
                 row, _, over, *_ = env.step(CLOSED)
                 rows.append(row)
@@ -150,7 +174,8 @@ def test_the_hand_hides_the_object_at_times_and_the_mask_says_so():
     assert 0.1 < np.mean(seen) < 0.9
 
 
-# The wrist -------------------------------------------------------------------------------------------------------------
+# The wrist
+# -------------------------------------------------------------------------------------------------------------
 
 
 def test_no_hand_starts_inside_of_anything():
@@ -172,10 +197,14 @@ def test_no_hand_starts_inside_of_anything():
 
 
 def depths_at_the_start(count, **options):
-    """How deep hands start in the object and in its support [mm], by name; whether the object moves while they rest for 0.4 s."""
+    """How deep hands start in the object and in its support [mm], by name; whether the object moves
+    while they rest for 0.4 s.
+    """
     deep = {"object": np.zeros(count), "support": np.zeros(count)}
     episodes = Episodes(GraspAny(**options), count, checked_options(engine="mujoco"))
-    episodes.reset(range(count), [np.random.default_rng(BENCHMARK_SEED + world) for world in range(count)])
+    episodes.reset(
+        range(count), [np.random.default_rng(BENCHMARK_SEED + world) for world in range(count)]
+    )
     for world in range(count):
         model, data = episodes.simulation.engine.single(world)
         for contact in data.contact:
@@ -183,7 +212,8 @@ def depths_at_the_start(count, **options):
             if names & set(deep) and names - set(deep):
                 other = (names & set(deep)).pop()
                 deep[other][world] = max(deep[other][world], -1e3 * contact.dist)
-    start, rest = episodes.now.state.object_pos, action_from_synergy(episodes.setups[0].synergy)
+    start = episodes.now.state.object_pos
+    rest = action_from_synergy(episodes.setups[0].synergy)
     for _ in range(8):
         episodes.step(np.tile(rest, (count, 1)))
     knocked = np.linalg.norm(episodes.now.state.object_pos - start, axis=1) > 2e-3
@@ -193,7 +223,10 @@ def depths_at_the_start(count, **options):
 
 @pytest.mark.parametrize(
     ("objects", "count"),
-    [("real", 64), *(pytest.param(split, 256, marks=pytest.mark.slow) for split in ("train", "test", "real"))],
+    [
+        ("real", 64),
+        *(pytest.param(split, 256, marks=pytest.mark.slow) for split in ("train", "test", "real")),
+    ],
 )
 @pytest.mark.parametrize("hands", ["train", "test"])
 def test_no_other_hand_starts_inside_of_anything(objects, count, hands):
@@ -204,7 +237,17 @@ def test_no_other_hand_starts_inside_of_anything(objects, count, hands):
         within[clear] = deep["support"] > 0
         shares = [within[clear].mean(), (deep["object"] > 0).mean(), knocked.mean()]
         depths = [f"{max(depth):.1f} mm" for depth in deep.values()]
-        print("", objects, count, hands, clear, *(f"{share:.1%}" for share in shares), *depths, "", sep=" | ")
+        print(
+            "",
+            objects,
+            count,
+            hands,
+            clear,
+            *(f"{share:.1%}" for share in shares),
+            *depths,
+            "",
+            sep=" | ",
+        )
         if clear:
             assert not within[True].any()
             assert max(deep["object"]) < 0.1
@@ -213,12 +256,15 @@ def test_no_other_hand_starts_inside_of_anything(objects, count, hands):
 
 
 def test_objects_of_other_sizes_keep_their_density_and_stay_graspable():
-    config, scales = GraspAnyConfig(size=(0.7, 1.4), mass=(1.0, 1.0)), []
+    config = GraspAnyConfig(size=(0.7, 1.4), mass=(1.0, 1.0))
+    scales = []
     task = GraspAny("real", config=config)
     poses = {(entry.name, pose.quaternion): pose for entry in task.objects for pose in entry.poses}
     for seed in range(200):
         spec = (setup := task.setup(np.random.default_rng(seed))).object
-        np.testing.assert_allclose(spec.half_extents, spec.scale * np.array(spec.model.half_extents))
+        np.testing.assert_allclose(
+            spec.half_extents, spec.scale * np.array(spec.model.half_extents)
+        )
         assert spec.mass == pytest.approx(spec.scale**3 * spec.model.mass)
         pose = poses[spec.model.name, setup.object_quaternion]
         assert spec.scale * pose.width <= config.width[1] + 1e-9
@@ -244,11 +290,17 @@ def test_the_first_action_moves_a_free_wrist_and_later_ones_do_not():
             env.step(np.concatenate([rest, [-1, -1, -1, -1]]).astype(np.float32))
             assert env.unwrapped.episodes.setups[0] is after
             world = [setup.hand_rotation @ setup.position for setup in (before, after)]
-            turn = np.array([[np.cos(0.25), -np.sin(0.25), 0], [np.sin(0.25), np.cos(0.25), 0], [0, 0, 1]])
+            turn = np.array(
+                [[np.cos(0.25), -np.sin(0.25), 0], [np.sin(0.25), np.cos(0.25), 0], [0, 0, 1]]
+            )
             moved = world[0] - turn @ world[1]
             free = [0.006, -0.009, 0.012]
-            assert np.abs(moved - free).max() < 0.03, "but for what the open hand must stay clear of"
-            assert np.allclose(moved, free) or not np.allclose(after.position, placing.moved(before, np.zeros(3), 0.25).position)
+            assert np.abs(moved - free).max() < 0.03, (
+                "but for what the open hand must stay clear of"
+            )
+            assert np.allclose(moved, free) or not np.allclose(
+                after.position, placing.moved(before, np.zeros(3), 0.25).position
+            )
 
 
 def test_a_wrist_that_is_left_alone_is_the_scripted_one():
@@ -256,7 +308,8 @@ def test_a_wrist_that_is_left_alone_is_the_scripted_one():
         for seed in range(3):
             np.testing.assert_array_equal(free.reset(seed=seed)[0], script.reset(seed=seed)[0])
             for _ in range(30):
-                first, second = free.step(np.append(CLOSED, np.zeros(4, np.float32))), script.step(CLOSED)
+                first = free.step(np.append(CLOSED, np.zeros(4, np.float32)))
+                second = script.step(CLOSED)
                 np.testing.assert_allclose(first[0], second[0], atol=1e-6)
 
 
@@ -265,7 +318,8 @@ def test_episodes_have_hands_of_their_set_that_nobody_is_told(body):
     with make(hands="train", body=body) as env, make(body=body) as nominal:
         names = set()
         for seed in range(6):
-            (first, _), (usual, _) = env.reset(seed=seed), nominal.reset(seed=seed)
+            (first, _) = env.reset(seed=seed)
+            (usual, _) = nominal.reset(seed=seed)
             setup = env.unwrapped.episodes.setups[0]
             names.add(setup.hand.name)
             assert any(setup.hand is variant.hand for variant in hand_set("train"))

@@ -1,4 +1,6 @@
-"""HPAC-Grasp-v0: what is seen, what counts. The contract of Gymnasium and determinism are in test_gate.py."""
+"""HPAC-Grasp-v0: what is seen, what counts. The contract of Gymnasium and determinism are in
+test_gate.py.
+"""
 
 import gymnasium
 import numpy as np
@@ -22,8 +24,12 @@ def env():
 
 @pytest.fixture(scope="module")
 def lifted(env):
-    """What every step of the scripted closure on an easy cylinder returns, and the state after it."""
-    return [(returned, env.unwrapped.state) for returned in steps(env, ScriptedClosure(), a_setup())][1:]
+    """What every step of the scripted closure on an easy cylinder returns, and the state after
+    it.
+    """
+    return [
+        (returned, env.unwrapped.state) for returned in steps(env, ScriptedClosure(), a_setup())
+    ][1:]
 
 
 class Opens(ScriptedClosure):
@@ -58,7 +64,9 @@ def test_a_slippery_heavy_object_is_dropped(env):
     assert infos[-1]["phase"] in ("lift", "shake")
 
 
-@pytest.mark.parametrize(("at", "phases"), [(1.2, {"lift", "shake"}), (1.8, {"shake"}), (2.5, {"shake", "place"})])
+@pytest.mark.parametrize(
+    ("at", "phases"), [(1.2, {"lift", "shake"}), (1.8, {"shake"}), (2.5, {"shake", "place"})]
+)
 def test_a_hand_that_opens_on_the_way_fails_before_the_end(env, at, phases):
     infos, _ = run(env, Opens(at), a_setup())
     assert infos[-1]["outcome"] == "failure"
@@ -67,8 +75,12 @@ def test_a_hand_that_opens_on_the_way_fails_before_the_end(env, at, phases):
 
 
 def test_an_object_that_slides_through_the_hand_is_not_held(env):
-    """A smooth, heavy can creeps through the closed hand: touched all the time, and lost by `MAX_SLIP`."""
-    infos, _ = run(env, ScriptedClosure(), a_setup(friction=0.12, half_extents=(0.027, 0.027, 0.06), mass=0.4))
+    """A smooth, heavy can creeps through the closed hand: touched all the time, and lost by
+    `MAX_SLIP`.
+    """
+    infos, _ = run(
+        env, ScriptedClosure(), a_setup(friction=0.12, half_extents=(0.027, 0.027, 0.06), mass=0.4)
+    )
     assert infos[-1]["outcome"] == "failure"
     assert infos[-1]["contact_force"] > 0
     assert infos[-1]["slip"] > MAX_SLIP
@@ -84,12 +96,16 @@ def test_phases_come_in_order_and_last_as_long_as_the_timetable_says(lifted):
 
 
 def test_the_wrist_path_shakes_in_six_directions_and_its_velocity_never_jumps():
-    table, dt = Timetable(), 1e-3
+    table = Timetable()
+    dt = 1e-3
     times = np.arange(0, table.ends[-1] + dt, dt)
     offsets = wrist_table(table, tuple(times.tolist()))
     accelerations = np.diff(offsets, 2, axis=0) / dt**2
-    assert 15.0 < np.abs(accelerations).max() < 25.0  # [m/s²]; a jump of 0.4 m/s would be one of 400
-    shake_begin, shake_end = table.ends[1], table.ends[2]
+    assert (
+        15.0 < np.abs(accelerations).max() < 25.0
+    )  # [m/s²]; a jump of 0.4 m/s would be one of 400
+    shake_begin = table.ends[1]
+    shake_end = table.ends[2]
     shaking = offsets[(times > shake_begin) & (times < shake_end)] - [0, 0, table.lift_height]
     np.testing.assert_allclose(shaking.max(axis=0), table.shake_distance, rtol=0.02)
     np.testing.assert_allclose(shaking.min(axis=0), -table.shake_distance, rtol=0.02)
@@ -127,7 +143,9 @@ def test_commands_respect_the_rate_limit(env):
     for _ in range(15):
         *_, terminated, _, _ = env.step(rng.choice([-1.0, 1.0], 6).astype(np.float32))
         command = env.unwrapped.command
-        assert np.all(np.abs(command.servo - last) <= HPAC.servo_rate_limit * command.duration + 1e-12)
+        assert np.all(
+            np.abs(command.servo - last) <= HPAC.servo_rate_limit * command.duration + 1e-12
+        )
         last = command.servo
         if terminated:
             break

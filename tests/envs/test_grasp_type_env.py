@@ -1,4 +1,6 @@
-"""HPAC-GraspType-v0: one start, the first action, the type that is told and judged. The contract is in test_gate.py."""
+"""HPAC-GraspType-v0: one start, the first action, the type that is told and judged. The contract is
+in test_gate.py.
+"""
 
 from dataclasses import replace
 
@@ -32,11 +34,18 @@ def make(**options) -> gymnasium.Env:
 
 
 class Other:
-    """A script that is told another type than the one that is asked for, or whose actions are changed."""
+    """A script that is told another type than the one that is asked for, or whose actions are
+    changed.
+    """
 
-    def __init__(self, env: gymnasium.Env, name: str | None = None, change=lambda action, step: action) -> None:
-        self.script, self.change, self.step = scripted_closure(env.unwrapped.task), change, 0
-        self.told, self.name = env.unwrapped.slices["type"], name
+    def __init__(
+        self, env: gymnasium.Env, name: str | None = None, change=lambda action, step: action
+    ) -> None:
+        self.script = scripted_closure(env.unwrapped.task)
+        self.change = change
+        self.step = 0
+        self.told = env.unwrapped.slices["type"]
+        self.name = name
 
     def reset(self) -> None:
         self.script.reset()
@@ -51,7 +60,9 @@ class Other:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_each_type_s_own_closure_is_held_and_kept_and_a_hand_that_opens_at_the_end_is_neither(engine):
+def test_each_type_s_own_closure_is_held_and_kept_and_a_hand_that_opens_at_the_end_is_neither(
+    engine,
+):
     with make(engine=engine, types=["large_cylinder", "hook", "lateral_pinch"]) as env:
         names = set()
         for seed in (0, 1):
@@ -62,14 +73,21 @@ def test_each_type_s_own_closure_is_held_and_kept_and_a_hand_that_opens_at_the_e
             assert not any(info["held"] for info in infos[:-1])
             names.add(infos[0]["type"])
         assert len(names) > 1
-        opened = Other(env, change=lambda action, step: action if step < 60 else np.append(np.full(6, -1), action[6:]))
+        opened = Other(
+            env,
+            change=lambda action, step: (
+                action if step < 60 else np.append(np.full(6, -1), action[6:])
+            ),
+        )
         (*_, last), _ = run(env, opened, seed=0)
         assert not last["is_success"]
         assert not last["held"]
 
 
 def test_what_is_held_otherwise_than_the_type_asks_is_no_success():
-    """A baton is held with index and pinky aside, and by its own closure: the same object, the same start, another outcome."""
+    """A baton is held with index and pinky aside, and by its own closure: the same object, the same
+    start, another outcome.
+    """
 
     def two_fingers(action, step):
         return np.where(np.isin(np.arange(12), [1, 4]), -1.0, action).astype(np.float32)
@@ -103,7 +121,9 @@ def test_a_hand_cannot_arrive_with_its_thumb_inside_of_a_finger():
     with make(types="large_cylinder") as env:
         for fingers, over in ((-1.0, False), (0.6, True)):
             env.reset(seed=0)
-            *_, terminated, _, info = env.step(np.array([0.6, *[fingers] * 4, 0.5, 1, 0, 0, 0, 0, 0], np.float32))
+            *_, terminated, _, info = env.step(
+                np.array([0.6, *[fingers] * 4, 0.5, 1, 0, 0, 0, 0, 0], np.float32)
+            )
             assert terminated == over
             assert info["contact_force"] == 0
 
@@ -124,7 +144,8 @@ def test_only_the_first_action_moves_the_wrist_and_shapes_the_hand_at_once():
 
 def test_a_policy_is_told_its_type_in_every_step_and_the_rule_s_numbers():
     with make() as env:
-        task, slices = env.unwrapped.task, env.unwrapped.slices
+        task = env.unwrapped.task
+        slices = env.unwrapped.slices
         seen = {}
         for seed in range(40):
             observation, _ = env.reset(seed=seed)
@@ -143,8 +164,12 @@ def test_a_policy_is_told_its_type_in_every_step_and_the_rule_s_numbers():
 
 
 def test_what_the_page_says_by_hand_has_the_numbers_of_the_code():
-    page = " ".join((DOCS / "environments/grasp_type.md").read_text(encoding="utf-8").replace("−", "-").split())
-    for index, (axis, low, high) in enumerate(zip("xyz", WRIST_CENTRE - WRIST_REACH, WRIST_CENTRE + WRIST_REACH, strict=True)):
+    page = " ".join(
+        (DOCS / "environments/grasp_type.md").read_text(encoding="utf-8").replace("−", "-").split()
+    )
+    for index, (axis, low, high) in enumerate(
+        zip("xyz", WRIST_CENTRE - WRIST_REACH, WRIST_CENTRE + WRIST_REACH, strict=True)
+    ):
         assert f"| {6 + index} | `grasp_{axis}` | {low:.3f} m | {high:.3f} m |" in page
     assert f"| -{WRIST_TURN:g} rad | {WRIST_TURN:g} rad |" in page
     assert f"{100 * START[0]:g} cm in front of the palm" in page
@@ -156,7 +181,9 @@ def test_what_the_page_says_by_hand_has_the_numbers_of_the_code():
 
 def test_an_episode_that_is_given_names_its_type():
     with make() as env:
-        with pytest.raises(ParameterError, match="setup grasp None is not one of large_cylinder, small_cylinder"):
+        with pytest.raises(
+            ParameterError, match="setup grasp None is not one of large_cylinder, small_cylinder"
+        ):
             env.reset(options={"setup": EASY})
         _, info = env.reset(options={"setup": replace(EASY, grasp="small_cylinder")})
         assert info["type"] == "small_cylinder"
@@ -164,20 +191,28 @@ def test_an_episode_that_is_given_names_its_type():
 
 def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monkeypatch):
     with make(types="large_cylinder") as env:
-        engine, looks = env.unwrapped.episodes.simulation.engine, []
+        engine = env.unwrapped.episodes.simulation.engine
+        looks = []
         look = engine.contacts
-        monkeypatch.setattr(engine, "contacts", lambda world: looks.append(env.unwrapped.state.time[0]) or look(world))
+        monkeypatch.setattr(
+            engine,
+            "contacts",
+            lambda world: looks.append(env.unwrapped.state.time[0]) or look(world),
+        )
         infos, _ = run(env, Other(env), seed=0)
     assert infos[-1]["is_success"]
     times = env.unwrapped.task.timetable.ends
-    assert len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3  # the last one is of the grasp's quality
+    assert (
+        len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3
+    )  # the last one is of the grasp's quality
 
 
 class Behaviour:
     """An action at each step, made of the script's actions of the episode."""
 
     def __init__(self, env: gymnasium.Env, name: str) -> None:
-        self.script, self.behaves = scripted_closure(env.unwrapped.task), BEHAVIOURS[name]
+        self.script = scripted_closure(env.unwrapped.task)
+        self.behaves = BEHAVIOURS[name]
 
     def reset(self, seed: int) -> None:
         self.script.reset()
@@ -185,7 +220,8 @@ class Behaviour:
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         if self.path is None:
-            self.step, self.path = -1, [self.script.act(observation) for _ in range(64)]
+            self.step = -1
+            self.path = [self.script.act(observation) for _ in range(64)]
         self.step += 1
         return np.asarray(self.behaves(self.path, self.step), np.float32)
 
@@ -199,10 +235,16 @@ BEHAVIOURS = {
     "closes after the lift has begun": lambda path, step: path[max(step - 26, 0)],
     "opens before the lift": lambda path, step: path[step if step < 22 else 0],
     "opens after the shake": lambda path, step: path[step if step < 54 else 0],
-    "opens and closes every second": lambda path, step: path[round(8 - 8 * np.cos(2 * np.pi * step / 20))],
+    "opens and closes every second": lambda path, step: path[
+        round(8 - 8 * np.cos(2 * np.pi * step / 20))
+    ],
     "trembles": lambda path, step: path[step if step < 16 else 16 - 6 * (step % 2)],
-    "stays 3 cm away": lambda path, step: np.minimum(path[step] + 0.03 / WRIST_REACH * (np.arange(12) == 6), 1),
-    "arrives in the object": lambda path, step: np.maximum(path[step] - 0.5 * (np.arange(12) == 6), -1),
+    "stays 3 cm away": lambda path, step: np.minimum(
+        path[step] + 0.03 / WRIST_REACH * (np.arange(12) == 6), 1
+    ),
+    "arrives in the object": lambda path, step: np.maximum(
+        path[step] - 0.5 * (np.arange(12) == 6), -1
+    ),
 }
 """Action at a step, made of the script's actions of the episode."""
 
@@ -213,17 +255,35 @@ def honest():
 
 
 def paid_for(policy: str) -> tuple[np.ndarray, np.ndarray]:
-    """Returns and successes of 48 training episodes of a policy, which are printed as a row of the page's table."""
-    (episodes,) = evaluate([policy], ID, 48, seed_start=0, options={"engine": "mujoco"}).episodes.values()
-    paid, won = (np.array([getattr(one, name) for one in episodes]) for name in ("total_reward", "success"))
+    """Returns and successes of 48 training episodes of a policy, which are printed as a row of the
+    page's table.
+    """
+    (episodes,) = evaluate(
+        [policy], ID, 48, seed_start=0, options={"engine": "mujoco"}
+    ).episodes.values()
+    paid, won = (
+        np.array([getattr(one, name) for one in episodes]) for name in ("total_reward", "success")
+    )
     ends = paid[~won].max(initial=-np.inf), paid[won].min(initial=np.inf)
-    print("", policy.rpartition(":")[2], f"{paid.mean():.1f}", won.sum(), *(f"{end:.1f}" for end in ends), "", sep=" | ")
+    print(
+        "",
+        policy.rpartition(":")[2],
+        f"{paid.mean():.1f}",
+        won.sum(),
+        *(f"{end:.1f}" for end in ends),
+        "",
+        sep=" | ",
+    )
     return paid, won
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("policy", [*(f"{__name__}:Behaviour:{name}" for name in BEHAVIOURS), ONE_CLOSURE])
-def test_no_behaviour_is_paid_as_well_as_the_script_and_no_failure_as_well_as_a_success(policy, honest):
+@pytest.mark.parametrize(
+    "policy", [*(f"{__name__}:Behaviour:{name}" for name in BEHAVIOURS), ONE_CLOSURE]
+)
+def test_no_behaviour_is_paid_as_well_as_the_script_and_no_failure_as_well_as_a_success(
+    policy, honest
+):
     paid, won = paid_for(policy)
     assert paid.mean() < honest[0].mean() - 1
     assert paid[~won].max() < min(paid[won].min(initial=np.inf), honest[0][honest[1]].min())

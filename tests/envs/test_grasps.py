@@ -1,4 +1,6 @@
-"""Episodes of the sixteen named grasps: determinism, what holds the object, and the scripted closure against random actions."""
+"""Episodes of the sixteen named grasps: determinism, what holds the object, and the scripted
+closure against random actions.
+"""
 
 from itertools import islice, pairwise
 
@@ -56,9 +58,17 @@ def succeeds(env, seed: int, policy=None) -> bool:
 @pytest.mark.parametrize("name", NAMES[::4])
 def test_an_episode_with_a_held_out_shape_repeats_to_the_bit(name: str):
     def trajectory(env):
-        return np.array([returned[0] for returned in islice(steps(env, scripted_closure(env.unwrapped.task), seed=7), 31)])
+        return np.array(
+            [
+                returned[0]
+                for returned in islice(steps(env, scripted_closure(env.unwrapped.task), seed=7), 31)
+            ]
+        )
 
-    with gymnasium.make(ID, grasp=name, variant="shape") as env, gymnasium.make(ID, grasp=name, variant="shape") as other:
+    with (
+        gymnasium.make(ID, grasp=name, variant="shape") as env,
+        gymnasium.make(ID, grasp=name, variant="shape") as other,
+    ):
         first = trajectory(env)
         np.testing.assert_array_equal(trajectory(env), first)
         np.testing.assert_array_equal(trajectory(other), first)
@@ -76,20 +86,30 @@ def test_every_grasp_makes_an_environment_with_the_same_spaces(name: str):
 
 
 def held_by(env, seed: int) -> tuple[set[str], float]:
-    """What touches the object in at least half of the last phase, and the largest force since the lift [N]."""
+    """What touches the object in at least half of the last phase, and the largest force since the
+    lift [N].
+    """
     played = steps(env, scripted_closure(env.unwrapped.task), seed=seed)
     rows = [(env.unwrapped.phase, env.unwrapped.state) for _ in played]
-    begun = [(phase, state) for (phase, _), (_, state) in pairwise(rows)]  # a step belongs to the phase in which it began
+    begun = [
+        (phase, state) for (phase, _), (_, state) in pairwise(rows)
+    ]  # a step belongs to the phase in which it began
     last = [state.touching[0] for phase, state in begun if phase == "place"]
     carried = [state.contact_force.sum() for phase, state in begun if phase in ("shake", "place")]
     often = np.mean(last, axis=0) >= 0.5 if last else np.zeros(len(PARTS), dtype=bool)
-    return {part for part, held in zip(PARTS, often, strict=True) if held}, max(carried, default=0.0)
+    return {part for part, held in zip(PARTS, often, strict=True) if held}, max(
+        carried, default=0.0
+    )
 
 
 @pytest.mark.pybullet  # the closures were found in PyBullet
-@pytest.mark.parametrize("name", [*NAMES[::2], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1::2])])
+@pytest.mark.parametrize(
+    "name", [*NAMES[::2], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1::2])]
+)
 def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
-    """In most of three episodes each of `HOLDING` touches it, and the forces add up to less than 80 N."""
+    """In most of three episodes each of `HOLDING` touches it, and the forces add up to less than 80
+    N.
+    """
     with gymnasium.make(ID, grasp=name) as env:
         seen = [held_by(env, seed) for seed in range(300, 303)]
     for part in HOLDING[name]:
@@ -100,9 +120,12 @@ def test_what_the_text_names_holds_the_object_and_crushes_nothing(name: str):
 @pytest.mark.pybullet  # the closures were found in PyBullet
 @pytest.mark.parametrize(
     ("name", "seeds", "least"),
-    [("rod", range(6), 4), ("tip_pinch", range(6), 4),
-     *(pytest.param(name, range(200, 220), 12, marks=pytest.mark.slow) for name in NAMES)],
-)  # fmt: skip
+    [
+        ("rod", range(6), 4),
+        ("tip_pinch", range(6), 4),
+        *(pytest.param(name, range(200, 220), 12, marks=pytest.mark.slow) for name in NAMES),
+    ],
+)
 def test_scripted_closure_beats_random_actions(name: str, seeds: range, least: int):
     with gymnasium.make(ID, grasp=name) as env:
         scripted = sum(succeeds(env, seed) for seed in seeds)
@@ -114,10 +137,13 @@ def test_scripted_closure_beats_random_actions(name: str, seeds: range, least: i
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_closed_grasp_creeps_little_in_ten_seconds(name: str):
-    """Less than 2 mm for a power grasp and 5 mm for any other, from one second after the hold begins."""
+    """Less than 2 mm for a power grasp and 5 mm for any other, from one second after the hold
+    begins.
+    """
     with gymnasium.make(ID, grasp=name) as env:
         assert any(succeeds(env, seed) for seed in range(10))
-        simulation, places = env.unwrapped.episodes.simulation, []
+        simulation = env.unwrapped.episodes.simulation
+        places = []
         for seconds in (1.0, 10.0):
             simulation.rest(seconds)
             state = simulation.state()

@@ -1,4 +1,6 @@
-"""What a caller gets wrong: one error of the library's own that names the value, and no episode that goes on in silence."""
+"""What a caller gets wrong: one error of the library's own that names the value, and no episode
+that goes on in silence.
+"""
 
 import copy
 import inspect
@@ -17,7 +19,16 @@ from gymnasium.wrappers import TimeAwareObservation
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, PostureEnv, scripted_closure
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, IDS, OPTIONS, POSTURE, POSTURE_V0, checked_options
+from hpac_gym.envs.options import (
+    GRASP,
+    GRASP_ANY,
+    GRASP_TYPE,
+    IDS,
+    OPTIONS,
+    POSTURE,
+    POSTURE_V0,
+    checked_options,
+)
 from hpac_gym.envs.randomization import Randomization
 from hpac_gym.errors import EpisodeError, HpacError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC
@@ -46,7 +57,10 @@ def env(request):
 @pytest.mark.parametrize("make", [HandEnv, HandVectorEnv])
 def test_an_engine_is_closed_where_an_environment_is_refused(monkeypatch, make):
     closed = []
-    monkeypatch.setattr("hpac_gym.physics.pybullet.engine.PyBulletEngine.close", lambda engine: closed.append(engine))
+    monkeypatch.setattr(
+        "hpac_gym.physics.pybullet.engine.PyBulletEngine.close",
+        lambda engine: closed.append(engine),
+    )
     with pytest.raises(ParameterError, match="hub_inertia"):
         make(Grasp(), engine="pybullet", body="light")
     assert len(closed) == 1
@@ -70,8 +84,12 @@ def test_an_option_takes_the_values_of_its_table_and_no_other(option):
 
 @pytest.mark.parametrize("name", IDS)
 def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
-    with gymnasium.make(name) as plain, gymnasium.make(name, **{o.name: o.default for o in OPTIONS if name in o.ids}) as given:
-        seen, expected = given.reset(seed=0)[0], plain.reset(seed=0)[0]
+    with (
+        gymnasium.make(name) as plain,
+        gymnasium.make(name, **{o.name: o.default for o in OPTIONS if name in o.ids}) as given,
+    ):
+        seen = given.reset(seed=0)[0]
+        expected = plain.reset(seed=0)[0]
         assert data_equivalence(seen, expected)
     for other in ("task", "max_steps", "workers"):
         with pytest.raises(TypeError, match=other):
@@ -80,7 +98,9 @@ def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
     for option in OPTIONS:
         if option.name not in taken:
             with pytest.raises((TypeError, ParameterError), match=option.name):
-                gymnasium.make(name, **{option.name: CameraNoise(0, 0, 0) if option.name == "noise" else None})
+                gymnasium.make(
+                    name, **{option.name: CameraNoise(0, 0, 0) if option.name == "noise" else None}
+                )
 
 
 def test_the_defaults_of_the_table_are_those_of_the_check():
@@ -89,7 +109,9 @@ def test_the_defaults_of_the_table_are_those_of_the_check():
     assert {name: parameter.default for name, parameter in parameters.items()} == table
 
 
-@pytest.mark.parametrize("take", [copy.copy, copy.deepcopy, pickle.dumps], ids=["copy", "deepcopy", "pickle"])
+@pytest.mark.parametrize(
+    "take", [copy.copy, copy.deepcopy, pickle.dumps], ids=["copy", "deepcopy", "pickle"]
+)
 @pytest.mark.parametrize("made", MAKERS)
 def test_what_has_a_physics_world_cannot_be_copied(made, take):
     original = MAKERS[made]()
@@ -110,17 +132,41 @@ SETUPS = [
     ({"setup": a_setup(object="rod")}, ParameterError, "ObjectSpec.*'rod'"),
     ({"setpu": None}, ParameterError, "'setpu'.*'setup'"),
     ("setup", ParameterError, "'setup'.*None or"),
-    ({"setup": a_setup(position=np.array([0.05, np.nan, 0.1]))}, ShapeError, r"setup position\[1\] = nan"),
+    (
+        {"setup": a_setup(position=np.array([0.05, np.nan, 0.1]))},
+        ShapeError,
+        r"setup position\[1\] = nan",
+    ),
     ({"setup": a_setup(position=np.zeros(2))}, ShapeError, r"setup position.*\(2,\)"),
     ({"setup": a_setup(yaw=np.nan)}, ShapeError, r"setup yaw.* = nan"),
     ({"setup": a_setup(synergy=np.full(6, np.inf))}, ShapeError, r"setup synergy\[0\] = inf"),
-    ({"setup": a_setup(hand_quaternion=(0.5, 0.5, 0.5, np.nan))}, ShapeError, r"setup hand_quaternion\[3\] = nan"),
-    ({"setup": a_setup(object_quaternion=(0.0, 0.0, 1.0))}, ShapeError, r"setup object_quaternion.*\(3,\)"),
-    ({"setup": a_setup(target=np.array([0.0, 0.0, np.nan]))}, ShapeError, r"setup target\[2\] = nan"),
+    (
+        {"setup": a_setup(hand_quaternion=(0.5, 0.5, 0.5, np.nan))},
+        ShapeError,
+        r"setup hand_quaternion\[3\] = nan",
+    ),
+    (
+        {"setup": a_setup(object_quaternion=(0.0, 0.0, 1.0))},
+        ShapeError,
+        r"setup object_quaternion.*\(3,\)",
+    ),
+    (
+        {"setup": a_setup(target=np.array([0.0, 0.0, np.nan]))},
+        ShapeError,
+        r"setup target\[2\] = nan",
+    ),
 ]
 GOALS = [
-    ({"goal": np.full(15, 9.0)}, WorkspaceError, r"goal thumb_ip = 9 rad is outside \[-0.5, 2\] rad"),
-    ({"goal": -0.6 * np.eye(15)[4]}, WorkspaceError, r"goal index_mcp = -0.6 rad is outside \[-0.5, 2\] rad"),
+    (
+        {"goal": np.full(15, 9.0)},
+        WorkspaceError,
+        r"goal thumb_ip = 9 rad is outside \[-0.5, 2\] rad",
+    ),
+    (
+        {"goal": -0.6 * np.eye(15)[4]},
+        WorkspaceError,
+        r"goal index_mcp = -0.6 rad is outside \[-0.5, 2\] rad",
+    ),
     ({"goal": np.full(15, np.nan)}, ShapeError, r"goal\[0\] = nan"),
     ({"goal": "fist"}, ShapeError, "goal must be an array of numbers"),
     ({"goals": np.zeros(15)}, ParameterError, "'goals'.*'goal'"),
@@ -132,7 +178,9 @@ GOALS = [
     ("make", "options", "error", "message"),
     [("HandEnv", *row) for row in SETUPS] + [("PostureEnv", *row) for row in GOALS],
 )
-def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_running(make, options, error, message):
+def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_running(
+    make, options, error, message
+):
     env = MAKERS[make]()
     env.reset(seed=0)
     with pytest.raises(error, match=message):
@@ -147,7 +195,12 @@ def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_runni
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_an_object_is_of_finite_size_mass_and_friction(value):
     spec = {"shape": "box", "half_extents": (0.02, 0.02, 0.02), "mass": 0.1, "friction": 0.8}
-    for wrong in ({"half_extents": (0.02, value, 0.02)}, {"mass": value}, {"friction": value}, {"scale": value}):
+    for wrong in (
+        {"half_extents": (0.02, value, 0.02)},
+        {"mass": value},
+        {"friction": value},
+        {"scale": value},
+    ):
         with pytest.raises(ValueError, match="finite"):
             ObjectSpec(**spec | wrong)
 
@@ -166,7 +219,11 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         (GRASP, {"randomize": ["full"]}, PRESET + r"\['full'\]"),
         (POSTURE, {"randomize": 0}, PRESET + "0"),
         (GRASP, {"randomize": {"servo_lga": (0.0, 0.1)}}, "servo_lga.*servo_lag"),
-        (GRASP, {"randomize": {"servo_lag": 0.1}}, r"servo_lag = 0.1 must be a range .* \[0, 0.15\]"),
+        (
+            GRASP,
+            {"randomize": {"servo_lag": 0.1}},
+            r"servo_lag = 0.1 must be a range .* \[0, 0.15\]",
+        ),
         (GRASP, {"grasp": ["rod"]}, r"no grasp \['rod'\]"),
         (GRASP, {"grasp": 3}, "no grasp 3"),
         (GRASP, {"grasp": "cylinder"}, "'cylinder'.*large_cylinder"),
@@ -177,7 +234,11 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         (GRASP, {"hand": None}, "hand None is neither"),
         (POSTURE, {"hand": 3}, "hand 3 is neither"),
         (GRASP, {"noise": 0.0}, "noise 0.0 is neither a CameraNoise nor a mapping"),
-        (GRASP, {"noise": {"positon": 0.0}}, "noise has no field 'positon'; it has position, angle, size"),
+        (
+            GRASP,
+            {"noise": {"positon": 0.0}},
+            "noise has no field 'positon'; it has position, angle, size",
+        ),
         (GRASP, {"noise": {"position": "0"}}, "noise position = '0' must be a finite number"),
         (GRASP, {"noise": {"angle": -1}}, r"CameraNoise\(position=0.0015, angle=-1.*at least 0"),
         (GRASP, {"noise": {"size": float("nan")}}, "noise size = nan must be a finite number"),
@@ -186,33 +247,93 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
         (POSTURE, {"config": "easy"}, "config 'easy' is neither a PostureConfig nor a mapping"),
         (GRASP, {"config": {"radii": [0.01, 0.02]}}, "config has no field 'radii'; it has radius"),
         (GRASP, {"config": {"radius": 0.01}}, r"config radius = 0.01 must be a range"),
-        (GRASP, {"config": {"radius": [0.03, 0.01]}}, r"config radius = .*must be a range .*within \[0.002, 0.06\]"),
+        (
+            GRASP,
+            {"config": {"radius": [0.03, 0.01]}},
+            r"config radius = .*must be a range .*within \[0.002, 0.06\]",
+        ),
         (GRASP, {"config": {"mass": [0.0, 0.1]}}, r"config mass = .*within \[0.001, 2\]"),
-        (GRASP, {"config": {"drop_distance": True}}, "config drop_distance = True must be a number within"),
-        (GRASP, {"config": {"weights": {"carry": None}}}, "config weights carry = None must be a finite number"),
-        (GRASP, {"config": {"timetable": 2.0}}, "config timetable 2.0 is neither a Timetable nor a mapping"),
-        (GRASP, {"config": {"timetable": {"close_time": -1.0}}}, "config timetable: durations of .* greater than 0 s"),
-        (GRASP, {"config": {"timetable": {"close_time": 2.0}}}, r"lasts 80 steps: HPAC-Grasp-v0 .* 64; use .*HandEnv\(Grasp"),
-        (GRASP, {"grasp": "rod", "config": {"mass": [0.1, 0.2], "box_yaw": [0.0, 0.1], "drop_distance": 0.05}},
-         "config mass, box_yaw: a named grasp such as 'rod' has its own object"),
-        (GRASP, {"object": OWN, "config": {"mass": [0.1, 0.2], "gap": [0.0, 0.01], "radius": [0.01, 0.02]}},
-         "config radius, mass: an object of one's own has its own size, mass and friction"),
-        (POSTURE_V0, {"config": {"duration": 3.0}}, r"config duration = 3.0 s: give .*max_episode_steps"),
+        (
+            GRASP,
+            {"config": {"drop_distance": True}},
+            "config drop_distance = True must be a number within",
+        ),
+        (
+            GRASP,
+            {"config": {"weights": {"carry": None}}},
+            "config weights carry = None must be a finite number",
+        ),
+        (
+            GRASP,
+            {"config": {"timetable": 2.0}},
+            "config timetable 2.0 is neither a Timetable nor a mapping",
+        ),
+        (
+            GRASP,
+            {"config": {"timetable": {"close_time": -1.0}}},
+            "config timetable: durations of .* greater than 0 s",
+        ),
+        (
+            GRASP,
+            {"config": {"timetable": {"close_time": 2.0}}},
+            r"lasts 80 steps: HPAC-Grasp-v0 .* 64; use .*HandEnv\(Grasp",
+        ),
+        (
+            GRASP,
+            {
+                "grasp": "rod",
+                "config": {"mass": [0.1, 0.2], "box_yaw": [0.0, 0.1], "drop_distance": 0.05},
+            },
+            "config mass, box_yaw: a named grasp such as 'rod' has its own object",
+        ),
+        (
+            GRASP,
+            {
+                "object": OWN,
+                "config": {"mass": [0.1, 0.2], "gap": [0.0, 0.01], "radius": [0.01, 0.02]},
+            },
+            "config radius, mass: an object of one's own has its own size, mass and friction",
+        ),
+        (
+            POSTURE_V0,
+            {"config": {"duration": 3.0}},
+            r"config duration = 3.0 s: give .*max_episode_steps",
+        ),
         (GRASP_ANY, {"objects": "reel"}, "objects 'reel' is not one of train, test, real"),
         (GRASP_ANY, {"wrist": "loose"}, "wrist 'loose' is not one of script, free"),
         (GRASP_ANY, {"hands": "left"}, "hands 'left' is not one of nominal, train, test"),
         (GRASP_ANY, {"hands": "test", "hand": replace(HPAC, name="mine")}, "give either"),
         (GRASP_ANY, {"obs": "touch"}, "obs 'touch' is not one of .*load, points"),
-        (GRASP_ANY, {"config": {"side_time": 0.07}}, "side_time = 0.07 s must be a multiple of 0.05 s"),
-        (GRASP_ANY, {"config": {"width": [0.5, 0.6]}}, r"width = \(0.5, 0.6\) m and flattest = 0.018 m exclude all train"),
-        (GRASP_TYPE, {"types": "club"}, "no grasp type 'club'; there are all, train, test, large_cylinder"),
+        (
+            GRASP_ANY,
+            {"config": {"side_time": 0.07}},
+            "side_time = 0.07 s must be a multiple of 0.05 s",
+        ),
+        (
+            GRASP_ANY,
+            {"config": {"width": [0.5, 0.6]}},
+            r"width = \(0.5, 0.6\) m and flattest = 0.018 m exclude all train",
+        ),
+        (
+            GRASP_TYPE,
+            {"types": "club"},
+            "no grasp type 'club'; there are all, train, test, large_cylinder",
+        ),
         (GRASP_TYPE, {"objects": "real"}, "objects 'real' is not one of train, test"),
         (GRASP_TYPE, {"wrist": "loose"}, "wrist 'loose' is not one of free, script"),
         (GRASP_TYPE, {"obs": "load"}, "obs 'load' is not one of deploy, privileged, image"),
-        (GRASP_TYPE, {"config": {"spread": 7}}, r"config spread = 7 must be a number within \[0, 5\]"),
-        (GRASP_TYPE, {"config": {"timetable": {"close_time": 2.0}}}, "lasts 80 steps: HPAC-GraspType-v0 has .*GraspByType"),
+        (
+            GRASP_TYPE,
+            {"config": {"spread": 7}},
+            r"config spread = 7 must be a number within \[0, 5\]",
+        ),
+        (
+            GRASP_TYPE,
+            {"config": {"timetable": {"close_time": 2.0}}},
+            "lasts 80 steps: HPAC-GraspType-v0 has .*GraspByType",
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_refused_is_named_in_one_line(name, options, message):
     with pytest.raises(HpacError, match=message) as error:
         gymnasium.make(name, **options)
@@ -220,7 +341,9 @@ def test_what_is_refused_is_named_in_one_line(name, options, message):
 
 
 def test_a_config_is_taken_where_it_says_nothing_of_the_object():
-    gymnasium.make(GRASP, grasp="rod", config={"drop_distance": 0.05, "weights": {"success": 1.0}}).close()
+    gymnasium.make(
+        GRASP, grasp="rod", config={"drop_distance": 0.05, "weights": {"success": 1.0}}
+    ).close()
     gymnasium.make(GRASP, object=OWN, config={"gap": [0.0, 0.01]}).close()
 
 
@@ -235,16 +358,40 @@ TIMES = {"timetable": {"close_time": 1.0}, "weights": {"success": 3.0}}
         ("HPAC-Posture-v0", {"randomize": {"servo_lag": [0, 0.1]}}),
         ("HPAC-Posture-v0", {"randomize": {}, "config": PostureConfig(tolerance=0.02)}),
         ("HPAC-Grasp-v0", {"noise": CameraNoise(0.0, 0.01, 0.0), "randomize": "full"}),
-        ("HPAC-Grasp-v0", {"noise": {"position": 0.0}, "config": {"radius": [0.02, 0.025], **TIMES}}),
-        ("HPAC-Grasp-v0", {"config": GraspConfig(mass=(0.1, 0.1), timetable=Timetable(close_time=1.1))}),
-        ("HPAC-GraspType-v0", {"types": ["rod", "hook"], "objects": "test", "config": {"spread": 2.0, "drop_distance": 0.05}}),
-        ("HPAC-GraspAny-v1", {"objects": "real", "hands": "train", "wrist": "free", "config": {"gap": [0.01, 0.01], **TIMES}}),
+        (
+            "HPAC-Grasp-v0",
+            {"noise": {"position": 0.0}, "config": {"radius": [0.02, 0.025], **TIMES}},
+        ),
+        (
+            "HPAC-Grasp-v0",
+            {"config": GraspConfig(mass=(0.1, 0.1), timetable=Timetable(close_time=1.1))},
+        ),
+        (
+            "HPAC-GraspType-v0",
+            {
+                "types": ["rod", "hook"],
+                "objects": "test",
+                "config": {"spread": 2.0, "drop_distance": 0.05},
+            },
+        ),
+        (
+            "HPAC-GraspAny-v1",
+            {
+                "objects": "real",
+                "hands": "train",
+                "wrist": "free",
+                "config": {"gap": [0.01, 0.01], **TIMES},
+            },
+        ),
         ("HPAC-PickPlace-v0", {"noise": {"size": 0}, "config": {"mass": (0.1, 0.1), **TIMES}}),
     ],
     ids=str,
 )
 def test_ranges_noise_and_config_survive_json_and_give_the_same_episode(name, given):
-    with gymnasium.make(name, **given) as env, gymnasium.make(EnvSpec.from_json(env.spec.to_json())) as again:
+    with (
+        gymnasium.make(name, **given) as env,
+        gymnasium.make(EnvSpec.from_json(env.spec.to_json())) as again,
+    ):
         assert again.unwrapped.randomization == env.unwrapped.randomization
         assert again.unwrapped.task.config == env.unwrapped.task.config
         assert again.spec.max_episode_steps == env.spec.max_episode_steps
@@ -255,16 +402,25 @@ def test_ranges_noise_and_config_survive_json_and_give_the_same_episode(name, gi
 
 def test_what_is_given_counts():
     """A config, and a noise, that only looked as if they were taken."""
-    with gymnasium.make("HPAC-Grasp-v0", noise={"size": 0, "angle": 0, "position": 0}, config={"mass": [0.3, 0.3]}) as env:
+    with gymnasium.make(
+        "HPAC-Grasp-v0", noise={"size": 0, "angle": 0, "position": 0}, config={"mass": [0.3, 0.3]}
+    ) as env:
         observation, _ = env.reset(seed=0)
         assert env.unwrapped.episodes.setups[0].object.mass == 0.3
         centre = (env.unwrapped.state.object_pos[0] - GRASP_CENTRE) / LENGTH_UNIT
-        np.testing.assert_allclose(part(observation, env.unwrapped.task.terms, "object_pos"), centre, atol=1e-6)
+        np.testing.assert_allclose(
+            part(observation, env.unwrapped.task.terms, "object_pos"), centre, atol=1e-6
+        )
 
 
 @pytest.mark.parametrize(
     ("name", "length"),
-    [("HPAC-Grasp-v0", 64), ("HPAC-GraspType-v0", 64), ("HPAC-PickPlace-v0", 110), ("HPAC-Posture-v0", 40)],
+    [
+        ("HPAC-Grasp-v0", 64),
+        ("HPAC-GraspType-v0", 64),
+        ("HPAC-PickPlace-v0", 110),
+        ("HPAC-Posture-v0", 40),
+    ],
 )
 def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itself(name, length):
     with TimeAwareObservation(gymnasium.make(name), flatten=name != "HPAC-Posture-v0") as env:
@@ -273,9 +429,12 @@ def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itsel
     with gymnasium.make(name) as env:
         seed = 0
         while longest < length and seed < 8:
-            *returned, (_, _, terminated, truncated, _) = steps(env, scripted_closure(env.unwrapped.task), seed=seed)
+            *returned, (_, _, terminated, truncated, _) = steps(
+                env, scripted_closure(env.unwrapped.task), seed=seed
+            )
             assert terminated != truncated == (name == "HPAC-Posture-v0")
-            longest, seed = max(longest, len(returned)), seed + 1
+            longest = max(longest, len(returned))
+            seed = seed + 1
     assert longest == length
 
 
@@ -290,14 +449,17 @@ def test_an_action_that_float32_rounds_past_its_bound_is_that_bound(env):
         commands.append(env.unwrapped.command.servo)
     np.testing.assert_array_equal(*commands)
     env.reset(seed=0)
-    with pytest.raises(WorkspaceError, match=r"action thumb_mp = 1\.00001 .*gymnasium\.wrappers\.ClipAction"):
+    with pytest.raises(
+        WorkspaceError, match=r"action thumb_mp = 1\.00001 .*gymnasium\.wrappers\.ClipAction"
+    ):
         env.step(1.00001 * ones.astype(float))
 
 
 @pytest.mark.parametrize(("name", "options"), [(GRASP_ANY, {"wrist": "free"}), (GRASP_TYPE, {})])
 def test_a_bad_action_of_a_free_wrist_says_so(name, options):
     with gymnasium.make(name, engine="mujoco", **options) as env:
-        (size,), last = env.action_space.shape, env.unwrapped.task.wrist_actions[-1]
+        (size,) = env.action_space.shape
+        last = env.unwrapped.task.wrist_actions[-1]
         env.reset(seed=0)
         for action, error, message in (
             (np.zeros(6), ShapeError, rf"shape \(..., {size}\)"),

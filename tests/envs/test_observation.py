@@ -22,7 +22,9 @@ STEADY = CameraNoise(position=0.0, angle=0.0, size=0.0)
 
 def episode(env, seed: int = 0):
     """Every observation and state of one scripted episode."""
-    rows = [(returned[0], env.unwrapped.state) for returned in steps(env, ScriptedClosure(), seed=seed)]
+    rows = [
+        (returned[0], env.unwrapped.state) for returned in steps(env, ScriptedClosure(), seed=seed)
+    ]
     return zip(*rows, strict=True)
 
 
@@ -30,10 +32,13 @@ def test_the_deployed_vector_holds_what_its_table_says():
     with HandEnv(Grasp(), noise=STEADY) as env:
         observation, _ = env.reset(seed=0, options={"setup": EASY})
         assert observation.shape == (DEPLOYED,)
-        place, extents = (EASY.position - GRASP_CENTRE) / LENGTH_UNIT, np.array(EASY.object.half_extents) / LENGTH_UNIT
+        place = (EASY.position - GRASP_CENTRE) / LENGTH_UNIT
+        extents = np.array(EASY.object.half_extents) / LENGTH_UNIT
         np.testing.assert_allclose(part(observation, TERMS, "object_pos"), place, atol=1e-4)
         np.testing.assert_allclose(part(observation, TERMS, "object_size"), extents, atol=1e-6)
-        np.testing.assert_allclose(part(observation, TERMS, "object_up"), [0, 1, 0], atol=1e-6)  # the hand's y axis points up
+        np.testing.assert_allclose(
+            part(observation, TERMS, "object_up"), [0, 1, 0], atol=1e-6
+        )  # the hand's y axis points up
         np.testing.assert_allclose(part(observation, TERMS, "down"), [0, -1, 0], atol=1e-6)
         np.testing.assert_array_equal(part(observation, TERMS, "object_side"), 0)
         np.testing.assert_array_equal(part(observation, TERMS, "object_shape"), [1, 0, 0])
@@ -41,8 +46,12 @@ def test_the_deployed_vector_holds_what_its_table_says():
         observation, *_ = env.step(np.zeros(6, np.float32))
         servo = env.command.servo
         np.testing.assert_allclose(part(observation, TERMS, "servo"), servo, atol=1e-6)
-        np.testing.assert_allclose(part(observation, TERMS, "joint_pos"), elastic_joints_from_servo(servo), atol=1e-6)
-        np.testing.assert_allclose(part(observation, TERMS, "progress"), 0.05 / env.task.duration, atol=1e-6)
+        np.testing.assert_allclose(
+            part(observation, TERMS, "joint_pos"), elastic_joints_from_servo(servo), atol=1e-6
+        )
+        np.testing.assert_allclose(
+            part(observation, TERMS, "progress"), 0.05 / env.task.duration, atol=1e-6
+        )
 
 
 def test_the_deployed_vector_cannot_tell_mass_or_friction_before_contact():
@@ -53,7 +62,9 @@ def test_the_deployed_vector_cannot_tell_mass_or_friction_before_contact():
 
 
 def test_the_seen_joints_are_predicted_and_not_measured():
-    """A blocked hand sees what it commanded: nothing in the deployed vector reads the simulated joints."""
+    """A blocked hand sees what it commanded: nothing in the deployed vector reads the simulated
+    joints.
+    """
     with HandEnv(Grasp(), noise=STEADY) as env:
         env.reset(seed=0, options={"setup": a_setup(mass=5.0, friction=1.0)})
         for _ in range(20):
@@ -71,7 +82,8 @@ def test_all_three_show_the_same_episode_and_a_picture_changes_with_the_hand():
     for plain, more, picture in zip(*seen.values(), strict=True):
         np.testing.assert_array_equal(plain, more[:DEPLOYED])
         np.testing.assert_array_equal(plain, picture["deploy"])
-    first, last = seen["image"][0]["image"], seen["image"][-1]["image"]
+    first = seen["image"][0]["image"]
+    last = seen["image"][-1]["image"]
     assert first.shape == (IMAGE_SIZE, IMAGE_SIZE, 3)
     assert first.dtype == np.uint8
     assert first.std() > 10
@@ -83,20 +95,30 @@ def test_the_privileged_part_is_the_state_of_the_simulation():
         seen, states = episode(env, seed=2)
         setup = env.episodes.setups[0]
     wanted = {
-        "true_joint_pos": lambda s: s.joint_pos, "true_joint_vel": lambda s: s.joint_vel / SPEED_UNIT, "horn": lambda s: s.horn,
-        "tension": lambda s: s.tension / FORCE_UNIT, "contact_force": lambda s: s.contact_force / FORCE_UNIT,
-        "true_object_pos": lambda s: (s.object_pos - GRASP_CENTRE) / LENGTH_UNIT, "object_vel": lambda s: s.object_vel,
-        "object_spin": lambda s: s.object_spin / SPEED_UNIT, "supported": lambda s: s.supported,
-        "true_object_up": lambda s: s.object_rotation[:, :, 2], "true_object_side": lambda s: s.object_rotation[:, :, 0],
-    }  # fmt: skip
+        "true_joint_pos": lambda s: s.joint_pos,
+        "true_joint_vel": lambda s: s.joint_vel / SPEED_UNIT,
+        "horn": lambda s: s.horn,
+        "tension": lambda s: s.tension / FORCE_UNIT,
+        "contact_force": lambda s: s.contact_force / FORCE_UNIT,
+        "true_object_pos": lambda s: (s.object_pos - GRASP_CENTRE) / LENGTH_UNIT,
+        "object_vel": lambda s: s.object_vel,
+        "object_spin": lambda s: s.object_spin / SPEED_UNIT,
+        "supported": lambda s: s.supported,
+        "true_object_up": lambda s: s.object_rotation[:, :, 2],
+        "true_object_side": lambda s: s.object_rotation[:, :, 0],
+    }
     bounds = {term.name: (term.low, term.high) for term in EVERYTHING}
     for observation, state in zip(seen, states, strict=True):
         for name, value in wanted.items():
             expected = np.clip(np.ravel(value(state)), *bounds[name])
-            np.testing.assert_allclose(part(observation, EVERYTHING, name), expected, atol=1e-6, err_msg=name)
+            np.testing.assert_allclose(
+                part(observation, EVERYTHING, name), expected, atol=1e-6, err_msg=name
+            )
     last = seen[-1]
     assert part(last, EVERYTHING, "object_mass")[0] == pytest.approx(setup.object.mass)
-    assert part(last, EVERYTHING, "object_friction")[0] == pytest.approx(0.9 * setup.object.friction)
+    assert part(last, EVERYTHING, "object_friction")[0] == pytest.approx(
+        0.9 * setup.object.friction
+    )
     assert max(part(row, EVERYTHING, "tension").max() for row in seen) > 0
     assert np.all(part(last, EVERYTHING, "horn") <= HPAC.servo_max + 1e-6)
 
@@ -106,7 +128,10 @@ def test_slip_starts_when_the_hand_begins_to_carry_and_epsilon_comes_at_the_end(
     with HandEnv(Grasp()) as env:
         for seed in range(6):
             *before, last = (info for *_, info in steps(env, ScriptedClosure(), seed=seed))
-            assert not any("epsilon" in info or (info["slip"] > 0 and info["hold_time"] == 0) for info in before)
+            assert not any(
+                "epsilon" in info or (info["slip"] > 0 and info["hold_time"] == 0)
+                for info in before
+            )
             ended.append(last)
     held = [info for info in ended if info["is_success"]]
     assert held

@@ -45,7 +45,10 @@ def test_scripted_placing_succeeds_where_holding_on_or_doing_nothing_fails(env, 
     won = [infos[-1]["is_success"] for infos, *_ in scripted]
     assert sum(won) >= 3
     for seed in np.flatnonzero(won)[:3].tolist():
-        assert not any(run(env, policy(), seed=seed)[0][-1]["is_success"] for policy in (NeverOpens, Still, ScriptedClosure))
+        assert not any(
+            run(env, policy(), seed=seed)[0][-1]["is_success"]
+            for policy in (NeverOpens, Still, ScriptedClosure)
+        )
 
 
 def test_holding_on_pays_only_until_the_hand_is_lowered():
@@ -80,14 +83,17 @@ def test_success_is_an_object_that_stands_alone_at_its_target(scripted):
         if infos[-1]["is_success"]:
             assert infos[-1]["contact_force"] == 0.0
             assert state.on_target[0]
-            centre = state.object_pos[0] + setup.hand_rotation.T @ state.palm_offset[0]  # in the hand frame at the start
+            centre = (
+                state.object_pos[0] + setup.hand_rotation.T @ state.palm_offset[0]
+            )  # in the hand frame at the start
             assert np.linalg.norm((centre - setup.target)[[0, 2]]) < PickPlaceConfig().tolerance
             assert centre[1] == pytest.approx(setup.target[1], abs=2e-3)
 
 
 def test_the_target_in_the_observation_moves_with_the_wrist(env):
     observation, _ = env.reset(seed=1)
-    terms, setup = env.unwrapped.task.terms, env.unwrapped.episodes.setups[0]
+    terms = env.unwrapped.task.terms
+    setup = env.unwrapped.episodes.setups[0]
     first = part(observation, terms, "target_pos") * LENGTH_UNIT + GRASP_CENTRE
     np.testing.assert_allclose(first, setup.target, atol=1e-6)
     for _ in range(10):
@@ -99,7 +105,8 @@ def test_the_target_in_the_observation_moves_with_the_wrist(env):
 
 
 def test_the_wrist_path_is_smooth_and_ends_where_it_should():
-    table, dt = PickPlaceTimetable(carry=(0.05, 0.2, 0.01)), 1e-3
+    table = PickPlaceTimetable(carry=(0.05, 0.2, 0.01))
+    dt = 1e-3
     offsets = table.wrist_path(tuple(np.arange(0, table.ends[-1], dt).tolist()))
     assert np.abs(np.diff(offsets, 2, axis=0) / dt**2).max() < 5.0  # [m/s²]
     np.testing.assert_allclose(offsets[-1], [0.05, 0.2, 0.01 + table.clearance], atol=1e-6)

@@ -55,7 +55,9 @@ def test_version_1_draws_no_goal_that_version_0_cannot_reach():
     with gymnasium.make(ID, **options) as old, gymnasium.make(NEW, **options) as new:
         assert not any(reached(old, seed) for seed in UNREACHABLE)
         assert all(reached(new, seed) for seed in UNREACHABLE)
-        goals = [[env.reset(seed=seed)[0]["desired_goal"] for seed in range(40)] for env in (old, new)]
+        goals = [
+            [env.reset(seed=seed)[0]["desired_goal"] for seed in range(40)] for env in (old, new)
+        ]
         same = np.equal(*goals).all(axis=1).sum()
         assert 30 <= same < 40  # those that it leaves out are others, and no more
 
@@ -87,7 +89,12 @@ def test_an_integral_controller_passes_the_constant_action_where_the_hand_is_ano
 
 def test_version_1_has_a_hand_of_its_own_in_every_episode():
     with gymnasium.make(NEW) as env:
-        assert set(env.reset(seed=0)[1]["randomized"]) == {"tendon_stiffness", "slack", "joint_friction", "skin_friction"}
+        assert set(env.reset(seed=0)[1]["randomized"]) == {
+            "tendon_stiffness",
+            "slack",
+            "joint_friction",
+            "skin_friction",
+        }
     envs = gymnasium.make_vec(NEW, num_envs=2, engine="mujoco")
     assert envs.get_attr("randomization") == (PRESETS["hand"],) * 2
     assert envs.get_attr("task")[0].reachable
@@ -98,9 +105,15 @@ def test_compute_reward_is_vectorised_and_what_step_returns():
     for reward in ("dense", "sparse"):
         with gymnasium.make(ID, reward=reward) as env:
             rows, rewards, *_ = zip(*islice(steps(env, OBVIOUS), 1, 31), strict=True)
-            achieved, desired = (np.array([row[name] for row in rows]) for name in ("achieved_goal", "desired_goal"))
-            np.testing.assert_array_equal(env.unwrapped.compute_reward(achieved, desired, None), rewards)
-            assert env.unwrapped.compute_reward(achieved.reshape(3, 10, -1), desired.reshape(3, 10, -1), {}).shape == (3, 10)
+            achieved, desired = (
+                np.array([row[name] for row in rows]) for name in ("achieved_goal", "desired_goal")
+            )
+            np.testing.assert_array_equal(
+                env.unwrapped.compute_reward(achieved, desired, None), rewards
+            )
+            assert env.unwrapped.compute_reward(
+                achieved.reshape(3, 10, -1), desired.reshape(3, 10, -1), {}
+            ).shape == (3, 10)
     assert rewards[0] == -1.0
     assert rewards[-1] == 0.0
 
@@ -108,9 +121,13 @@ def test_compute_reward_is_vectorised_and_what_step_returns():
 def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint():
     env = PostureEnv(reward="sparse")
     goal = np.zeros(len(JOINTS))
-    near, far = goal.copy(), goal.copy()
-    near[3], far[3] = 0.99 * TOLERANCE, 1.01 * TOLERANCE
-    np.testing.assert_array_equal(env.compute_reward(np.array([goal, near, far]), goal, {}), [0, 0, -1])
+    near = goal.copy()
+    far = goal.copy()
+    near[3] = 0.99 * TOLERANCE
+    far[3] = 1.01 * TOLERANCE
+    np.testing.assert_array_equal(
+        env.compute_reward(np.array([goal, near, far]), goal, {}), [0, 0, -1]
+    )
     env.close()
 
 
@@ -134,9 +151,13 @@ def test_a_goal_can_be_given(env):
 
 
 def test_only_the_time_limit_ends_an_episode_and_the_goals_say_so_too(env):
-    posture, batch = env.unwrapped, np.zeros((3, 10, len(JOINTS)))
+    posture = env.unwrapped
+    batch = np.zeros((3, 10, len(JOINTS)))
     for end in (posture.compute_terminated, posture.compute_truncated):
         assert end(batch[0, 0], batch[0, 0], {}) == False  # noqa: E712  a NumPy boolean, reached or not
-        assert end(batch, batch[0, 0] + 1, {}).shape == posture.compute_reward(batch, batch[0, 0] + 1, {}).shape
+        assert (
+            end(batch, batch[0, 0] + 1, {}).shape
+            == posture.compute_reward(batch, batch[0, 0] + 1, {}).shape
+        )
         assert end(batch, batch, {}).dtype == bool
         assert not end(batch, batch, {}).any()

@@ -24,8 +24,11 @@ def test_nominal_is_the_default_and_draws_nothing():
 def test_a_quantity_more_changes_no_other_draw():
     rng = np.random.default_rng(0)
     few = Randomization(slack=(0.0, 1e-3), servo_lag=(0.0, 0.1))
-    more = dataclasses.replace(few, object_mass=(0.8, 1.2), joint_friction=(0.0, 0.01), dropped_frames=(0.0, 0.1))
-    drawn, drawn_more = few.draw(rng), more.draw(rng)
+    more = dataclasses.replace(
+        few, object_mass=(0.8, 1.2), joint_friction=(0.0, 0.01), dropped_frames=(0.0, 0.1)
+    )
+    drawn = few.draw(rng)
+    drawn_more = more.draw(rng)
     assert set(drawn) == {"slack", "servo_lag"}
     for name, values in drawn.items():
         np.testing.assert_array_equal(values, drawn_more[name])
@@ -44,7 +47,8 @@ def test_the_task_draws_the_same_episode_with_and_without_randomization():
     with HandEnv(Grasp()) as plain, HandEnv(Grasp(), randomize="full") as full:
         plain.reset(seed=3)
         full.reset(seed=3)
-        one, other = plain.episodes.setups[0].object, full.episodes.setups[0].object
+        one = plain.episodes.setups[0].object
+        other = full.episodes.setups[0].object
     assert one.half_extents == other.half_extents
     assert one.mass != other.mass
 
@@ -53,12 +57,14 @@ def test_the_task_draws_the_same_episode_with_and_without_randomization():
 def test_each_quantity_alone_changes_the_trajectory_and_only_within_its_range(name):
     low, high = BOUNDS[name]
     chosen = Randomization(**{name: (low + 0.6 * (high - low), low + 0.7 * (high - low))})
-    env, plain = HandEnv(Grasp(), randomize=chosen), HandEnv(Grasp())
+    env = HandEnv(Grasp(), randomize=chosen)
+    plain = HandEnv(Grasp())
     observation, info = env.reset(seed=1)
     values = np.array(info["randomized"][name])
     assert np.all((values >= getattr(chosen, name)[0]) & (values <= getattr(chosen, name)[1]))
     reference, _ = plain.reset(seed=1)
-    policy, differs = ScriptedClosure(), False
+    policy = ScriptedClosure()
+    differs = False
     policy.reset()
     for _ in range(22):
         action = policy.act(observation)
@@ -76,9 +82,15 @@ def test_each_quantity_alone_changes_the_trajectory_and_only_within_its_range(na
 
 def test_the_simulated_hand_has_what_was_drawn():
     chosen = Randomization(
-        tendon_stiffness=(0.8, 0.8), slack=(1e-3, 1e-3), joint_friction=(0.01, 0.01), skin_friction=(0.5, 0.5),
-        object_friction=(1.5, 1.5), object_mass=(2.0, 2.0), servo_lag=(0.1, 0.1), dead_band=(0.03, 0.03),
-    )  # fmt: skip
+        tendon_stiffness=(0.8, 0.8),
+        slack=(1e-3, 1e-3),
+        joint_friction=(0.01, 0.01),
+        skin_friction=(0.5, 0.5),
+        object_friction=(1.5, 1.5),
+        object_mass=(2.0, 2.0),
+        servo_lag=(0.1, 0.1),
+        dead_band=(0.03, 0.03),
+    )
     setup = setup_of()
     changed = changed_setup(setup, chosen.draw(np.random.default_rng(0)))
     for before, after in zip(setup.hand.digits.values(), changed.hand.digits.values(), strict=True):
@@ -96,8 +108,14 @@ def test_the_simulated_hand_has_what_was_drawn():
 def test_every_frame_that_is_dropped_leaves_the_servos_where_they_were(monkeypatch):
     with PostureEnv(randomize=Randomization(dropped_frames=(0.5, 0.5))) as env:
         env.reset(seed=0)
-        arrived, commanded, send = [], [], env.episodes.simulation.command
-        monkeypatch.setattr(env.episodes.simulation, "command", lambda servo, time: (arrived.append(servo[0]), send(servo, time)))
+        arrived = []
+        commanded = []
+        send = env.episodes.simulation.command
+        monkeypatch.setattr(
+            env.episodes.simulation,
+            "command",
+            lambda servo, time: (arrived.append(servo[0]), send(servo, time)),
+        )
         for step in range(40):
             env.step(np.full(6, np.sin(step / 3), np.float32))
             commanded.append(env.command.servo)
@@ -111,17 +129,35 @@ def test_every_frame_that_is_dropped_leaves_the_servos_where_they_were(monkeypat
 def test_a_range_is_an_ordered_pair_of_numbers_within_its_bounds(name):
     low, high = BOUNDS[name]
     beyond = [(low, high + 1), (low - 1, high), (high, low), (np.nan, high)]
-    for wrong in (*beyond, high, (), (high,), (low, high, high), "ab", ("0", "1"), *([None] if name != "dead_band" else [])):
+    for wrong in (
+        *beyond,
+        high,
+        (),
+        (high,),
+        (low, high, high),
+        "ab",
+        ("0", "1"),
+        *([None] if name != "dead_band" else []),
+    ):
         with pytest.raises(ParameterError, match=name):
             Randomization(**{name: wrong})
 
 
 @pytest.mark.parametrize("corner", [0, 1])
 def test_the_physics_stays_stable_at_the_ends_of_every_range(corner):
-    """Stiff, slack-free hands and soft, slack ones: closed hard, no joint leaves its limits or trembles on."""
-    ends = {name: (bounds[corner], bounds[corner]) for name, bounds in BOUNDS.items() if name != "object_position"}
+    """Stiff, slack-free hands and soft, slack ones: closed hard, no joint leaves its limits or
+    trembles on.
+    """
+    ends = {
+        name: (bounds[corner], bounds[corner])
+        for name, bounds in BOUNDS.items()
+        if name != "object_position"
+    }
     env = HandEnv(Grasp(), randomize=Randomization(**(ends | {"dropped_frames": (0.0, 0.0)})))
-    env.reset(seed=0, options={"setup": dataclasses.replace(setup_of(), position=np.array([0.2, 0.0, 0.3]))})
+    env.reset(
+        seed=0,
+        options={"setup": dataclasses.replace(setup_of(), position=np.array([0.2, 0.0, 0.3]))},
+    )
     for _ in range(22):
         env.step(np.array([0.2, 1, 1, 1, 1, 0.5], np.float32))
     env.episodes.simulation.rest(1.0)

@@ -13,12 +13,15 @@ from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import ParameterError
 
-GRASP, POSTURE = "HPAC-Grasp-v0", "HPAC-Posture-v0"
+GRASP = "HPAC-Grasp-v0"
+POSTURE = "HPAC-Posture-v0"
 
 
 def pair(name: str, num_envs: int = 3, **options) -> tuple[HandVecEnv, DummyVecEnv]:
     options = options | {"engine": "mujoco"}
-    return HandVecEnv(name, num_envs, **options), DummyVecEnv([partial(gymnasium.make, name, **options)] * num_envs)
+    return HandVecEnv(name, num_envs, **options), DummyVecEnv(
+        [partial(gymnasium.make, name, **options)] * num_envs
+    )
 
 
 def actions(steps: int, num_envs: int = 3) -> np.ndarray:
@@ -31,11 +34,13 @@ def actions(steps: int, num_envs: int = 3) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "options", "steps"),
     [
-        (GRASP, {"randomize": "full"}, 70), (GRASP, {"max_episode_steps": 5}, 12), (POSTURE, {"max_episode_steps": 7}, 16),
+        (GRASP, {"randomize": "full"}, 70),
+        (GRASP, {"max_episode_steps": 5}, 12),
+        (POSTURE, {"max_episode_steps": 7}, 16),
         pytest.param(GRASP, {"obs": "image", "max_episode_steps": 2}, 3, marks=pytest.mark.slow),
     ],
     ids=str,
-)  # fmt: skip
+)
 def test_everything_that_a_learner_reads_is_as_in_dummy_vec_env(name, options, steps):
     ours, its = pair(name, **options)
     assert (ours.observation_space, ours.action_space) == (its.observation_space, its.action_space)
@@ -45,7 +50,8 @@ def test_everything_that_a_learner_reads_is_as_in_dummy_vec_env(name, options, s
     np.testing.assert_equal(_plain(ours.reset_infos), _plain(its.reset_infos))
     ended = truncated = 0
     for action in actions(steps):
-        (seen, rewards, dones, infos), expected = ours.step(action), its.step(action)
+        (seen, rewards, dones, infos) = ours.step(action)
+        expected = its.step(action)
         np.testing.assert_equal(seen, dict_or_array(expected[0]))
         for one, other in ((rewards, expected[1]), (dones, expected[2])):
             assert one.dtype == other.dtype
@@ -54,7 +60,8 @@ def test_everything_that_a_learner_reads_is_as_in_dummy_vec_env(name, options, s
             assert info["TimeLimit.truncated"] == other["TimeLimit.truncated"]
             if done:
                 np.testing.assert_equal(_plain(info), _plain(other))
-                ended, truncated = ended + 1, truncated + info["TimeLimit.truncated"]
+                ended = ended + 1
+                truncated = truncated + info["TimeLimit.truncated"]
             else:
                 assert set(info) == {"TimeLimit.truncated"}
         np.testing.assert_equal(_plain(ours.reset_infos), _plain(its.reset_infos))
@@ -101,7 +108,9 @@ def test_attributes_and_methods_reach_the_environments_that_are_named():
 
 
 def test_a_learner_of_each_kind_learns_on_it():
-    """PPO through the usual wrappers, and hindsight replay, which asks for rewards by `env_method`."""
+    """PPO through the usual wrappers, and hindsight replay, which asks for rewards by
+    `env_method`.
+    """
     envs = VecNormalize(VecMonitor(HandVecEnv(GRASP, 4, engine="mujoco", max_episode_steps=8)))
     learner = PPO("MlpPolicy", envs, n_steps=10, batch_size=10, n_epochs=1, seed=0, device="cpu")
     learner.learn(40)
@@ -109,7 +118,14 @@ def test_a_learner_of_each_kind_learns_on_it():
     assert len(learner.ep_success_buffer) >= 4
     envs.close()
     goals = HandVecEnv(POSTURE, 2, engine="mujoco", max_episode_steps=4)
-    replay = SAC("MultiInputPolicy", goals, replay_buffer_class=HerReplayBuffer, learning_starts=10, seed=0, device="cpu")
+    replay = SAC(
+        "MultiInputPolicy",
+        goals,
+        replay_buffer_class=HerReplayBuffer,
+        learning_starts=10,
+        seed=0,
+        device="cpu",
+    )
     replay.learn(14)
     assert replay.replay_buffer.sample(16).rewards.shape == (16, 1)
     goals.close()

@@ -1,4 +1,6 @@
-"""`save_state` and `restore_state`: the same actions from a saved state give the same steps, to the bit."""
+"""`save_state` and `restore_state`: the same actions from a saved state give the same steps, to the
+bit.
+"""
 
 import gymnasium
 import numpy as np
@@ -9,7 +11,9 @@ from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 
-GRASP, PICK_PLACE, POSTURE = "HPAC-Grasp-v0", "HPAC-PickPlace-v0", "HPAC-Posture-v0"
+GRASP = "HPAC-Grasp-v0"
+PICK_PLACE = "HPAC-PickPlace-v0"
+POSTURE = "HPAC-Posture-v0"
 
 
 def closing(steps: int, rng: np.random.Generator) -> np.ndarray:
@@ -34,22 +38,32 @@ def told(env: gymnasium.Env, actions: np.ndarray) -> list:
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(
     ("name", "options", "steps"),
-    [(GRASP, {"obs": "privileged", "randomize": "full"}, 48),
-     ("HPAC-GraspAny-v1", {"obs": "load", "wrist": "free", "hands": "train"}, 14),
-     ("HPAC-GraspType-v0", {"types": "large_cylinder"}, 48),
-     (PICK_PLACE, {"randomize": "link"}, 40), (POSTURE, {}, 12)],
+    [
+        (GRASP, {"obs": "privileged", "randomize": "full"}, 48),
+        ("HPAC-GraspAny-v1", {"obs": "load", "wrist": "free", "hands": "train"}, 14),
+        ("HPAC-GraspType-v0", {"types": "large_cylinder"}, 48),
+        (PICK_PLACE, {"randomize": "link"}, 40),
+        (POSTURE, {}, 12),
+    ],
     ids=str,
-)  # fmt: skip
-def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(name, options, steps, engine):
-    """Saved at the start, in contact and while lifting; each restored after another future, from which it has to come back."""
+)
+def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(
+    name, options, steps, engine
+):
+    """Saved at the start, in contact and while lifting; each restored after another future, from
+    which it has to come back.
+    """
     env = gymnasium.make(name, engine=engine, **options).unwrapped
     rng = np.random.default_rng(3)
     actions = closing(steps, rng)
-    more = env.action_space.shape[0] - 6  # the wrist's place, which is chosen once more after the first state
+    more = (
+        env.action_space.shape[0] - 6
+    )  # the wrist's place, which is chosen once more after the first state
     place = np.full(more, 0.5) if more < 6 else wrist_choice(GRASP_TYPES[options["types"]].start)
     actions = np.concatenate([actions, np.tile(place, (steps, 1))], axis=1).astype(np.float32)
     env.reset(seed=5)
-    saved, rows = [(0, env.save_state())], []
+    saved = [(0, env.save_state())]
+    rows = []
     for number, action in enumerate(actions, 1):
         rows.append(env.step(action))
         if rows[-1][2]:
@@ -60,7 +74,9 @@ def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(name
         env.restore_state(state)
         told(env, rng.uniform(-1, 1, (4, *env.action_space.shape)).astype(np.float32))
         env.restore_state(state)
-        np.testing.assert_equal(told(env, actions[number : number + 10]), rows[number : number + 10])
+        np.testing.assert_equal(
+            told(env, actions[number : number + 10]), rows[number : number + 10]
+        )
     env.close()
 
 
@@ -86,7 +102,8 @@ def test_a_state_of_another_episode_or_environment_is_refused():
 def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end():
     env = gymnasium.make(GRASP).unwrapped
     env.reset(seed=0)
-    state, still = env.save_state(), np.full((64, 6), -1, np.float32)
+    state = env.save_state()
+    still = np.full((64, 6), -1, np.float32)
     first = told(env, still)
     with pytest.raises(EpisodeError, match="reset"):
         env.step(still[0])

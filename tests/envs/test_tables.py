@@ -14,7 +14,16 @@ import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, PickPlace
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_ANY_V0, GRASP_TYPE, IDS, PICK_PLACE, POSTURE, POSTURE_V0
+from hpac_gym.envs.options import (
+    GRASP,
+    GRASP_ANY,
+    GRASP_ANY_V0,
+    GRASP_TYPE,
+    IDS,
+    PICK_PLACE,
+    POSTURE,
+    POSTURE_V0,
+)
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.tasks import posture
 from hpac_gym.tasks.grip import MAX_SLIP
@@ -23,14 +32,25 @@ from hpac_gym.tasks.terms import GRASP_CENTRE
 from tools.tables import DOCS, PAGES, filled
 
 ID_PAGES = {
-    GRASP: "environments/grasp.md", GRASP_ANY: "environments/grasp_any.md", GRASP_TYPE: "environments/grasp_type.md",
-    PICK_PLACE: "environments/pick_place.md", POSTURE: "environments/posture.md",
-}  # fmt: skip
+    GRASP: "environments/grasp.md",
+    GRASP_ANY: "environments/grasp_any.md",
+    GRASP_TYPE: "environments/grasp_type.md",
+    PICK_PLACE: "environments/pick_place.md",
+    POSTURE: "environments/posture.md",
+}
 STEPS = {GRASP: 64, GRASP_ANY: 144, GRASP_TYPE: 64, PICK_PLACE: 110, POSTURE: 40}
 PARTS = (
-    "Description", "Action space", "Observation space", "Rewards", "Starting state", "Episode end", "Info", "Arguments",
-    "Baselines", "Version history",
-)  # fmt: skip
+    "Description",
+    "Action space",
+    "Observation space",
+    "Rewards",
+    "Starting state",
+    "Episode end",
+    "Info",
+    "Arguments",
+    "Baselines",
+    "Version history",
+)
 
 
 def text(page: str) -> str:
@@ -44,13 +64,18 @@ def words(page: str) -> str:
 
 def cells(page: str, name: str) -> list[list[str]]:
     """The rows of a table of a page, without its head."""
-    lines = text(page).split(f"<!-- {name} -->\n")[1].split(f"\n<!-- /{name} -->")[0].splitlines()[2:]
+    lines = (
+        text(page).split(f"<!-- {name} -->\n")[1].split(f"\n<!-- /{name} -->")[0].splitlines()[2:]
+    )
     return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines]
 
 
 def bounds(page: str, *names: str) -> tuple[list[float], list[float]]:
-    """The lower and the upper bounds of every entry of a vector that tables of a page describe, one after the other."""
-    low, high = [], []
+    """The lower and the upper bounds of every entry of a vector that tables of a page describe, one
+    after the other.
+    """
+    low = []
+    high = []
     for index, _, entries, _, limits, _ in (row for name in names for row in cells(page, name)):
         first, _, last = index.partition("–")
         count = int(last or first) - int(first) + 1
@@ -74,7 +99,10 @@ def test_every_id_has_a_page_that_is_linked():
     assert sorted([*ID_PAGES, GRASP_ANY_V0, POSTURE_V0]) == sorted(IDS)
     assert "- v0: " in text(ID_PAGES[POSTURE])
     for name, page in ID_PAGES.items():
-        assert re.search(rf"\[`{name}`\]\({page.partition('/')[2]}\).* {STEPS[name]} steps \|\n", text("environments/README.md"))
+        assert re.search(
+            rf"\[`{name}`\]\({page.partition('/')[2]}\).* {STEPS[name]} steps \|\n",
+            text("environments/README.md"),
+        )
 
 
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
@@ -82,7 +110,9 @@ def test_a_page_has_the_parts_that_people_expect_in_their_order(name, page):
     assert text(page).startswith(f"# {name}\n\n![")
     assert re.findall(r"^## (.*)", text(page), re.MULTILINE) == list(PARTS)
     assert f"{STEPS[name]} steps" in text(page).split("## Episode end")[1]
-    assert ["length", f"{STEPS[name]} steps, {STEPS[name] / CONTROL_HZ:g} s"] in cells(page, "summary")
+    assert ["length", f"{STEPS[name]} steps, {STEPS[name] / CONTROL_HZ:g} s"] in cells(
+        page, "summary"
+    )
 
 
 @pytest.mark.parametrize("name", ID_PAGES)
@@ -97,24 +127,32 @@ def test_an_episode_is_as_long_as_its_page_says(name):
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
 def test_the_picture_is_drawn_by_the_command_below_it(name, page):
     command = r"python -m tools\.film_strip (\S+) .* --out docs/(.*)"
-    shown, drawn_of, drawn = re.search(rf"!\[.*\]\(\.\./(.*)\)\n\n```\n{command}\n```", text(page)).groups()
+    shown, drawn_of, drawn = re.search(
+        rf"!\[.*\]\(\.\./(.*)\)\n\n```\n{command}\n```", text(page)
+    ).groups()
     assert (drawn_of, drawn) == (name, shown)
 
 
-@pytest.mark.parametrize("tables", [("observation",), ("observation", "privileged")], ids=["deploy", "privileged"])
+@pytest.mark.parametrize(
+    "tables", [("observation",), ("observation", "privileged")], ids=["deploy", "privileged"]
+)
 @pytest.mark.parametrize(("name", "page"), ID_PAGES.items())
 def test_the_tables_have_the_bounds_of_the_spaces(name, page, tables):
     with gymnasium.make(name, obs="privileged" if "privileged" in tables else "deploy") as env:
         space = env.observation_space
     space = space["observation"] if isinstance(space, gymnasium.spaces.Dict) else space
-    np.testing.assert_array_equal([space.low, space.high], np.array(bounds(page, *tables), np.float32))
+    np.testing.assert_array_equal(
+        [space.low, space.high], np.array(bounds(page, *tables), np.float32)
+    )
 
 
 def test_the_goals_have_the_bounds_of_their_spaces():
     with gymnasium.make(POSTURE) as env:
         for goal in ("achieved_goal", "desired_goal"):
             space = env.observation_space[goal]
-            np.testing.assert_array_equal([space.low, space.high], np.array(bounds(ID_PAGES[POSTURE], "goal"), np.float32))
+            np.testing.assert_array_equal(
+                [space.low, space.high], np.array(bounds(ID_PAGES[POSTURE], "goal"), np.float32)
+            )
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -161,9 +199,14 @@ def test_what_is_written_by_hand_has_the_numbers_of_the_code():
     (steps,) = {math.ceil(CONTROL_HZ * seconds) for seconds in fingers}
     whole = math.ceil(CONTROL_HZ * servo_from_synergy(HPAC.synergy_max).max() / HPAC.rate_limit)
     closing = round(CONTROL_HZ * Grasp().timetable.close_time)
-    assert f"with the thumb's CMC, in {whole} of the {closing} steps that closing lasts" in words("environments/README.md")
+    assert f"with the thumb's CMC, in {whole} of the {closing} steps that closing lasts" in words(
+        "environments/README.md"
+    )
     for page in (grasp, place, goals, words("environments/README.md")):
-        assert f"rate limit of {HPAC.rate_limit:g} rad/s, all arriving together: a finger closes fully in {steps} steps" in page
+        assert (
+            f"rate limit of {HPAC.rate_limit:g} rad/s, all arriving together: a finger closes fully in {steps} steps"
+            in page
+        )
 
 
 @pytest.mark.slow
@@ -171,10 +214,24 @@ def test_the_programs_of_the_page_run(tmp_path):
     """In one file, since a vector environment on PyBullet starts processes that import it."""
     programs = re.findall(r"```python\n(.*?)```", text("environments/README.md"), re.DOTALL)
     assert len(programs) == 4
-    lines = "\n".join(programs).replace("learn(2048)", "learn(64, progress_bar=False)").replace("num_envs=8", "num_envs=2")
+    lines = (
+        "\n".join(programs)
+        .replace("learn(2048)", "learn(64, progress_bar=False)")
+        .replace("num_envs=8", "num_envs=2")
+    )
     file = tmp_path / "programs.py"
-    file.write_text("def main():\n" + textwrap.indent(lines, "    ") + "\n\nif __name__ == '__main__':\n    main()\n")
-    done = subprocess.run([sys.executable, str(file)], cwd=DOCS.parent, env=os.environ | {"PYTHONPATH": str(DOCS.parent)},
-                          capture_output=True, text=True, timeout=300)  # fmt: skip
+    file.write_text(
+        "def main():\n"
+        + textwrap.indent(lines, "    ")
+        + "\n\nif __name__ == '__main__':\n    main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(file)],
+        cwd=DOCS.parent,
+        env=os.environ | {"PYTHONPATH": str(DOCS.parent)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "True\n"

@@ -1,4 +1,6 @@
-"""`HandVectorEnv` against Gymnasium's vector environment of single ones, to the bit; and what `make_vec` makes."""
+"""`HandVectorEnv` against Gymnasium's vector environment of single ones, to the bit; and what
+`make_vec` makes.
+"""
 
 import os
 import signal
@@ -36,13 +38,19 @@ CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53], np.float32)
 def ours(name: str = GRASP, num_envs: int = 3, **options) -> HandVectorEnv:
     """All hands in one process, on the default engine."""
     task = GraspByName(options.pop("grasp")) if "grasp" in options else TASKS[name]()
-    given = {name: value for name, value in gymnasium.spec(name).kwargs.items() if name == "randomize"}
+    given = {
+        name: value for name, value in gymnasium.spec(name).kwargs.items() if name == "randomize"
+    }
     return HandVectorEnv(task, num_envs, **given | options)
 
 
-def gymnasiums(name: str = GRASP, num_envs: int = 3, autoreset_mode=AutoresetMode.NEXT_STEP, **options) -> SyncVectorEnv:
+def gymnasiums(
+    name: str = GRASP, num_envs: int = 3, autoreset_mode=AutoresetMode.NEXT_STEP, **options
+) -> SyncVectorEnv:
     """Single environments side by side."""
-    return SyncVectorEnv([partial(gymnasium.make, name, **options)] * num_envs, autoreset_mode=autoreset_mode)
+    return SyncVectorEnv(
+        [partial(gymnasium.make, name, **options)] * num_envs, autoreset_mode=autoreset_mode
+    )
 
 
 def actions(num_envs: int = 3, steps: int = 8, seed: int = 0) -> np.ndarray:
@@ -79,70 +87,104 @@ def envs():
     ("name", "options", "mode"),
     [
         *((name, {}, mode) for name in (GRASP, POSTURE) for mode in AutoresetMode),
-        (GRASP, {"obs": "privileged", "randomize": "full", "reward": "sparse"}, AutoresetMode.NEXT_STEP),
+        (
+            GRASP,
+            {"obs": "privileged", "randomize": "full", "reward": "sparse"},
+            AutoresetMode.NEXT_STEP,
+        ),
         (GRASP, {"grasp": "tip_pinch"}, AutoresetMode.DISABLED),
         (PICK_PLACE, {"randomize": "link"}, AutoresetMode.NEXT_STEP),
-        *((name, {"obs": obs}, AutoresetMode.SAME_STEP) for name, obs in ((GRASP, "image"), (POSTURE, "privileged"))),
+        *(
+            (name, {"obs": obs}, AutoresetMode.SAME_STEP)
+            for name, obs in ((GRASP, "image"), (POSTURE, "privileged"))
+        ),
     ],
     ids=str,
 )
 def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_short_episodes(name, options, mode):
     options = options | {"max_episode_steps": 3, "autoreset_mode": mode}
-    mine, its = ours(name, **options), gymnasiums(name, **options)
+    mine = ours(name, **options)
+    its = gymnasiums(name, **options)
     assert mine.metadata == its.metadata
     assert (mine.observation_space, mine.action_space) == (its.observation_space, its.action_space)
-    assert (mine.single_observation_space, mine.single_action_space) == (its.single_observation_space, its.single_action_space)
+    assert (mine.single_observation_space, mine.single_action_space) == (
+        its.single_observation_space,
+        its.single_action_space,
+    )
     assert_same(mine.reset(seed=5), its.reset(seed=5))
     for step, action in enumerate(actions()):
         if step == 1:  # so that the episodes do not all end at once
             mask = np.array([False, True, False])
-            assert_same(mine.reset(options={"reset_mask": mask}), its.reset(options={"reset_mask": mask}))
-        seen, expected = mine.step(action), its.step(action)
+            assert_same(
+                mine.reset(options={"reset_mask": mask}), its.reset(options={"reset_mask": mask})
+            )
+        seen = mine.step(action)
+        expected = its.step(action)
         assert_same(seen, expected)
         assert seen[0] in mine.observation_space
         over = seen[2] | seen[3]
         if mode is AutoresetMode.DISABLED and over.any():
-            assert_same(mine.reset(options={"reset_mask": over}), its.reset(options={"reset_mask": over}))
+            assert_same(
+                mine.reset(options={"reset_mask": over}), its.reset(options={"reset_mask": over})
+            )
     mine.close()
     its.close()
 
 
 @pytest.mark.parametrize(
     ("engine", "reward", "mode"),
-    [*(("mujoco", "dense", mode) for mode in AutoresetMode), ("pybullet", "sparse", AutoresetMode.SAME_STEP)],
+    [
+        *(("mujoco", "dense", mode) for mode in AutoresetMode),
+        ("pybullet", "sparse", AutoresetMode.SAME_STEP),
+    ],
     ids=str,
 )
 def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(engine, reward, mode):
     """Some won, some lost, at different times; an action that counts for nothing may be NaN."""
-    mine, its = (make(engine=engine, reward=reward, autoreset_mode=mode) for make in (ours, gymnasiums))
+    mine, its = (
+        make(engine=engine, reward=reward, autoreset_mode=mode) for make in (ours, gymnasiums)
+    )
     assert_same(mine.reset(seed=[3, None, 8])[0][[0, 2]], its.reset(seed=[3, None, 8])[0][[0, 2]])
-    higher = replace(EASY, position=EASY.position + np.array([0.0, 0.0, 0.006]))  # so that MuJoCo's hand keeps it too
+    higher = replace(
+        EASY, position=EASY.position + np.array([0.0, 0.0, 0.006])
+    )  # so that MuJoCo's hand keeps it too
     start = {"setup": higher}
     assert_same(mine.reset(seed=[3, 4, 8], options=start), its.reset(seed=[3, 4, 8], options=start))
-    outcomes, over = set(), np.zeros(3, dtype=bool)
+    outcomes = set()
+    over = np.zeros(3, dtype=bool)
     for step in range(80):
         action = np.tile(CLOSED * min(1.0, step / 16) - (1 - min(1.0, step / 16)), (3, 1))
         action[2] = 0.1 * actions(1, 80)[step] - 0.9  # an open hand lifts nothing
         if mode is AutoresetMode.NEXT_STEP:
             action[over] = np.nan
-        seen, expected = mine.step(action), its.step(action)
+        seen = mine.step(action)
+        expected = its.step(action)
         assert_same(seen, expected)
-        over, infos = seen[2] | seen[3], seen[4]
+        over = seen[2] | seen[3]
+        infos = seen[4]
         outcomes |= set(np.ravel(infos.get("final_info", infos)["outcome"]).tolist())
         if mode is AutoresetMode.DISABLED and over.any():
-            assert_same(mine.reset(options={"reset_mask": over}), its.reset(options={"reset_mask": over}))
+            assert_same(
+                mine.reset(options={"reset_mask": over}), its.reset(options={"reset_mask": over})
+            )
     assert outcomes >= {"running", "failure", "success"}
     mine.close()
     its.close()
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "noise"), [(GRASP_ANY, {"wrist": "free", "obs": "load"}, 1.0), (GRASP_TYPE, {}, 0.0)], ids=str
+    ("name", "options", "noise"),
+    [(GRASP_ANY, {"wrist": "free", "obs": "load"}, 1.0), (GRASP_TYPE, {}, 0.0)],
+    ids=str,
 )
-def test_a_free_wrist_and_contacts_that_are_looked_at_are_as_in_gymnasiums_own(name, options, noise):
+def test_a_free_wrist_and_contacts_that_are_looked_at_are_as_in_gymnasiums_own(
+    name, options, noise
+):
     """The script's actions, or with noise any."""
-    mine, its = gymnasium.make_vec(name, 3, engine="mujoco", **options), gymnasiums(name, engine="mujoco", **options)
-    scripts, rng = [scripted_closure(mine.task) for _ in range(3)], np.random.default_rng(0)
+    mine = gymnasium.make_vec(name, 3, engine="mujoco", **options)
+    its = gymnasiums(name, engine="mujoco", **options)
+    scripts = [scripted_closure(mine.task) for _ in range(3)]
+    rng = np.random.default_rng(0)
     for script in scripts:
         script.reset()
     seen = mine.reset(seed=5)
@@ -161,18 +203,27 @@ def test_the_servos_of_many_hands_are_to_the_bit_those_of_each(num_envs):
     """A matrix product of many rows is rounded in another way than one of a single row."""
     rng = np.random.default_rng(0)
     for _ in range(50):
-        action, servo = rng.uniform(-1, 1, (num_envs, 6)), rng.uniform(0, 1.3, (num_envs, 6))
+        action = rng.uniform(-1, 1, (num_envs, 6))
+        servo = rng.uniform(0, 1.3, (num_envs, 6))
         target = servo_from_action(action)
         rows = [slice(row, row + 1) for row in range(num_envs)]
-        np.testing.assert_array_equal(target, np.concatenate([servo_from_action(action[row]) for row in rows]))
-        for function in (elastic_joints_from_servo, lambda given: streamed_servo(given, given[:, ::-1], 0.05)):
-            np.testing.assert_array_equal(function(servo), np.concatenate([function(servo[row]) for row in rows]))
+        np.testing.assert_array_equal(
+            target, np.concatenate([servo_from_action(action[row]) for row in rows])
+        )
+        for function in (
+            elastic_joints_from_servo,
+            lambda given: streamed_servo(given, given[:, ::-1], 0.05),
+        ):
+            np.testing.assert_array_equal(
+                function(servo), np.concatenate([function(servo[row]) for row in rows])
+            )
 
 
 def test_a_given_episode_and_a_given_goal_start_everywhere():
     goal = np.full(15, 0.2)
     for name, options in ((GRASP, {"setup": EASY}), (POSTURE, {"goal": goal})):
-        mine, its = ours(name), gymnasiums(name)
+        mine = ours(name)
+        its = gymnasiums(name)
         assert_same(mine.reset(seed=1, options=options), its.reset(seed=1, options=options))
         assert_same(mine.step(actions()[0]), its.step(actions()[0]))
         mine.close()
@@ -180,7 +231,8 @@ def test_a_given_episode_and_a_given_goal_start_everywhere():
 
 
 def test_an_action_of_double_precision_is_not_rounded(envs):
-    its, action = gymnasiums(), np.random.default_rng(1).uniform(-1, 1, (3, 6))
+    its = gymnasiums()
+    action = np.random.default_rng(1).uniform(-1, 1, (3, 6))
     for vector in (envs, its):
         vector.reset(seed=0)
     assert_same(envs.step(action), its.step(action))
@@ -189,7 +241,8 @@ def test_an_action_of_double_precision_is_not_rounded(envs):
 
 def test_what_was_returned_stays_as_it_was(envs):
     first = envs.reset(seed=0)[0]
-    kept, action = first.copy(), actions()[0]
+    kept = first.copy()
+    action = actions()[0]
     results = envs.step(action)[:4]
     copies = [result.copy() for result in results]
     action[:] = 0.7  # the caller may write the next one over it
@@ -208,7 +261,8 @@ def test_a_mask_resets_only_what_it_marks(envs):
 
 
 def test_pictures_are_those_of_single_environments():
-    mine, env = ours(render_mode="rgb_array"), gymnasium.make(GRASP, render_mode="rgb_array")
+    mine = ours(render_mode="rgb_array")
+    env = gymnasium.make(GRASP, render_mode="rgb_array")
     with pytest.raises(EpisodeError, match="reset"):
         mine.render()
     mine.reset(seed=0)
@@ -244,21 +298,33 @@ def fail(envs, world: int) -> None:
 @pytest.mark.parametrize("name", IDS)
 def test_a_failed_simulation_ends_its_episode_as_a_failure_and_the_others_go_on(name):
     options = {"wrist": "script"} if name == GRASP_TYPE else {}
-    envs, alone = (gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="NextStep", **options) for _ in range(2))
+    envs, alone = (
+        gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="NextStep", **options)
+        for _ in range(2)
+    )
     for each in (envs, alone):
         each.reset(seed=0)
         each.step(np.zeros(each.action_space.shape))
     action = np.full(envs.action_space.shape, 0.5, np.float32)
     fail(envs, 1)
-    with pytest.warns(PhysicsWarning, match=r"^world 1 of 3 failed after 0\.050 s of its episode: MuJoCo says \w+; it ends as"):
+    with pytest.warns(
+        PhysicsWarning,
+        match=r"^world 1 of 3 failed after 0\.050 s of its episode: MuJoCo says \w+; it ends as",
+    ):
         seen, rewards, terminated, truncated, infos = envs.step(action)
     expected = alone.step(action)
     assert terminated.tolist() == [False, True, False]
     assert not truncated.any()
     assert not infos["is_success"].any()
-    assert all(np.isfinite(part).all() for part in (rewards, *(seen.values() if isinstance(seen, dict) else [seen])))
+    assert all(
+        np.isfinite(part).all()
+        for part in (rewards, *(seen.values() if isinstance(seen, dict) else [seen]))
+    )
     for one, other in ((seen, expected[0]), (rewards, expected[1])):
-        for got, wanted in zip(*(part.values() if isinstance(part, dict) else [part] for part in (one, other)), strict=True):
+        for got, wanted in zip(
+            *(part.values() if isinstance(part, dict) else [part] for part in (one, other)),
+            strict=True,
+        ):
             np.testing.assert_array_equal(got[[0, 2]], wanted[[0, 2]])
     with warnings.catch_warnings(action="error"):
         assert not envs.step(action)[2].any()
@@ -317,8 +383,16 @@ def test_a_wrong_option_is_named_at_once(options, error):
         (lambda envs: envs.step(np.zeros((3, 5))), ShapeError, r"\(..., 6\), not \(3, 5\)"),
         (lambda envs: envs.step(None), ShapeError, "array of numbers|must have shape"),
         (lambda envs: envs.reset(seed=[1, 2]), ParameterError, "2 seeds were given for 3"),
-        (lambda envs: envs.reset(options={"reset_mask": np.array([True])}), ParameterError, "reset_mask"),
-        (lambda envs: envs.reset(options={"reset_mask": np.zeros(3, bool)}), ParameterError, "reset_mask"),
+        (
+            lambda envs: envs.reset(options={"reset_mask": np.array([True])}),
+            ParameterError,
+            "reset_mask",
+        ),
+        (
+            lambda envs: envs.reset(options={"reset_mask": np.zeros(3, bool)}),
+            ParameterError,
+            "reset_mask",
+        ),
         (lambda envs: envs.reset(options={"reset_mask": np.ones(3)}), ParameterError, "reset_mask"),
     ],
 )
@@ -350,13 +424,20 @@ def test_a_closed_vector_says_so(envs):
             call()
 
 
-# make_vec ------------------------------------------------------------------------------------------------------------
+# make_vec
+# ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.pybullet
-@pytest.mark.parametrize("name", [GRASP, *(pytest.param(name, marks=pytest.mark.slow) for name in IDS if name != GRASP)])
+@pytest.mark.parametrize(
+    "name", [GRASP, *(pytest.param(name, marks=pytest.mark.slow) for name in IDS if name != GRASP)]
+)
 def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(name):
-    options = {"max_episode_steps": 3, "reward": "sparse", "autoreset_mode": AutoresetMode.SAME_STEP}
+    options = {
+        "max_episode_steps": 3,
+        "reward": "sparse",
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
     made = gymnasium.make_vec(f"hpac_gym:{name}", num_envs=2, engine="pybullet", **options)
     its = gymnasiums(name, 2, engine="pybullet", **options)
     assert type(made) is AsyncVectorEnv
@@ -386,17 +467,28 @@ def test_make_vec_on_another_engine_makes_one_vector_environment(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "options", [{"num_envs": 0}, {"num_envs": 2.5}, {"obs": "nonsense"}, {"grasp": "nonsense"}, {"autoreset_mode": "nonsense"}]
+    "options",
+    [
+        {"num_envs": 0},
+        {"num_envs": 2.5},
+        {"obs": "nonsense"},
+        {"grasp": "nonsense"},
+        {"autoreset_mode": "nonsense"},
+    ],
 )
 def test_make_vec_names_a_wrong_option(options):
-    with pytest.raises((ParameterError, LookupError, ValueError), match=r"num_envs = (0|2\.5) |nonsense"):
+    with pytest.raises(
+        (ParameterError, LookupError, ValueError), match=r"num_envs = (0|2\.5) |nonsense"
+    ):
         gymnasium.make_vec(GRASP, **{"num_envs": 2} | options)
 
 
 def test_wrappers_of_single_environments_and_of_the_whole_batch():
     """Gymnasium's `make_vec` takes `wrappers` in its own two modes alone."""
     options = {"engine": "mujoco", "num_envs": 2}
-    each = gymnasium.make_vec(POSTURE, vectorization_mode="sync", wrappers=[ClipAction, FlattenObservation], **options)
+    each = gymnasium.make_vec(
+        POSTURE, vectorization_mode="sync", wrappers=[ClipAction, FlattenObservation], **options
+    )
     whole = VectorFlatten(VectorClip(gymnasium.make_vec(POSTURE, **options)))
     for envs in (each, whole):
         envs.reset(seed=0)
@@ -414,7 +506,9 @@ def running(process: int) -> bool:
 
 
 @pytest.mark.pybullet
-@pytest.mark.parametrize("end", ["os.kill(os.getpid(), signal.SIGKILL)", "raise SystemExit", "envs.close()"])
+@pytest.mark.parametrize(
+    "end", ["os.kill(os.getpid(), signal.SIGKILL)", "raise SystemExit", "envs.close()"]
+)
 def test_the_processes_end_with_their_parent(end):
     script = (
         "import os, signal, gymnasium\n"
@@ -424,7 +518,9 @@ def test_the_processes_end_with_their_parent(end):
         "    print(*[process.pid for process in envs.processes], flush=True)\n"
         f"    {end}\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=600)
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=600
+    )
     processes = [int(word) for word in done.stdout.split()]
     assert len(processes) == 1, done.stderr
     assert done.returncode == (-signal.SIGKILL if "kill" in end else 0)

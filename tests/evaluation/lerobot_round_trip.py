@@ -1,5 +1,5 @@
-"""What `hpac record --format lerobot` writes, lerobot reads. Not a test of ``make test``, whose Python is too old for lerobot:
-``make test-lerobot``."""
+"""What `hpac record --format lerobot` writes, lerobot reads. Not a test of ``make test``, whose
+Python is too old for lerobot: ``make test-lerobot``."""
 
 import errno
 
@@ -14,7 +14,14 @@ WORDS = ["record", "--format", "lerobot", "--engine", "mujoco", "-n", "2", "--se
 
 
 def test_the_episodes_come_back_as_they_were(tmp_path, capsys):
-    recorded = record("scripted", "HPAC-Grasp-v0", 2, tmp_path / "minari", seed_start=3, options={"engine": "mujoco"})
+    recorded = record(
+        "scripted",
+        "HPAC-Grasp-v0",
+        2,
+        tmp_path / "minari",
+        seed_start=3,
+        options={"engine": "mujoco"},
+    )
     assert main([*WORDS, "--out", str(tmp_path / "lerobot")]) == 0
     assert f"2 episodes, {recorded.total_steps} steps" in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["lerobot", "minari"]

@@ -1,4 +1,6 @@
-"""`hpac agree`: which episodes it compares, and why PyBullet loses round objects that MuJoCo holds."""
+"""`hpac agree`: which episodes it compares, and why PyBullet loses round objects that MuJoCo
+holds.
+"""
 
 import json
 
@@ -12,7 +14,8 @@ from hpac_gym.physics.simulation import make_engine
 
 
 def test_it_compares_paired_episodes():
-    first, second = [Trial(True, "box"), Trial(False, "box"), Trial(True, "box"), Trial(True, "box")], [Trial(True, "box")] * 4
+    first = [Trial(True, "box"), Trial(False, "box"), Trial(True, "box"), Trial(True, "box")]
+    second = [Trial(True, "box")] * 4
     found = compare(first, second)
     assert (found["difference"] > 0, found["agree"]) == (True, 0.75)
 
@@ -21,12 +24,26 @@ def test_the_command_runs_an_engine_with_other_contacts(capsys):
     words = "agree --policy scripted -n 1 --workers 1 --no-floor --json --set-ups mujoco/twin mujoco/twin/no-torsion"
     assert main(words.split()) == 0
     plain, other = json.loads(capsys.readouterr().out)["set_ups"]
-    assert (plain["set_up"], other["set_up"], other["over"]) == ("mujoco/twin", "mujoco/twin/no-torsion", "mujoco/twin")
+    assert (plain["set_up"], other["set_up"], other["over"]) == (
+        "mujoco/twin",
+        "mujoco/twin/no-torsion",
+        "mujoco/twin",
+    )
     assert plain["floor"] == {}
     assert other["agree"] in (0.0, 1.0)
 
 
-@pytest.mark.parametrize("name", ["mujoco", "mujoco/", "/twin", "mujoco/twin/wet", "mujoco/twin/no-torsion/more", "mujoco/twin/"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mujoco",
+        "mujoco/",
+        "/twin",
+        "mujoco/twin/wet",
+        "mujoco/twin/no-torsion/more",
+        "mujoco/twin/",
+    ],
+)
 def test_a_set_up_of_another_form_is_refused_by_its_name(name):
     with pytest.raises(ParameterError, match=f"set-up '{name}' must be an engine and a body"):
         agreement("scripted", 1, [name])

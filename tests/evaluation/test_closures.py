@@ -1,4 +1,6 @@
-"""The winning closures of the held-out seeds: the file, the scale that it gives, and a sample played again."""
+"""The winning closures of the held-out seeds: the file, the scale that it gives, and a sample
+played again.
+"""
 
 import hashlib
 
@@ -7,7 +9,16 @@ import numpy as np
 import pytest
 
 from agents.evaluate import table
-from hpac_gym.evaluation.closures import BLIND, COLUMNS, Closure, Scale, Try, scale_of, share_found, winning_closures
+from hpac_gym.evaluation.closures import (
+    BLIND,
+    COLUMNS,
+    Closure,
+    Scale,
+    Try,
+    scale_of,
+    share_found,
+    winning_closures,
+)
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.policies.loading import load_policy
 from tools.closures import ENV_ID
@@ -28,7 +39,10 @@ def test_closures_of_the_file_hold_their_seeds_and_those_of_others_hold_fewer():
     found = [entry for entry in winning_closures() if entry.closure][:160:20]
     with gymnasium.make(ENV_ID, engine="pybullet") as env:
         own = [holds(env, entry.closure, entry.seed) for entry in found]
-        others = [holds(env, entry.closure, other.seed) for entry, other in zip(found, found[1:] + found[:1], strict=True)]
+        others = [
+            holds(env, entry.closure, other.seed)
+            for entry, other in zip(found, found[1:] + found[:1], strict=True)
+        ]
     assert sum(own) >= len(own) - 1
     assert sum(others) < sum(own) - 1
 
@@ -40,10 +54,15 @@ def test_the_best_blind_closure_holds_more_than_random_ones_and_is_a_policy():
     with gymnasium.make(ENV_ID, engine="pybullet") as env:
         policy = load_policy("hpac_gym.evaluation.closures:Blind", env)
         policy.reset(0)
-        np.testing.assert_array_equal([policy.act(None) for _ in range(3)], [BLIND.action(step) for step in (1, 2, 3)])
-        rng, seeds = np.random.default_rng(8), range(5_000, 5_024)
-        best, others = (sum(holds(env, one, seed) for seed in seeds for one in [closure or Closure.drawn(rng)])
-                        for closure in (BLIND, None))  # fmt: skip
+        np.testing.assert_array_equal(
+            [policy.act(None) for _ in range(3)], [BLIND.action(step) for step in (1, 2, 3)]
+        )
+        rng = np.random.default_rng(8)
+        seeds = range(5_000, 5_024)
+        best, others = (
+            sum(holds(env, one, seed) for seed in seeds for one in [closure or Closure.drawn(rng)])
+            for closure in (BLIND, None)
+        )
     assert best > others + 2
 
 
@@ -70,15 +89,23 @@ def test_a_closure_goes_from_open_to_its_goal_and_stays():
     assert (np.diff(actions, axis=0) >= 0).all()
     np.testing.assert_allclose(actions[-1], closure.goal, atol=1e-6)
     np.testing.assert_allclose(actions[:, 5], 0.5)
-    np.testing.assert_allclose(actions[3, :2], [-1.0, -1 + 0.4 * 1.4], atol=1e-6)  # the thumb waits for four steps
+    np.testing.assert_allclose(
+        actions[3, :2], [-1.0, -1 + 0.4 * 1.4], atol=1e-6
+    )  # the thumb waits for four steps
 
 
 def test_the_scale_is_0_at_the_floor_and_1_at_the_ceiling():
     assert Scale(0.3, 0.9).score(0.3) == 0.0
     assert Scale(0.3, 0.9).score(0.9) == pytest.approx(1.0)
     assert Scale(0.3, 0.9).score(0.6) == pytest.approx(0.5)
-    tries = [Try(0, 1, Closure((0.0,) * 6, 8.0, 0.0)), Try(1, 3, Closure((0.0,) * 6, 8.0, 0.0)), Try(2, 5, None)]
-    assert [share_found(tries, within) for within in (1, 2, 3, 5)] == pytest.approx([1 / 3, 1 / 3, 2 / 3, 2 / 3])
+    tries = [
+        Try(0, 1, Closure((0.0,) * 6, 8.0, 0.0)),
+        Try(1, 3, Closure((0.0,) * 6, 8.0, 0.0)),
+        Try(2, 5, None),
+    ]
+    assert [share_found(tries, within) for within in (1, 2, 3, 5)] == pytest.approx(
+        [1 / 3, 1 / 3, 2 / 3, 2 / 3]
+    )
     scale = scale_of("hpac_gym:HPAC-Grasp-v0")
     assert scale == scale_of("HPAC-Grasp-v0")
     assert 0.2 < scale.floor < 0.5 < 0.9 < scale.ceiling <= 1.0
@@ -86,7 +113,12 @@ def test_the_scale_is_0_at_the_floor_and_1_at_the_ceiling():
 
 
 def test_an_evaluation_prints_the_score_beside_the_success():
-    row = {"episodes": 1, "success_rate": scale_of("HPAC-Grasp-v0").ceiling, "interval_95": [0, 1], "return_mean": 0.0}
+    row = {
+        "episodes": 1,
+        "success_rate": scale_of("HPAC-Grasp-v0").ceiling,
+        "interval_95": [0, 1],
+        "return_mean": 0.0,
+    }
     summary = {"policies": {"learned": row | {"failures_by_phase": {}}}, "differences": []}
     assert "learned 1.00." in table(summary | {"env_id": "hpac_gym:HPAC-Grasp-v0"})
     assert "Score" not in table(summary | {"env_id": "HPAC-PickPlace-v0"})

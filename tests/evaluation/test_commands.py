@@ -20,7 +20,18 @@ TRAINED = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp.zi
 
 
 def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
-    words = ["--grasps", "small_cylinder", "press", "-n", "2", "--workers", "1", "--json", "--out", str(tmp_path)]
+    words = [
+        "--grasps",
+        "small_cylinder",
+        "press",
+        "-n",
+        "2",
+        "--workers",
+        "1",
+        "--json",
+        "--out",
+        str(tmp_path),
+    ]
     assert main(["grasps", *words]) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["first_seed"] == HELD_OUT_SEED
@@ -31,12 +42,20 @@ def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
         ("press", "random"),
     ]
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "contact_sheet.png", "grasps.json", "grasps.md", "press.png", "small_cylinder.png",
-    ]  # fmt: skip
+        "contact_sheet.png",
+        "grasps.json",
+        "grasps.md",
+        "press.png",
+        "small_cylinder.png",
+    ]
     written = json.loads((tmp_path / "grasps.json").read_text())
-    assert [trial["seed"] for trial in written["trials"]["press/scripted"]] == [HELD_OUT_SEED, HELD_OUT_SEED + 1]
+    assert [trial["seed"] for trial in written["trials"]["press/scripted"]] == [
+        HELD_OUT_SEED,
+        HELD_OUT_SEED + 1,
+    ]
     assert len((tmp_path / "grasps.md").read_text().splitlines()) == 6
-    sheet, single = Image.open(tmp_path / "contact_sheet.png"), Image.open(tmp_path / "press.png")
+    sheet = Image.open(tmp_path / "contact_sheet.png")
+    single = Image.open(tmp_path / "press.png")
     assert sheet.size == (2 * single.width, single.height)
 
 
@@ -44,7 +63,9 @@ def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys
     words = ["--policy", str(TRAINED), "--grasps", "rod", "-n", "1", "--no-baseline"]
     for workers in ("1", "2"):
         assert main(["grasps", *words, "--workers", workers, "--out", str(tmp_path / workers)]) == 0
-    first, second = (json.loads((tmp_path / workers / "grasps.json").read_text()) for workers in ("1", "2"))
+    first, second = (
+        json.loads((tmp_path / workers / "grasps.json").read_text()) for workers in ("1", "2")
+    )
     assert first == second
     assert first["policy"]["algorithm"] == "closures"
     assert (tmp_path / "1" / "rod.png").read_bytes() == (tmp_path / "2" / "rod.png").read_bytes()
@@ -52,7 +73,9 @@ def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys
 
 @pytest.mark.slow
 def test_it_runs_all_sixteen(tmp_path, capsys):
-    assert main(["grasps", "-n", "1", "--workers", "2", "--no-baseline", "--out", str(tmp_path)]) == 0
+    assert (
+        main(["grasps", "-n", "1", "--workers", "2", "--no-baseline", "--out", str(tmp_path)]) == 0
+    )
     assert len(capsys.readouterr().out.splitlines()) == 2 + 16
     assert {path.stem for path in tmp_path.glob("*.png")} == {*GRASPS, "contact_sheet"}
 
@@ -81,7 +104,9 @@ def folder(tmp_path_factory) -> Path:
         ("--nonsense", "unrecognized arguments: --nonsense"),
     ],
 )
-def test_a_mistake_ends_in_one_line_and_status_2_before_anything_runs(folder, tmp_path, words, complaint, capsys, monkeypatch):
+def test_a_mistake_ends_in_one_line_and_status_2_before_anything_runs(
+    folder, tmp_path, words, complaint, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     try:
         status = main(["grasps", *words.format(folder=folder).split()])
@@ -104,20 +129,42 @@ def test_a_missing_package_is_one_line_and_the_help_needs_none(tmp_path, monkeyp
         main(["grasps", "--help"])
     assert "--policy" in capsys.readouterr().out
     assert main(["grasps"]) == 2
-    assert capsys.readouterr().err == "error: this command needs more: pip install 'hpac_gym[grasps]' (no module PIL)\n"
+    assert (
+        capsys.readouterr().err
+        == "error: this command needs more: pip install 'hpac_gym[grasps]' (no module PIL)\n"
+    )
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("seconds", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_ctrl_c_ends_it_and_its_workers(seconds, tmp_path):
     """Ctrl-C reaches every process of a terminal: while the workers start, and while they work."""
-    words = ["grasps", "-n", "1000", "--policy", "random", "--grasps", "rod", "--workers", "2", "--out", str(tmp_path)]
+    words = [
+        "grasps",
+        "-n",
+        "1000",
+        "--policy",
+        "random",
+        "--grasps",
+        "rod",
+        "--workers",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
     command = subprocess.Popen(
-        [sys.executable, "-m", "hpac", *words], stderr=subprocess.PIPE, text=True, start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
-    )  # fmt: skip
+        [sys.executable, "-m", "hpac", *words],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # a shell's background job ignores it
+    )
     children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
-    wait_for(lambda: len(children.read_text().split()) >= 3)  # two workers, and the tracker of their resources
+    wait_for(
+        lambda: len(children.read_text().split()) >= 3
+    )  # two workers, and the tracker of their resources
     workers = children.read_text().split()
     time.sleep(seconds)
     os.killpg(command.pid, signal.SIGINT)

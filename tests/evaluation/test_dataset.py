@@ -36,7 +36,9 @@ def test_the_recorded_environment_seeds_and_actions_give_the_recorded_episodes_a
         assert np.array_equal(episode.observations, [*seen, *(step[0] for step in steps)])
         assert np.array_equal(episode.rewards, [step[1] for step in steps])
         assert np.array_equal(episode.terminations, [step[2] for step in steps])
-        assert np.array_equal(episode.infos["is_success"][1:], [step[4]["is_success"] for step in steps])
+        assert np.array_equal(
+            episode.infos["is_success"][1:], [step[4]["is_success"] for step in steps]
+        )
         env.reset(seed=seed + 1)
         assert not np.array_equal(episode.observations[1], env.step(episode.actions[0])[0])
     successes = [bool(episode.infos["is_success"][-1]) for episode in dataset.iterate_episodes()]
@@ -48,14 +50,27 @@ def test_the_recorded_environment_seeds_and_actions_give_the_recorded_episodes_a
 def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
     """In a round the clone acts, and learns what the script would have done on what it saw."""
     monkeypatch.setattr(clone, "VISITS", 3)
-    taught, visit = [], clone.visit
+    taught = []
+    visit = clone.visit
     monkeypatch.setattr(clone, "visit", lambda *words: taught.append(visit(*words)) or taught[-1])
-    dataset = record("scripted", "HPAC-Posture-v1", 2, tmp_path / "posture", seed_start=5000, options={"engine": "mujoco"})
+    dataset = record(
+        "scripted",
+        "HPAC-Posture-v1",
+        2,
+        tmp_path / "posture",
+        seed_start=5000,
+        options={"engine": "mujoco"},
+    )
     episode = next(dataset.iterate_episodes())
     assert {name: len(values) for name, values in episode.observations.items()} == dict.fromkeys(
         ("observation", "achieved_goal", "desired_goal"), len(episode.actions) + 1
     )
-    assert clone.main([str(tmp_path / "posture"), "--out", str(tmp_path), "--epochs", "1", "--rounds", "2"]) == 0
+    assert (
+        clone.main(
+            [str(tmp_path / "posture"), "--out", str(tmp_path), "--epochs", "1", "--rounds", "2"]
+        )
+        == 0
+    )
     with gymnasium.make("hpac_gym:HPAC-Posture-v1", engine="mujoco") as env:
         policy = load_policy(str(tmp_path / "policy.zip"), env)
         observation, _ = env.reset(seed=0)
@@ -63,13 +78,24 @@ def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
         assert env.action_space.contains(policy.act(observation))
     for seen, wanted in taught:
         assert (seen.shape, wanted.shape) == ((3 * 40, 51), (3 * 40, 6))
-        parts = {"achieved_goal": seen[:, :15], "desired_goal": seen[:, 15:30], "observation": seen[:, 30:]}
+        parts = {
+            "achieved_goal": seen[:, :15],
+            "desired_goal": seen[:, 15:30],
+            "observation": seen[:, 30:],
+        }
         np.testing.assert_array_equal(ScriptedPosture().act(parts), wanted)
     assert not np.array_equal(*(seen for seen, _ in taught)), "each round has episodes of its own"
 
 
 def test_pictures_are_not_cloned(tmp_path):
-    record("scripted", "HPAC-Posture-v1", 1, tmp_path / "seen", seed_start=5000, options={"engine": "mujoco", "obs": "image"})
+    record(
+        "scripted",
+        "HPAC-Posture-v1",
+        1,
+        tmp_path / "seen",
+        seed_start=5000,
+        options={"engine": "mujoco", "obs": "image"},
+    )
     with pytest.raises(RunError, match=r"seen' observes Dict\(.*\): cloning needs vectors"):
         clone.main([str(tmp_path / "seen"), "--out", str(tmp_path / "policy")])
 
@@ -86,7 +112,10 @@ def test_a_recording_that_fails_or_is_interrupted_leaves_nothing_half(tmp_path, 
 
 def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
     monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=60_000))
-    with pytest.raises(OutputError, match=r"cannot write 1 episodes to '.*': they need [56]\d,\d{3} bytes, 60,000 are free"):
+    with pytest.raises(
+        OutputError,
+        match=r"cannot write 1 episodes to '.*': they need [56]\d,\d{3} bytes, 60,000 are free",
+    ):
         record("random", "HPAC-Grasp-v0", 1, tmp_path / "new", options={"engine": "mujoco"})
     assert list(tmp_path.iterdir()) == []
 
@@ -99,8 +128,14 @@ def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
         (["--out", "x", "--episodes", "0"], "'0' is not a whole number of at least 1"),
         (["--out", "/proc/x/y"], "cannot write to folder '/proc/x'"),
         (["--out", ".", "--format", "lerobot"], "'.' exists already"),
-        (["--out", "x", "--format", "lerobot", "--env", "HPAC-Posture-v1"], "observes a Dict: LeRobot's format needs one flat"),
-        (["--out", "x", "--format", "lerobot"], "needs Python 3.12 or newer and pip install 'hpac_gym[lerobot]': "),
+        (
+            ["--out", "x", "--format", "lerobot", "--env", "HPAC-Posture-v1"],
+            "observes a Dict: LeRobot's format needs one flat",
+        ),
+        (
+            ["--out", "x", "--format", "lerobot"],
+            "needs Python 3.12 or newer and pip install 'hpac_gym[lerobot]': ",
+        ),
     ],
 )
 def test_a_mistake_is_one_line(words, line, tmp_path, monkeypatch, capsys):
@@ -120,17 +155,30 @@ def test_a_mistake_is_one_line(words, line, tmp_path, monkeypatch, capsys):
 def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
     assert clone.main([str(folder), "--out", str(tmp_path), "--epochs", "60"]) == 0
     policy = read_policy(tmp_path / "policy.zip")
-    episode = next(episode for episode in read_dataset(folder).iterate_episodes() if episode.infos["is_success"][-1])
-    wrong = np.abs([policy.actor(seen) - done for seen, done in zip(episode.observations, episode.actions, strict=False)])
+    episode = next(
+        episode
+        for episode in read_dataset(folder).iterate_episodes()
+        if episode.infos["is_success"][-1]
+    )
+    wrong = np.abs(
+        [
+            policy.actor(seen) - done
+            for seen, done in zip(episode.observations, episode.actions, strict=False)
+        ]
+    )
     assert wrong.mean() < 0.05
     assert np.abs(np.diff(episode.actions, axis=0)).sum() > 5, "there was something to learn"
     assert policy.about["algorithm"] == "behaviour cloning"
     assert "successful episodes, none kept back: " in capsys.readouterr().out
-    with pytest.raises(RunError, match=r"policy\.zip' is there already: choose another folder, or remove it"):
+    with pytest.raises(
+        RunError, match=r"policy\.zip' is there already: choose another folder, or remove it"
+    ):
         clone.main([str(folder), "--out", str(tmp_path), "--epochs", "1"])
 
 
-@pytest.mark.parametrize(("name", "value"), [("observations", np.inf), ("actions", np.nan), ("actions", 7.0)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("observations", np.inf), ("actions", np.nan), ("actions", 7.0)]
+)
 def test_what_no_environment_gives_is_not_cloned(folder, tmp_path, monkeypatch, name, value):
     dataset = read_dataset(folder)
 
@@ -141,13 +189,22 @@ def test_what_no_environment_gives_is_not_cloned(folder, tmp_path, monkeypatch, 
 
     monkeypatch.setattr(dataset, "iterate_episodes", bent)
     monkeypatch.setattr(clone, "read_dataset", lambda path: dataset)
-    with pytest.raises(RunError, match=r"has observations that are not finite, or actions outside −1…1"):
+    with pytest.raises(
+        RunError, match=r"has observations that are not finite, or actions outside −1…1"
+    ):
         clone.main([str(folder), "--out", str(tmp_path), "--epochs", "1"])
     assert not (tmp_path / "policy.zip").exists()
 
 
 def test_nothing_is_cloned_from_failures_or_from_no_dataset(tmp_path):
-    record("random", "HPAC-Grasp-v0", 1, tmp_path / "random", seed_start=3, options={"engine": "mujoco"})
+    record(
+        "random",
+        "HPAC-Grasp-v0",
+        1,
+        tmp_path / "random",
+        seed_start=3,
+        options={"engine": "mujoco"},
+    )
     with pytest.raises(RunError, match="no successful episode among its 1"):
         clone.main([str(tmp_path / "random"), "--out", str(tmp_path / "policy")])
     with pytest.raises(DatasetError, match="is not a dataset"):

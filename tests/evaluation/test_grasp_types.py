@@ -1,4 +1,6 @@
-"""Grasp types in physics: the posture, executed, holds the object by the parts that its name asks for."""
+"""Grasp types in physics: the posture, executed, holds the object by the parts that its name asks
+for.
+"""
 
 from dataclasses import replace
 
@@ -15,7 +17,14 @@ SEEDS = range(7_000_000, 7_000_008)
 
 
 def trials(kind: GraspType, count: int, engine: str = "mujoco") -> list[TypeTrial]:
-    found = dict(run_types([kind] * count, SEEDS[:count], engine=engine, num_worlds=count if engine == "mujoco" else 1))
+    found = dict(
+        run_types(
+            [kind] * count,
+            SEEDS[:count],
+            engine=engine,
+            num_worlds=count if engine == "mujoco" else 1,
+        )
+    )
     return [found[index] for index in range(count)]
 
 
@@ -40,7 +49,9 @@ def test_an_open_hand_is_no_grasp_and_a_start_in_touch_is_none():
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_an_episode_depends_on_its_seed_alone(engine: str):
     kinds = [GRASP_TYPES["tip_pinch"]] * 3
-    together = dict(run_types(kinds, SEEDS[:3], engine=engine, num_worlds=3 if engine == "mujoco" else 1))
+    together = dict(
+        run_types(kinds, SEEDS[:3], engine=engine, num_worlds=3 if engine == "mujoco" else 1)
+    )
     alone = dict(run_types(kinds[:1], SEEDS[2:3], engine=engine))
     assert together[2] == alone[0]
 
@@ -48,17 +59,23 @@ def test_an_episode_depends_on_its_seed_alone(engine: str):
 @pytest.mark.parametrize("name", GRASP_TYPES)
 def test_the_results_on_the_page_were_taken_on_the_data_that_is_here(name: str):
     found = judged.results()[name]
-    assert found["data"] == judged.fingerprint(name), f"run python -m tools.grasp_types --types {name}"
+    assert found["data"] == judged.fingerprint(name), (
+        f"run python -m tools.grasp_types --types {name}"
+    )
     for hand in judged.HANDS:
         assert set(found[hand]) == set(judged.SET_UPS)
-        assert all(0 <= row["successes"] <= row["held"] <= row["episodes"] for row in found[hand].values())
+        assert all(
+            0 <= row["successes"] <= row["held"] <= row["episodes"] for row in found[hand].values()
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 @pytest.mark.parametrize("name", GRASP_TYPES)
 def test_a_type_does_as_well_as_its_page_says(name: str, engine: str):
-    """On eight other seeds; a rate that lies below the page's by more than chance, one in a thousand, is red."""
+    """On eight other seeds; a rate that lies below the page's by more than chance, one in a
+    thousand, is red.
+    """
     row = judged.results()[name]["nominal"][f"{engine}/twin"]
     wins = sum(trial.success for trial in trials(GRASP_TYPES[name], len(SEEDS), engine))
     rate = (row["successes"] + 1) / (row["episodes"] + 2)

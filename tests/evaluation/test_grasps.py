@@ -5,15 +5,20 @@ from hpac_gym.evaluation.grasps import Row, Trial, benchmark, table
 from hpac_gym.evaluation.statistics import wilson_interval
 
 TRIALS = (
-    Trial(1, True, "place", 20.0), Trial(2, True, "place", 30.0), Trial(3, False, "lift", None), Trial(4, False, "place", 5.0),
-)  # fmt: skip
+    Trial(1, True, "place", 20.0),
+    Trial(2, True, "place", 30.0),
+    Trial(3, False, "lift", None),
+    Trial(4, False, "place", 5.0),
+)
 
 
 def test_a_row_sums_up_its_trials():
     numbers = Row("rod", "scripted", TRIALS).summary()
     assert (numbers["episodes"], numbers["successes"]) == (4, 2)
     assert numbers["interval_95"] == list(wilson_interval(2, 4))
-    assert numbers["hold_force_newton"] == 25.0, "a grasp that failed in the end has no part in the hold force"
+    assert numbers["hold_force_newton"] == 25.0, (
+        "a grasp that failed in the end has no part in the hold force"
+    )
     assert numbers["drops_by_phase"] == {"lift": 1, "place": 1}
 
 
@@ -25,7 +30,10 @@ def test_the_table_has_a_line_for_each_row_and_no_force_without_success():
 
 
 def test_a_row_names_the_object_of_its_variant():
-    objects = {variant: Row("rod", "scripted", TRIALS, variant).summary()["object"] for variant in ("nominal", "heavy", "shape")}
+    objects = {
+        variant: Row("rod", "scripted", TRIALS, variant).summary()["object"]
+        for variant in ("nominal", "heavy", "shape")
+    }
     assert objects["nominal"] == objects["heavy"] == GRASPS["rod"].object.about
     assert objects["shape"] == GRASPS["rod"].variant("shape").object.about != objects["nominal"]
 

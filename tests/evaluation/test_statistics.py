@@ -38,7 +38,9 @@ def test_wilson_interval_holds_the_rate_and_mirrors(counts):
 def test_wilson_bounds_solve_the_score_equation(trials, successes):
     successes = min(successes, trials)
     for bound in wilson_interval(successes, trials):
-        gap = (successes / trials - bound) ** 2 - 1.959963984540054**2 * bound * (1 - bound) / trials
+        gap = (successes / trials - bound) ** 2 - 1.959963984540054**2 * bound * (
+            1 - bound
+        ) / trials
         assert gap == pytest.approx(0, abs=1e-12)
 
 
@@ -64,20 +66,27 @@ def test_paired_difference_equals_agresti_and_mins_formula():
 
 
 def test_interquartile_mean_leaves_out_a_quarter_at_each_end():
-    assert interquartile_mean([[0.9], [0.1], [0.5], [0.6], [0.4]]) == pytest.approx(0.5)  # of five runs the middle three
-    assert interquartile_mean([[0.0, 0.2], [0.4, 9.0]]) == pytest.approx(0.3)  # of all four scores the middle two
+    assert interquartile_mean([[0.9], [0.1], [0.5], [0.6], [0.4]]) == pytest.approx(
+        0.5
+    )  # of five runs the middle three
+    assert interquartile_mean([[0.0, 0.2], [0.4, 9.0]]) == pytest.approx(
+        0.3
+    )  # of all four scores the middle two
     assert interquartile_mean([[[1.0]], [[2.0]]]).tolist() == [1.0, 2.0]
 
 
 def test_probability_of_improvement_counts_pairs_of_runs():
     # First task: 3 of 4 pairs are won; second: one win, one tie, two losses, (1 + 0.5) / 4.
-    first, second = [[0.5, 0.5], [0.9, 0.2]], [[0.4, 0.3], [0.6, 0.5]]
+    first = [[0.5, 0.5], [0.9, 0.2]]
+    second = [[0.4, 0.3], [0.6, 0.5]]
     assert probability_of_improvement(first, second) == pytest.approx((3 / 4 + 1.5 / 4) / 2)
     assert probability_of_improvement(second, first) == pytest.approx(1 - (3 / 4 + 1.5 / 4) / 2)
 
 
 def test_both_are_what_rliable_gives():
-    """Its version 1.2.0, aggregate_iqm and probability_of_improvement, gives 0.55, 0.43333 and 0.65."""
+    """Its version 1.2.0, aggregate_iqm and probability_of_improvement, gives 0.55, 0.43333 and
+    0.65.
+    """
     first = np.array([[0.2, 0.9], [0.5, 0.4], [0.6, 0.7], [0.1, 0.3], [0.8, 0.85]])
     second = [[0.3, 0.5], [0.4, 0.4], [0.7, 0.2], [0.1, 0.6], [0.2, 0.65]]
     assert interquartile_mean(first) == pytest.approx(0.55)
@@ -86,7 +95,9 @@ def test_both_are_what_rliable_gives():
 
 
 def test_the_bootstrap_draws_the_runs_of_each_task_apart():
-    """Of two runs 0 and 1 the mean is drawn as 0, 1/2, 1 with 1/4, 1/2, 1/4; runs drawn together would never mix the tasks."""
+    """Of two runs 0 and 1 the mean is drawn as 0, 1/2, 1 with 1/4, 1/2, 1/4; runs drawn together
+    would never mix the tasks.
+    """
     means: list[float] = []
 
     def mean(scores):
@@ -103,8 +114,11 @@ def test_the_bootstrap_draws_the_runs_of_each_task_apart():
 
 def test_the_bootstrap_covers_the_mean_of_normal_runs_as_often_as_it_can():
     """With 30 runs about 95 %: a percentile interval of few runs is narrower than it should be."""
-    rng, covered = np.random.default_rng(3), 0
+    rng = np.random.default_rng(3)
+    covered = 0
     for _ in range(200):
-        low, high = stratified_bootstrap(lambda s: s.mean(axis=(-2, -1)), rng.normal(size=(30, 1)), draws=400)
+        low, high = stratified_bootstrap(
+            lambda s: s.mean(axis=(-2, -1)), rng.normal(size=(30, 1)), draws=400
+        )
         covered += low <= 0.0 <= high
     assert 0.88 < covered / 200 < 0.99

@@ -48,7 +48,9 @@ def test_workers_give_results_in_order_and_errors_and_tell_when_one_is_ended_fro
 
 def test_workers_take_jobs_as_they_need_them():
     taken = []
-    results = shared(product, ((number, 2) for number in itertools.count() if taken.append(number) is None), 2)
+    results = shared(
+        product, ((number, 2) for number in itertools.count() if taken.append(number) is None), 2
+    )
     assert list(itertools.islice(results, 40)) == [2 * number for number in range(40)]
     assert len(taken) <= 40 + 2 * AHEAD
     results.close()
@@ -61,7 +63,8 @@ def nap(number: int) -> int:
 
 def test_ctrl_c_leaves_no_traceback_of_the_pool_s_thread(monkeypatch):
     """A busy machine, on which a moment passes between the interrupt and the end of the pool."""
-    said, shutdown = [], ProcessPoolExecutor.shutdown
+    said = []
+    shutdown = ProcessPoolExecutor.shutdown
 
     def late(self, *arguments, **named):
         time.sleep(0.5)

@@ -1,4 +1,6 @@
-"""The C core held against the Python codec and its own promises, with Hypothesis, in this process."""
+"""The C core held against the Python codec and its own promises, with Hypothesis, in this
+process.
+"""
 
 import numpy as np
 from hypothesis import given, settings
@@ -38,23 +40,33 @@ def armed_hand():
 
 
 def _status(hand):
-    return next(a.fields for a in ask(hand, Frame("status", 0, 0, {"period_ms": 0})) if a.name == "device_status")
+    return next(
+        a.fields
+        for a in ask(hand, Frame("status", 0, 0, {"period_ms": 0}))
+        if a.name == "device_status"
+    )
 
 
 @given(st.integers(0, 0xFFFF), st.integers(10, 10_000), st.tuples(*[st.integers(-100, 14_000)] * 6))
 def test_the_core_reads_a_move_as_python_wrote_it(seq, duration_ms, servo):
     hand = armed_hand()
-    (ack,) = ask(hand, Frame("move", seq, 0, {**SESSION, "duration_ms": duration_ms, "servo": servo}))
+    (ack,) = ask(
+        hand, Frame("move", seq, 0, {**SESSION, "duration_ms": duration_ms, "servo": servo})
+    )
     assert ack.seq == seq
     limits = servo_limits()
-    outside = [i for i in range(6) if not limits[i].min_urad <= servo[i] * 100 <= limits[i].max_urad]
+    outside = [
+        i for i in range(6) if not limits[i].min_urad <= servo[i] * 100 <= limits[i].max_urad
+    ]
     if ack.fields["reason"] == Reason.ok:
         assert not outside
         for _ in range(duration_ms // 400 + 1):
             ask(hand, Frame("heartbeat", 5, 0, SESSION))
             while hand.run(min(duration_ms * 1e-3, 0.4)):
                 pass
-        np.testing.assert_allclose(hand.pulses(), pulses_from_servo(np.array(servo) * 1e-4), rtol=0, atol=1)  # a tie, rounded
+        np.testing.assert_allclose(
+            hand.pulses(), pulses_from_servo(np.array(servo) * 1e-4), rtol=0, atol=1
+        )  # a tie, rounded
     elif ack.fields["reason"] == Reason.angle:
         assert ack.fields["servo"] in outside
     else:
@@ -67,7 +79,9 @@ def test_every_message_is_answered_in_the_layout_that_python_expects(data):
     hand = armed_hand()
     message = data.draw(st.sampled_from([m for m in MESSAGES.values() if m.from_host]))
     fields = {
-        field.name: tuple(data.draw(st.integers(0, 127)) for _ in range(field.count)) if field.is_array else 99
+        field.name: tuple(data.draw(st.integers(0, 127)) for _ in range(field.count))
+        if field.is_array
+        else 99
         for field in message.fields
     }
     answers = ask(hand, Frame(message.name, 77, 0, fields))
@@ -93,7 +107,9 @@ def test_any_bytes_cost_at_most_the_frame_that_they_touch(data):
 
 
 class HostileHost(RuleBasedStateMachine):
-    """Any messages in any order at any time: the state machine of firmware/README.md, and no pulse outside of limits."""
+    """Any messages in any order at any time: the state machine of firmware/README.md, and no pulse
+    outside of limits.
+    """
 
     @initialize()
     def power_on(self):
@@ -120,14 +136,27 @@ class HostileHost(RuleBasedStateMachine):
 
     @rule(action=st.integers(0, 4), good=st.booleans())
     def arm(self, action, good):
-        fields = {**ARM, "watchdog_ms": 500, "limits_hash": limits_hash() ^ (not good), "action": action}
+        fields = {
+            **ARM,
+            "watchdog_ms": 500,
+            "limits_hash": limits_hash() ^ (not good),
+            "action": action,
+        }
         before, accepted, after = self._ask("arm", fields)
-        assert accepted == (self.greeted and good and action <= 2 and before in (State.idle, State.armed))
+        assert accepted == (
+            self.greeted and good and action <= 2 and before in (State.idle, State.armed)
+        )
         assert after == (State.armed if accepted else before)
 
-    @rule(servo=st.tuples(*[st.integers(-50, 14_000)] * 6), duration_ms=st.integers(0, 11_000), minimum_jerk=st.integers(0, 1))
+    @rule(
+        servo=st.tuples(*[st.integers(-50, 14_000)] * 6),
+        duration_ms=st.integers(0, 11_000),
+        minimum_jerk=st.integers(0, 1),
+    )
     def move(self, servo, duration_ms, minimum_jerk):
-        before, accepted, after = self._ask("move", {**SESSION, "duration_ms": duration_ms, "servo": servo}, minimum_jerk)
+        before, accepted, after = self._ask(
+            "move", {**SESSION, "duration_ms": duration_ms, "servo": servo}, minimum_jerk
+        )
         assert after == before
         assert not accepted or (before == State.armed and self.hand.pulses().all())
 
@@ -152,7 +181,10 @@ class HostileHost(RuleBasedStateMachine):
         while self.hand.now_us < until:
             self.hand.run((until - self.hand.now_us) * 1e-6)
         if before == State.armed:
-            assert self._state() == (State.armed if seconds < 0.499 else State.fault) or 0.499 <= seconds <= 0.501
+            assert (
+                self._state() == (State.armed if seconds < 0.499 else State.fault)
+                or 0.499 <= seconds <= 0.501
+            )
         else:
             assert self._state() == before
 

@@ -1,4 +1,6 @@
-"""The core on an emulated rv32imc microcontroller: live over a pseudo-terminal, and to the bit under -icount."""
+"""The core on an emulated rv32imc microcontroller: live over a pseudo-terminal, and to the bit
+under -icount.
+"""
 
 import re
 import shutil
@@ -19,10 +21,20 @@ MACHINE = (
     *("qemu-system-riscv32", "-M", "virt", "-cpu", "rv32,a=false,f=false,d=false"),
     *("-bios", "none", "-display", "none", "-monitor", "none"),
 )
-TOOLS = {"qemu-system-riscv32": "qemu-system-misc", "riscv64-unknown-elf-gcc": "gcc-riscv64-unknown-elf"}
-MISSING = [f"{tool} (Debian: apt-get install {package})" for tool, package in TOOLS.items() if not shutil.which(tool)]
+TOOLS = {
+    "qemu-system-riscv32": "qemu-system-misc",
+    "riscv64-unknown-elf-gcc": "gcc-riscv64-unknown-elf",
+}
+MISSING = [
+    f"{tool} (Debian: apt-get install {package})"
+    for tool, package in TOOLS.items()
+    if not shutil.which(tool)
+]
 
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(MISSING), reason=f"SKIPPED: no {' and no '.join(MISSING)}")]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(MISSING), reason=f"SKIPPED: no {' and no '.join(MISSING)}"),
+]
 
 
 def image(name):
@@ -62,7 +74,9 @@ def test_a_live_session_over_a_pseudo_terminal():
         link.estop()
         assert time.monotonic() - start < 3.0  # on a busy machine
         assert link.status().fault == "estop"
-        print(f"round trip p50 {1e3 * link.statistics.round_trip(50):.2f} ms, p99 {1e3 * link.statistics.round_trip(99):.2f} ms")
+        print(
+            f"round trip p50 {1e3 * link.statistics.round_trip(50):.2f} ms, p99 {1e3 * link.statistics.round_trip(99):.2f} ms"
+        )
 
 
 def test_silence_trips_the_watchdog_of_the_emulated_board():
@@ -73,8 +87,18 @@ def test_silence_trips_the_watchdog_of_the_emulated_board():
 
 
 def golden_run():
-    command = [*MACHINE, "-icount", "shift=3,align=off,sleep=off", "-serial", "stdio", "-kernel", image("golden_qemu.elf")]
-    return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=True).stdout
+    command = [
+        *MACHINE,
+        "-icount",
+        "shift=3,align=off,sleep=off",
+        "-serial",
+        "stdio",
+        "-kernel",
+        image("golden_qemu.elf"),
+    ]
+    return subprocess.run(
+        command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=True
+    ).stdout
 
 
 def test_the_golden_trajectory_repeats_to_the_bit_and_is_minimum_jerk():

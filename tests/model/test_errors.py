@@ -1,4 +1,6 @@
-"""Malformed input of every public function: a named error with value, bound and unit, one fault a row."""
+"""Malformed input of every public function: a named error with value, bound and unit, one fault a
+row.
+"""
 
 import numpy as np
 import pytest
@@ -38,7 +40,13 @@ SIX = (
     elastic_joints_from_servo,
     transmission_matrix,
 )
-FIFTEEN = (clip_to_workspace, elastic_deviation, spring_tension, synergy_from_joints, servo_from_joints)
+FIFTEEN = (
+    clip_to_workspace,
+    elastic_deviation,
+    spring_tension,
+    synergy_from_joints,
+    servo_from_joints,
+)
 WIDTHS = [(function, 6) for function in SIX] + [(function, 15) for function in FIFTEEN]
 
 
@@ -54,15 +62,26 @@ def six(index: int, value: float) -> np.ndarray:
     return values
 
 
-@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize(
+    ("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", "")
+)
 @pytest.mark.parametrize("wrong", ["short", "long", "scalar", "empty"])
 def test_a_wrong_shape_is_told_with_both_shapes(function, width, wrong):
-    value = {"short": np.zeros(width - 1), "long": np.zeros((3, width + 1)), "scalar": np.float64(0), "empty": np.zeros(0)}[wrong]
-    with pytest.raises(ShapeError, match=rf"\(\.\.\., {width}\), not \({', '.join(map(str, value.shape))}"):
+    value = {
+        "short": np.zeros(width - 1),
+        "long": np.zeros((3, width + 1)),
+        "scalar": np.float64(0),
+        "empty": np.zeros(0),
+    }[wrong]
+    with pytest.raises(
+        ShapeError, match=rf"\(\.\.\., {width}\), not \({', '.join(map(str, value.shape))}"
+    ):
         function(value)
 
 
-@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize(
+    ("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", "")
+)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_a_value_that_is_no_finite_number_is_refused(function, width, value):
     batch = np.zeros((2, width))
@@ -71,14 +90,18 @@ def test_a_value_that_is_no_finite_number_is_refused(function, width, value):
         function(batch)
 
 
-@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize(
+    ("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", "")
+)
 @pytest.mark.parametrize("value", ["six words", None, [[0.0], [0.0, 1.0]]])
 def test_what_is_no_array_of_numbers_is_refused(function, width, value):
     with pytest.raises((ShapeError, WorkspaceError)):
         function(value)
 
 
-@pytest.mark.parametrize(("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", ""))
+@pytest.mark.parametrize(
+    ("function", "width"), WIDTHS, ids=lambda item: getattr(item, "__name__", "")
+)
 @pytest.mark.parametrize("dtype", [complex, str, bytes, "m8[s]"])
 def test_no_other_type_is_made_real_in_silence(function, width, dtype):
     with pytest.raises(ShapeError, match="not a type of real numbers"):
@@ -99,8 +122,16 @@ OUT_OF_RANGE = [
     (rigid_joints_from_servo, six(0, -1.0), r"servo thumb_mp = -1 rad .*\[0, 1\.3\d*\] rad"),
     (elastic_joints_from_servo, six(4, 1e9), r"servo pinky_mcp = 1e\+09 rad .*\] rad"),
     (transmission_matrix, six(3, 5.0), r"servo ring_mcp = 5 rad .*\] rad"),
-    (servo_from_synergy, six(2, 2.7), r"synergy middle_mcp = 2\.7 rad .*\[-0\.52\d*, 2\.61\d*\] rad"),
-    (servo_from_synergy, six(0, -0.6), r"synergy thumb_mp = -0\.6 rad .*\[-0\.52\d*, 2\.61\d*\] rad"),
+    (
+        servo_from_synergy,
+        six(2, 2.7),
+        r"synergy middle_mcp = 2\.7 rad .*\[-0\.52\d*, 2\.61\d*\] rad",
+    ),
+    (
+        servo_from_synergy,
+        six(0, -0.6),
+        r"synergy thumb_mp = -0\.6 rad .*\[-0\.52\d*, 2\.61\d*\] rad",
+    ),
 ]
 
 
@@ -114,7 +145,9 @@ def test_a_value_out_of_range_is_told_with_name_bounds_and_unit(function, value,
 
 @pytest.mark.processor
 def test_a_rounding_error_past_a_bound_is_no_error():
-    assert servo_from_joints(HPAC.joint_max + 5e-10) == pytest.approx(servo_from_joints(HPAC.joint_max), abs=1e-8)
+    assert servo_from_joints(HPAC.joint_max + 5e-10) == pytest.approx(
+        servo_from_joints(HPAC.joint_max), abs=1e-8
+    )
     assert servo_from_action(np.ones(6) + 5e-10) == pytest.approx(HPAC.servo_max, rel=1e-14)
     with pytest.raises(WorkspaceError):
         servo_from_joints(HPAC.joint_max + 2e-9)

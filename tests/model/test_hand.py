@@ -1,4 +1,6 @@
-"""Hand files and hands as values: sources, errors that name file and field, immutability, copies."""
+"""Hand files and hands as values: sources, errors that name file and field, immutability,
+copies.
+"""
 
 import copy
 import pickle
@@ -11,20 +13,47 @@ import numpy as np
 import pytest
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, JOINTS, Digit, Hand, ServoCommand, hand_to_toml, load_hand, servo_from_action
+from hpac_gym.model import (
+    HPAC,
+    JOINTS,
+    Digit,
+    Hand,
+    ServoCommand,
+    hand_to_toml,
+    load_hand,
+    servo_from_action,
+)
 
 TEXT = (files("hpac_gym.model") / "data" / "hpac.toml").read_text(encoding="utf-8")
 TABLE = tomllib.loads(TEXT)
 DERIVED = (
-    *("joint_min", "joint_max", "synergy_min", "synergy_max", "servo_min", "servo_max", "servo_rate_limit"),
-    *("guide_alpha", "guide_sum", "guide_product", "rest_chord", "servo_radius", "servo_of_joint", "rigid_ratio"),
+    *(
+        "joint_min",
+        "joint_max",
+        "synergy_min",
+        "synergy_max",
+        "servo_min",
+        "servo_max",
+        "servo_rate_limit",
+    ),
+    *(
+        "guide_alpha",
+        "guide_sum",
+        "guide_product",
+        "rest_chord",
+        "servo_radius",
+        "servo_of_joint",
+        "rigid_ratio",
+    ),
     *("elastic_ratio", "deviation_matrix", "synergy_projection", "joint_radius"),
 )
 
 
 @pytest.fixture
 def hand_file(tmp_path):
-    """Writes a hand file whose text is the nominal one with one pattern replaced, and returns its path."""
+    """Writes a hand file whose text is the nominal one with one pattern replaced, and returns its
+    path.
+    """
 
     def write(pattern: str, text: str):
         changed, count = re.subn(pattern, text, TEXT, count=1, flags=re.MULTILINE)
@@ -38,7 +67,9 @@ def hand_file(tmp_path):
 
 def test_a_written_hand_is_read_again(tmp_path):
     ring = replace(HPAC.digits["ring"], d2=0.031)
-    changed = replace(HPAC, name='a "quoted" hand', cmc_gain=0.98, digits={**HPAC.digits, "ring": ring})
+    changed = replace(
+        HPAC, name='a "quoted" hand', cmc_gain=0.98, digits={**HPAC.digits, "ring": ring}
+    )
     path = tmp_path / "hand.toml"
     for hand in (HPAC, changed):
         path.write_text(hand_to_toml(hand), encoding="utf-8")
@@ -50,48 +81,171 @@ def test_every_field_of_the_file_has_a_source():
     fields = {field for digit in TABLE["digits"].values() for field in digit}
     fields |= {*TABLE["servo"], *TABLE["cmc"], "workspace"}
     assert fields == set(TABLE["sources"])
-    assert all(text.startswith(("published", "derived", "chosen", "ratios published")) for text in TABLE["sources"].values())
+    assert all(
+        text.startswith(("published", "derived", "chosen", "ratios published"))
+        for text in TABLE["sources"].values()
+    )
     assert dict(HPAC.sources) == TABLE["sources"]
 
 
 def test_the_file_says_that_lengths_and_stiffnesses_are_chosen():
-    for field in ("d1", "d2", "servo_radius", "path_length", "spring_stiffness", "tendon_stiffness", "drive_stiffness"):
+    for field in (
+        "d1",
+        "d2",
+        "servo_radius",
+        "path_length",
+        "spring_stiffness",
+        "tendon_stiffness",
+        "drive_stiffness",
+    ):
         assert HPAC.sources[field].startswith("chosen")
 
 
 FAULTS = [
     ("missing field", r"^d2 = 0.030\n", "", r"digit thumb: d2 must be a number, not None"),
-    ("missing list", r"^path_length = \[0.050\]\n", "", r"digit thumb: path_length must be a list of numbers, not None"),
-    ("text for a number", r"^d1 = 0.012$", 'd1 = "12 mm"', r"digit thumb: d1 must be a number, not '12 mm'"),
-    ("truth for a number", r"^d1 = 0.012$", "d1 = true", r"digit thumb: d1 must be a number, not True"),
-    ("negative number", r"^d1 = 0.012$", "d1 = -0.012", r"digit thumb: d1 = -0\.012 m must be finite and greater than 0 m"),
-    ("zero", r"^spring_stiffness = 200.0", "spring_stiffness = 0", r"thumb: spring_stiffness = 0\.0 N/m must be .* 0 N/m"),
-    ("NaN", r"^drive_stiffness = 2.5e5", "drive_stiffness = nan", r"thumb: drive_stiffness = nan N/m must be finite"),
-    ("infinity", r"^tendon_stiffness = 1800.0", "tendon_stiffness = inf", r"thumb: tendon_stiffness = inf N must be finite"),
-    ("negative in a list", r"\[0.0060, 0.0075\]", "[0.0060, -0.0075]", r"thumb: joint_radius = -0\.0075 m must be"),
-    ("list too short", r"\[0.0060, 0.0075\]", "[0.0060]", r"thumb: joint_radius must have 2 entries, not 1"),
-    ("angle too wide", r"^alpha_deg = 150.0", "alpha_deg = 181.0", r"thumb: alpha = 3\.15\d* rad must be below 3\.14159 rad"),
-    ("guides too narrow", r"^alpha_deg = 150.0", "alpha_deg = 60.0", r"thumb: workspace \[0\.0, 1\.25\] rad must lie within"),
-    ("unknown digit field", r"^d1 = 0.012$", "d1 = 0.012\nd3 = 0.1", r"digit thumb has unknown fields d3"),
-    ("unknown servo field", r"^rate_limit = \d.*$", "rate_limit = 4.0\nrate = 1.0", r"\[servo\] has unknown fields rate"),
-    ("unknown cmc field", r"^cmc_gain = 1.0", "cmc_gain = 1.0\ngain = 1.0", r"\[cmc\] has unknown fields gain"),
-    ("unknown table", r"^\[servo\]", "[motor]\nx = 1\n[servo]", r"the file has unknown fields motor"),
-    ("unknown digit", r"^\[digits\.thumb\]", "[digits.sixth]\nd1 = 1\n[digits.thumb]", r"\[digits\] has unknown fields sixth"),
-    ("missing digit", r"^\[digits\.pinky\][^[]*(\[[^[]*)*?(?=^\[workspace)", "", r"table \[pinky\] is missing"),
+    (
+        "missing list",
+        r"^path_length = \[0.050\]\n",
+        "",
+        r"digit thumb: path_length must be a list of numbers, not None",
+    ),
+    (
+        "text for a number",
+        r"^d1 = 0.012$",
+        'd1 = "12 mm"',
+        r"digit thumb: d1 must be a number, not '12 mm'",
+    ),
+    (
+        "truth for a number",
+        r"^d1 = 0.012$",
+        "d1 = true",
+        r"digit thumb: d1 must be a number, not True",
+    ),
+    (
+        "negative number",
+        r"^d1 = 0.012$",
+        "d1 = -0.012",
+        r"digit thumb: d1 = -0\.012 m must be finite and greater than 0 m",
+    ),
+    (
+        "zero",
+        r"^spring_stiffness = 200.0",
+        "spring_stiffness = 0",
+        r"thumb: spring_stiffness = 0\.0 N/m must be .* 0 N/m",
+    ),
+    (
+        "NaN",
+        r"^drive_stiffness = 2.5e5",
+        "drive_stiffness = nan",
+        r"thumb: drive_stiffness = nan N/m must be finite",
+    ),
+    (
+        "infinity",
+        r"^tendon_stiffness = 1800.0",
+        "tendon_stiffness = inf",
+        r"thumb: tendon_stiffness = inf N must be finite",
+    ),
+    (
+        "negative in a list",
+        r"\[0.0060, 0.0075\]",
+        "[0.0060, -0.0075]",
+        r"thumb: joint_radius = -0\.0075 m must be",
+    ),
+    (
+        "list too short",
+        r"\[0.0060, 0.0075\]",
+        "[0.0060]",
+        r"thumb: joint_radius must have 2 entries, not 1",
+    ),
+    (
+        "angle too wide",
+        r"^alpha_deg = 150.0",
+        "alpha_deg = 181.0",
+        r"thumb: alpha = 3\.15\d* rad must be below 3\.14159 rad",
+    ),
+    (
+        "guides too narrow",
+        r"^alpha_deg = 150.0",
+        "alpha_deg = 60.0",
+        r"thumb: workspace \[0\.0, 1\.25\] rad must lie within",
+    ),
+    (
+        "unknown digit field",
+        r"^d1 = 0.012$",
+        "d1 = 0.012\nd3 = 0.1",
+        r"digit thumb has unknown fields d3",
+    ),
+    (
+        "unknown servo field",
+        r"^rate_limit = \d.*$",
+        "rate_limit = 4.0\nrate = 1.0",
+        r"\[servo\] has unknown fields rate",
+    ),
+    (
+        "unknown cmc field",
+        r"^cmc_gain = 1.0",
+        "cmc_gain = 1.0\ngain = 1.0",
+        r"\[cmc\] has unknown fields gain",
+    ),
+    (
+        "unknown table",
+        r"^\[servo\]",
+        "[motor]\nx = 1\n[servo]",
+        r"the file has unknown fields motor",
+    ),
+    (
+        "unknown digit",
+        r"^\[digits\.thumb\]",
+        "[digits.sixth]\nd1 = 1\n[digits.thumb]",
+        r"\[digits\] has unknown fields sixth",
+    ),
+    (
+        "missing digit",
+        r"^\[digits\.pinky\][^[]*(\[[^[]*)*?(?=^\[workspace)",
+        "",
+        r"table \[pinky\] is missing",
+    ),
     ("missing table", r"^\[cmc\]\n(^cmc.*\n)+", "", r"table \[cmc\] is missing"),
     ("wrong schema", r"^schema = 1", "schema = 2", r"schema 2 is not 1"),
     ("no schema", r"^schema = 1\n", "", r"schema None is not 1"),
     ("not TOML", r"^schema = 1", "schema: 1", r"not TOML"),
     ("missing joint", r"^ring_pip = .*\n", "", r"workspace is missing or does not know ring_pip"),
-    ("unknown joint", r"^ring_pip = ", "ring_pop = ", r"workspace is missing or does not know ring_pip, ring_pop"),
-    ("bounds upside down", r"^ring_pip = .*$", "ring_pip = [1.59, 0.0]", r"workspace of ring_pip = \[1\.59, 0\.0\] rad"),
-    ("three bounds", r"^ring_pip = .*$", "ring_pip = [0, 1, 2]", r"workspace of ring_pip must be \[min, max\] in rad"),
-    ("degrees", r"^ring_mcp = .*$", "ring_mcp = [0.0, 71.6]", r"digit ring: workspace \[0\.0, 71\.6\] rad must lie within"),
-    ("no rate", r"^rate_limit = \d.*$", "rate_limit = 0.0", r"rate_limit = 0\.0 rad/s must be finite and greater than 0 rad/s"),
+    (
+        "unknown joint",
+        r"^ring_pip = ",
+        "ring_pop = ",
+        r"workspace is missing or does not know ring_pip, ring_pop",
+    ),
+    (
+        "bounds upside down",
+        r"^ring_pip = .*$",
+        "ring_pip = [1.59, 0.0]",
+        r"workspace of ring_pip = \[1\.59, 0\.0\] rad",
+    ),
+    (
+        "three bounds",
+        r"^ring_pip = .*$",
+        "ring_pip = [0, 1, 2]",
+        r"workspace of ring_pip must be \[min, max\] in rad",
+    ),
+    (
+        "degrees",
+        r"^ring_mcp = .*$",
+        "ring_mcp = [0.0, 71.6]",
+        r"digit ring: workspace \[0\.0, 71\.6\] rad must lie within",
+    ),
+    (
+        "no rate",
+        r"^rate_limit = \d.*$",
+        "rate_limit = 0.0",
+        r"rate_limit = 0\.0 rad/s must be finite and greater than 0 rad/s",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("pattern", "text", "message"), [row[1:] for row in FAULTS], ids=[row[0] for row in FAULTS])
+@pytest.mark.parametrize(
+    ("pattern", "text", "message"), [row[1:] for row in FAULTS], ids=[row[0] for row in FAULTS]
+)
 def test_a_faulty_hand_file_is_told_in_one_line_with_its_path(hand_file, pattern, text, message):
     path = hand_file(pattern, text)
     with pytest.raises(ParameterError, match=message) as caught:
@@ -112,7 +266,9 @@ def test_a_hand_file_that_cannot_be_read_is_told_with_its_path(tmp_path):
 
 def test_a_hand_needs_exactly_its_digits_and_joints():
     with pytest.raises(ParameterError, match="thumb"):
-        replace(HPAC, digits={name: digit for name, digit in HPAC.digits.items() if name != "thumb"})
+        replace(
+            HPAC, digits={name: digit for name, digit in HPAC.digits.items() if name != "thumb"}
+        )
     with pytest.raises(ParameterError, match="not one of thumb, index"):
         replace(HPAC.digits["index"], name="sixth")
 
@@ -151,7 +307,9 @@ def test_a_hand_keeps_a_copy_of_what_it_was_made_of():
     assert hand == HPAC
 
 
-@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda hand: pickle.loads(pickle.dumps(hand))])
+@pytest.mark.parametrize(
+    "duplicate", [copy.copy, copy.deepcopy, lambda hand: pickle.loads(pickle.dumps(hand))]
+)
 def test_a_copied_or_pickled_hand_is_equal_and_computes_the_same(duplicate):
     action = np.linspace(-1, 1, 6)
     twin = duplicate(HPAC)
@@ -165,7 +323,9 @@ def test_a_copied_or_pickled_hand_is_equal_and_computes_the_same(duplicate):
 
 def test_digits_and_workspace_keep_their_order_however_given():
     shuffled = replace(
-        HPAC, digits=dict(reversed(HPAC.digits.items())), workspace=dict(sorted(HPAC.workspace.items(), reverse=True))
+        HPAC,
+        digits=dict(reversed(HPAC.digits.items())),
+        workspace=dict(sorted(HPAC.workspace.items(), reverse=True)),
     )
     assert list(shuffled.digits) == list(HPAC.digits)
     assert tuple(shuffled.workspace) == JOINTS
@@ -179,7 +339,9 @@ def test_a_digit_knows_its_joints_root_first():
 
 
 def test_servo_range_takes_a_hobby_servo_less_than_a_half_turn():
-    """sources: the servo radius is chosen so that Table I takes 75 to 80 of 180 degrees; the CMC is direct, 90."""
+    """sources: the servo radius is chosen so that Table I takes 75 to 80 of 180 degrees; the CMC is
+    direct, 90.
+    """
     degrees = np.degrees(HPAC.servo_max)
     assert (HPAC.servo_min == 0).all()
     assert ((degrees[:5] > 75) & (degrees[:5] < 80)).all()

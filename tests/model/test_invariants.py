@@ -1,6 +1,5 @@
 """What holds for every posture and every hand: inverses, monotony, limits, slopes, scaling."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -59,8 +58,14 @@ def test_projection_of_a_posture_is_already_projected(posture):
 
 @given(postures)
 def test_off_the_manifold_no_other_synergy_fits_better(posture):
-    """The residual of the least squares is orthogonal to the directions in which the servos can move the hand."""
-    residual = posture + elastic_deviation(posture) - HPAC.rigid_ratio * synergy_from_joints(posture)[HPAC.servo_of_joint]
+    """The residual of the least squares is orthogonal to the directions in which the servos can
+    move the hand.
+    """
+    residual = (
+        posture
+        + elastic_deviation(posture)
+        - HPAC.rigid_ratio * synergy_from_joints(posture)[HPAC.servo_of_joint]
+    )
     for servo in range(len(SERVOS)):
         moved = HPAC.servo_of_joint == servo
         assert residual[moved] @ HPAC.rigid_ratio[moved] == pytest.approx(0, abs=1e-12)
@@ -74,7 +79,9 @@ def test_servo_of_any_admissible_posture_is_in_the_servo_range(posture):
 
 
 def test_table_1_box_is_wider_than_the_servo_range():
-    """At Table I's upper corner the projection passes the servos' range in each finger, and the limit brings it back."""
+    """At Table I's upper corner the projection passes the servos' range in each finger, and the
+    limit brings it back.
+    """
     assert (synergy_from_joints(HPAC.joint_max)[1:5] > HPAC.synergy_max[1:5]).all()
     assert servo_from_joints(HPAC.joint_max)[1:5] == pytest.approx(HPAC.servo_max[1:5], abs=0)
 
@@ -100,12 +107,16 @@ def test_clip_synergy_is_idempotent_and_gives_admissible_servos(synergy):
 @given(actions)
 def test_servo_from_action_is_its_four_steps(action):
     posture = joints_from_synergy(synergy_from_action(action))
-    assert servo_from_action(action) == pytest.approx(servo_from_joints(clip_to_workspace(posture)), abs=1e-12)
+    assert servo_from_action(action) == pytest.approx(
+        servo_from_joints(clip_to_workspace(posture)), abs=1e-12
+    )
 
 
 @given(actions)
 def test_servo_from_action_asks_for_exactly_the_synergy(action):
-    assert synergy_from_servo(servo_from_action(action)) == pytest.approx(synergy_from_action(action), abs=1e-12)
+    assert synergy_from_servo(servo_from_action(action)) == pytest.approx(
+        synergy_from_action(action), abs=1e-12
+    )
 
 
 def test_action_minus_one_is_open_and_plus_one_is_closed():
@@ -142,8 +153,10 @@ def test_slope_at_rest_is_the_limit_of_h():
     """H(0) against a central difference of q(u): r L0 / (d1 d2 sin α), times the ratio."""
     step = 1e-6
     for column in range(len(SERVOS)):
-        ahead, behind = np.zeros(6), np.zeros(6)
-        ahead[column], behind[column] = step, -step
+        ahead = np.zeros(6)
+        behind = np.zeros(6)
+        ahead[column] = step
+        behind[column] = -step
         slope = (rigid_joints_from_servo(ahead) - rigid_joints_from_servo(behind)) / (2 * step)
         assert transmission_matrix(np.zeros(6))[:, column] == pytest.approx(slope, rel=1e-8)
 
@@ -170,7 +183,9 @@ def test_one_scale_of_all_lengths_and_an_inverse_one_of_the_spring_change_nothin
     lengths = dict.fromkeys(("d1", "d2", "servo_radius", "joint_radius", "path_length"), by)
     scaled = scaled_hand(HPAC, lengths | {"spring_stiffness": 1 / by})
     servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 7)
-    assert elastic_joints_from_servo(servo, scaled) == pytest.approx(elastic_joints_from_servo(servo), abs=1e-12)
+    assert elastic_joints_from_servo(servo, scaled) == pytest.approx(
+        elastic_joints_from_servo(servo), abs=1e-12
+    )
 
 
 @given(factors, factors, factors)
@@ -197,7 +212,8 @@ def test_any_leading_shape(shape):
 
 @given(synergies, synergies)
 def test_move_duration_is_the_slowest_servo_at_its_rate(start, end):
-    start, end = servo_from_synergy(start), servo_from_synergy(end)
+    start = servo_from_synergy(start)
+    end = servo_from_synergy(end)
     assert move_duration(start, end) == pytest.approx(max(abs(end - start)) / HPAC.rate_limit)
     assert move_duration(start, end) == move_duration(end, start)
     assert move_duration(start, start) == 0
@@ -205,21 +221,25 @@ def test_move_duration_is_the_slowest_servo_at_its_rate(start, end):
 
 @given(synergies, synergies, st.floats(0.01, 0.5))
 def test_streamed_commands_arrive_together_at_the_rate_limit(start, end, period):
-    servo, target = servo_from_synergy(start), servo_from_synergy(end)
+    servo = servo_from_synergy(start)
+    target = servo_from_synergy(end)
     steps = int(np.ceil(move_duration(servo, target) / period - 1e-9))
     for _ in range(max(steps, 1)):
         command = stream_command(servo, target, period)
         assert command.duration == period
         assert (abs(command.servo - servo) <= HPAC.servo_rate_limit * period + 1e-12).all()
-        remaining, travel = target - servo, command.servo - servo
+        remaining = target - servo
+        travel = command.servo - servo
         assert abs(remaining * travel.max() - travel * remaining.max()).max() < 1e-9
         servo = command.servo
     assert servo == pytest.approx(target, abs=1e-9)
 
 
 def test_no_function_writes_into_its_arguments():
-    action, posture = np.full(6, 0.25), 0.5 * HPAC.joint_max
-    kept_action, kept_posture = action.copy(), posture.copy()
+    action = np.full(6, 0.25)
+    posture = 0.5 * HPAC.joint_max
+    kept_action = action.copy()
+    kept_posture = posture.copy()
     servo = servo_from_action(action)
     kept_servo = servo.copy()
     synergy_from_action(action)

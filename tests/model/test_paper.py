@@ -1,4 +1,6 @@
-"""The paper's equations, table and printed figures, one test each, against its formulas written out here."""
+"""The paper's equations, table and printed figures, one test each, against its formulas written out
+here.
+"""
 
 from math import acos, cos, radians, sin, sqrt
 
@@ -83,7 +85,9 @@ def finger_matrix(digit: str) -> np.ndarray:
 @pytest.mark.parametrize("share", SHARES)
 def test_eq_1_every_joint_of_a_finger_winds_the_same_length(finger, share):
     """Eq. (1): R_DIP q_DIP = R_PIP q_PIP = R_MCP q_MCP."""
-    q_dip, q_pip, q_mcp = of(rigid_joints_from_servo(servo_at(share)), *(f"{finger}_{s}" for s in ("dip", "pip", "mcp")))
+    q_dip, q_pip, q_mcp = of(
+        rigid_joints_from_servo(servo_at(share)), *(f"{finger}_{s}" for s in ("dip", "pip", "mcp"))
+    )
     r_mcp, r_pip, r_dip = HPAC.digits[finger].joint_radius
     assert r_dip * q_dip == pytest.approx(r_mcp * q_mcp, abs=1e-15)
     assert r_pip * q_pip == pytest.approx(r_mcp * q_mcp, abs=1e-15)
@@ -94,7 +98,9 @@ def test_eq_2_radii_5_4_5_give_angles_4_5_4(finger):
     """Eq. (2): q_DIP : q_PIP : q_MCP = 4 : 5 : 4, from R_DIP : R_PIP : R_MCP = 5 : 4 : 5."""
     r_mcp, r_pip, r_dip = HPAC.digits[finger].joint_radius
     assert (r_dip / r_mcp, r_pip / r_mcp) == pytest.approx((5 / 5, 4 / 5))
-    q_dip, q_pip, q_mcp = of(rigid_joints_from_servo(servo_at(0.6)), *(f"{finger}_{s}" for s in ("dip", "pip", "mcp")))
+    q_dip, q_pip, q_mcp = of(
+        rigid_joints_from_servo(servo_at(0.6)), *(f"{finger}_{s}" for s in ("dip", "pip", "mcp"))
+    )
     assert (q_dip / q_mcp, q_pip / q_mcp) == pytest.approx((4 / 4, 5 / 4))
 
 
@@ -124,8 +130,12 @@ def test_eq_5_mcp_of_a_servo_angle(finger, share):
     """Eq. (5)."""
     servo = servo_at(share)
     expected = cosine_law(finger, servo[SERVO_INDEX[f"{finger}_mcp"]])
-    assert synergy_from_servo(servo)[SERVO_INDEX[f"{finger}_mcp"]] == pytest.approx(expected, abs=1e-13)
-    assert of(rigid_joints_from_servo(servo), f"{finger}_mcp") == pytest.approx([expected], abs=1e-13)
+    assert synergy_from_servo(servo)[SERVO_INDEX[f"{finger}_mcp"]] == pytest.approx(
+        expected, abs=1e-13
+    )
+    assert of(rigid_joints_from_servo(servo), f"{finger}_mcp") == pytest.approx(
+        [expected], abs=1e-13
+    )
 
 
 def test_eq_6_thumb_radii_5_4_give_angles_4_5():
@@ -168,7 +178,9 @@ def test_eq_9_h_times_u_is_the_rigid_posture(share):
 
 
 def test_eq_9_h_has_fifteen_entries_each_of_one_servo():
-    """Eq. (9): H is 15 × 6 with 15 non-zero entries; rows of a finger share one column; H_15,6 = 1."""
+    """Eq. (9): H is 15 × 6 with 15 non-zero entries; rows of a finger share one column; H_15,6 =
+    1.
+    """
     matrix = transmission_matrix(servo_at(0.5))
     assert matrix.shape == (15, 6)
     assert np.count_nonzero(matrix) == 15
@@ -186,7 +198,9 @@ def test_eq_10_spring_tension(digit):
     p = HPAC.digits[digit]
     joint_pos = 0.9 * HPAC.joint_max
     excursion = sum(r * q for r, q in zip(p.joint_radius, of(joint_pos, *p.joints), strict=True))
-    assert spring_tension(joint_pos)[list(HPAC.digits).index(digit)] == pytest.approx(p.spring_stiffness * excursion)
+    assert spring_tension(joint_pos)[list(HPAC.digits).index(digit)] == pytest.approx(
+        p.spring_stiffness * excursion
+    )
 
 
 @pytest.mark.parametrize("finger", FINGERS)
@@ -217,15 +231,22 @@ def test_eq_11_deviation_of_mp_and_cmc_is_zero():
 @pytest.mark.parametrize("share", SHARES)
 def test_eq_12_finger_equilibrium(finger, share):
     """Eq. (12): M q_comp = [1, 1.25, 1]ᵀ q_MCP with the printed 3 × 3 M; q_comp = M⁻¹ A q_MCP."""
-    joints = of(elastic_joints_from_servo(servo_at(share)), *(f"{finger}_{s}" for s in ("mcp", "pip", "dip")))
-    assert finger_matrix(finger) @ joints == pytest.approx(np.array([1, 1.25, 1]) * joints[0], abs=1e-14)
+    joints = of(
+        elastic_joints_from_servo(servo_at(share)),
+        *(f"{finger}_{s}" for s in ("mcp", "pip", "dip")),
+    )
+    assert finger_matrix(finger) @ joints == pytest.approx(
+        np.array([1, 1.25, 1]) * joints[0], abs=1e-14
+    )
     inverted = np.linalg.inv(finger_matrix(finger)) @ [1, 1.25, 1] * joints[0]
     assert joints == pytest.approx(list(inverted), abs=1e-14)
 
 
 @pytest.mark.parametrize("share", SHARES)
 def test_eq_13_thumb_equilibrium(share):
-    """Eq. (13): [[1, 0], [C R_MP, 1 + C R_IP]] [q_MP, q_IP]ᵀ = [1, 0.8]ᵀ q_MP, C = k_s L / (EA R_IP)."""
+    """Eq. (13): [[1, 0], [C R_MP, 1 + C R_IP]] [q_MP, q_IP]ᵀ = [1, 0.8]ᵀ q_MP, C = k_s L / (EA
+    R_IP).
+    """
     p = HPAC.digits["thumb"]
     r_mp, r_ip = p.joint_radius
     c = p.spring_stiffness * p.path_length[0] / (p.tendon_stiffness * r_ip)
@@ -236,7 +257,9 @@ def test_eq_13_thumb_equilibrium(share):
 def test_eq_14_clips_jointwise():
     """Eq. (14): clip(q_d, q_min, q_max), with Table I typed out here."""
     wanted = np.linspace(-0.5, 2.0, 15)
-    expected = [min(max(q, low), high) for q, (low, high) in zip(wanted, TABLE_I.values(), strict=True)]
+    expected = [
+        min(max(q, low), high) for q, (low, high) in zip(wanted, TABLE_I.values(), strict=True)
+    ]
     assert clip_to_workspace(wanted).tolist() == expected
 
 
@@ -248,13 +271,19 @@ def test_eq_15_is_the_exact_inverse_on_the_manifold(share):
 
 
 def test_eq_15_off_the_manifold_is_least_squares_per_digit():
-    """Eq. (15): off the manifold the synergy minimises |A q_root − (q̃ + b)| digit by digit, by numpy's solver."""
-    joint_pos = np.array([0.3, 0.5, 0.9, 0.4, 0.6, 0.2, 0.8, 0.5, 0.7, 0.7, 0.7, 0.1, 0.5, 0.9, 0.8])
+    """Eq. (15): off the manifold the synergy minimises |A q_root − (q̃ + b)| digit by digit, by
+    numpy's solver.
+    """
+    joint_pos = np.array(
+        [0.3, 0.5, 0.9, 0.4, 0.6, 0.2, 0.8, 0.5, 0.7, 0.7, 0.7, 0.1, 0.5, 0.9, 0.8]
+    )
     target = joint_pos + elastic_deviation(joint_pos)
     expected = []
     for digit, ratio in (("thumb", [1, 0.8]), *((finger, [1, 1.25, 1]) for finger in FINGERS)):
         column = np.array(ratio)[:, None]
-        expected.append(np.linalg.lstsq(column, of(target, *HPAC.digits[digit].joints), rcond=None)[0][0])
+        expected.append(
+            np.linalg.lstsq(column, of(target, *HPAC.digits[digit].joints), rcond=None)[0][0]
+        )
     expected.append(joint_pos[JOINT_INDEX["thumb_cmc"]])
     assert servo_from_joints(joint_pos) == pytest.approx(servo_from_synergy(expected), abs=1e-12)
 
@@ -266,7 +295,9 @@ def test_table_1_admissible_workspace():
 
 
 def test_table_1_holds_every_posture_that_the_servos_reach():
-    """Table I: the elastic posture at the upper bound of all six driven joints lies within the box."""
+    """Table I: the elastic posture at the upper bound of all six driven joints lies within the
+    box.
+    """
     posture = joints_from_synergy(HPAC.synergy_max)
     assert (posture >= HPAC.joint_min).all()
     assert (posture <= HPAC.joint_max + 1e-12).all()
@@ -279,21 +310,25 @@ def test_6_actuators_and_15_joints():
 
 
 def test_residuals_approach_2_degrees_in_the_shape_of_the_cosine_law():
-    """Mean 1.15° and largest 2.0° of a deviation that grows with q_MCP: their ratio is the cosine law's alone."""
+    """Mean 1.15° and largest 2.0° of a deviation that grows with q_MCP: their ratio is the cosine
+    law's alone.
+    """
     servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 2001)
     deviation = elastic_deviation(elastic_joints_from_servo(servo))[:, JOINT_INDEX["index_dip"]]
     assert deviation.mean() / deviation.max() == pytest.approx(1.15 / 2.0, abs=0.01)
 
 
 def test_largest_deviation_is_the_index_dip_and_stays_below_2_degrees():
-    """2.0°: no joint's elastic deviation passes it, and the index DIP's is the largest, as the paper's figure has it."""
+    """2.0°: no joint's elastic deviation passes it, and the index DIP's is the largest, as the
+    paper's figure has it.
+    """
     largest = elastic_deviation(elastic_joints_from_servo(HPAC.servo_max))
     assert JOINTS[int(largest.argmax())] == "index_dip"
     assert radians(1.5) < largest.max() < radians(2.0)
 
 
 def test_each_finger_has_its_own_parameters():
-    """"Each long finger uses its own parameter set rather than sharing a common set"."""
+    """ "Each long finger uses its own parameter set rather than sharing a common set"."""
     numbers = [
         (p.d1, p.d2, p.servo_radius, p.joint_radius, p.path_length, p.spring_stiffness)
         for p in (HPAC.digits[finger] for finger in FINGERS)

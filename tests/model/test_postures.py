@@ -1,4 +1,6 @@
-"""The paper's 13 gestures and 16 grasp shapes, findable by name, and what six servos make of them."""
+"""The paper's 13 gestures and 16 grasp shapes, findable by name, and what six servos make of
+them.
+"""
 
 from itertools import combinations
 
@@ -6,7 +8,16 @@ import numpy as np
 import pytest
 
 from hpac_gym.errors import HpacError, ShapeError
-from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, JOINTS, POSTURES, joints_from_synergy, posture, reach
+from hpac_gym.model import (
+    FINGERS,
+    HPAC,
+    JOINT_INDEX,
+    JOINTS,
+    POSTURES,
+    joints_from_synergy,
+    posture,
+    reach,
+)
 from hpac_gym.model.postures import PostureError
 
 
@@ -17,24 +28,26 @@ def of(name: str, part: str) -> dict[str, float]:
 
 
 def test_13_target_configurations():
-    """"13 target configurations shown in (1-13)"."""
+    """ "13 target configurations shown in (1-13)"."""
     assert [item.panel for item in POSTURES.values() if item.kind != "grasp"] == list(range(1, 14))
 
 
 def test_16_representative_grasps():
-    """"An extended set of 16 representative grasps", panels 14 to 29."""
+    """ "An extended set of 16 representative grasps", panels 14 to 29."""
     assert [item.panel for item in POSTURES.values() if item.kind == "grasp"] == list(range(14, 30))
 
 
 def test_panels_1_to_3_are_the_thumb_oppositions():
-    """"thumb opposition to the index, middle, and ring fingers (1-3)"."""
+    """ "thumb opposition to the index, middle, and ring fingers (1-3)"."""
     found = [item.name for item in POSTURES.values() if item.kind == "opposition"]
     assert found == ["oppose_index", "oppose_middle", "oppose_ring"]
 
 
 @pytest.mark.parametrize("digit", range(1, 9))
 def test_digit_gestures_1_to_8_are_all_there(digit):
-    """"digit gestures 1-8 (8-13)": as the six panels 8 to 13 and two of the multi-finger gestures."""
+    """ "digit gestures 1-8 (8-13)": as the six panels 8 to 13 and two of the multi-finger
+    gestures.
+    """
     item = posture(f"digit_{digit}")
     assert 4 <= item.panel <= 13
     straight = {1: 1, 2: 2, 3: 3, 4: 4, 5: 4, 6: 1, 7: 0, 8: 1}[digit]
@@ -43,13 +56,17 @@ def test_digit_gestures_1_to_8_are_all_there(digit):
 
 @pytest.mark.parametrize(("panels", "least"), [(13, 0.2), (29, 0.05)])
 def test_no_two_postures_are_alike(panels, least):
-    """The nearest two of the 13 differ by more than 0.2 rad in some joint: `digit_3` and `oppose_index` once differed by 0.03."""
+    """The nearest two of the 13 differ by more than 0.2 rad in some joint: `digit_3` and
+    `oppose_index` once differed by 0.03.
+    """
     targets = [item.target_joint_pos for item in POSTURES.values() if item.panel <= panels]
     assert min(np.abs(one - other).max() for one, other in combinations(targets, 2)) > least
 
 
 def test_panels_8_to_13_are_digit_gestures():
-    assert all(item.name.startswith("digit_") for item in POSTURES.values() if 8 <= item.panel <= 13)
+    assert all(
+        item.name.startswith("digit_") for item in POSTURES.values() if 8 <= item.panel <= 13
+    )
 
 
 @pytest.mark.parametrize("name", POSTURES)
@@ -68,7 +85,9 @@ def test_what_the_hand_makes_of_a_target_is_on_its_manifold_and_in_its_servos_ra
     assert again.servo == pytest.approx(taken.servo, abs=1e-9)
     assert (taken.servo >= HPAC.servo_min).all()
     assert (taken.servo <= HPAC.servo_max).all()
-    assert taken.distance == pytest.approx(np.linalg.norm(POSTURES[name].target_joint_pos - taken.joint_pos))
+    assert taken.distance == pytest.approx(
+        np.linalg.norm(POSTURES[name].target_joint_pos - taken.joint_pos)
+    )
     assert taken.distance < 0.4
 
 
@@ -81,7 +100,9 @@ def test_a_posture_on_the_manifold_is_at_no_distance_and_one_off_it_is_not():
 
 
 def test_an_unknown_posture_is_told_with_near_names():
-    with pytest.raises(PostureError, match=r"no posture 'oppose_indx'; there are 29, among them .*oppose_index"):
+    with pytest.raises(
+        PostureError, match=r"no posture 'oppose_indx'; there are 29, among them .*oppose_index"
+    ):
         posture("oppose_indx")
     with pytest.raises(PostureError, match="no posture ''"):
         posture("")

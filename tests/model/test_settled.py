@@ -1,4 +1,6 @@
-"""The closed-form hand at rest: Eq. (12) where the paper's assumptions hold, balance of torques where they do not."""
+"""The closed-form hand at rest: Eq. (12) where the paper's assumptions hold, balance of torques
+where they do not.
+"""
 
 from dataclasses import replace
 
@@ -39,13 +41,17 @@ def test_a_stiff_drive_without_friction_is_the_elastic_model():
 
 def test_stiff_tendons_without_friction_are_the_rigid_model():
     stiff = scaled_hand(STIFF_DRIVE, {"tendon_stiffness": 1e9})
-    assert settled_joints_from_servo(SERVO, stiff) == pytest.approx(rigid_joints_from_servo(SERVO), abs=1e-8)
+    assert settled_joints_from_servo(SERVO, stiff) == pytest.approx(
+        rigid_joints_from_servo(SERVO), abs=1e-8
+    )
 
 
 @pytest.mark.parametrize("digit", HPAC.digits)
 @pytest.mark.parametrize("direction", [FLEXION, EXTENSION])
 def test_every_joint_is_in_balance(digit, direction):
-    """The torques of spring, coupling, drive and friction on every joint add up to nothing, written out joint by joint."""
+    """The torques of spring, coupling, drive and friction on every joint add up to nothing, written
+    out joint by joint.
+    """
     p = HPAC.digits[digit]
     friction = Friction(joint=8e-4, tendon=0.03)
     statics = digit_statics(p, friction, direction)
@@ -62,11 +68,15 @@ def test_every_joint_is_in_balance(digit, direction):
     assert r[1:] * (before - after - spring) == pytest.approx(direction * held, abs=1e-12)
     drive_torque = statics.load_slope * 0.9 + statics.load_offset
     held = friction.joint + friction.tendon * (drive_torque + r[0] * (coupling[0] + spring))
-    assert drive_torque - r[0] * (coupling[0] + spring) == pytest.approx(direction * held, abs=1e-12)
+    assert drive_torque - r[0] * (coupling[0] + spring) == pytest.approx(
+        direction * held, abs=1e-12
+    )
 
 
 def test_drive_stretch_is_tension_over_stiffness():
-    """The tendon that the servo winds is the chord's shortening and the stretch of the driving tendon."""
+    """The tendon that the servo winds is the chord's shortening and the stretch of the driving
+    tendon.
+    """
     q = settled_joints_from_servo(SERVO)
     for column, (name, p) in enumerate(HPAC.digits.items()):
         root = q[:, JOINT_INDEX[p.joints[0]]]
@@ -74,7 +84,9 @@ def test_drive_stretch_is_tension_over_stiffness():
         arm = p.d1 * p.d2 * np.sin(p.alpha - root) / chord
         tension = digit_statics(p).load_slope * root / arm
         wound = p.servo_radius * SERVO[:, column]
-        assert wound == pytest.approx(p.rest_chord - chord + tension / p.drive_stiffness, abs=1e-12), name
+        assert wound == pytest.approx(
+            p.rest_chord - chord + tension / p.drive_stiffness, abs=1e-12
+        ), name
 
 
 def with_friction(friction: Friction) -> Hand:
@@ -82,7 +94,8 @@ def with_friction(friction: Friction) -> Hand:
 
 
 def test_friction_lags_in_both_directions():
-    middle, frictional = settled_joints_from_servo(SERVO)[3:, :-1], with_friction(Friction(1e-3, 0.02))
+    middle = settled_joints_from_servo(SERVO)[3:, :-1]
+    frictional = with_friction(Friction(1e-3, 0.02))
     assert (settled_joints_from_servo(SERVO, frictional)[3:, :-1] < middle).all()
     assert (settled_joints_from_servo(SERVO, frictional, EXTENSION)[3:, :-1] > middle).all()
 
@@ -94,7 +107,9 @@ def test_a_joint_never_passes_its_stop_at_rest():
 def test_a_servos_zero_is_an_angle_that_its_command_lacks():
     zero = tuple(np.deg2rad([0.5, -0.5, 1.0, 0.0, 0.3, -0.2]))
     turned = replace(HPAC, calibration=Calibration(zero))
-    assert settled_joints_from_servo(SERVO[3:] - zero, turned) == pytest.approx(settled_joints_from_servo(SERVO[3:]), abs=1e-12)
+    assert settled_joints_from_servo(SERVO[3:] - zero, turned) == pytest.approx(
+        settled_joints_from_servo(SERVO[3:]), abs=1e-12
+    )
 
 
 ZEROS = tuple(np.deg2rad([0.5, -0.5, 1.0, 0.0, 0.3, -0.2]).tolist())
@@ -113,7 +128,9 @@ def test_the_calibrated_command_brings_the_hand_where_it_rests(direction):
 
 def test_the_calibrated_command_of_a_hand_without_any_of_it_is_eq_15():
     posture = joints_from_synergy(HPAC.synergy_min + 0.7 * (HPAC.synergy_max - HPAC.synergy_min))
-    assert settled_servo_from_joints(posture, STIFF_DRIVE) == pytest.approx(servo_from_joints(posture), abs=1e-6)
+    assert settled_servo_from_joints(posture, STIFF_DRIVE) == pytest.approx(
+        servo_from_joints(posture), abs=1e-6
+    )
 
 
 def test_the_calibrated_command_stays_in_the_servos_range():
@@ -131,8 +148,16 @@ def test_a_calibration_is_written_and_read_again():
 
 CALIBRATION_FAULTS = [
     ("servo_zero = [", "servo_zero = [0.1, ", "servo_zero must have 6 entries, not 7"),
-    ("joint_friction = [0.001", "joint_friction = [-0.001", "joint = -0.001 N m must be finite and not negative"),
-    ("tendon_friction = [0.03, ", "tendon_friction = [", "tendon_friction must have 5 entries, not 4"),
+    (
+        "joint_friction = [0.001",
+        "joint_friction = [-0.001",
+        "joint = -0.001 N m must be finite and not negative",
+    ),
+    (
+        "tendon_friction = [0.03, ",
+        "tendon_friction = [",
+        "tendon_friction must have 5 entries, not 4",
+    ),
     ("tendon_friction = [0.03", "tendon_friction = [1.03", "a share in"),
     ("[calibration]", "[calibration]\nwear = 1", r"\[calibration\] has unknown fields wear"),
 ]

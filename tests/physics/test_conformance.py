@@ -16,7 +16,9 @@ from hpac_gym.physics.simulation import SET_UPS, make_engine
 WORLD = WorldSettings()
 
 
-every_number_of_postures = pytest.mark.parametrize("postures", [3, pytest.param(25, marks=pytest.mark.slow)])
+every_number_of_postures = pytest.mark.parametrize(
+    "postures", [3, pytest.param(25, marks=pytest.mark.slow)]
+)
 
 
 @every_number_of_postures
@@ -30,7 +32,9 @@ def test_marks_are_met(engine, body, postures):
 @pytest.mark.pybullet
 def test_bullets_iterative_solver_meets_the_marks_too():
     iterative = WorldSettings(solver_iterations=200)
-    assert all(figure.holds for figure in figures(partial(make_engine, "pybullet"), "twin", iterative))
+    assert all(
+        figure.holds for figure in figures(partial(make_engine, "pybullet"), "twin", iterative)
+    )
 
 
 def test_the_twin_is_fit_for_explicit_torques():
@@ -49,10 +53,21 @@ def test_light_fingers_without_their_servos_inertia_chatter():
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
 def test_another_hand_is_seen(engine, monkeypatch):
-    """Negative control: the couplings of the simulated hand are 10 % softer than those of the equations."""
-    soft = replace(HPAC, digits={n: replace(d, tendon_stiffness=0.9 * d.tendon_stiffness) for n, d in HPAC.digits.items()})
+    """Negative control: the couplings of the simulated hand are 10 % softer than those of the
+    equations.
+    """
+    soft = replace(
+        HPAC,
+        digits={
+            n: replace(d, tendon_stiffness=0.9 * d.tendon_stiffness) for n, d in HPAC.digits.items()
+        },
+    )
     make = conformance.SceneSetup
-    monkeypatch.setattr(conformance, "SceneSetup", lambda *arguments, **given: make(*arguments, **given | {"hand": soft}))
+    monkeypatch.setattr(
+        conformance,
+        "SceneSetup",
+        lambda *arguments, **given: make(*arguments, **given | {"hand": soft}),
+    )
     manifold, _, _ = free_space(partial(make_engine, engine), BODIES["twin"], WORLD, postures=4)
     assert manifold > 1e-3
 
@@ -62,19 +77,33 @@ def test_heavier_weight_droops_more(engine):
     """Negative control: the fingers hang where weight and spring balance."""
     make = partial(make_engine, engine)
     droop = slack_droop(make, BODIES["twin"], WORLD)
-    assert slack_droop(make, BODIES["twin"], replace(WORLD, gravity=2 * WORLD.gravity)) > 1.5 * droop
+    assert (
+        slack_droop(make, BODIES["twin"], replace(WORLD, gravity=2 * WORLD.gravity)) > 1.5 * droop
+    )
 
 
 @pytest.mark.parametrize(("value", "status"), [(0.5, 0), (1.5, 1)])
-def test_the_command_prints_every_figure_and_fails_on_a_missed_mark(value, status, monkeypatch, capsys):
-    monkeypatch.setattr(conformance, "figures", lambda make, body, world: [conformance.Figure("gap", value, 1.0, "mm")])
+def test_the_command_prints_every_figure_and_fails_on_a_missed_mark(
+    value, status, monkeypatch, capsys
+):
+    monkeypatch.setattr(
+        conformance,
+        "figures",
+        lambda make, body, world: [conformance.Figure("gap", value, 1.0, "mm")],
+    )
     assert main(["physics", "--engine", "mujoco"]) == status
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if not line.startswith(" ")] == ["mujoco/twin", "mujoco/light"]
     assert all(("MISSED" in line) == (status == 1) for line in lines if line.startswith(" "))
     assert main(["physics", "--engine", "mujoco", "--body", "light", "--json"]) == status
     (figure,) = json.loads(capsys.readouterr().out)["mujoco/light"]
-    assert figure == {"name": "gap", "value": value, "limit": 1.0, "unit": "mm", "holds": status == 0}
+    assert figure == {
+        "name": "gap",
+        "value": value,
+        "limit": 1.0,
+        "unit": "mm",
+        "holds": status == 0,
+    }
 
 
 def test_a_combination_that_does_not_ship_is_one_line(capsys):

@@ -1,4 +1,6 @@
-"""What tasks rely on in an engine: the same setup and tables give the same bits, whatever was before and beside."""
+"""What tasks rely on in an engine: the same setup and tables give the same bits, whatever was
+before and beside.
+"""
 
 import dataclasses
 import hashlib
@@ -20,7 +22,9 @@ from hpac_gym.tasks.posture import Posture
 
 CLOSED = np.array([0.7, *HPAC.synergy_max[1:5], 1.2])
 NAMES = (None, "hook", "tweezers")
-"""In which fingers and thumb touch each other, and several things touch at once; None is a primitive."""
+"""In which fingers and thumb touch each other, and several things touch at once; None is a
+primitive.
+"""
 STEPS = 6
 """Physics steps of a control step."""
 
@@ -36,11 +40,16 @@ class Closing:
     """Random commands near a closing hand, and a wrist that lifts and shakes, of one world."""
 
     def __init__(self, start: SceneSetup, seed: int) -> None:
-        self.start, self.seed, self.step = start, seed, 0
-        self.rng, self.digest = np.random.default_rng(seed), hashlib.sha256()
+        self.start = start
+        self.seed = seed
+        self.step = 0
+        self.rng = np.random.default_rng(seed)
+        self.digest = hashlib.sha256()
 
     def servo(self) -> np.ndarray:
-        synergy = np.clip(CLOSED * min(1.0, self.step / 14) * self.rng.uniform(0.7, 1.0, 6), 0.0, HPAC.synergy_max)
+        synergy = np.clip(
+            CLOSED * min(1.0, self.step / 14) * self.rng.uniform(0.7, 1.0, 6), 0.0, HPAC.synergy_max
+        )
         return servo_from_synergy(synergy)
 
     def wrist(self) -> np.ndarray:
@@ -64,7 +73,8 @@ def advance(simulation: Simulation, episodes: list[Closing]) -> None:
 
 def digest_alone(engine: str, start: SceneSetup, seed: int, steps: int) -> str:
     """A hash over all states of one episode in a new engine of one world."""
-    simulation, episode = Simulation(make_engine(engine)), Closing(start, seed)
+    simulation = Simulation(make_engine(engine))
+    episode = Closing(start, seed)
     simulation.reset([0], [start])
     for _ in range(steps):
         advance(simulation, [episode])
@@ -75,14 +85,21 @@ def digest_alone(engine: str, start: SceneSetup, seed: int, steps: int) -> str:
 @engines
 @pytest.mark.parametrize("grasp", NAMES)
 def test_an_episode_is_the_same_to_the_bit_after_others_and_beside_others(name, grasp):
-    """Three worlds whose episodes begin and end at different times, with visual shapes, against new engines of one world."""
-    simulation, rng = Simulation(make_engine(name, 3, visuals=True)), np.random.default_rng(0)
-    episodes, lengths, told = [None] * 3, [0] * 3, []
+    """Three worlds whose episodes begin and end at different times, with visual shapes, against new
+    engines of one world.
+    """
+    simulation = Simulation(make_engine(name, 3, visuals=True))
+    rng = np.random.default_rng(0)
+    episodes = [None] * 3
+    lengths = [0] * 3
+    told = []
 
     def begin(worlds: list[int]) -> None:
         for world in worlds:
-            seed, other = int(rng.integers(1000)), NAMES[rng.integers(len(NAMES))] if world == 2 else grasp
-            episodes[world], lengths[world] = Closing(setup(other, seed), seed), int(rng.integers(5, 40))
+            seed = int(rng.integers(1000))
+            other = NAMES[rng.integers(len(NAMES))] if world == 2 else grasp
+            episodes[world] = Closing(setup(other, seed), seed)
+            lengths[world] = int(rng.integers(5, 40))
         simulation.reset(worlds, [episodes[world].start for world in worlds])
 
     begin([2, 0, 1])
@@ -107,7 +124,9 @@ def test_the_tables_move_servos_and_wrist_and_the_hand_alone_stays_where_it_is(n
     engine.advance(servo, np.zeros_like(servo), np.array([wrist, wrist]))
     state = engine.state()
     np.testing.assert_allclose(state.time, 30 * engine.dt)
-    np.testing.assert_allclose(state.palm_offset, [wrist[-1], np.zeros(3)], atol=2e-6 if name == "mujoco" else 1e-4)
+    np.testing.assert_allclose(
+        state.palm_offset, [wrist[-1], np.zeros(3)], atol=2e-6 if name == "mujoco" else 1e-4
+    )
     left_behind = setup(None, 0).position - setup(None, 0).hand_rotation.T @ wrist[-1]
     np.testing.assert_allclose(state.object_pos[0], left_behind, atol=1e-3)
     assert (state.joint_pos[:, JOINTS.index("index_mcp")] > 0.1).all()
@@ -120,7 +139,9 @@ def test_the_tables_move_servos_and_wrist_and_the_hand_alone_stays_where_it_is(n
 @engines
 @pytest.mark.parametrize("effort", [None, 100.0])
 def test_the_wrist_pushes_against_an_obstacle_with_its_force(name, effort):
-    """The palm moves 20 mm into a fixed box. The limit is 200 N in PyBullet and, unless it is set, none in MuJoCo."""
+    """The palm moves 20 mm into a fixed box. The limit is 200 N in PyBullet and, unless it is set,
+    none in MuJoCo.
+    """
     simulation = Simulation(make_engine(name, settings=WorldSettings(wrist_effort=effort)))
     box = ObjectSpec("box", (0.02, 0.015, 0.015), 1.0, 0.8)
     start = SceneSetup(box, np.array([0.0425, -0.02, 0.05]), fixed=True)
@@ -151,8 +172,11 @@ def test_a_state_is_not_changed_by_what_comes_after_it(name):
 
 @engines
 def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name):
-    """Of an object that a closing hand pushes, along the axes of the hand frame, over one physics step."""
-    simulation, start = Simulation(make_engine(name)), setup(None, 3)
+    """Of an object that a closing hand pushes, along the axes of the hand frame, over one physics
+    step.
+    """
+    simulation = Simulation(make_engine(name))
+    start = setup(None, 3)
     simulation.reset([0], [start])
     simulation.command(servo_from_synergy(CLOSED)[None], 0.4)
     simulation.rest(0.5)
@@ -164,9 +188,14 @@ def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name):
         rate = (after.object_pos - before.object_pos)[0] / simulation.engine.dt
         np.testing.assert_allclose(after.object_vel[0], rate, atol=2e-3)
         turn = after.object_rotation[0] @ before.object_rotation[0].T
-        spin = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2 / simulation.engine.dt
+        spin = (
+            np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+            / 2
+            / simulation.engine.dt
+        )
         np.testing.assert_allclose(after.object_spin[0], spin, atol=2e-2)
-        moved, turned = max(moved, np.abs(rate).max()), max(turned, np.abs(spin).max())
+        moved = max(moved, np.abs(rate).max())
+        turned = max(turned, np.abs(spin).max())
     assert moved > 0.02
     assert turned > 0.1
     simulation.engine.close()
@@ -176,17 +205,24 @@ def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name):
 @pytest.mark.parametrize("model", [None, "hexagonal_screwdriver", "scissors"])
 def test_a_push_at_the_centre_of_mass_accelerates_by_force_over_mass_and_turns_nothing(name, model):
     """Without weight, in the air: pushed all the time, in the first half of it, and not at all."""
-    spec = ObjectSpec("box", (0.12, 0.12, 0.12), 0.2, 0.8, model)  # larger than the named ones, whose post is that far below
+    spec = ObjectSpec(
+        "box", (0.12, 0.12, 0.12), 0.2, 0.8, model
+    )  # larger than the named ones, whose post is that far below
     start = SceneSetup(spec, np.array([0.4, 0.4, 0.4]), 0.3)
-    engine, steps = make_engine(name, 3, WorldSettings(gravity=0.0)), 24
+    engine = make_engine(name, 3, WorldSettings(gravity=0.0))
+    steps = 24
     engine.reset(range(3), [start] * 3)
-    servo, push = np.zeros((3, steps, 6)), np.zeros((3, steps, 3))
-    push[0], push[1, : steps // 2] = [3.0, -2.0, 4.0], [3.0, -2.0, 4.0]
+    servo = np.zeros((3, steps, 6))
+    push = np.zeros((3, steps, 3))
+    push[0] = [3.0, -2.0, 4.0]
+    push[1, : steps // 2] = [3.0, -2.0, 4.0]
     engine.advance(servo, servo, np.zeros((3, steps, 3)), push)
     wanted = push.sum(axis=1) * engine.dt / spec.mass
     for _ in range(2):
         state = engine.state()
-        np.testing.assert_allclose(state.object_vel @ start.hand_rotation.T, wanted, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            state.object_vel @ start.hand_rotation.T, wanted, rtol=1e-6, atol=1e-6
+        )
         np.testing.assert_allclose(state.object_spin, 0.0, atol=1e-6)
         engine.advance(servo, servo, np.zeros((3, steps, 3)))  # a push ends with its table
     engine.close()
@@ -194,10 +230,18 @@ def test_a_push_at_the_centre_of_mass_accelerates_by_force_over_mass_and_turns_n
 
 @engines
 def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
-    """A closing hand; the push comes and goes before a reset, in a world beside another layout, a fixed object and none."""
+    """A closing hand; the push comes and goes before a reset, in a world beside another layout, a
+    fixed object and none.
+    """
     obstacle = dataclasses.replace(setup(None, 2), fixed=True)
-    starts = [setup(None, 3), obstacle, setup("scissors", 1), Posture().setup(np.random.default_rng(0))]
-    simulation, found = Simulation(make_engine(name, len(starts))), []
+    starts = [
+        setup(None, 3),
+        obstacle,
+        setup("scissors", 1),
+        Posture().setup(np.random.default_rng(0)),
+    ]
+    simulation = Simulation(make_engine(name, len(starts)))
+    found = []
     wrist = np.zeros((len(starts), 40, 3))
     for push in (None, np.zeros_like(wrist), np.ones_like(wrist), None):
         simulation.reset(range(len(starts)), starts)
@@ -209,25 +253,40 @@ def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
         first, zero, pushed, last = (getattr(state, field.name) for state in found)
         np.testing.assert_array_equal(first, zero, err_msg=field.name)
         np.testing.assert_array_equal(first, last, err_msg=field.name)
-        np.testing.assert_array_equal(first[[1, 3]], pushed[[1, 3]], err_msg=field.name)  # what cannot move
-    assert (np.abs(found[0].object_pos - found[2].object_pos).max(axis=1) > 1e-3).tolist() == [True, False, True, False]
+        np.testing.assert_array_equal(
+            first[[1, 3]], pushed[[1, 3]], err_msg=field.name
+        )  # what cannot move
+    assert (np.abs(found[0].object_pos - found[2].object_pos).max(axis=1) > 1e-3).tolist() == [
+        True,
+        False,
+        True,
+        False,
+    ]
     simulation.engine.close()
 
 
 @engines
 def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
-    simulation, start = Simulation(make_engine(name)), setup("large_cylinder", 0)
+    simulation = Simulation(make_engine(name))
+    start = setup("large_cylinder", 0)
     simulation.reset([0], [start])
     simulation.command(servo_from_synergy(GraspByName("large_cylinder").grasp.closed)[None], 0.8)
     simulation.rest(1.2)
-    state, contacts = simulation.state(), simulation.engine.contacts(0)
-    parts = [next((part for part in PARTS if link.startswith(part)), None) for link in contacts.link]
+    state = simulation.state()
+    contacts = simulation.engine.contacts(0)
+    parts = [
+        next((part for part in PARTS if link.startswith(part)), None) for link in contacts.link
+    ]
     force = [contacts.force[[part == name for part in parts]].sum() for name in PARTS]
-    np.testing.assert_allclose(state.contact_force[0], force, rtol=1e-3)  # an engine may compute its contacts anew
+    np.testing.assert_allclose(
+        state.contact_force[0], force, rtol=1e-3
+    )  # an engine may compute its contacts anew
     assert (state.contact_force[0][~state.touching[0]] == 0.0).all()
     assert state.touching[0].sum() >= 3
     np.testing.assert_allclose(np.linalg.norm(contacts.normal, axis=1), 1.0)
-    np.testing.assert_allclose(contacts.centre, HAND_POSITION + start.hand_rotation @ state.object_pos[0], atol=1e-6)
+    np.testing.assert_allclose(
+        contacts.centre, HAND_POSITION + start.hand_rotation @ state.object_pos[0], atol=1e-6
+    )
     inward = contacts.centre - contacts.point
     inward[:, 2] = 0.0  # to the axis of the standing can
     assert (np.einsum("ij,ij->i", inward, contacts.normal) > 0).all()
@@ -238,12 +297,14 @@ def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
 @engines
 def test_a_snapshot_goes_on_to_the_bit(name):
     """After another future of the episode, and after another episode."""
-    engine, start = make_engine(name), setup(None, 3)
+    engine = make_engine(name)
+    start = setup(None, 3)
     engine.reset([0], [start])
     servo = np.tile(servo_from_synergy(CLOSED * 0.6), (1, 40, 1))
     still = np.zeros((1, 40, 3))
     engine.advance(servo, np.zeros_like(servo), still)
-    saved, told = engine.save(0), []
+    saved = engine.save(0)
+    told = []
     for other in (False, True, False):
         engine.advance(servo, np.zeros_like(servo), still)
         told.append(engine.state())
@@ -277,10 +338,13 @@ def test_a_failed_simulation_names_its_world(name):
 @engines
 def test_a_simulation_has_the_servos_of_each_world(name):
     """A world whose servos are slow lags behind one whose servos are not."""
-    simulation, start = Simulation(make_engine(name, 2)), PickPlace().setup(np.random.default_rng(0))
+    simulation = Simulation(make_engine(name, 2))
+    start = PickPlace().setup(np.random.default_rng(0))
     slow = dataclasses.replace(start, hand_settings=HandSettings(servo=ServoSettings(speed=0.5)))
     simulation.reset([0, 1], [start, slow])
-    np.testing.assert_allclose(simulation.state().horn, servo_from_synergy(start.synergy)[None].repeat(2, axis=0))
+    np.testing.assert_allclose(
+        simulation.state().horn, servo_from_synergy(start.synergy)[None].repeat(2, axis=0)
+    )
     simulation.command(np.tile(HPAC.servo_max, (2, 1)), 0.05)
     simulation.rest(0.2)
     horn = simulation.state().horn

@@ -1,13 +1,15 @@
-"""A ball squeezed between two leaning plates, or turned between two parallel ones: which engine and solver holds it.
+"""A ball squeezed between two leaning plates, or turned between two parallel ones: which engine and
+solver holds it.
 
-The ball stays while the tangent of the lean is below the friction coefficient, however small its mass. Bullet's direct solver
-(Dantzig) computes the limit of every friction force from the normal forces that there would be without any friction. In a squeeze
-these are too small, so that it loses the ball at half of the cone.
+The ball stays while the tangent of the lean is below the friction coefficient, however small its
+mass. Bullet's direct solver (Dantzig) computes the limit of every friction force from the normal
+forces that there would be without any friction. In a squeeze these are too small, so that it loses
+the ball at half of the cone.
 
-A torque about the line through both contacts turns the ball unless the contacts have torsional friction, as MuJoCo's here have
-and as Bullet's iterative solver can have. These two differences are why PyBullet loses round objects that MuJoCo holds:
-docs/physics.md, "Why PyBullet loses round objects".
-"""
+A torque about the line through both contacts turns the ball unless the contacts have torsional
+friction, as MuJoCo's here have and as Bullet's iterative solver can have. These two differences are
+why PyBullet loses round objects that MuJoCo holds: docs/physics.md, "Why PyBullet loses round
+objects"."""
 
 from functools import partial
 
@@ -17,7 +19,11 @@ import pytest
 
 from hpac_gym.physics.mjcf import CONTACT, OPTION, TORSION
 
-FRICTION, PUSH, MASS, RADIUS, STEPS = 0.5, 5.0, 0.06, 0.025, 120
+FRICTION = 0.5
+PUSH = 5.0
+MASS = 0.06
+RADIUS = 0.025
+STEPS = 120
 HELD_TORQUE = 2 * TORSION * PUSH
 """Torque that two contacts with torsional friction hold [N·m]."""
 
@@ -33,10 +39,14 @@ def still(ball: tuple[float, float]) -> bool:
 
 
 def mujoco_ball(lean: float, torque: float = 0.0, torsion: float = TORSION) -> tuple[float, float]:
-    """How far the ball moves [m], and how fast it turns at the end [rad/s], in MuJoCo with the engine's contact settings."""
-    plates, actuators = "", ""
+    """How far the ball moves [m], and how fast it turns at the end [rad/s], in MuJoCo with the
+    engine's contact settings.
+    """
+    plates = ""
+    actuators = ""
     for side in (-1, 1):
-        x, z = side * np.cos(lean), np.sin(lean)  # from the ball to the plate
+        x = side * np.cos(lean)
+        z = np.sin(lean)  # from the ball to the plate
         place = f"{x * (RADIUS + 0.005)} 0 {z * (RADIUS + 0.005)}"
         plates += (
             f'<body pos="{place}" euler="0 {-side * lean} 0"><joint name="plate{side}" type="slide" axis="1 0 0"/>'
@@ -52,44 +62,83 @@ def mujoco_ball(lean: float, torque: float = 0.0, torsion: float = TORSION) -> t
         f"<actuator>{actuators}</actuator></mujoco>"
     )
     data = mujoco.MjData(model)
-    data.ctrl[:], data.body("ball").xfrc_applied[3] = 1.0, torque
+    data.ctrl[:] = 1.0
+    data.body("ball").xfrc_applied[3] = torque
     for _ in range(STEPS):
         mujoco.mj_step(model, data)
     return float(np.linalg.norm(data.body("ball").xpos)), float(np.linalg.norm(data.qvel[3:6]))
 
 
-def bullet_ball(lean: float, solver: str, torque: float = 0.0, torsion: float = 0.0) -> tuple[float, float]:
-    """How far the ball moves [m], and how fast it turns at the end [rad/s], in PyBullet with one of its solvers."""
+def bullet_ball(
+    lean: float, solver: str, torque: float = 0.0, torsion: float = 0.0
+) -> tuple[float, float]:
+    """How far the ball moves [m], and how fast it turns at the end [rad/s], in PyBullet with one of
+    its solvers.
+    """
     import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setPhysicsEngineParameter(
-        fixedTimeStep=1 / 120, constraintSolverType=getattr(pybullet, f"CONSTRAINT_SOLVER_LCP_{solver}"), numSolverIterations=200,
-        solverResidualThreshold=0, globalCFM=1e-6, erp=0.4, contactERP=0.4, physicsClientId=client,
-    )  # fmt: skip
-    ball_shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client)
-    plate_shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.005, 0.05, 0.05], physicsClientId=client)
-    ball = pybullet.createMultiBody(MASS, ball_shape, basePosition=[0, 0, 0], physicsClientId=client)
+        fixedTimeStep=1 / 120,
+        constraintSolverType=getattr(pybullet, f"CONSTRAINT_SOLVER_LCP_{solver}"),
+        numSolverIterations=200,
+        solverResidualThreshold=0,
+        globalCFM=1e-6,
+        erp=0.4,
+        contactERP=0.4,
+        physicsClientId=client,
+    )
+    ball_shape = pybullet.createCollisionShape(
+        pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client
+    )
+    plate_shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.005, 0.05, 0.05], physicsClientId=client
+    )
+    ball = pybullet.createMultiBody(
+        MASS, ball_shape, basePosition=[0, 0, 0], physicsClientId=client
+    )
     pybullet.changeDynamics(
-        ball, -1, lateralFriction=FRICTION, spinningFriction=torsion, linearDamping=0, angularDamping=0, physicsClientId=client
+        ball,
+        -1,
+        lateralFriction=FRICTION,
+        spinningFriction=torsion,
+        linearDamping=0,
+        angularDamping=0,
+        physicsClientId=client,
     )
     plates = []
     for side in (-1, 1):
-        x, z = side * np.cos(lean), np.sin(lean)
+        x = side * np.cos(lean)
+        z = np.sin(lean)
         plate = pybullet.createMultiBody(
-            0, linkMasses=[1.0], linkCollisionShapeIndices=[plate_shape], linkVisualShapeIndices=[-1],
+            0,
+            linkMasses=[1.0],
+            linkCollisionShapeIndices=[plate_shape],
+            linkVisualShapeIndices=[-1],
             linkPositions=[[x * (RADIUS + 0.005), 0, z * (RADIUS + 0.005)]],
-            linkOrientations=[pybullet.getQuaternionFromEuler([0, -side * lean, 0])], linkInertialFramePositions=[[0, 0, 0]],
-            linkInertialFrameOrientations=[[0, 0, 0, 1]], linkParentIndices=[0], linkJointTypes=[pybullet.JOINT_PRISMATIC],
-            linkJointAxis=[[1, 0, 0]], physicsClientId=client,
-        )  # fmt: skip
-        pybullet.setJointMotorControl2(plate, 0, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client)
-        pybullet.changeDynamics(plate, 0, lateralFriction=1.0, linearDamping=0, jointDamping=0, physicsClientId=client)
+            linkOrientations=[pybullet.getQuaternionFromEuler([0, -side * lean, 0])],
+            linkInertialFramePositions=[[0, 0, 0]],
+            linkInertialFrameOrientations=[[0, 0, 0, 1]],
+            linkParentIndices=[0],
+            linkJointTypes=[pybullet.JOINT_PRISMATIC],
+            linkJointAxis=[[1, 0, 0]],
+            physicsClientId=client,
+        )
+        pybullet.setJointMotorControl2(
+            plate, 0, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client
+        )
+        pybullet.changeDynamics(
+            plate, 0, lateralFriction=1.0, linearDamping=0, jointDamping=0, physicsClientId=client
+        )
         plates.append((plate, -side * PUSH))
     for _ in range(STEPS):
         for plate, push in plates:
-            pybullet.setJointMotorControl2(plate, 0, pybullet.TORQUE_CONTROL, force=push, physicsClientId=client)
-        pybullet.applyExternalTorque(ball, -1, [torque, 0, 0], pybullet.WORLD_FRAME, physicsClientId=client)
+            pybullet.setJointMotorControl2(
+                plate, 0, pybullet.TORQUE_CONTROL, force=push, physicsClientId=client
+            )
+        pybullet.applyExternalTorque(
+            ball, -1, [torque, 0, 0], pybullet.WORLD_FRAME, physicsClientId=client
+        )
         pybullet.stepSimulation(physicsClientId=client)
     position, _ = pybullet.getBasePositionAndOrientation(ball, physicsClientId=client)
     _, spin = pybullet.getBaseVelocity(ball, physicsClientId=client)
@@ -105,11 +154,17 @@ TWIST = pytest.mark.parametrize("share", [0.02, 0.6, 0.9, 1.1, 1.5])
     ("ball", "limit"),
     [
         (mujoco_ball, 1.0),
-        pytest.param(partial(bullet_ball, solver="SI"), 1.0, marks=pytest.mark.pybullet, id="iterative"),
-        pytest.param(partial(bullet_ball, solver="DANTZIG"), 0.5, marks=pytest.mark.pybullet, id="direct"),
+        pytest.param(
+            partial(bullet_ball, solver="SI"), 1.0, marks=pytest.mark.pybullet, id="iterative"
+        ),
+        pytest.param(
+            partial(bullet_ball, solver="DANTZIG"), 0.5, marks=pytest.mark.pybullet, id="direct"
+        ),
     ],
 )
-def test_a_ball_is_held_within_the_friction_cone_but_by_bullets_direct_solver_within_half_of_it(ball, limit, share):
+def test_a_ball_is_held_within_the_friction_cone_but_by_bullets_direct_solver_within_half_of_it(
+    ball, limit, share
+):
     assert held(ball(np.arctan(share * FRICTION))) == (share < limit)
 
 

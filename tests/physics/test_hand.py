@@ -1,4 +1,6 @@
-"""The hand in PyBullet: springs, friction and masses, and how it becomes another hand from episode to episode."""
+"""The hand in PyBullet: springs, friction and masses, and how it becomes another hand from episode
+to episode.
+"""
 
 import dataclasses
 import itertools
@@ -39,22 +41,34 @@ def settled(setup: SceneSetup, synergy: np.ndarray, seconds: float) -> np.ndarra
 
 
 def test_the_hand_opens_by_its_springs():
-    assert np.degrees(settled(SceneSetup(None, synergy=0.9 * HPAC.synergy_max), np.zeros(6), 3.0)).max() < 0.5
+    assert (
+        np.degrees(
+            settled(SceneSetup(None, synergy=0.9 * HPAC.synergy_max), np.zeros(6), 3.0)
+        ).max()
+        < 0.5
+    )
 
 
 def test_joint_friction_holds_a_finger_that_is_let_go():
-    """10 mN·m of Coulomb friction in each joint stops it where the spring pulls less: 0.01/(k_s R ΣR q/q) = 0.3 rad."""
-    setup = SceneSetup(None, synergy=0.5 * HPAC.synergy_max, hand_settings=HandSettings(joint_friction=0.01))
+    """10 mN·m of Coulomb friction in each joint stops it where the spring pulls less: 0.01/(k_s R
+    ΣR q/q) = 0.3 rad.
+    """
+    setup = SceneSetup(
+        None, synergy=0.5 * HPAC.synergy_max, hand_settings=HandSettings(joint_friction=0.01)
+    )
     left = np.degrees(settled(setup, np.zeros(6), 3.0)[JOINT_INDEX["index_mcp"]])
     assert 5.0 < left < 17.0
 
 
 def test_no_joint_has_a_motor(scene):
     """A pushed finger yields: with its drive slack only a spring holds it."""
-    hand, still = scene.hand, np.zeros((1, 6))
+    hand = scene.hand
+    still = np.zeros((1, 6))
     for _ in range(120):
         link = hand.link_index["index_dip_link"]
-        pybullet.applyExternalForce(hand.body, link, (0.3, 0, 0), (0, 0, 0.02), pybullet.LINK_FRAME, hand.world.client)
+        pybullet.applyExternalForce(
+            hand.body, link, (0.3, 0, 0), (0, 0, 0.02), pybullet.LINK_FRAME, hand.world.client
+        )
         scene.advance(still, still, np.zeros((1, 3)), None)
     bent, _ = hand.joint_state()
     assert bent[JOINT_INDEX["index_mcp"]] > 0.1
@@ -68,21 +82,32 @@ def test_every_link_has_the_friction_of_the_skin(scene):
 
 
 def test_fingers_do_not_reach_each_other(scene):
-    """Why nobody has to check whether they touch: over the workspace they stay millimetres apart."""
-    rng, nearest, hand = np.random.default_rng(0), np.inf, scene.hand
-    links = {finger: [index for name, index in hand.link_index.items() if name.startswith(finger)] for finger in FINGERS}
+    """Why nobody has to check whether they touch: over the workspace they stay millimetres
+    apart.
+    """
+    rng = np.random.default_rng(0)
+    nearest = np.inf
+    hand = scene.hand
+    links = {
+        finger: [index for name, index in hand.link_index.items() if name.startswith(finger)]
+        for finger in FINGERS
+    }
     for _ in range(60):
         share = rng.choice([0.0, 1.0, rng.uniform()], 6)
         hand.reset(share * HPAC.synergy_max)
         assert np.allclose(hand.joint_state()[0], joints_from_synergy(share * HPAC.synergy_max))
         for one, other in itertools.combinations(FINGERS, 2):
             for pair in itertools.product(links[one], links[other]):
-                near = pybullet.getClosestPoints(hand.body, hand.body, 0.02, *pair, physicsClientId=scene.world.client)
+                near = pybullet.getClosestPoints(
+                    hand.body, hand.body, 0.02, *pair, physicsClientId=scene.world.client
+                )
                 nearest = min([nearest, *(point[8] for point in near)])
     assert 0.002 < nearest < 0.02
 
 
-def test_a_hand_becomes_another_one_and_is_loaded_anew_for_another_armature_or_after_many_episodes(scene, monkeypatch):
+def test_a_hand_becomes_another_one_and_is_loaded_anew_for_another_armature_or_after_many_episodes(
+    scene, monkeypatch
+):
     start = Grasp().setup(np.random.default_rng(0))
     scene.reset(start)
     first = scene.hand
@@ -101,5 +126,7 @@ def test_a_hand_becomes_another_one_and_is_loaded_anew_for_another_armature_or_a
 
 
 def test_the_light_body_is_refused_with_what_to_do_instead():
-    with pytest.raises(ParameterError, match=r'hub_inertia = 0.0013 kg m² must be 0 kg m².*engine="mujoco"'):
+    with pytest.raises(
+        ParameterError, match=r'hub_inertia = 0.0013 kg m² must be 0 kg m².*engine="mujoco"'
+    ):
         make_engine("pybullet").require(BODIES["light"])

@@ -1,4 +1,6 @@
-"""The family of hands: what is drawn, what both engines make of it, and that no world feels whose hand is beside its own."""
+"""The family of hands: what is drawn, what both engines make of it, and that no world feels whose
+hand is beside its own.
+"""
 
 import dataclasses
 from functools import partial
@@ -10,7 +12,15 @@ import pytest
 from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.body.hands import SERVO_ZERO, SIZES, HandVariant, hand_set
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import DIGITS, HPAC, JOINT_INDEX, JOINTS, SERVOS, servo_from_synergy, synergy_from_servo
+from hpac_gym.model import (
+    DIGITS,
+    HPAC,
+    JOINT_INDEX,
+    JOINTS,
+    SERVOS,
+    servo_from_synergy,
+    synergy_from_servo,
+)
 from hpac_gym.physics.conformance import free_space, stiffest_mode
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.physics.mjcf import mass_matrix
@@ -30,23 +40,31 @@ engines = pytest.mark.parametrize("engine", ENGINES)
 
 def setup(variant: HandVariant | None, seed: int = 0, body: str = "twin") -> SceneSetup:
     """A grasp with one of the hands; None is the nominal one."""
-    drawn = dataclasses.replace(Grasp().setup(np.random.default_rng(seed)), hand_settings=BODIES[body])
+    drawn = dataclasses.replace(
+        Grasp().setup(np.random.default_rng(seed)), hand_settings=BODIES[body]
+    )
     if variant is None:
         return drawn
     settings = variant.over(drawn.hand_settings)
-    return dataclasses.replace(drawn, hand=variant.hand, geometry=variant.geometry, hand_settings=settings)
+    return dataclasses.replace(
+        drawn, hand=variant.hand, geometry=variant.geometry, hand_settings=settings
+    )
 
 
 def empty(variant: HandVariant, cmc: float = 0.0) -> SceneSetup:
     """One of the hands alone, open, with a CMC angle [rad]."""
     opened = np.array([0.0, 0.0, 0.0, 0.0, 0.0, cmc])
     settings = variant.over(BODIES["twin"])
-    return SceneSetup(None, synergy=opened, hand=variant.hand, geometry=variant.geometry, hand_settings=settings)
+    return SceneSetup(
+        None, synergy=opened, hand=variant.hand, geometry=variant.geometry, hand_settings=settings
+    )
 
 
 def test_the_sets_are_as_large_and_as_broken_as_stated_and_share_no_hand():
     assert {name: len(hand_set(name)) for name in SIZES} == SIZES == {"train": 32, "test": 8}
-    assert len({variant.name for variant in ALL}) == len({variant.geometry for variant in ALL}) == 40
+    assert (
+        len({variant.name for variant in ALL}) == len({variant.geometry for variant in ALL}) == 40
+    )
     assert hand_set.__wrapped__("test") == hand_set("test")
     for name, count in SIZES.items():
         weakest = np.array([min(variant.strength) for variant in hand_set(name)])
@@ -64,11 +82,19 @@ def test_the_sets_are_as_large_and_as_broken_as_stated_and_share_no_hand():
 def test_lengths_paths_and_pulleys_scale_together():
     for variant in ALL:
         for digit, nominal in zip(variant.geometry.digits, HPAC_GEOMETRY.digits, strict=True):
-            lengths = np.array([link.length / old.length for link, old in zip(digit.phalanges, nominal.phalanges, strict=True)])
+            lengths = np.array(
+                [
+                    link.length / old.length
+                    for link, old in zip(digit.phalanges, nominal.phalanges, strict=True)
+                ]
+            )
             assert (np.abs(lengths - 1) < 0.2).all()
-            tendon, old = variant.hand.digits[digit.name], HPAC.digits[digit.name]
+            tendon = variant.hand.digits[digit.name]
+            old = HPAC.digits[digit.name]
             paths = np.array(tendon.path_length) / old.path_length
-            np.testing.assert_allclose(paths, lengths[1:2] if digit.name == "thumb" else lengths[:2])
+            np.testing.assert_allclose(
+                paths, lengths[1:2] if digit.name == "thumb" else lengths[:2]
+            )
             np.testing.assert_allclose(tendon.rigid_ratio, old.rigid_ratio)
             assert np.linalg.norm(digit.pad) > np.linalg.norm(nominal.pad) * 0.8
 
@@ -95,14 +121,17 @@ def test_mujoco_loads_the_links_of_every_hand(every_hand):
     for world, variant in enumerate(EVERY):
         model, data = every_hand.single(world)
         for phalanx in variant.geometry.phalanges:
-            link, geom, (_, _, end) = model.body(phalanx.link), model.geom(phalanx.link), phalanx.capsule.end
+            link = model.body(phalanx.link)
+            geom = model.geom(phalanx.link)
+            (_, _, end) = phalanx.capsule.end
             np.testing.assert_allclose(link.mass, phalanx.mass, rtol=1e-8)
             np.testing.assert_allclose(link.pos, phalanx.origin, atol=1e-9)
             np.testing.assert_allclose(geom.size[:2], [phalanx.capsule.radius, end / 2], rtol=1e-8)
             np.testing.assert_allclose(geom.pos, [0, 0, end / 2], atol=1e-10)
         chords = [model.tendon_length0[model.tendon(f"{digit}_drive").id] for digit in DIGITS]
         np.testing.assert_allclose(chords, variant.hand.rest_chord, rtol=1e-8)
-        full, joints = np.zeros((model.nv, model.nv)), [model.joint(name) for name in JOINTS]
+        full = np.zeros((model.nv, model.nv))
+        joints = [model.joint(name) for name in JOINTS]
         for joint in joints:
             data.qpos[joint.qposadr[0]] = 0.0
         mujoco.mj_forward(model, data)
@@ -120,17 +149,23 @@ def test_pybullet_loads_the_links_of_a_hand(variant):
     engine = make_engine("pybullet")
     for other in (ALL[5], variant):
         engine.reset([0], [setup(other)])
-    hand, client = engine.scenes[0].hand, engine.scenes[0].world.client
+    hand = engine.scenes[0].hand
+    client = engine.scenes[0].world.client
     for phalanx in variant.geometry.phalanges:
-        index, (_, _, end) = hand.link_index[phalanx.link], phalanx.capsule.end
+        index = hand.link_index[phalanx.link]
+        (_, _, end) = phalanx.capsule.end
         mass, *_ = pybullet.getDynamicsInfo(hand.body, index, client)
         assert mass == pytest.approx(phalanx.mass, rel=1e-6)
         shape = pybullet.getCollisionShapeData(hand.body, index, client)[0]
         assert shape[3][:2] == pytest.approx((end, phalanx.capsule.radius), rel=1e-6)
         if phalanx.parent != "palm":
             frame = np.array(pybullet.getJointInfo(hand.body, index, client)[14])
-            parent = next(link for link in variant.geometry.phalanges if link.link == phalanx.parent)
-            assert frame[2] == pytest.approx(parent.length - parent.capsule.end[2] / 2, rel=1e-6)  # from the parent's middle
+            parent = next(
+                link for link in variant.geometry.phalanges if link.link == phalanx.parent
+            )
+            assert frame[2] == pytest.approx(
+                parent.length - parent.capsule.end[2] / 2, rel=1e-6
+            )  # from the parent's middle
     engine.close()
 
 
@@ -146,11 +181,15 @@ def test_no_hand_touches_itself_at_the_start_wherever_the_thumb_is(every_hand):
 @pytest.mark.parametrize("variant", [ALL[26], ALL[36]], ids=lambda variant: variant.name)
 def test_free_space_keeps_to_equations_12_and_13_of_the_hand_itself(engine, body, variant):
     make = partial(make_engine, engine)
-    manifold, command, speed = free_space(make, BODIES[body], WorldSettings(), 3, 0, variant.hand, variant.geometry)
+    manifold, command, speed = free_space(
+        make, BODIES[body], WorldSettings(), 3, 0, variant.hand, variant.geometry
+    )
     assert manifold < 1e-3
     assert command < 0.4  # the drives are softer than the nominal one's
     assert speed < 0.05
-    assert np.abs(HPAC.elastic_ratio - variant.hand.elastic_ratio).max() > 4e-3  # another hand's law would be seen
+    assert (
+        np.abs(HPAC.elastic_ratio - variant.hand.elastic_ratio).max() > 4e-3
+    )  # another hand's law would be seen
 
 
 @engines
@@ -158,7 +197,8 @@ def test_no_world_feels_whose_hand_is_beside_its_own_or_was_there_before(engine)
     chosen = [None, ALL[3], None, ALL[38], ALL[3]]
 
     def close(simulation: Simulation) -> list[SceneState]:
-        n, states = simulation.engine.num_worlds, []
+        n = simulation.engine.num_worlds
+        states = []
         simulation.command(np.tile(servo_from_synergy(CLOSED), (n, 1)), 0.6)
         for _ in range(3):
             simulation.advance(np.zeros((n, 30, 3)))
@@ -166,7 +206,9 @@ def test_no_world_feels_whose_hand_is_beside_its_own_or_was_there_before(engine)
         return states
 
     together = Simulation(make_engine(engine, len(chosen)))
-    together.reset(range(len(chosen)), [setup(variant) for variant in reversed([*chosen[1:], ALL[20]])])
+    together.reset(
+        range(len(chosen)), [setup(variant) for variant in reversed([*chosen[1:], ALL[20]])]
+    )
     close(together)
     together.reset(range(len(chosen)), [setup(variant) for variant in chosen])
     found = close(together)
@@ -175,7 +217,11 @@ def test_no_world_feels_whose_hand_is_beside_its_own_or_was_there_before(engine)
         alone.reset([0], [setup(variant)])
         for one, other in zip(close(alone), found, strict=True):
             for field in dataclasses.fields(SceneState):
-                np.testing.assert_array_equal(getattr(one, field.name)[0], getattr(other, field.name)[world], err_msg=field.name)
+                np.testing.assert_array_equal(
+                    getattr(one, field.name)[0],
+                    getattr(other, field.name)[world],
+                    err_msg=field.name,
+                )
         alone.engine.close()
     np.testing.assert_array_equal(found[-1].joint_pos[1], found[-1].joint_pos[4])
     assert np.abs(found[-1].joint_pos[0] - found[-1].joint_pos[1]).max() > 0.02
@@ -183,10 +229,15 @@ def test_no_world_feels_whose_hand_is_beside_its_own_or_was_there_before(engine)
 
 
 @engines
-def test_a_dead_digit_does_not_pull_a_weak_one_pulls_its_share_and_a_servo_zero_moves_the_hand(engine):
-    """Closing on a can; the fourth hand is empty, and its servos' commands know nothing of their zeros."""
+def test_a_dead_digit_does_not_pull_a_weak_one_pulls_its_share_and_a_servo_zero_moves_the_hand(
+    engine,
+):
+    """Closing on a can; the fourth hand is empty, and its servos' commands know nothing of their
+    zeros.
+    """
     zero = (0.0, 0.05, -0.03, 0.04, 0.0, -0.05)
-    plain, empty = setup(None), SceneSetup(None, synergy=np.array([0.3, 0.4, 0.5, 0.4, 0.3, 0.6]))
+    plain = setup(None)
+    empty = SceneSetup(None, synergy=np.array([0.3, 0.4, 0.5, 0.4, 0.3, 0.6]))
     broken = [
         HandSettings(),
         HandSettings(strength=(1.0, 1.0, 0.0, 1.0, 1.0)),
@@ -199,13 +250,17 @@ def test_a_dead_digit_does_not_pull_a_weak_one_pulls_its_share_and_a_servo_zero_
     first = simulation.state()
     servo = servo_from_synergy(empty.synergy)
     np.testing.assert_allclose(first.horn[3], servo + zero)
-    np.testing.assert_allclose(first.joint_pos[3, ROOTS], synergy_from_servo(servo + zero), atol=1e-9)
+    np.testing.assert_allclose(
+        first.joint_pos[3, ROOTS], synergy_from_servo(servo + zero), atol=1e-9
+    )
     command = np.tile(servo_from_synergy(CLOSED), (4, 1))
     command[3] = servo_from_synergy(empty.synergy * 1.2)
     simulation.command(command, 0.5)
     simulation.rest(1.5)
     state = simulation.state()
-    np.testing.assert_allclose(state.joint_pos[3, ROOTS], synergy_from_servo(command[3] + zero), atol=6e-3)
+    np.testing.assert_allclose(
+        state.joint_pos[3, ROOTS], synergy_from_servo(command[3] + zero), atol=6e-3
+    )
     middle = DIGITS.index("middle")
     assert state.tension[0].max() == pytest.approx(40.0, abs=0.1)
     assert (state.tension[1:3, middle] <= np.array([0.0, 16.0]) + 1e-9).all()

@@ -35,7 +35,8 @@ def test_bodies_are_those_of_the_urdf():
     model, data = loaded("hpac_hand.xml")
     urdf = mujoco.MjModel.from_xml_path(str(ASSETS / "urdf" / "hpac_hand.urdf"))
     other = mujoco.MjData(urdf)
-    rng, links = np.random.default_rng(0), [phalanx.link for phalanx in GEOMETRY.phalanges]
+    rng = np.random.default_rng(0)
+    links = [phalanx.link for phalanx in GEOMETRY.phalanges]
     for _ in range(5):
         angles = rng.uniform(HPAC.joint_min, HPAC.joint_max)
         set_joints(model, data, angles)
@@ -60,7 +61,9 @@ def test_mass_matrix_is_that_of_the_model():
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
         ours = mass_matrix(GEOMETRY, BODIES[body].armature, synergy)
-        np.testing.assert_allclose(ours, full[np.ix_(dofs(model), dofs(model))], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            ours, full[np.ix_(dofs(model), dofs(model))], rtol=1e-9, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -85,7 +88,9 @@ def test_torques_at_rest_are_those_of_the_tendon_law(name):
 
 def test_fingers_touch_all_but_fingers_and_no_link_its_parent():
     model, _ = loaded("hpac_hand.xml")
-    excluded = {tuple(sorted((int(pair) >> 16, int(pair) & 0xFFFF))) for pair in model.exclude_signature}
+    excluded = {
+        tuple(sorted((int(pair) >> 16, int(pair) & 0xFFFF))) for pair in model.exclude_signature
+    }
     geoms = [index for index in range(model.ngeom) if model.geom_contype[index]]
     for first in geoms:
         for second in geoms:

@@ -1,4 +1,6 @@
-"""The MuJoCo engine: same bits whatever is beside, scenes as they are asked for, failures that name their world."""
+"""The MuJoCo engine: same bits whatever is beside, scenes as they are asked for, failures that name
+their world.
+"""
 
 import hashlib
 import subprocess
@@ -15,7 +17,14 @@ from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.envs import GRASPS, NOMINAL, grasp_task
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy
-from hpac_gym.physics.engine import HAND_POSITION, PARTS, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import (
+    HAND_POSITION,
+    PARTS,
+    PhysicsError,
+    SceneSetup,
+    SceneState,
+    Viewpoint,
+)
 from hpac_gym.physics.mujoco import camera
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES
@@ -27,27 +36,47 @@ TARGET = np.array([0.042, -0.12, 0.105])
 
 
 def primitive(shape: str = "cylinder", **change) -> SceneSetup:
-    half = {"cylinder": (0.025, 0.025, 0.06), "box": (0.02, 0.025, 0.05), "sphere": (0.028, 0.028, 0.028)}[shape]
+    half = {
+        "cylinder": (0.025, 0.025, 0.06),
+        "box": (0.02, 0.025, 0.05),
+        "sphere": (0.028, 0.028, 0.028),
+    }[shape]
     return replace(SceneSetup(ObjectSpec(shape, half, 0.1, 0.8), PLACE, 0.2, OPPOSED), **change)
 
 
 def named(name: str, **change) -> SceneSetup:
     model = load_object_models()[name]
     half = tuple(1.1 * side for side in model.half_extents)
-    return replace(SceneSetup(ObjectSpec(model.shape, half, 1.2 * model.mass, 0.7, name, 1.1), PLACE, 0.0, OPPOSED), **change)
+    return replace(
+        SceneSetup(
+            ObjectSpec(model.shape, half, 1.2 * model.mass, 0.7, name, 1.1), PLACE, 0.0, OPPOSED
+        ),
+        **change,
+    )
 
 
 def varied() -> list[SceneSetup]:
     """Worlds of every layout, and hands of several kinds."""
-    soft = replace(HPAC, digits={n: replace(d, drive_stiffness=0.8 * d.drive_stiffness) for n, d in HPAC.digits.items()})
-    slack = replace(BODIES["twin"], slack=(1e-3, 0.0, 5e-4, 0.0, 0.0), joint_friction=2e-3, contact_friction=0.7)
+    soft = replace(
+        HPAC,
+        digits={
+            n: replace(d, drive_stiffness=0.8 * d.drive_stiffness) for n, d in HPAC.digits.items()
+        },
+    )
+    slack = replace(
+        BODIES["twin"], slack=(1e-3, 0.0, 5e-4, 0.0, 0.0), joint_friction=2e-3, contact_friction=0.7
+    )
     return [
         primitive("cylinder"),
         primitive("box", hand=soft),
         primitive("sphere", hand_settings=BODIES["light"]),
         primitive("cylinder", hand_settings=slack, target=TARGET),
         named("scissors"),
-        named("tennis_ball", position=np.array([0.06, 0.0, 0.13]), support=Support((0.03, 0.03), gap=(0.04, 0.04))),
+        named(
+            "tennis_ball",
+            position=np.array([0.06, 0.0, 0.13]),
+            support=Support((0.03, 0.03), gap=(0.04, 0.04)),
+        ),
         SceneSetup(None),
         primitive("sphere", fixed=True, target=TARGET),
     ]
@@ -55,10 +84,14 @@ def varied() -> list[SceneSetup]:
 
 def close(engine: MuJoCoEngine, steps: int = 24, start: int = 0) -> list[SceneState]:
     """Close every hand while its wrist rises."""
-    states, n, substeps = [], engine.num_worlds, 6
+    states = []
+    n = engine.num_worlds
+    substeps = 6
     for step in range(start, start + steps):
         time = engine.dt * (step * substeps + np.arange(substeps + 1))
-        angles = servo_from_synergy(OPPOSED + np.minimum(time / 0.8, 1.0)[:, None] * (CLOSED - OPPOSED))
+        angles = servo_from_synergy(
+            OPPOSED + np.minimum(time / 0.8, 1.0)[:, None] * (CLOSED - OPPOSED)
+        )
         rise = np.zeros((substeps, 3))
         rise[:, 2] = 0.02 * np.clip(time[1:] - 0.9, 0.0, None)
         tables = angles[1:], np.diff(angles, axis=0) / engine.dt, rise
@@ -69,13 +102,19 @@ def close(engine: MuJoCoEngine, steps: int = 24, start: int = 0) -> list[SceneSt
 
 def wait(engine: MuJoCoEngine, seconds: float) -> None:
     """Leave servos and wrists at zero angle and offset, but the thumb's CMC at its start."""
-    tables = [np.zeros((engine.num_worlds, round(seconds / engine.dt), width)) for width in (6, 6, 3)]
+    tables = [
+        np.zeros((engine.num_worlds, round(seconds / engine.dt), width)) for width in (6, 6, 3)
+    ]
     tables[0][:] = servo_from_synergy(OPPOSED)
     engine.advance(*tables)
 
 
 def bits(states: list[SceneState], world: int) -> bytes:
-    return b"".join(np.ascontiguousarray(getattr(state, f.name)[world]).tobytes() for state in states for f in fields(SceneState))
+    return b"".join(
+        np.ascontiguousarray(getattr(state, f.name)[world]).tobytes()
+        for state in states
+        for f in fields(SceneState)
+    )
 
 
 @cache
@@ -87,7 +126,8 @@ def alone(index: int) -> bytes:
     return bits([first, *close(engine)], 0)
 
 
-# The same bits ----------------------------------------------------------------------------------------------------
+# The same bits
+# ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -108,26 +148,32 @@ def test_another_process_gives_the_same_bits():
         "import sys; sys.path.insert(0, 'tests/physics'); import hashlib, test_mujoco_engine as t;"
         "print(hashlib.sha256(b''.join(map(t.alone, range(5)))).hexdigest())"
     )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.strip()
     assert out == hashlib.sha256(b"".join(map(alone, range(5)))).hexdigest()
 
 
 def test_snapshots_of_every_layout_go_on_to_the_bit():
     setups = varied()
-    engine, worlds = MuJoCoEngine(len(setups)), range(len(setups))
+    engine = MuJoCoEngine(len(setups))
+    worlds = range(len(setups))
     engine.reset(worlds, setups)
     close(engine, 12)
-    snapshots, seen = [engine.save(world) for world in worlds], engine.state()
+    snapshots = [engine.save(world) for world in worlds]
+    seen = engine.state()
     wanted = close(engine, 6, start=12)
     for world in worlds:
         engine.restore(world, snapshots[world])
-    restored, found = engine.state(), close(engine, 6, start=12)
+    restored = engine.state()
+    found = close(engine, 6, start=12)
     for world in worlds:
         assert bits([restored], world) == bits([seen], world), f"setup {world}"
         assert bits(found, world) == bits(wanted, world), f"setup {world}"
 
 
-# Scenes as they are asked for -------------------------------------------------------------------------------------
+# Scenes as they are asked for
+# -------------------------------------------------------------------------------------
 
 
 def test_a_hand_starts_at_rest_on_its_manifold():
@@ -138,7 +184,9 @@ def test_a_hand_starts_at_rest_on_its_manifold():
     np.testing.assert_allclose(state.object_pos[0], PLACE, atol=1e-15)
     assert not state.joint_vel.any()
     assert not state.tension.any()
-    assert not state.supported.any()  # contacts are those of the last physics step, and there was none
+    assert (
+        not state.supported.any()
+    )  # contacts are those of the last physics step, and there was none
 
 
 def test_objects_stand_still_on_their_supports():
@@ -147,22 +195,31 @@ def test_objects_stand_still_on_their_supports():
     engine.reset(range(len(setups)), setups)
     wait(engine, 0.5)
     state = engine.state()
-    assert np.linalg.norm(state.object_pos - [setup.position for setup in setups], axis=1).max() < 1e-4
+    assert (
+        np.linalg.norm(state.object_pos - [setup.position for setup in setups], axis=1).max() < 1e-4
+    )
     assert state.supported.all()
     assert not state.touching.any()
     assert not state.on_target.any()
 
 
 def test_the_objects_of_all_named_grasps_and_variants_stand_on_their_supports():
-    names = [(name, variant) for name, grasp in GRASPS.items() for variant in (NOMINAL, *grasp.held_out)]
+    names = [
+        (name, variant) for name, grasp in GRASPS.items() for variant in (NOMINAL, *grasp.held_out)
+    ]
     setups = [grasp_task(*pair).setup(np.random.default_rng(0), HPAC) for pair in names]
-    engine, steps = MuJoCoEngine(len(setups)), 60
+    engine = MuJoCoEngine(len(setups))
+    steps = 60
     engine.reset(range(len(setups)), setups)
-    servo = np.array([servo_from_synergy(setup.synergy) for setup in setups])[:, None].repeat(steps, axis=1)
+    servo = np.array([servo_from_synergy(setup.synergy) for setup in setups])[:, None].repeat(
+        steps, axis=1
+    )
     engine.advance(servo, np.zeros_like(servo), np.zeros((len(setups), steps, 3)))
     state = engine.state()
     moved = np.linalg.norm(state.object_pos - [setup.position for setup in setups], axis=1)
-    assert not [(name, distance) for name, distance in zip(names, moved, strict=True) if distance > 1.5e-3]
+    assert not [
+        (name, distance) for name, distance in zip(names, moved, strict=True) if distance > 1.5e-3
+    ]
     assert state.supported.all()
 
 
@@ -186,7 +243,10 @@ def test_frictions_multiply():
         for contact in data.contact:
             names = {model.body(model.geom_bodyid[geom]).name for geom in contact.geom}
             pair = ["hand" if name == "palm" or name.endswith("_link") else name for name in names]
-            assert found.setdefault(" and ".join(sorted(pair)), contact.friction[0]) == contact.friction[0]
+            assert (
+                found.setdefault(" and ".join(sorted(pair)), contact.friction[0])
+                == contact.friction[0]
+            )
     assert found["hand and object"] == pytest.approx(0.5 * 0.8)
     assert found["object and support"] == pytest.approx(0.8 * 0.8)
     skin = engine.single(0)[0].geom("palm_0").friction[0]
@@ -201,17 +261,25 @@ def test_mass_and_inertia_of_named_objects_scale():
         full = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(model, data, full)
         start = model.joint("object").dofadr[0]
-        centre, mass = 1.1 * wanted.center_of_mass, 1.2 * wanted.mass
-        about_origin = 1.2 * 1.1**2 * wanted.inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-        np.testing.assert_allclose(full[start : start + 3, start : start + 3], mass * np.eye(3), atol=1e-12)
+        centre = 1.1 * wanted.center_of_mass
+        mass = 1.2 * wanted.mass
+        about_origin = 1.2 * 1.1**2 * wanted.inertia + mass * (
+            centre @ centre * np.eye(3) - np.outer(centre, centre)
+        )
+        np.testing.assert_allclose(
+            full[start : start + 3, start : start + 3], mass * np.eye(3), atol=1e-12
+        )
         found = full[start + 3 : start + 6, start + 3 : start + 6]
-        np.testing.assert_allclose(found, about_origin, atol=1e-9 * np.trace(about_origin), err_msg=name)
+        np.testing.assert_allclose(
+            found, about_origin, atol=1e-9 * np.trace(about_origin), err_msg=name
+        )
 
 
 def test_the_force_of_a_part_is_that_of_all_its_contacts():
     engine = MuJoCoEngine(1)
     engine.reset([0], [primitive()])
-    (state,), found = close(engine, 40)[-1:], engine.contacts(0)
+    (state,) = close(engine, 40)[-1:]
+    found = engine.contacts(0)
     total = dict.fromkeys(PARTS, 0.0)
     for force, link in zip(found.force, found.link, strict=True):
         total[link.split("_")[0]] += force
@@ -225,10 +293,13 @@ def test_slack_delays_a_finger():
     state = close(engine, 20)[-1]
     index = JOINT_INDEX["index_mcp"]
     assert state.joint_pos[0, index] - state.joint_pos[1, index] > 0.1
-    np.testing.assert_allclose(np.delete(state.joint_pos[0] - state.joint_pos[1], [2, 3, index]), 0.0, atol=1e-3)
+    np.testing.assert_allclose(
+        np.delete(state.joint_pos[0] - state.joint_pos[1], [2, 3, index]), 0.0, atol=1e-3
+    )
 
 
-# Failures ---------------------------------------------------------------------------------------------------------
+# Failures
+# ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("bad", [np.nan, 1e200])
@@ -259,34 +330,47 @@ def test_the_worlds_beside_a_failed_one_advance_and_it_is_back_at_its_start():
     alone.advance(servo, *tables)
     bad = servo.copy()
     bad[[0, 1], 3, 2] = np.nan
-    with pytest.raises(PhysicsError, match=r"world 0 of 3 and 1 others failed after 0\.000 s") as caught:
+    with pytest.raises(
+        PhysicsError, match=r"world 0 of 3 and 1 others failed after 0\.000 s"
+    ) as caught:
         engine.advance(bad, *tables)
     assert caught.value.worlds == (0, 1)
-    state, expected = engine.state(), alone.state()
+    state = engine.state()
+    expected = alone.state()
     for entry in fields(SceneState):
         values = getattr(state, entry.name)
-        np.testing.assert_array_equal(values[2], getattr(expected, entry.name)[2], err_msg=entry.name)
+        np.testing.assert_array_equal(
+            values[2], getattr(expected, entry.name)[2], err_msg=entry.name
+        )
         if entry.name != "time":
-            np.testing.assert_array_equal(values[:2], getattr(start, entry.name)[:2], err_msg=entry.name)
+            np.testing.assert_array_equal(
+                values[:2], getattr(start, entry.name)[:2], err_msg=entry.name
+            )
     assert (state.time == expected.time).all()
 
 
 def test_a_setup_that_is_no_place_is_an_error():
     engine = MuJoCoEngine(2)
     engine.reset([0, 1], [primitive(), primitive(position=np.array([np.nan, 0.0, 0.0]))])
-    with pytest.raises(PhysicsError, match=r"world 1 of 2 failed after 0\.000 s of its episode: MuJoCo says BADQPOS"):
+    with pytest.raises(
+        PhysicsError,
+        match=r"world 1 of 2 failed after 0\.000 s of its episode: MuJoCo says BADQPOS",
+    ):
         wait(engine, 0.05)
 
 
 def test_what_mujoco_cannot_do_is_refused():
     with pytest.raises(ParameterError, match=r"tendon_friction = 0.1 must be 0"):
-        MuJoCoEngine(1).reset([0], [primitive(hand_settings=replace(BODIES["twin"], tendon_friction=0.1))])
+        MuJoCoEngine(1).reset(
+            [0], [primitive(hand_settings=replace(BODIES["twin"], tendon_friction=0.1))]
+        )
     for arguments in ({"num_worlds": 0}, {"num_worlds": 2, "threads": 0}):
         with pytest.raises(ValueError, match="at least 1"):
             MuJoCoEngine(**arguments)
 
 
-# Pictures ---------------------------------------------------------------------------------------------------------
+# Pictures
+# ---------------------------------------------------------------------------------------------------------
 
 
 def test_pictures_show_their_world():
@@ -295,7 +379,10 @@ def test_pictures_show_their_world():
     target = HAND_POSITION + primitive().hand_rotation @ [0.03, 0.0, 0.1]
     views = [(0, 120), (1, 120), (0, 160)]
     try:
-        pictures = [engine.picture(world, Viewpoint(width=width, height=90), target) for world, width in views]
+        pictures = [
+            engine.picture(world, Viewpoint(width=width, height=90), target)
+            for world, width in views
+        ]
     except PhysicsError as error:
         pytest.skip(f"no OpenGL here: {error}")
     assert [picture.shape for picture in pictures] == [(90, 120, 3), (90, 120, 3), (90, 160, 3)]
@@ -314,6 +401,8 @@ def test_without_opengl_a_picture_is_one_clear_line(monkeypatch):
     monkeypatch.setattr(camera, "_gl_context", broken)
     engine = MuJoCoEngine(1)
     engine.reset([0], [primitive()])
-    with pytest.raises(PhysicsError, match=r"no OpenGL for pictures \(AttributeError: .*\): install .*libegl1") as caught:
+    with pytest.raises(
+        PhysicsError, match=r"no OpenGL for pictures \(AttributeError: .*\): install .*libegl1"
+    ) as caught:
         engine.picture(0, Viewpoint(), np.zeros(3))
     assert "\n" not in str(caught.value)

@@ -1,4 +1,6 @@
-"""The objects of the named grasps: their files against the data, and the data against what its sources print."""
+"""The objects of the named grasps: their files against the data, and the data against what its
+sources print.
+"""
 
 import dataclasses
 import itertools
@@ -27,13 +29,24 @@ MEASURES = {"x", "y", "z", "mass"}
 def test_most_objects_have_all_their_measures_from_a_source():
     assert len(REAL) == 16
     assert sum(model.published.keys() == MEASURES for model in REAL.values()) >= 9
-    assert {name for name, model in REAL.items() if not model.published} == {"tweezers", "spray_can"}
+    assert {name for name, model in REAL.items() if not model.published} == {
+        "tweezers",
+        "spray_can",
+    }
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
 def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectModel):
-    scale, mass = 1.1, 1.3 * model.mass
-    spec = ObjectSpec(model.shape, tuple(scale * half for half in model.half_extents), mass, 0.5, model.name, scale)
+    scale = 1.1
+    mass = 1.3 * model.mass
+    spec = ObjectSpec(
+        model.shape,
+        tuple(scale * half for half in model.half_extents),
+        mass,
+        0.5,
+        model.name,
+        scale,
+    )
     with closing(World()) as world:
         item = SimObject(world, spec, (0.1, 0.2, 0.3), quaternion_from_rpy((0.3, 0.2, 0.1)))
         loaded = pybullet.getDynamicsInfo(item.body, -1, world.client)
@@ -43,8 +56,12 @@ def test_a_loaded_object_has_its_mass_its_inertia_and_its_size(model: ObjectMode
         np.testing.assert_allclose(sorted(loaded[2]), principal, rtol=1e-5)
         position, _ = item.pose()
         np.testing.assert_allclose(position, (0.1, 0.2, 0.3), atol=1e-6)
-        item, (low, high) = SimObject(world, spec, (0, 0, 0)), model.bounds
-        extents = [reach(world, item, direction) + reach(world, item, -direction) for direction in np.eye(3)]
+        item = SimObject(world, spec, (0, 0, 0))
+        (low, high) = model.bounds
+        extents = [
+            reach(world, item, direction) + reach(world, item, -direction)
+            for direction in np.eye(3)
+        ]
         np.testing.assert_allclose(extents, scale * (high - low), atol=1e-3)  # Bullet rounds edges
 
 
@@ -57,15 +74,18 @@ def reach(world: World, item: SimObject, direction: np.ndarray) -> float:
 
 
 def test_hollow_solids_have_the_inertia_of_shells():
-    ball, tube = MODELS["tennis_ball"], MODELS["relay_baton"]
-    radius, shell = 0.0335, 2 / 3 * ball.mass * 0.0335**2
+    ball = MODELS["tennis_ball"]
+    tube = MODELS["relay_baton"]
+    radius = 0.0335
+    shell = 2 / 3 * ball.mass * 0.0335**2
     assert 0.75 * shell < ball.inertia[0, 0] < shell
     assert ball.inertia[0, 0] > 2 / 5 * ball.mass * radius**2
     assert tube.inertia[2, 2] == pytest.approx(tube.mass * 0.0195**2, rel=0.01)
 
 
 def test_a_hexagonal_bar_has_the_inertia_of_a_solid_one():
-    puck, side = MODELS["hexagonal_puck"], 0.0340 * 2 / np.sqrt(3)
+    puck = MODELS["hexagonal_puck"]
+    side = 0.0340 * 2 / np.sqrt(3)
     assert puck.inertia[2, 2] == pytest.approx(5 / 12 * puck.mass * side**2, rel=0.02)
     assert puck.inertia[0, 0] == pytest.approx(puck.inertia[1, 1])
 
@@ -115,21 +135,30 @@ def scene():
 
 def overlap(scene: Scene, others: tuple[int, ...]) -> float:
     """How deep the hand is inside of the object, or either of them inside of other bodies [m]."""
-    hand, item, client = scene.hand.body, scene.object.body, scene.world.client
+    hand = scene.hand.body
+    item = scene.object.body
+    client = scene.world.client
     pairs = [(hand, item), *((body, other) for body in (hand, item) for other in others)]
-    near = [point for pair in pairs for point in pybullet.getClosestPoints(*pair, 0.0, physicsClientId=client)]
+    near = [
+        point
+        for pair in pairs
+        for point in pybullet.getClosestPoints(*pair, 0.0, physicsClientId=client)
+    ]
     return max((-point[8] for point in near), default=0.0)
 
 
 @pytest.mark.parametrize("variant", [NOMINAL, "large", "small", "shape"])
 @pytest.mark.parametrize("name", GRASPS)
-def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(name: str, variant: str, scene):
+def test_at_no_corner_of_the_noise_anything_starts_inside_of_anything(
+    name: str, variant: str, scene
+):
     """The object may touch its support, and walls the object; nothing is deeper than 0.1 mm.
 
     The half of the sixteen corners in which every combination of three signs occurs.
     """
     task = GraspByName(name, variant)
-    grasp, middle = task.grasp, task.setup(np.random.default_rng(0))
+    grasp = task.grasp
+    middle = task.setup(np.random.default_rng(0))
     for corner in ((x, y, z, x * y * z) for x, y, z in itertools.product((-1, 1), repeat=3)):
         position = grasp.position + np.array(corner[:3]) * grasp.position_noise
         scene.reset(dataclasses.replace(middle, position=position, yaw=corner[3] * grasp.yaw_noise))

@@ -14,14 +14,19 @@ class OneServo:
 
     def __init__(self, horn: float, settings: ServoSettings) -> None:
         self.horn = self.start = self.target = horn
-        self.passed, self.duration, self.settings = 1.0, 1.0, settings
+        self.passed = 1.0
+        self.duration = 1.0
+        self.settings = settings
         self.queue = [horn] * round(settings.lag / DT)
 
     def ramp(self) -> float:
         return self.start + min(self.passed / self.duration, 1.0) * (self.target - self.start)
 
     def command(self, target: float, duration: float) -> None:
-        self.start, self.target, self.passed, self.duration = self.ramp(), target, 0.0, duration
+        self.start = self.ramp()
+        self.target = target
+        self.passed = 0.0
+        self.duration = duration
 
     def step(self) -> tuple[float, float]:
         self.passed += DT
@@ -34,29 +39,42 @@ class OneServo:
         return self.horn, moved / DT
 
 
-SETTINGS = [ServoSettings(), ServoSettings(speed=1.0, dead_band=0.03, lag=0.05), ServoSettings(speed=3.0, lag=0.15)]
+SETTINGS = [
+    ServoSettings(),
+    ServoSettings(speed=1.0, dead_band=0.03, lag=0.05),
+    ServoSettings(speed=3.0, lag=0.15),
+]
 
 
 def test_every_world_follows_the_law_of_one_servo_through_commands_and_resets():
     rng = np.random.default_rng(0)
-    servos, expected = Servos(3, DT), {}
+    servos = Servos(3, DT)
+    expected = {}
 
     def reset(worlds: list[int]) -> None:
         angles = rng.uniform(0.0, 1.0, (len(worlds), 6))
         servos.reset(worlds, angles, [SETTINGS[world] for world in worlds])
-        expected.update({world: [OneServo(a, SETTINGS[world]) for a in row] for world, row in zip(worlds, angles, strict=True)})
+        expected.update(
+            {
+                world: [OneServo(a, SETTINGS[world]) for a in row]
+                for world, row in zip(worlds, angles, strict=True)
+            }
+        )
 
     reset([0, 1, 2])
     for step in range(40):
         if step % 9 == 8:
             reset([[0], [2, 1], [2], [1]][step // 9])
-        target, duration = rng.uniform(0.0, 1.5, (3, 6)), rng.choice([0.02, 0.05, 0.3])
+        target = rng.uniform(0.0, 1.5, (3, 6))
+        duration = rng.choice([0.02, 0.05, 0.3])
         servos.command(target, duration)
         for world, row in expected.items():
             for servo, angle in zip(row, target[world], strict=True):
                 servo.command(angle, duration)
         angle, speed = servos.advance(6)
-        law = np.array([[[servo.step() for _ in range(6)] for servo in expected[world]] for world in range(3)])
+        law = np.array(
+            [[[servo.step() for _ in range(6)] for servo in expected[world]] for world in range(3)]
+        )
         np.testing.assert_allclose(angle, law[..., 0].transpose(0, 2, 1), atol=1e-12)
         np.testing.assert_allclose(speed, law[..., 1].transpose(0, 2, 1), atol=1e-9)
         np.testing.assert_array_equal(servos.horn, angle[:, -1])
@@ -64,9 +82,11 @@ def test_every_world_follows_the_law_of_one_servo_through_commands_and_resets():
 
 def test_a_world_moves_to_the_bit_as_it_would_alone():
     def motion(settings: list[ServoSettings], world: int) -> np.ndarray:
-        servos, n = Servos(len(settings), DT), len(settings)
+        servos = Servos(len(settings), DT)
+        n = len(settings)
         servos.reset(range(n), np.zeros((n, 6)), settings)
-        rng, tables = np.random.default_rng(1), []
+        rng = np.random.default_rng(1)
+        tables = []
         for _ in range(20):
             servos.command(np.tile(rng.uniform(0.0, 1.5, 6), (n, 1)), 0.05)
             tables.append(servos.advance(6)[0][world])
@@ -77,10 +97,14 @@ def test_a_world_moves_to_the_bit_as_it_would_alone():
 
 
 def test_servos_arrive_together_and_on_time():
-    servos, target, settings = Servos(1, DT), np.array([[0.2, 0.4, 0.6, 0.8, 1.0, 0.5]]), ServoSettings()
+    servos = Servos(1, DT)
+    target = np.array([[0.2, 0.4, 0.6, 0.8, 1.0, 0.5]])
+    settings = ServoSettings()
     servos.reset([0], np.zeros((1, 6)), [settings])
     servos.command(target, 0.5)
-    np.testing.assert_allclose(servos.advance(30)[0][:, -1], target / 2, atol=settings.dead_band + 0.01)
+    np.testing.assert_allclose(
+        servos.advance(30)[0][:, -1], target / 2, atol=settings.dead_band + 0.01
+    )
     np.testing.assert_allclose(servos.advance(30)[0][:, -1], target, atol=settings.dead_band)
 
 

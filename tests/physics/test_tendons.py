@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, elastic_joints_from_servo, joints_from_synergy, spring_tension
+from hpac_gym.model import (
+    HPAC,
+    JOINT_INDEX,
+    SERVOS,
+    elastic_joints_from_servo,
+    joints_from_synergy,
+    spring_tension,
+)
 from hpac_gym.physics.settings import Damping
 from hpac_gym.physics.tendons import Tendons, coupling_rows, spring_rows
 
@@ -33,7 +40,9 @@ def test_a_tendon_of_equal_stiffness_in_both_finger_segments_would_miss_equation
     rows, stiffness = coupling_rows(HPAC)
     springs, spring_stiffness = spring_rows(HPAC)
     stiffness[1] /= 2
-    matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (spring_stiffness[:, None] * springs)
+    matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (
+        spring_stiffness[:, None] * springs
+    )
     torque = matrix @ joints_from_synergy(HPAC.synergy_max)
     assert np.abs(torque[JOINT_INDEX["index_pip"]]) > 1e-3
 
@@ -60,7 +69,8 @@ def test_moment_arm_is_the_slope_of_the_chord(tendons):
     step = 1e-6
     for drive, root in zip(tendons.drives, HPAC.synergy_max[:5] * 0.6, strict=True):
         _, arm = drive.chord_and_arm(root)
-        (ahead, _), (behind, _) = drive.chord_and_arm(root + step), drive.chord_and_arm(root - step)
+        (ahead, _) = drive.chord_and_arm(root + step)
+        (behind, _) = drive.chord_and_arm(root - step)
         assert arm == pytest.approx((behind - ahead) / (2 * step), rel=1e-8)
 
 
@@ -79,11 +89,16 @@ def test_cmc_torque_saturates_at_the_stall_torque(tendons):
 
 
 def test_a_slack_drive_brakes_only_a_finger_that_overruns_its_servo(tendons):
-    """Flexion faster than the servo's is damped; following the servo, opening and standing still are free."""
-    drive, angle = tendons.drives[1], 0.5
+    """Flexion faster than the servo's is damped; following the servo, opening and standing still
+    are free.
+    """
+    drive = tendons.drives[1]
+    angle = 0.5
     _, arm = drive.chord_and_arm(angle)
     horn_speed = 2.0
     following = horn_speed * drive.servo_radius / arm
-    assert drive.tension(angle, following + 1.0, 0.0, horn_speed)[0] == pytest.approx(-drive.brake * arm)
+    assert drive.tension(angle, following + 1.0, 0.0, horn_speed)[0] == pytest.approx(
+        -drive.brake * arm
+    )
     for speed in (following, 0.5 * following, 0.0, -3.0):
         assert drive.tension(angle, speed, 0.0, horn_speed)[0] == pytest.approx(0.0, abs=1e-9)

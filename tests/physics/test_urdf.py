@@ -8,7 +8,13 @@ import pytest
 
 from hpac_gym.body.geometry import Capsule, link_poses, load_geometry
 from hpac_gym.body.object_urdf import AssetError, asset_path
-from hpac_gym.body.urdf import HAND_ON_WRIST_URDF, HAND_URDF, WRIST_SLIDE_MASS, WRIST_SLIDE_RADIUS, solid_inertia
+from hpac_gym.body.urdf import (
+    HAND_ON_WRIST_URDF,
+    HAND_URDF,
+    WRIST_SLIDE_MASS,
+    WRIST_SLIDE_RADIUS,
+    solid_inertia,
+)
 from hpac_gym.model import FINGERS, HPAC, JOINTS, joints_from_synergy
 
 GEOMETRY = load_geometry()
@@ -21,7 +27,10 @@ class Loaded:
     def __init__(self, name: str) -> None:
         self.client = pybullet.connect(pybullet.DIRECT)
         self.body = pybullet.loadURDF(
-            str(asset_path(name)), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=self.client
+            str(asset_path(name)),
+            useFixedBase=True,
+            flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+            physicsClientId=self.client,
         )
         count = pybullet.getNumJoints(self.body, self.client)
         infos = [pybullet.getJointInfo(self.body, index, self.client) for index in range(count)]
@@ -31,11 +40,18 @@ class Loaded:
 
     def pose(self, synergy) -> None:
         for name, angle in zip(JOINTS, joints_from_synergy(synergy), strict=True):
-            pybullet.resetJointState(self.body, self.joints[name][0], angle, physicsClientId=self.client)
+            pybullet.resetJointState(
+                self.body, self.joints[name][0], angle, physicsClientId=self.client
+            )
 
     def distance(self, link: str, other: str) -> float:
         points = pybullet.getClosestPoints(
-            self.body, self.body, 0.5, self.links[link], self.links[other], physicsClientId=self.client
+            self.body,
+            self.body,
+            0.5,
+            self.links[link],
+            self.links[other],
+            physicsClientId=self.client,
         )
         return min(point[8] for point in points)
 
@@ -58,12 +74,16 @@ def hand():
 
 
 def test_revolute_joints_are_the_models_with_the_limits_of_table_1(loaded):
-    revolute = {name: info for name, info in loaded.joints.items() if info[2] == pybullet.JOINT_REVOLUTE}
+    revolute = {
+        name: info for name, info in loaded.joints.items() if info[2] == pybullet.JOINT_REVOLUTE
+    }
     assert sorted(revolute) == sorted(JOINTS)
     np.testing.assert_allclose([revolute[name][8] for name in JOINTS], HPAC.joint_min, atol=1e-9)
     np.testing.assert_allclose([revolute[name][9] for name in JOINTS], HPAC.joint_max, atol=1e-9)
     assert {info[12].decode() for info in revolute.values()} == {f"{name}_link" for name in JOINTS}
-    assert all(info[6] == 0 and info[7] == 0 for info in revolute.values()), "damping and friction belong to the tendons"
+    assert all(info[6] == 0 and info[7] == 0 for info in revolute.values()), (
+        "damping and friction belong to the tendons"
+    )
 
 
 def test_wrist_slides_along_x_y_z_by_a_metre_either_way():
@@ -82,14 +102,20 @@ def test_wrist_slides_along_x_y_z_by_a_metre_either_way():
 def test_loaded_masses_and_inertias_are_those_of_the_solids(loaded):
     slide = (Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), WRIST_SLIDE_RADIUS),), WRIST_SLIDE_MASS
     bodies = {phalanx.link: ((phalanx.capsule,), phalanx.mass) for phalanx in GEOMETRY.phalanges}
-    bodies |= {"palm": (GEOMETRY.palm_solids, GEOMETRY.palm_mass), "wrist_x_link": slide, "wrist_y_link": slide}
+    bodies |= {
+        "palm": (GEOMETRY.palm_solids, GEOMETRY.palm_mass),
+        "wrist_x_link": slide,
+        "wrist_y_link": slide,
+    }
     assert set(loaded.links) <= set(bodies)
     for link in (link for link, index in loaded.links.items() if index >= 0):
         solids, mass = bodies[link]
         center, inertia = solid_inertia(solids, mass)
         dynamics = loaded.dynamics(link)
         assert dynamics[0] == pytest.approx(mass), link
-        np.testing.assert_allclose(sorted(dynamics[2]), np.linalg.eigvalsh(inertia), rtol=1e-6, err_msg=link)
+        np.testing.assert_allclose(
+            sorted(dynamics[2]), np.linalg.eigvalsh(inertia), rtol=1e-6, err_msg=link
+        )
         np.testing.assert_allclose(dynamics[3], center, atol=1e-9, err_msg=link)
 
 
@@ -97,21 +123,28 @@ def test_inertia_of_a_capsule_is_that_of_a_sampled_one():
     capsule = Capsule((0.01, 0.0, 0.0), (0.01, 0.03, 0.04), 0.012)
     rng = np.random.default_rng(0)
     points = rng.uniform((-0.02, -0.02, -0.02), (0.04, 0.05, 0.06), (400_000, 3))
-    start, axis = np.array(capsule.start), np.subtract(capsule.end, capsule.start)
+    start = np.array(capsule.start)
+    axis = np.subtract(capsule.end, capsule.start)
     along = np.clip((points - start) @ axis / (axis @ axis), 0, 1)
     points = points[np.linalg.norm(points - start - along[:, None] * axis, axis=1) < capsule.radius]
     center, inertia = solid_inertia((capsule,), 0.01)
     offsets = points - points.mean(axis=0)
-    sampled = 0.01 * (np.mean(np.sum(offsets**2, axis=1)) * np.eye(3) - offsets.T @ offsets / len(offsets))
+    sampled = 0.01 * (
+        np.mean(np.sum(offsets**2, axis=1)) * np.eye(3) - offsets.T @ offsets / len(offsets)
+    )
     np.testing.assert_allclose(center, points.mean(axis=0), atol=1e-4)
     np.testing.assert_allclose(inertia, sampled, atol=0.01 * inertia.max())
 
 
 def test_neighbouring_fingers_stand_five_degrees_apart(hand):
     straight = [hand.joints[f"{finger}_mcp"] for finger in FINGERS]
-    directions = [np.array(pybullet.getMatrixFromQuaternion(info[15])).reshape(3, 3)[:, 2] for info in straight]
+    directions = [
+        np.array(pybullet.getMatrixFromQuaternion(info[15])).reshape(3, 3)[:, 2]
+        for info in straight
+    ]
     angles = [np.degrees(np.arccos(one @ other)) for one, other in pairwise(directions)]
-    # PyBullet tells a joint's frame relative to the palm's principal axes, so only the angles between fingers mean something.
+    # PyBullet tells a joint's frame relative to the palm's principal axes, so only the angles
+    # between fingers mean something.
     np.testing.assert_allclose(angles, 5.0, atol=1e-4)
 
 
@@ -153,7 +186,9 @@ def test_missing_asset_is_a_named_error():
 
 
 def _frame(hand: Loaded, link: str) -> tuple[np.ndarray, np.ndarray]:
-    state = pybullet.getLinkState(hand.body, hand.links[link], computeForwardKinematics=1, physicsClientId=hand.client)
+    state = pybullet.getLinkState(
+        hand.body, hand.links[link], computeForwardKinematics=1, physicsClientId=hand.client
+    )
     return np.array(state[4]), np.array(pybullet.getMatrixFromQuaternion(state[5])).reshape(3, 3)
 
 

@@ -1,4 +1,6 @@
-"""A closure is a way to close the hand, told by its numbers; a policy file says in which ranges they lie."""
+"""A closure is a way to close the hand, told by its numbers; a policy file says in which ranges
+they lie.
+"""
 
 import gymnasium
 import numpy as np
@@ -10,7 +12,8 @@ from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
 from hpac_gym.policies.made_for import difference, made_for
 from hpac_gym.tasks.grasp_types import WRIST_ACTIONS
 
-CMC, THUMB = SERVO_INDEX["thumb_cmc"], SERVO_INDEX["thumb_mp"]
+CMC = SERVO_INDEX["thumb_cmc"]
+THUMB = SERVO_INDEX["thumb_mp"]
 RNG = np.random.default_rng(0)
 
 
@@ -64,15 +67,21 @@ def test_a_closure_with_a_wrist_pose_goes_from_its_preshape_to_its_goals():
 
 
 def test_all_worlds_at_once_are_what_each_is_alone():
-    closures, decisions, steps = Closures(), RNG.uniform(-1, 1, (20, 8)), RNG.integers(0, 64, 20)
+    closures = Closures()
+    decisions = RNG.uniform(-1, 1, (20, 8))
+    steps = RNG.integers(0, 64, 20)
     together = closures.actions(decisions, steps)
-    alone = [closures.actions([decision], [step])[0] for decision, step in zip(decisions, steps, strict=True)]
+    alone = [
+        closures.actions([decision], [step])[0]
+        for decision, step in zip(decisions, steps, strict=True)
+    ]
     np.testing.assert_array_equal(together, alone)
     assert np.all(np.abs(together) <= 1)
 
 
 def test_a_policy_of_closures_decides_once_an_episode():
-    closures, asked = Closures(), []
+    closures = Closures()
+    asked = []
 
     def actor(seen):
         asked.append(seen)
@@ -130,6 +139,11 @@ def test_the_first_entry_that_differs_is_named(described):
     entries = [list(entry) for entry in described["observation"]]
     entries[21][4] = 9.0
     said = difference(described | {"observation": entries}, described)
-    assert said == "observation entry 21 was object_pos x [0.05 m] -4…9, and is object_pos x [0.05 m] -4…4"
+    assert (
+        said
+        == "observation entry 21 was object_pos x [0.05 m] -4…9, and is object_pos x [0.05 m] -4…4"
+    )
     assert difference(described | {"observation": entries[:-1]}, described) is not None
-    assert difference(described, described | {"observation": described["observation"][:-1]}).endswith("and is none")
+    assert difference(
+        described, described | {"observation": described["observation"][:-1]}
+    ).endswith("and is none")

@@ -40,7 +40,9 @@ def test_a_baseline_acts_the_same_for_the_same_seed(name):
 
 
 def test_a_name_that_is_no_policy_is_told_with_those_that_are():
-    with pytest.raises(PolicyError, match="no policy file 'best', and not one of the baselines random, scripted"):
+    with pytest.raises(
+        PolicyError, match="no policy file 'best', and not one of the baselines random, scripted"
+    ):
         load_policy("best", gymnasium.make(TINY))
 
 
@@ -57,5 +59,7 @@ action = policy.act([0.0] * file.actor.sizes[0])
 assert action.shape == (6,) and abs(action).max() <= 1
 assert not [name for name in sys.modules if name.startswith(("hpac_gym.physics", "hpac_gym.tasks", "hpac_gym.envs"))]
 """
-    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr

@@ -25,7 +25,9 @@ def policy() -> PolicyFile:
         (rng.normal(size=(n, m)).astype(np.float32), rng.normal(size=n).astype(np.float32))
         for m, n in pairwise(sizes)
     )
-    return PolicyFile(Actor(rng.normal(size=6), rng.uniform(0.5, 2, 6), 10.0, layers, 2.0), {"env_id": TINY})
+    return PolicyFile(
+        Actor(rng.normal(size=6), rng.uniform(0.5, 2, 6), 10.0, layers, 2.0), {"env_id": TINY}
+    )
 
 
 @pytest.fixture
@@ -72,12 +74,16 @@ DAMAGE = {
     "cut in half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "a flipped byte": lambda path: path.write_bytes(flip(path.read_bytes(), 600)),
     "another zip": lambda path: rezip(path, {"a.txt": "a"}),
-    "no weights": lambda path: rezip(path, {"policy.json": '{"format": 1, "sha256": "", "env_id": ""}'}),
+    "no weights": lambda path: rezip(
+        path, {"policy.json": '{"format": 1, "sha256": "", "env_id": ""}'}
+    ),
     "weights of another": lambda path: rewrite(path, actor=lambda data: data + b"\0"),
     "a later format": lambda path: rewrite(path, policy=edit(format=99)),
     "no environment": lambda path: rewrite(path, policy=edit(env_id=None)),
     "no time for an action": lambda path: rewrite(path, policy=edit(action_repeat=0)),
-    "a closure of other numbers": lambda path: rewrite(path, policy=edit(closure={"goal": [0.0, 1.0]})),
+    "a closure of other numbers": lambda path: rewrite(
+        path, policy=edit(closure={"goal": [0.0, 1.0]})
+    ),
     "a closure of nonsense": lambda path: rewrite(path, policy=edit(closure={"goal": [1.0, 0.0]})),
     "a list for a description": lambda path: rewrite(path, policy=lambda data: "[]"),
     "broken json": lambda path: rewrite(path, policy=lambda data: data[:-5]),
@@ -139,6 +145,8 @@ def test_no_pickle_is_loaded_from_a_policy_file_nor_named_anywhere(path, tmp_pat
     np.load(packed, allow_pickle=True)["observation_mean"]
     assert (tmp_path / "sprung").exists(), "the trap works"
     unsafe = re.compile(r"import pickle|pickle\.load|torch\.load|allow_pickle=True|joblib")
-    sources = [file for name in ("agents", "hpac_gym", "tools") for file in (ROOT / name).rglob("*.py")]
+    sources = [
+        file for name in ("agents", "hpac_gym", "tools") for file in (ROOT / name).rglob("*.py")
+    ]
     assert len(sources) > 100
     assert [file for file in sources if unsafe.search(file.read_text(encoding="utf-8"))] == []

@@ -31,5 +31,9 @@ def record(hidden) -> Sweep:
 
 @pytest.fixture(scope="session")
 def nominal_record() -> Sweep:
-    """The nominal index's record, in metal without any of what the model leaves out, by a good camera."""
-    return metal_sweeps(build(Workshop(), 1, 0), 3, JointCamera(noise=np.deg2rad(0.05)), servos=("index_mcp",))[0]
+    """The nominal index's record, in metal without any of what the model leaves out, by a good
+    camera.
+    """
+    return metal_sweeps(
+        build(Workshop(), 1, 0), 3, JointCamera(noise=np.deg2rad(0.05)), servos=("index_mcp",)
+    )[0]

@@ -1,4 +1,6 @@
-"""``hpac posture``: lists, shows, draws, sends; and in opposition the pads meet in the simulation."""
+"""``hpac posture``: lists, shows, draws, sends; and in opposition the pads meet in the
+simulation.
+"""
 
 import argparse
 import json
@@ -42,7 +44,9 @@ def test_in_opposition_the_pads_are_within_2_mm_of_touching(finger):
 
 @pytest.mark.parametrize("finger", ["index", "middle", "ring"])
 def test_opposition_targets_are_those_of_the_body(finger):
-    """The posture file repeats the synergies of geometry.toml as joint angles; this compares the two."""
+    """The posture file repeats the synergies of geometry.toml as joint angles; this compares the
+    two.
+    """
     expected = joints_from_synergy(GEOMETRY.opposition[finger])
     assert posture(f"oppose_{finger}").target_joint_pos == pytest.approx(expected, abs=6e-4)
 
@@ -73,7 +77,9 @@ def test_json_of_one_and_of_all(capsys):
 
 
 def test_a_calibrated_hand_is_commanded_with_what_was_learned():
-    """A hand in metal, its zeros and friction known, takes the posture that is promised; with the paper's map it does not."""
+    """A hand in metal, its zeros and friction known, takes the posture that is promised; with the
+    paper's map it does not.
+    """
     friction = Friction(1e-3, 0.03)
     metal = Metal(servo_zero=0.03, joint_friction=friction.joint, tendon_friction=friction.tendon)
     built = Built(HPAC, (metal,) * 5)
@@ -82,14 +88,24 @@ def test_a_calibrated_hand_is_commanded_with_what_was_learned():
     for hand in (calibrated, HPAC):
         taken = reach(posture("fist").target_joint_pos, hand)
         reached = hand_course([built], np.linspace(0.0, 1.0, 12)[:, None] * taken.servo)[0, -1]
-        off.append(np.degrees(np.abs(reached - taken.joint_pos)[posture("fist").target_joint_pos > 0.1]))
+        off.append(
+            np.degrees(np.abs(reached - taken.joint_pos)[posture("fist").target_joint_pos > 0.1])
+        )
     assert off[0].max() < 0.05
     assert off[1][:-1].min() > 0.5  # all but the CMC, whose servo is exact
 
 
 def test_a_posture_is_sent_to_the_port_that_is_named():
     sent = []
-    assert run("fist", "--port", "/dev/hand", send=lambda port, command, hand: sent.append((port, command))) == 0
+    assert (
+        run(
+            "fist",
+            "--port",
+            "/dev/hand",
+            send=lambda port, command, hand: sent.append((port, command)),
+        )
+        == 0
+    )
     ((port, command),) = sent
     assert port == "/dev/hand"
     assert command.servo == pytest.approx(posture_command.command_to(posture("fist")).servo)
@@ -106,7 +122,9 @@ def test_without_a_bridge_there_is_no_port(capsys):
 def test_a_posture_is_drawn(tmp_path, capsys):
     assert run("call", "--out", str(tmp_path / "call.png")) == 0
     assert (tmp_path / "call.png").read_bytes().startswith(b"\x89PNG")
-    open_hand, closed = (posture_command.picture(posture(name)).astype(int) for name in ("open_palm", "fist"))
+    open_hand, closed = (
+        posture_command.picture(posture(name)).astype(int) for name in ("open_palm", "fist")
+    )
     assert np.abs(open_hand - closed).max() > 50
     assert "drawn to" in capsys.readouterr().out
 

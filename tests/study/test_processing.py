@@ -1,4 +1,6 @@
-"""The paper's processing: the filter has no phase, jumps of 2π go, drift goes, and points are means of what stood still."""
+"""The paper's processing: the filter has no phase, jumps of 2π go, drift goes, and points are means
+of what stood still.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ def record(joint: np.ndarray, rest: int = 40) -> Sweep:
 
 
 def test_filter_is_a_second_order_butterworth_run_both_ways():
-    """Its gain is 1/(1 + (f/fc)⁴), the square of the magnitude of a second-order Butterworth, and its phase is zero."""
+    """Its gain is 1/(1 + (f/fc)⁴), the square of the magnitude of a second-order Butterworth, and
+    its phase is zero.
+    """
     time = np.arange(4000) / RATE
     for frequency in (0.2, 1.0, 2.0):
         wave = np.sin(2 * np.pi * frequency * time)
@@ -94,7 +98,8 @@ def test_a_dropped_frame_and_an_empty_cell_cost_those_samples_only():
     holed = sweep.joint_pos.copy()
     holed[[120, 121, 300], 2] = np.nan
     kept = np.delete(np.arange(len(sweep)), [60, 200, 201, 350])
-    whole, seen = processed(sweep), processed(sweep.with_joint_pos(holed)[kept])
+    whole = processed(sweep)
+    seen = processed(sweep.with_joint_pos(holed)[kept])
     assert (sweep.joint_pos[:, 2] == smooth_sweep()).all(), "processing leaves its record alone"
     gone = np.isnan(seen.joint_pos[:, 2])
     assert kept[gone].tolist() == [120, 121, 300]
@@ -104,7 +109,10 @@ def test_a_dropped_frame_and_an_empty_cell_cost_those_samples_only():
 def test_a_joint_that_is_mostly_missing_is_told():
     sweep = record(smooth_sweep())
     sweep.joint_pos[100:400, 2] = np.nan
-    with pytest.raises(RecordError, match=r"34% of the samples of index_dip from .* are missing or far from .*, more than 20%"):
+    with pytest.raises(
+        RecordError,
+        match=r"34% of the samples of index_dip from .* are missing or far from .*, more than 20%",
+    ):
         processed(sweep)
     sweep.joint_pos[:, 2] = np.nan
     assert np.isnan(processed(sweep).joint_pos[:, 2]).all()
@@ -120,9 +128,12 @@ def test_mistaken_markers_at_rest_do_not_move_the_drift_line():
 
 def test_points_are_means_of_the_measured_rows_that_stand_still():
     sweep = record(smooth_sweep())
-    sweep.point[100:105], sweep.point[200:203] = 0, 1
+    sweep.point[100:105] = 0
+    sweep.point[200:203] = 1
     found = points(sweep)
-    assert found.joint_pos[:, 2] == pytest.approx([smooth_sweep()[100:105].mean(), smooth_sweep()[200:203].mean()])
+    assert found.joint_pos[:, 2] == pytest.approx(
+        [smooth_sweep()[100:105].mean(), smooth_sweep()[200:203].mean()]
+    )
     assert found.servo[:, 1] == pytest.approx(found.joint_pos[:, 2])
     assert (found.swept == 1).all()
     sweep.joint_pos[[100, 200, 201, 202], 2] = np.nan

@@ -1,11 +1,22 @@
-"""`sweep.csv`: what is written is read again, and every fault of a file is told with its column and row."""
+"""`sweep.csv`: what is written is read again, and every fault of a file is told with its column and
+row.
+"""
 
 import numpy as np
 import pytest
 
 from hpac_gym.model import JOINTS
 from hpac_gym.model.settled import settled_joints_from_servo
-from hpac_gym.study.record import COLUMNS, HEADER, RecordError, Sweep, concatenate, joints_of_servo, read_sweep, write_sweep
+from hpac_gym.study.record import (
+    COLUMNS,
+    HEADER,
+    RecordError,
+    Sweep,
+    concatenate,
+    joints_of_servo,
+    read_sweep,
+    write_sweep,
+)
 
 
 def made_up_sweep(swept: int = 1, rows: int = 30, trial: int = 0) -> Sweep:
@@ -15,7 +26,15 @@ def made_up_sweep(swept: int = 1, rows: int = 30, trial: int = 0) -> Sweep:
     phase = (np.arange(rows) >= 5).astype(int)
     point = np.where(phase == 1, np.arange(rows) - 5, -1)
     time = 0.05 * np.arange(1, rows + 1)
-    return Sweep(np.full(rows, trial), np.full(rows, swept), phase, point, time, servo, settled_joints_from_servo(servo))
+    return Sweep(
+        np.full(rows, trial),
+        np.full(rows, swept),
+        phase,
+        point,
+        time,
+        servo,
+        settled_joints_from_servo(servo),
+    )
 
 
 @pytest.fixture
@@ -33,7 +52,9 @@ def with_cell(lines: list[str], row: int, column: str, text: str) -> list[str]:
 
 def without_column(lines: list[str], column: str) -> list[str]:
     index = COLUMNS.index(column)
-    cut = [",".join(cell for i, cell in enumerate(line.split(",")) if i != index) for line in lines[1:]]
+    cut = [
+        ",".join(cell for i, cell in enumerate(line.split(",")) if i != index) for line in lines[1:]
+    ]
     return [lines[0], *cut]
 
 
@@ -68,19 +89,48 @@ def test_segments_are_what_belongs_together_in_time():
 def test_joints_of_the_servos_are_all_joints_once():
     every = [joint for servo in range(6) for joint in joints_of_servo(servo)]
     assert sorted(every) == list(range(15))
-    assert [JOINTS[joint] for joint in joints_of_servo(4)] == ["pinky_dip", "pinky_pip", "pinky_mcp"]
+    assert [JOINTS[joint] for joint in joints_of_servo(4)] == [
+        "pinky_dip",
+        "pinky_pip",
+        "pinky_mcp",
+    ]
     assert [JOINTS[joint] for joint in joints_of_servo(5)] == ["thumb_cmc"]
 
 
 CELL_FAULTS = [
-    ("joint_index_dip_rad", 12, "nan", r"column joint_index_dip_rad, row 12: nan is not a finite number"),
-    ("joint_index_dip_rad", 12, "inf", r"column joint_index_dip_rad, row 12: inf is not a finite number"),
+    (
+        "joint_index_dip_rad",
+        12,
+        "nan",
+        r"column joint_index_dip_rad, row 12: nan is not a finite number",
+    ),
+    (
+        "joint_index_dip_rad",
+        12,
+        "inf",
+        r"column joint_index_dip_rad, row 12: inf is not a finite number",
+    ),
     ("servo_index_mcp_rad", 12, "", r"column servo_index_mcp_rad, row 12: '' is not a number"),
     ("servo_thumb_mp_rad", 3, "half", r"column servo_thumb_mp_rad, row 3: 'half' is not a number"),
-    ("joint_ring_pip_rad", 20, "57.3", r"column joint_ring_pip_rad, row 20: 57\.3 rad is beyond 3\.142 rad; is it in degrees\?"),
-    ("servo_index_mcp_rad", 31, "79.4", r"column servo_index_mcp_rad, row 31: 79\.4 rad is beyond .* degrees"),
+    (
+        "joint_ring_pip_rad",
+        20,
+        "57.3",
+        r"column joint_ring_pip_rad, row 20: 57\.3 rad is beyond 3\.142 rad; is it in degrees\?",
+    ),
+    (
+        "servo_index_mcp_rad",
+        31,
+        "79.4",
+        r"column servo_index_mcp_rad, row 31: 79\.4 rad is beyond .* degrees",
+    ),
     ("swept", 9, "index", r"column swept, row 9: 'index' is not one of thumb_mp, index_mcp"),
-    ("phase", 9, "closing", r"column phase, row 9: 'closing' is not one of rest, flexion, extension"),
+    (
+        "phase",
+        9,
+        "closing",
+        r"column phase, row 9: 'closing' is not one of rest, flexion, extension",
+    ),
     ("point", 9, "1.5", r"column point, row 9: 1\.5 is not a whole number"),
     ("time_s", 9, "0.1", r"column time_s, row 9: 0\.1 s does not follow 0\.3 s"),
 ]
@@ -113,7 +163,10 @@ def test_a_column_twice_is_told(tmp_path, lines):
         (lambda lines: [HEADER.replace("1", "2"), *lines[1:]], "row 1 must be"),
         (lambda lines: lines[:1], "no rows of data"),
         (lambda lines: lines[:2], "no rows of data"),
-        (lambda lines: [*lines[:6], lines[6] + ",1.0", *lines[7:]], r"row 7 has 27 cells, the header 26"),
+        (
+            lambda lines: [*lines[:6], lines[6] + ",1.0", *lines[7:]],
+            r"row 7 has 27 cells, the header 26",
+        ),
     ],
 )
 def test_a_file_that_is_no_sweep_is_told(tmp_path, lines, cut, message):
@@ -131,7 +184,9 @@ def test_a_file_that_cannot_be_read_is_told(tmp_path):
 
 def test_an_empty_cell_of_a_joint_is_not_measured(tmp_path, lines):
     sweep = read(tmp_path, with_cell(lines, 12, "joint_index_dip_rad", ""))
-    assert np.flatnonzero(np.isnan(sweep.joint_pos[:, JOINTS.index("index_dip")])).tolist() == [12 - 3]
+    assert np.flatnonzero(np.isnan(sweep.joint_pos[:, JOINTS.index("index_dip")])).tolist() == [
+        12 - 3
+    ]
 
 
 def test_a_joint_column_may_be_absent_where_that_is_allowed(tmp_path, lines):
@@ -143,5 +198,8 @@ def test_a_joint_column_may_be_absent_where_that_is_allowed(tmp_path, lines):
         read(tmp_path, without_column(lines, "servo_thumb_mp_rad"), allow_missing=True)
     degrees = [lines[0], lines[1].replace("joint_index_dip_rad", "joint_index_dip_deg"), *lines[2:]]
     for allowed in (False, True):
-        with pytest.raises(RecordError, match="column joint_index_dip_rad is missing; joint_index_dip_deg is in degrees"):
+        with pytest.raises(
+            RecordError,
+            match="column joint_index_dip_rad is missing; joint_index_dip_deg is in degrees",
+        ):
             read(tmp_path, degrees, allow_missing=allowed)

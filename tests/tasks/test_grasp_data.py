@@ -1,4 +1,6 @@
-"""The data of the sixteen named grasps: the paper's names, the held-out variants, and what a file of grasps may hold."""
+"""The data of the sixteen named grasps: the paper's names, the held-out variants, and what a file
+of grasps may hold.
+"""
 
 import math
 
@@ -26,13 +28,17 @@ def test_there_is_one_for_each_grasp_posture_of_the_paper():
 
 
 def test_every_grasp_has_an_object_of_its_own_and_all_are_used():
-    used = [grasp.object for grasp in GRASPS.values()] + [grasp.variant("shape").object for grasp in GRASPS.values()]
+    used = [grasp.object for grasp in GRASPS.values()] + [
+        grasp.variant("shape").object for grasp in GRASPS.values()
+    ]
     assert sorted(model.name for model in used) == sorted(MODELS)
 
 
 def test_quaternions_are_those_of_the_matrices():
     rpy = (0.4, -1.1, 2.3)
-    np.testing.assert_allclose(matrix_from_quaternion(quaternion_from_rpy(rpy)), rotation_from_rpy(rpy), atol=1e-12)
+    np.testing.assert_allclose(
+        matrix_from_quaternion(quaternion_from_rpy(rpy)), rotation_from_rpy(rpy), atol=1e-12
+    )
 
 
 def test_every_variant_is_one_of_the_options():
@@ -55,13 +61,20 @@ def test_held_out_variants_change_what_they_name():
     spec = {variant: drawn(variant) for variant in (NOMINAL, "heavy", "large")}
     assert spec["heavy"].mass == pytest.approx(1.5 * spec[NOMINAL].mass)
     assert spec["heavy"].half_extents == spec[NOMINAL].half_extents
-    assert spec["large"].half_extents == pytest.approx(tuple(1.08 * half for half in spec[NOMINAL].half_extents))
-    assert all({"large", "small", "heavy", "slippery"} <= set(grasp.held_out) for grasp in GRASPS.values())
+    assert spec["large"].half_extents == pytest.approx(
+        tuple(1.08 * half for half in spec[NOMINAL].half_extents)
+    )
+    assert all(
+        {"large", "small", "heavy", "slippery"} <= set(grasp.held_out) for grasp in GRASPS.values()
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_held_out_shape_is_another_object_of_the_same_mass_and_friction(name: str):
-    nominal, shape = (GraspByName(name, variant).setup(np.random.default_rng(0)).object for variant in (NOMINAL, "shape"))
+    nominal, shape = (
+        GraspByName(name, variant).setup(np.random.default_rng(0)).object
+        for variant in (NOMINAL, "shape")
+    )
     assert shape.model == GRASPS[name].variant("shape").object != nominal.model
     assert shape.mass == pytest.approx(nominal.mass, rel=0.01)
     assert shape.friction == nominal.friction
@@ -69,7 +82,8 @@ def test_a_held_out_shape_is_another_object_of_the_same_mass_and_friction(name: 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_held_out_shape_is_drawn_only_when_asked_for(name: str):
-    own, held_out = GRASPS[name].object.name, GRASPS[name].variant("shape").object.name
+    own = GRASPS[name].object.name
+    held_out = GRASPS[name].variant("shape").object.name
     others = [variant for variant in (NOMINAL, *GRASPS[name].held_out) if variant != "shape"]
 
     def drawn(variant: str) -> set[str]:

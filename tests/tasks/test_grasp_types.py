@@ -1,4 +1,6 @@
-"""The sixteen grasp types: each is its posture, executed; and a rule tells a grasp from one that only holds."""
+"""The sixteen grasp types: each is its posture, executed; and a rule tells a grasp from one that
+only holds.
+"""
 
 import hashlib
 
@@ -30,38 +32,66 @@ from hpac_gym.tasks.grasp_types import (
 )
 
 NAMES = list(GRASPS)
-TIPS = {digit: f"{joint}_link" for digit, joint in zip(HPAC.digits, ("thumb_ip", *(f"{f}_dip" for f in list(HPAC.digits)[1:])),
-                                                       strict=True)}  # fmt: skip
+TIPS = {
+    digit: f"{joint}_link"
+    for digit, joint in zip(
+        HPAC.digits, ("thumb_ip", *(f"{f}_dip" for f in list(HPAC.digits)[1:])), strict=True
+    )
+}
 
 
 def test_there_is_a_type_for_each_grasp_posture_of_the_paper():
-    assert list(GRASP_TYPES) == NAMES == [name for name, posture in POSTURES.items() if posture.kind == "grasp"]
+    assert (
+        list(GRASP_TYPES)
+        == NAMES
+        == [name for name, posture in POSTURES.items() if posture.kind == "grasp"]
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_type_closes_to_its_posture_by_eqs_14_and_15_without_retuning(name: str):
-    """What the closure ends in is the servo command u* of the posture's q_d, and the posture is one that six servos reach."""
+    """What the closure ends in is the servo command u* of the posture's q_d, and the posture is one
+    that six servos reach.
+    """
     taken = reach(POSTURES[name].target_joint_pos)
     closed = GRASP_TYPES[name].start.closed
-    np.testing.assert_allclose(servo_from_action(action_from_synergy(closed)), taken.servo, atol=1e-9)
+    np.testing.assert_allclose(
+        servo_from_action(action_from_synergy(closed)), taken.servo, atol=1e-9
+    )
     np.testing.assert_allclose(joints_from_synergy(closed), taken.joint_pos, atol=1e-9)
     assert taken.distance < 0.01
 
 
 def test_the_named_grasps_of_v0_stay_as_they_are():
-    """Frozen: their closed shapes are their own data and not the postures, which may still be improved."""
-    numbers = np.array([[*grasp.closed, *grasp.preshape, *grasp.position, *grasp.hand_rpy] for grasp in GRASPS.values()])
-    assert hashlib.sha256(np.round(1e6 * numbers).astype(np.int64).tobytes()).hexdigest()[:16] == "d9dcee7cd29a09c0"
+    """Frozen: their closed shapes are their own data and not the postures, which may still be
+    improved.
+    """
+    numbers = np.array(
+        [
+            [*grasp.closed, *grasp.preshape, *grasp.position, *grasp.hand_rpy]
+            for grasp in GRASPS.values()
+        ]
+    )
+    assert (
+        hashlib.sha256(np.round(1e6 * numbers).astype(np.int64).tobytes()).hexdigest()[:16]
+        == "d9dcee7cd29a09c0"
+    )
 
 
 def look(
-    force: dict[str, float], normal=(1.0, 0.0, 0.0), point=(0.0, 0.0, 0.0), rotation=None, centre=(0.5, 0.0, 0.0)
+    force: dict[str, float],
+    normal=(1.0, 0.0, 0.0),
+    point=(0.0, 0.0, 0.0),
+    rotation=None,
+    centre=(0.5, 0.0, 0.0),
 ) -> Look:
     """Contacts of some links with one normal and one point, the hand open."""
     count = len(force)
     spread = [np.tile(np.asarray(vector, float), (count, 1)) for vector in (point, normal)]
     turn = np.eye(3) if rotation is None else rotation
-    return Look(tuple(force), np.array(list(force.values())), *spread, turn, np.array(centre), np.zeros(15))
+    return Look(
+        tuple(force), np.array(list(force.values())), *spread, turn, np.array(centre), np.zeros(15)
+    )
 
 
 def hold(*looks: Look) -> Hold:
@@ -83,7 +113,11 @@ TILTED = TURNED[:, [2, 1, 0]] * [1, 1, -1]
         (Rule(tips=True), hold(look(PINCH)), hold(look(PINCH | {"index_mcp_link": 3.0}))),
         (Rule(force=4.0), hold(look(PINCH)), hold(look({TIPS["thumb"]: 3.0}))),
         (Rule(), hold(look(PINCH), look(PINCH)), hold(look(PINCH), look(PINCH, rotation=TURNED))),
-        (Rule(turn_deg=180, tilt_deg=20), hold(look(PINCH, rotation=TURNED)), hold(look(PINCH, rotation=TILTED))),
+        (
+            Rule(turn_deg=180, tilt_deg=20),
+            hold(look(PINCH, rotation=TURNED)),
+            hold(look(PINCH, rotation=TILTED)),
+        ),
         (Rule(axis="x", along=0.7), hold(look(PINCH)), hold(look(PINCH, normal=(0.0, 1.0, 0.0)))),
         (Rule(axis="z", across=0.7), hold(look(PINCH)), hold(look(PINCH, normal=(0.0, 0.0, 1.0)))),
         (Rule(side="index"), hold(look(PINCH, normal=(0.0, 1.0, 0.0))), hold(look(PINCH))),
@@ -98,8 +132,22 @@ TILTED = TURNED[:, [2, 1, 0]] * [1, 1, -1]
             hold(look({TIPS["thumb"]: 3.0}, point=(0.0, 0.0, 0.05))),
         ),
     ],
-    ids=["touch", "fingers", "digits", "never", "tips", "force", "turn", "tilt", "along", "across", "side", "button", "pressed"],
-)  # fmt: skip
+    ids=[
+        "touch",
+        "fingers",
+        "digits",
+        "never",
+        "tips",
+        "force",
+        "turn",
+        "tilt",
+        "along",
+        "across",
+        "side",
+        "button",
+        "pressed",
+    ],
+)
 def test_a_rule_tells_a_good_hold_from_a_bad_one(rule: Rule, good: Hold, bad: Hold):
     assert rule.kept(good), rule.clauses(good)
     assert not rule.kept(bad), rule.clauses(bad)
@@ -107,22 +155,31 @@ def test_a_rule_tells_a_good_hold_from_a_bad_one(rule: Rule, good: Hold, bad: Ho
 
 
 def test_a_part_touches_if_it_does_in_half_of_the_hold():
-    rule, without = Rule(touch=("thumb",)), look({TIPS["index"]: 3.0})
+    rule = Rule(touch=("thumb",))
+    without = look({TIPS["index"]: 3.0})
     assert rule.kept(hold(look(PINCH), without))
     assert not rule.kept(hold(look(PINCH), without, without))
 
 
 def test_a_digit_goes_through_a_ring_that_is_put_over_it_and_not_through_one_beside_it():
-    """The open index lies along z of the hand, its last two links from z = 137 to 188 mm at y = 35 to 40 mm."""
+    """The open index lies along z of the hand, its last two links from z = 137 to 188 mm at y = 35
+    to 40 mm.
+    """
     ring = Hole(centre=(0.0, 0.0, 0.0), axis="z", half=(0.014, 0.014))
     rule = Rule(through=("index",), holes=(ring,))
     assert rule.kept(hold(look(PINCH, centre=(0.0, 0.038, 0.165))))
-    assert not rule.kept(hold(look({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165)))), "it must touch, too"
+    assert not rule.kept(hold(look({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165)))), (
+        "it must touch, too"
+    )
     without = [look({TIPS["thumb"]: 3.0}, centre=(0.0, 0.038, 0.165))] * 4
-    assert not rule.kept(hold(look(PINCH, centre=(0.0, 0.038, 0.165)), *without)), "a fifth of the hold is not enough"
+    assert not rule.kept(hold(look(PINCH, centre=(0.0, 0.038, 0.165)), *without)), (
+        "a fifth of the hold is not enough"
+    )
     assert not rule.kept(hold(look(PINCH, centre=(0.0, 0.060, 0.165))))
     assert not rule.kept(hold(look(PINCH, centre=(0.0, 0.038, 0.200)))), "beyond its tip"
-    assert ring.outside(np.array([0.02, 0.0, -0.01]), np.array([0.02, 0.0, 0.01])) == pytest.approx(0.006)
+    assert ring.outside(np.array([0.02, 0.0, -0.01]), np.array([0.02, 0.0, 0.01])) == pytest.approx(
+        0.006
+    )
 
 
 def test_rules_that_tell_nothing_or_contradict_the_hand_are_refused():
@@ -143,7 +200,11 @@ def test_rules_that_tell_nothing_or_contradict_the_hand_are_refused():
     [
         ("[rod]", "[rod", "grasp types: "),
         ("[rod]", "[club]", "grasp type club: there is no posture of this name"),
-        ("[rod]\n", "[rod]\nclosed = [0, 0, 0, 0, 0, 0]\n", "grasp type rod: unknown fields closed; the posture rod says"),
+        (
+            "[rod]\n",
+            "[rod]\nclosed = [0, 0, 0, 0, 0, 0]\n",
+            "grasp type rod: unknown fields closed; the posture rod says",
+        ),
         ("[rod.rule]\n", "[rod.rule]\ntoes = 3\n", "grasp type rod: .*toes"),
         ("[rod.rule]\n", '[rod.rule]\nnever = ["toe"]\n', "grasp type rod: never has toe"),
         ('object = "conduit"', 'object = "club"', "grasp rod: object 'club' is not one of"),
@@ -153,12 +214,21 @@ def test_a_bad_file_of_types_is_refused_by_name(old: str, new: str, message: str
     text = data_text()
     assert old in text
     with pytest.raises(ParameterError, match=message):
-        grasp_types_from_toml(text.replace(old, new, 1).replace("[rod.rule]", "[club.rule]" if "club]" in new else "[rod.rule]"))
+        grasp_types_from_toml(
+            text.replace(old, new, 1).replace(
+                "[rod.rule]", "[club.rule]" if "club]" in new else "[rod.rule]"
+            )
+        )
 
 
 @pytest.mark.parametrize(
     ("types", "message"),
-    [("club", "'club'; there are all, train, test, large_cylinder"), (["rod", 3], "3;"), ([], r"\[\];"), (None, "None;")],
+    [
+        ("club", "'club'; there are all, train, test, large_cylinder"),
+        (["rod", 3], "3;"),
+        ([], r"\[\];"),
+        (None, "None;"),
+    ],
 )
 def test_an_unknown_type_is_named(types, message: str):
     with pytest.raises(GraspError, match=f"no grasp type {message}"):
@@ -171,7 +241,10 @@ def test_the_splits_part_the_types_and_their_objects():
     drawn = {objects: drawn_setups("all", objects, 300) for objects in ("train", "test")}
     for name in NAMES:
         start = GRASP_TYPES[name].start
-        own, held_out = ({setup.object for setup in drawn[objects] if setup.grasp == name} for objects in ("train", "test"))
+        own, held_out = (
+            {setup.object for setup in drawn[objects] if setup.grasp == name}
+            for objects in ("train", "test")
+        )
         assert {spec.model.name for spec in own} == {start.object.name}
         assert len(own) == 1
         assert held_out
@@ -180,12 +253,15 @@ def test_the_splits_part_the_types_and_their_objects():
 
 
 def drawn_setups(types, objects: str, count: int, **more) -> list:
-    task, rng = GraspByType(types, objects, **more), np.random.default_rng(0)
+    task = GraspByType(types, objects, **more)
+    rng = np.random.default_rng(0)
     return [task.setup(rng) for _ in range(count)]
 
 
 def test_there_is_one_start_for_all_types():
-    """The open hand, turned one way, the object out of reach; and the object as high above the table as its type has it."""
+    """The open hand, turned one way, the object out of reach; and the object as high above the
+    table as its type has it.
+    """
     for setup in drawn_setups("all", "train", 100):
         assert not setup.synergy.any()
         assert setup.hand_quaternion == HAND_QUATERNION
@@ -203,7 +279,9 @@ def rotation_of(start) -> np.ndarray:
 @pytest.mark.parametrize("name", NAMES)
 def test_an_action_puts_the_hand_where_the_type_has_it(name: str):
     """Hand, object and support are those of the wrist that a script places, with the same noise."""
-    start, free, script = GRASP_TYPES[name].start, GraspByType(name), GraspByType(name, wrist="script")
+    start = GRASP_TYPES[name].start
+    free = GraspByType(name)
+    script = GraspByType(name, wrist="script")
     choice = wrist_choice(start)
     assert np.abs(choice).max() <= 1
     action = np.append(action_from_synergy(start.preshape), choice)
@@ -212,19 +290,30 @@ def test_an_action_puts_the_hand_where_the_type_has_it(name: str):
     np.testing.assert_allclose(chosen.synergy, placed.synergy, atol=1e-9)
     np.testing.assert_allclose(chosen.position, placed.position, atol=1e-9)
     np.testing.assert_allclose(chosen.hand_rotation, placed.hand_rotation, atol=1e-9)
-    heights = [0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height for setup in (chosen, placed)]
+    heights = [
+        0.25 + (setup.hand_rotation @ setup.position)[2] - setup.support.table_height
+        for setup in (chosen, placed)
+    ]
     assert abs(heights[0] - heights[1]) <= 2e-9
-    assert (chosen.object, chosen.yaw, chosen.object_quaternion) == (placed.object, placed.yaw, placed.object_quaternion)
+    assert (chosen.object, chosen.yaw, chosen.object_quaternion) == (
+        placed.object,
+        placed.yaw,
+        placed.object_quaternion,
+    )
 
 
 def test_the_noise_has_the_spread_of_the_config():
-    (wide,), (usual,) = (drawn_setups("press", "train", 1, config=GraspTypeConfig(spread=spread)) for spread in (2.0, 1.0))
+    (wide,), (usual,) = (
+        drawn_setups("press", "train", 1, config=GraspTypeConfig(spread=spread))
+        for spread in (2.0, 1.0)
+    )
     np.testing.assert_allclose(wide.position - START, 2 * (usual.position - START))
     assert wide.yaw == pytest.approx(2 * usual.yaw)
 
 
 def test_a_rule_grows_with_its_object_and_is_told_in_numbers():
-    press, tape = GRASP_TYPES["press"].rule, GRASP_TYPES["tape_roll"].rule
+    press = GRASP_TYPES["press"].rule
+    tape = GRASP_TYPES["tape_roll"].rule
     assert press.scaled(1.08).button == pytest.approx(1.08 * press.button)
     assert tape.scaled(0.92).holes[0].half[0] == pytest.approx(0.92 * 0.019)
     told = dict(zip(ASKED, GRASP_TYPES["tweezers"].rule.asked, strict=True))

@@ -6,13 +6,18 @@ import pytest
 from hpac_gym.tasks.grip import MAX_SLIP, Grip
 
 DT = 0.05
-PLACE, ASIDE = np.array([0.05, 0.0, 0.1]), np.array([0.0, 1.0, 0.0])
-TOUCHED, FREE, STANDS = (True, False), (False, False), (True, True)
+PLACE = np.array([0.05, 0.0, 0.1])
+ASIDE = np.array([0.0, 1.0, 0.0])
+TOUCHED = (True, False)
+FREE = (False, False)
+STANDS = (True, True)
 """Whether the hand and whether a support touches the object."""
 
 
 def grip_after(*stories, moved=0.0) -> Grip:
-    """The grip of as many worlds as there are stories, each as many steps long as the first; the last step moves the object."""
+    """The grip of as many worlds as there are stories, each as many steps long as the first; the
+    last step moves the object.
+    """
     grip = Grip(len(stories))
     for step, now in enumerate(zip(*stories, strict=True)):
         touched, supported = np.array(now).T
@@ -43,11 +48,15 @@ def test_slip_counts_from_where_the_carrying_began():
 
 
 def test_what_moved_before_the_grasp_settled_is_no_slip():
-    grip = grip_after([TOUCHED, TOUCHED], [TOUCHED, TOUCHED], [STANDS, STANDS], moved=1.1 * MAX_SLIP)
+    grip = grip_after(
+        [TOUCHED, TOUCHED], [TOUCHED, TOUCHED], [STANDS, STANDS], moved=1.1 * MAX_SLIP
+    )
     grip.settle(np.array([True, False, True]))
     np.testing.assert_array_equal(grip.holds, [True, False, False])
     np.testing.assert_allclose(grip.time, [2 * DT, 2 * DT, 0.0])
-    grip.follow(np.tile(PLACE + 2.0 * MAX_SLIP * ASIDE, (3, 1)), np.array([True] * 3), np.zeros(3, bool), DT)
+    grip.follow(
+        np.tile(PLACE + 2.0 * MAX_SLIP * ASIDE, (3, 1)), np.array([True] * 3), np.zeros(3, bool), DT
+    )
     np.testing.assert_allclose(grip.slip, [0.9 * MAX_SLIP, 2.0 * MAX_SLIP, 0.0])
 
 

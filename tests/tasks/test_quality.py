@@ -23,7 +23,8 @@ def test_no_ball_where_the_origin_is_outside_or_the_points_are_flat():
 
 
 def test_primitive_wrenches_lie_on_the_friction_cone():
-    point, normal = np.array([[0.03, 0, 0.01]]), np.array([[-1.0, 0, 0]])
+    point = np.array([[0.03, 0, 0.01]])
+    normal = np.array([[-1.0, 0, 0]])
     wrenches = contact_wrenches(point, normal, 0.5, np.zeros(3), 0.03)
     assert wrenches.shape == (CONE_EDGES, 6)
     np.testing.assert_allclose(wrenches[:, :3] @ normal[0], 1.0)
@@ -34,7 +35,10 @@ def test_primitive_wrenches_lie_on_the_friction_cone():
 def test_more_friction_and_more_contacts_never_resist_less():
     angle = np.linspace(0, 2 * np.pi, 3, endpoint=False)
     normal = -np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
-    figures = [largest_ball(contact_wrenches(-0.03 * normal, normal, mu, np.zeros(3), 0.03)) for mu in (0.3, 0.6, 0.9)]
+    figures = [
+        largest_ball(contact_wrenches(-0.03 * normal, normal, mu, np.zeros(3), 0.03))
+        for mu in (0.3, 0.6, 0.9)
+    ]
     assert 0 < figures[0] < figures[1] < figures[2]
     two = largest_ball(contact_wrenches(-0.03 * normal[:2], normal[:2], 0.6, np.zeros(3), 0.03))
     assert two <= figures[1]

@@ -31,7 +31,9 @@ def test_the_skeleton_is_where_forward_kinematics_puts_the_links():
         expected = []
         for digit in body.digits:
             own = np.array([angles[JOINTS.index(phalanx.joint)] for phalanx in digit.phalanges])
-            for phalanx, (place, rotation) in zip(digit.phalanges, link_poses(digit, own), strict=True):
+            for phalanx, (place, rotation) in zip(
+                digit.phalanges, link_poses(digit, own), strict=True
+            ):
                 expected.append((place, place + rotation @ phalanx.capsule.end))
         np.testing.assert_allclose(first[world, :15], [start for start, _ in expected], atol=1e-12)
         np.testing.assert_allclose(second[world, :15], [end for _, end in expected], atol=1e-12)
@@ -43,17 +45,24 @@ def test_the_palm_s_capsules_fill_its_box():
     inside = np.random.default_rng(1).uniform(-0.3, 0.3, (200, 3)) * box.size + box.center
     aside = np.array([0.2, 0.0, 0.0])
     radius = Skeleton(1).radius
-    hidden = [covered((point - aside)[None], (point + aside)[None, None], first, second, radius)[0, 0] for point in inside]
+    hidden = [
+        covered((point - aside)[None], (point + aside)[None, None], first, second, radius)[0, 0]
+        for point in inside
+    ]
     assert np.mean(hidden) > 0.97
 
 
 def test_a_capsule_covers_what_is_behind_it_and_nothing_else():
     """Against points along the ray, sampled one by one."""
     rng = np.random.default_rng(2)
-    eye, points = rng.uniform(-1, 1, (3, 3)), rng.uniform(-1, 1, (3, 40, 3))
-    first, second, radius = rng.uniform(-1, 1, (3, 5, 3)), rng.uniform(-1, 1, (3, 5, 3)), np.full((3, 5), 0.3)
+    eye = rng.uniform(-1, 1, (3, 3))
+    points = rng.uniform(-1, 1, (3, 40, 3))
+    first = rng.uniform(-1, 1, (3, 5, 3))
+    second = rng.uniform(-1, 1, (3, 5, 3))
+    radius = np.full((3, 5), 0.3)
     found = covered(eye, points, first, second, radius)
-    way, along = np.linspace(0, 1, 200)[:, None], np.linspace(0, 1, 60)[:, None, None]
+    way = np.linspace(0, 1, 200)[:, None]
+    along = np.linspace(0, 1, 60)[:, None, None]
     for world in range(3):
         bones = (first[world] + along * (second[world] - first[world])).reshape(-1, 3)
         for index in range(40):
@@ -74,33 +83,44 @@ def test_points_of_a_surface_lie_on_it_and_are_spread_evenly(kind):
     if kind == "box":
         np.testing.assert_allclose(np.abs(own / half).max(axis=1), 1.0)
     elif kind == "cylinder":
-        np.testing.assert_allclose(np.maximum(np.hypot(*own.T[:2]) / half[0], np.abs(own[:, 2]) / half[2]), 1.0)
+        np.testing.assert_allclose(
+            np.maximum(np.hypot(*own.T[:2]) / half[0], np.abs(own[:, 2]) / half[2]), 1.0
+        )
     else:
         core = own - np.clip(own, [0, 0, half[0] - half[2]], [0, 0, half[2] - half[0]]) * [0, 0, 1]
         np.testing.assert_allclose(np.linalg.norm(core, axis=1), half[0])
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert ((own * normals).sum(axis=1) > 0).all()
-    np.testing.assert_allclose(normals.mean(axis=0), 0.0, atol=0.05)  # a closed surface's normals cancel out
+    np.testing.assert_allclose(
+        normals.mean(axis=0), 0.0, atol=0.05
+    )  # a closed surface's normals cancel out
 
 
 def test_no_point_of_a_surface_is_inside_another_solid():
     model = load_object_models()["spray_can"]
     points, _ = surface("spray_can", model.solids, 500)
     for solid in model.solids:
-        own, half = (points - solid.center) @ solid.rotation, np.array(solid.size) / 2
-        inside = (np.hypot(own[:, 0], own[:, 1]) < 0.99 * half[0]) & (np.abs(own[:, 2]) < 0.99 * half[2])
+        own = (points - solid.center) @ solid.rotation
+        half = np.array(solid.size) / 2
+        inside = (np.hypot(own[:, 0], own[:, 1]) < 0.99 * half[0]) & (
+            np.abs(own[:, 2]) < 0.99 * half[2]
+        )
         assert not inside.any()
 
 
 def ball(depth: float, beyond: float = 0.12) -> SceneSetup:
-    """A ball at a distance from the palm, and at a distance from the wrist along the fingers [m]."""
+    """A ball at a distance from the palm, and at a distance from the wrist along the fingers
+    [m].
+    """
     spec = ObjectSpec("sphere", (0.02, 0.02, 0.02), 0.1, 0.7)
     return SceneSetup(spec, position=np.array([depth, 0.0, beyond]))
 
 
 def state_of(setup: SceneSetup, joint_pos: np.ndarray) -> SceneState:
     state = SceneState.empty(1)
-    state.joint_pos[:], state.object_pos[:], state.object_rotation[:] = joint_pos, setup.position, setup.hand_rotation.T
+    state.joint_pos[:] = joint_pos
+    state.object_pos[:] = setup.position
+    state.object_rotation[:] = setup.hand_rotation.T
     return state
 
 
@@ -110,11 +130,13 @@ def senses(setup: SceneSetup, noise: CameraNoise = CameraNoise(0, 0, 0), **optio
     return made
 
 
-OPEN, FIST = np.zeros(len(JOINTS)), np.minimum(HPAC.joint_max, 1.2)
+OPEN = np.zeros(len(JOINTS))
+FIST = np.minimum(HPAC.joint_max, 1.2)
 
 
 def test_a_fist_in_front_of_the_ball_hides_it_and_the_last_look_stays():
-    setup, behind = ball(0.06), ball(0.03, 0.085)
+    setup = ball(0.06)
+    behind = ball(0.03, 0.085)
     eyes = senses(setup)
     seen = eyes.look(state_of(setup, OPEN), [0])
     np.testing.assert_allclose(seen["position"][0], setup.position)
@@ -150,8 +172,10 @@ def test_points_are_of_the_camera_s_side():
 
 
 def test_a_servo_tells_its_load_in_steps_now_and_then_with_its_error():
-    setup, servos = ball(0.06), ServoSenses(load_noise=0.0, load_bias=0.0)
-    eyes, state = senses(setup, servos=servos), state_of(setup, OPEN)
+    setup = ball(0.06)
+    servos = ServoSenses(load_noise=0.0, load_bias=0.0)
+    eyes = senses(setup, servos=servos)
+    state = state_of(setup, OPEN)
     told = []
     for step in range(4):
         state.tension[:] = 5.0 * (step + 1)

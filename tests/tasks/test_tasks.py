@@ -1,4 +1,6 @@
-"""Tasks as functions of arrays: many worlds at once are as many single ones, and every term does what its row says."""
+"""Tasks as functions of arrays: many worlds at once are as many single ones, and every term does
+what its row says.
+"""
 
 from dataclasses import fields, replace
 
@@ -26,34 +28,47 @@ def of_type(*config: GraspTypeConfig) -> GraspByType:
 
 
 TASKS = {
-    "grasp": Grasp, "named": lambda: GraspByName("hook"), "any": of_any, "type": of_type, "place": PickPlace, "posture": Posture,
-}  # fmt: skip
+    "grasp": Grasp,
+    "named": lambda: GraspByName("hook"),
+    "any": of_any,
+    "type": of_type,
+    "place": PickPlace,
+    "posture": Posture,
+}
 DT = 1 / CONTROL_HZ
 WORLDS = 5
 
 
 class Story:
-    """States of one world that touch every branch of the tasks, in place of a simulation; `fate` says how it goes.
+    """States of one world that touch every branch of the tasks, in place of a simulation; `fate`
+    says how it goes.
 
-    0: held to the end; 1: never touched; 2: dropped in the lift; 3: knocked away; 4: held, with gaps in the contact.
+    0: held to the end; 1: never touched; 2: dropped in the lift; 3: knocked away; 4: held, with
+        gaps in the contact.
     """
 
     def __init__(self, task, fate: int) -> None:
-        self.rng, self.task, self.fate, self.step = np.random.default_rng(fate), task, fate, 0
+        self.rng = np.random.default_rng(fate)
+        self.task = task
+        self.fate = fate
+        self.step = 0
         self.setup = task.setup(self.rng, HPAC)
         steps = np.arange(0, round(task.duration * CONTROL_HZ) + 1)
         self.path = task.wrist_path(self.setup, tuple((steps * DT).tolist()))
 
     def __call__(self) -> SceneState:
-        state, share = SceneState.empty(1), self.step * DT / self.task.duration
+        state = SceneState.empty(1)
+        share = self.step * DT / self.task.duration
         state.time[:] = self.step * DT
         state.joint_pos[:], state.joint_vel[:] = self.rng.uniform(0, 1, (2, 15))
-        state.horn[:], state.tension[:] = self.rng.uniform(0, 1, 6), self.rng.uniform(0, 20, 5)
+        state.horn[:] = self.rng.uniform(0, 1, 6)
+        state.tension[:] = self.rng.uniform(0, 20, 5)
         state.palm_offset[:] = offset = self.path[min(self.step, len(self.path) - 1)]
         state.object_rotation[:] = self.setup.hand_rotation.T
         state.object_vel[:], state.object_spin[:] = self.rng.uniform(-1, 1, (2, 3))
         if self.setup.object is not None:
-            closed, late = share > 0.3, share > 0.85
+            closed = share > 0.3
+            late = share > 0.85
             held = closed and self.fate in (0, 2, 4) and not (self.fate == 2 and share > 0.6)
             held = held and not (isinstance(self.task, PickPlace) and late)
             state.touching[0, [1, 2]] = held and not (self.fate == 4 and self.step % 7 == 0)
@@ -62,8 +77,12 @@ class Story:
             state.supported[:] = not closed or (late and self.fate != 0)
             state.on_target[:] = late and isinstance(self.task, PickPlace)
             world_to_hand = self.setup.hand_rotation.T @ offset
-            grasped = self.setup.position - (self.setup.hand_rotation.T @ self.path[round(0.3 * (len(self.path) - 1))])
-            state.object_pos[:] = grasped + 0.001 * share if held else self.setup.position - world_to_hand
+            grasped = self.setup.position - (
+                self.setup.hand_rotation.T @ self.path[round(0.3 * (len(self.path) - 1))]
+            )
+            state.object_pos[:] = (
+                grasped + 0.001 * share if held else self.setup.position - world_to_hand
+            )
             if isinstance(self.task, PickPlace) and late and self.fate in (0, 4):
                 state.object_pos[:] = self.setup.target - world_to_hand
             if self.fate == 3 and share > 0.15:
@@ -75,14 +94,28 @@ class Story:
 def contacts(state: SceneState, world: int) -> Contacts:
     """Thumb and index touch with their last links, wherever the state says that they touch."""
     parts = np.flatnonzero(state.touching[world])
-    links = tuple("thumb_ip_link" if PARTS[part] == "thumb" else f"{PARTS[part]}_dip_link" for part in parts)
+    links = tuple(
+        "thumb_ip_link" if PARTS[part] == "thumb" else f"{PARTS[part]}_dip_link" for part in parts
+    )
     normals = np.tile([1.0, 0.0, 0.0], (len(parts), 1))
-    return Contacts(np.zeros((len(parts), 3)), normals, state.contact_force[world, parts], links, np.zeros(3), 0.5)
+    return Contacts(
+        np.zeros((len(parts), 3)),
+        normals,
+        state.contact_force[world, parts],
+        links,
+        np.zeros(3),
+        0.5,
+    )
 
 
 def joined(states: list[SceneState]) -> SceneState:
     """One state of as many worlds."""
-    return SceneState(**{f.name: np.concatenate([getattr(state, f.name) for state in states]) for f in fields(SceneState)})
+    return SceneState(
+        **{
+            f.name: np.concatenate([getattr(state, f.name) for state in states])
+            for f in fields(SceneState)
+        }
+    )
 
 
 class Played:
@@ -90,7 +123,8 @@ class Played:
 
     def __init__(self, task, stories: list[Story]) -> None:
         n = len(stories)
-        self.task, self.n = task, n
+        self.task = task
+        self.n = n
         self.camera = task.prepare(n, CameraNoise())
         self.layout = Layout((*task.terms, *task.privileged_terms), n)
         self.goals = Layout(task.goal_terms, n) if task.goal_terms else None
@@ -106,16 +140,34 @@ class Played:
 
     def step(self, state: SceneState) -> dict[str, np.ndarray]:
         """All that a control step gives, each with a leading axis n."""
-        task, n = self.task, self.n
+        task = self.task
+        n = self.n
         task.watch(state, DT, lambda world: contacts(state, world))
-        outcome, change = task.judge(state, DT), np.tile(np.linspace(-0.1, 0.2, 6), (n, 1))
+        outcome = task.judge(state, DT)
+        change = np.tile(np.linspace(-0.1, 0.2, 6), (n, 1))
         predicted = elastic_joints_from_servo(self.servo)
         seen = self.camera.look(state, range(n))
         down = np.tile([0.0, -1.0, 0.0], (n, 1))
-        now = Moment(state, self.servo, predicted, down, task.phase(state.time), change, change, seen, task.grip, outcome)
+        now = Moment(
+            state,
+            self.servo,
+            predicted,
+            down,
+            task.phase(state.time),
+            change,
+            change,
+            seen,
+            task.grip,
+            outcome,
+        )
         if self.goals:
             task.measure(self.goals.see(now), task.goal.astype(np.float32))
-        found = {"observation": self.layout.see(now), "judged": outcome, "phase": now.phase, "sparse": task.sparse_reward(now)}
+        found = {
+            "observation": self.layout.see(now),
+            "judged": outcome,
+            "phase": now.phase,
+            "sparse": task.sparse_reward(now),
+        }
         paid = {term.name: term.value(now) for term in task.reward_terms}
         return found | paid | {f"info {name}": value for name, value in task.report(now).items()}
 
@@ -124,7 +176,8 @@ class Played:
 def test_many_worlds_at_once_are_as_many_single_ones(make):
     """To the bit, over whole episodes, with worlds that begin again while the others go on."""
     stories = [Story(make(), fate) for fate in range(WORLDS)]
-    many, single = Played(make(), stories), [Played(make(), [story]) for story in stories]
+    many = Played(make(), stories)
+    single = [Played(make(), [story]) for story in stories]
     seen = []
     steps = round(make().duration * CONTROL_HZ)
     for step in range(steps):
@@ -137,7 +190,11 @@ def test_many_worlds_at_once_are_as_many_single_ones(make):
         together = many.step(joined(states))
         for world, (alone, state) in enumerate(zip(single, states, strict=True)):
             for name, value in alone.step(state).items():
-                np.testing.assert_array_equal(together[name][world], value[0], err_msg=f"{name} of world {world} in step {step}")
+                np.testing.assert_array_equal(
+                    together[name][world],
+                    value[0],
+                    err_msg=f"{name} of world {world} in step {step}",
+                )
         seen.append(together)
     assert len(np.unique([found["phase"] for found in seen])) == len(make().phases)
 
@@ -146,7 +203,10 @@ def told(task) -> dict[str, np.ndarray]:
     """All that a task makes of the five fates, with axes of steps and worlds."""
     stories = [Story(task, fate) for fate in range(WORLDS)]
     played = Played(task, stories)
-    steps = [played.step(joined([story() for story in stories])) for _ in range(round(task.duration * CONTROL_HZ) + 1)]
+    steps = [
+        played.step(joined([story() for story in stories]))
+        for _ in range(round(task.duration * CONTROL_HZ) + 1)
+    ]
     return {name: np.array([step[name] for step in steps]) for name in steps[0]}
 
 
@@ -171,18 +231,25 @@ def test_the_fates_end_as_they_should(kind):
     ],
 )
 def test_a_weight_is_one_number_that_its_term_and_the_documentation_follow(kind, config):
-    usual, task = told(kind()), kind()
+    usual = told(kind())
+    task = kind()
     for weight in fields(config.weights):
         other = kind(replace(config, weights=replace(config.weights, **{weight.name: 7.75})))
         changed = told(other)
-        differs = [term.name for term in task.reward_terms if not np.array_equal(usual[term.name], changed[term.name])]
+        differs = [
+            term.name
+            for term in task.reward_terms
+            if not np.array_equal(usual[term.name], changed[term.name])
+        ]
         described = [term.name for term in other.reward_terms if "7.75" in term.meaning]
         assert len(differs) == 1, f"{weight.name} acts on {differs}"
         assert differs == described
 
 
 def test_what_the_dense_reward_pays_and_costs_in_numbers():
-    """The contact of thumb and index while closing, a full push, a firm hold, the effort of a change, the two ends."""
+    """The contact of thumb and index while closing, a full push, a firm hold, the effort of a
+    change, the two ends.
+    """
     task = Grasp()
     n = 4
     task.prepare(n, CameraNoise())
@@ -197,7 +264,9 @@ def test_what_the_dense_reward_pays_and_costs_in_numbers():
     outcome = task.judge(state, DT)
     nothing = np.zeros((n, 6))
     phase = task.phase(state.time)
-    now = Moment(state, nothing, nothing, nothing, phase, nothing, np.eye(6)[:n], {}, task.grip, outcome)
+    now = Moment(
+        state, nothing, nothing, nothing, phase, nothing, np.eye(6)[:n], {}, task.grip, outcome
+    )
     paid = {term.name: term.value(now) for term in task.reward_terms}
     np.testing.assert_allclose(paid["contact"], [0.35, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(paid["push"], [0.0, -0.3, 0.0, 0.0])
@@ -211,5 +280,7 @@ def test_an_observation_stays_within_its_bounds_and_keeps_the_rest_as_it_is():
     fixed = Term("b", ("z",), "m", 0.0, 1.0, "", lambda setup: [setup], fixed=True)
     layout = Layout((Term("a", ("x", "y"), "m", -1.0, 1.0, "", lambda now: now), fixed), 2)
     layout.start([1], [0.75])
-    np.testing.assert_array_equal(layout.see(np.array([[0.25, 3.0], [-7.0, 0.5]])), [[0.25, 1.0, 0.0], [-1.0, 0.5, 0.75]])
+    np.testing.assert_array_equal(
+        layout.see(np.array([[0.25, 3.0], [-7.0, 0.5]])), [[0.25, 1.0, 0.0], [-1.0, 0.5, 0.75]]
+    )
     assert layout.slices == {"a": slice(0, 2), "b": slice(2, 3)}

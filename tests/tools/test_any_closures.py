@@ -22,13 +22,20 @@ def test_random_closures_differ_and_stay_in_their_ranges():
 
 
 def test_the_first_winner_of_each_seed_is_counted():
-    """Here a seed is won by its closure of that number, and seed 7 by none; several of a seed may be tried at once."""
+    """Here a seed is won by its closure of that number, and seed 7 by none; several of a seed may
+    be tried at once.
+    """
     tried = []
 
     def play(seeds, begin):
         decisions = begin.args[0]
         tried.extend(seeds)
-        return np.array([np.array_equal(row, drawn_closure(s, s)) and s != 7 for s, row in zip(seeds, decisions, strict=True)])
+        return np.array(
+            [
+                np.array_equal(row, drawn_closure(s, s)) and s != 7
+                for s, row in zip(seeds, decisions, strict=True)
+            ]
+        )
 
     player = SimpleNamespace(play=play, count=16)
     assert any_closures.first_winners(player, range(12), 8) == {seed: seed + 1 for seed in range(7)}
@@ -60,8 +67,11 @@ def test_chances_are_learned_where_something_tells_them_and_nowhere_else():
 
 
 def test_the_policy_closes_again_as_at_the_start_of_an_episode_on_what_it_sees_then():
-    """Opened in between; the second closure is the first one of an episode whose object is seen where it is now."""
-    task, rng = GraspAny(), np.random.default_rng(0)
+    """Opened in between; the second closure is the first one of an episode whose object is seen
+    where it is now.
+    """
+    task = GraspAny()
+    rng = np.random.default_rng(0)
     first, now = rng.uniform(0, 0.5, (2, 3, 155))
     act = any_closures._decided(task, "policy", "again", defaultdict(dict), first, np.arange(3))
     np.testing.assert_array_equal(act(5, now), by_policy(task, first)(5))
@@ -70,7 +80,10 @@ def test_the_policy_closes_again_as_at_the_start_of_an_episode_on_what_it_sees_t
     moved[:, 21:40] = now[:, 21:40]  # object_pos to object_seen
     wanted = by_policy(task, moved)
     for step in range(4):
-        np.testing.assert_array_equal(act(DECIDED + any_closures.OPENING + step, now + step), wanted(any_closures.HASTE * step))
+        np.testing.assert_array_equal(
+            act(DECIDED + any_closures.OPENING + step, now + step),
+            wanted(any_closures.HASTE * step),
+        )
     assert np.abs(wanted(20) - by_policy(task, first)(20)).max() > 0.01
 
 
@@ -81,7 +94,9 @@ def test_trials_are_the_same_until_the_decision_and_are_kept(tmp_path):
     assert trials.won.shape == (6, len(CHOICES))
     assert trials.seen.shape[:2] == (6, len(LOOKS))
     assert np.abs(trials.seen[:, 0] - trials.seen[:, -1]).max() > 0.1
-    np.testing.assert_array_equal(any_closures.play_script(player, range(6), ANY_CLOSURES.__getitem__)[1], trials.won[:, 0])
+    np.testing.assert_array_equal(
+        any_closures.play_script(player, range(6), ANY_CLOSURES.__getitem__)[1], trials.won[:, 0]
+    )
     player.play = None  # what is kept is not played again
     again = any_closures.trials_of(player, "script", range(6), tmp_path)
     np.testing.assert_array_equal(again.won, trials.won)

@@ -28,9 +28,15 @@ def test_a_figure_is_a_line(monkeypatch, capsys):
 
 def test_the_bare_maps_compute_the_same():
     action = np.random.default_rng(1).uniform(-1, 1, (50, 6))
-    assert bench.bare_servo_from_action(action) == pytest.approx(servo_from_action(action), abs=1e-12)
-    posture = joints_from_synergy(HPAC.synergy_min + 0.5 * (action + 1) * (HPAC.synergy_max - HPAC.synergy_min))
-    assert bench.bare_servo_from_joints(posture) == pytest.approx(servo_from_joints(posture), abs=1e-12)
+    assert bench.bare_servo_from_action(action) == pytest.approx(
+        servo_from_action(action), abs=1e-12
+    )
+    posture = joints_from_synergy(
+        HPAC.synergy_min + 0.5 * (action + 1) * (HPAC.synergy_max - HPAC.synergy_min)
+    )
+    assert bench.bare_servo_from_joints(posture) == pytest.approx(
+        servo_from_joints(posture), abs=1e-12
+    )
 
 
 @pytest.mark.slow

@@ -10,9 +10,28 @@ from tools.film_strip import BORDER, CAPTION, FRAME, StraightToGoal, caption, ma
 
 def test_the_command_draws_a_row_an_episode_and_a_picture_a_time(tmp_path, capsys):
     out = tmp_path / "strip.png"
-    assert main(["HPAC-Posture-v0", "--seeds", "7", "9", "--at", "0.05", "0.1", "0.2", "--out", str(out)]) == 0
+    assert (
+        main(
+            [
+                "HPAC-Posture-v0",
+                "--seeds",
+                "7",
+                "9",
+                "--at",
+                "0.05",
+                "0.1",
+                "0.2",
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
     with Image.open(out) as strip:
-        assert strip.size == (3 * (FRAME[0] + BORDER) - BORDER, 2 * (FRAME[1] + CAPTION + BORDER) - BORDER)
+        assert strip.size == (
+            3 * (FRAME[0] + BORDER) - BORDER,
+            2 * (FRAME[1] + CAPTION + BORDER) - BORDER,
+        )
     assert str(out) in capsys.readouterr().out
 
 
@@ -25,7 +44,9 @@ def test_no_time_within_the_episodes_is_one_line_and_no_picture(tmp_path, capsys
 
 def test_going_straight_to_a_goal_of_the_fingers_reaches_it():
     with gymnasium.make("HPAC-Posture-v0") as env:
-        policy, truncated, (observation, _) = StraightToGoal(), False, env.reset(seed=7)
+        policy = StraightToGoal()
+        truncated = False
+        (observation, _) = env.reset(seed=7)
         while not truncated:
             observation, _, _, truncated, info = env.step(policy.act(observation))
     assert info["is_success"]

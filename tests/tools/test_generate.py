@@ -10,7 +10,9 @@ from tools.thumb_search import find_opposition
 
 def test_the_committed_files_are_what_their_generators_write_and_every_model_file_has_one():
     files = generate.generated()
-    assert not [path.name for path, text in files.items() if generate.is_stale(path, text)], "run make generate"
+    assert not [path.name for path, text in files.items() if generate.is_stale(path, text)], (
+        "run make generate"
+    )
     committed = {path for path in (generate.ROOT / "assets").rglob("*") if path.is_file()}
     assert committed == {path for path in files if "assets" in path.parts}
 
@@ -28,10 +30,16 @@ def test_a_stale_file_is_named_by_check_and_written_without_it(tmp_path, monkeyp
 
 @pytest.mark.parametrize(
     ("text", "stale"),
-    [("mass 0.10000001", True), ("mass 0.1000000000001", False), ("size 0.1", True), ("mass 0.1 0.1", True)],
+    [
+        ("mass 0.10000001", True),
+        ("mass 0.1000000000001", False),
+        ("size 0.1", True),
+        ("mass 0.1 0.1", True),
+    ],
 )
 def test_only_a_difference_beyond_the_eighth_digit_of_a_model_is_left_alone(tmp_path, text, stale):
-    model, page = tmp_path / "hand.urdf", tmp_path / "page.md"
+    model = tmp_path / "hand.urdf"
+    page = tmp_path / "page.md"
     for path in (model, page):
         path.write_text("mass 0.1", encoding="utf-8")
     assert generate.is_stale(model, text) is stale
@@ -41,4 +49,6 @@ def test_only_a_difference_beyond_the_eighth_digit_of_a_model_is_left_alone(tmp_
 @pytest.mark.parametrize("finger", FINGERS)
 def test_the_opposition_postures_are_those_that_the_search_finds(finger):
     geometry = load_geometry()
-    assert find_opposition(geometry, finger).synergy == pytest.approx(geometry.opposition[finger], abs=2e-3)
+    assert find_opposition(geometry, finger).synergy == pytest.approx(
+        geometry.opposition[finger], abs=2e-3
+    )

@@ -10,7 +10,14 @@ from tools import resumed
 
 @pytest.mark.slow
 def test_a_training_is_killed_and_ends_with_all_its_trials(tmp_path, monkeypatch):
-    small = {"num-envs": 4, "hidden": 16, "batch-size": 16, "actor-batch-size": 16, "random-episodes": 8, "checkpoint-every": 10}
+    small = {
+        "num-envs": 4,
+        "hidden": 16,
+        "batch-size": 16,
+        "actor-batch-size": 16,
+        "random-episodes": 8,
+        "checkpoint-every": 10,
+    }
     monkeypatch.setattr(resumed, "SETTINGS", small)
     monkeypatch.setattr(resumed, "LATER_S", 0.5)
     resumed.train(tmp_path / "killed", seed=0, trials=200, kills=1)

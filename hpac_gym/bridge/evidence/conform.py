@@ -1,8 +1,8 @@
 """A conformance suite of docs/wire.md for any device. It moves a hand by at most 0.3 rad per servo.
 
-It uses the oracle's codec and observes only the device's answers, so that it runs against any device that claims to
-implement the protocol: a board, the host board, a virtual hand, a user's own firmware.
-"""
+It uses the oracle's codec and observes only the device's answers, so that it runs against any
+device that claims to implement the protocol: a board, the host board, a virtual hand, a user's own
+firmware."""
 
 from __future__ import annotations
 
@@ -42,14 +42,20 @@ class Row:
         return "\n        ".join(filter(None, [f"{self.tried:5} tries  {self.rule}", self.failure]))
 
 
-# --- the rules, in the order of the document ------------------------------------------------------------------------
+# --- the rules, in the order of the document
+# ------------------------------------------------------------------------
 
 
 def _hello(d: Device) -> None:
     hello = d.hello(SESSION)
-    d.expect(hello.session == SESSION, f"session {hello.session:08x} in force after HELLO {SESSION:08x}")
+    d.expect(
+        hello.session == SESSION, f"session {hello.session:08x} in force after HELLO {SESSION:08x}"
+    )
     wanted = limits_hash(d.hand, hello.trim_ns, hello.reversed_mask)
-    d.expect(hello.limits_hash == wanted, f"limits hash {hello.limits_hash:08x}, this hand's is {wanted:08x} (--hand FILE?)")
+    d.expect(
+        hello.limits_hash == wanted,
+        f"limits hash {hello.limits_hash:08x}, this hand's is {wanted:08x} (--hand FILE?)",
+    )
 
 
 def _hello_looks(d: Device) -> None:
@@ -64,7 +70,10 @@ def _hello_takes_over(d: Device) -> None:
     d.armed()
     hello = d.hello(SESSION + 1)
     d.must_be(State.idle, "after HELLO of another controller", powered=False)
-    d.expect(hello.session == SESSION + 1, f"its session is {hello.session:08x}, must be {SESSION + 1:08x}")
+    d.expect(
+        hello.session == SESSION + 1,
+        f"its session is {hello.session:08x}, must be {SESSION + 1:08x}",
+    )
     d.must(Reason.session, wire.HEARTBEAT, OURS, "of the session before")
 
 
@@ -73,12 +82,23 @@ def _other_version(d: Device) -> None:
     before = d.status()
     for version in (1, 3, 255):
         answer = d.ask(wire.HELLO, struct.pack("<I", 7), version=version)
-        d.expect(answer is not None and answer.kind == wire.DEVICE_HELLO, f"HELLO of version {version} is not answered by HELLO")
-        d.expect(answer.version == wire.VERSION, f"it is answered in version {answer.version}, must be {wire.VERSION}")
+        d.expect(
+            answer is not None and answer.kind == wire.DEVICE_HELLO,
+            f"HELLO of version {version} is not answered by HELLO",
+        )
+        d.expect(
+            answer.version == wire.VERSION,
+            f"it is answered in version {answer.version}, must be {wire.VERSION}",
+        )
         d.must(Reason.version, wire.STATUS, bytes(2), f"of version {version}", version=version)
     status = d.status()
-    d.expect(status.bad_version - before.bad_version == 6, f"bad_version counts {status.bad_version - before.bad_version} of 6")
-    d.must(Reason.ok, wire.HEARTBEAT, OURS, "of the session that another version's HELLO must not end")
+    d.expect(
+        status.bad_version - before.bad_version == 6,
+        f"bad_version counts {status.bad_version - before.bad_version} of 6",
+    )
+    d.must(
+        Reason.ok, wire.HEARTBEAT, OURS, "of the session that another version's HELLO must not end"
+    )
 
 
 def _damage(d: Device) -> None:
@@ -93,16 +113,35 @@ def _damage(d: Device) -> None:
             d.transport.write(bytes(bad))
             d.unasked.clear()
             d.listen(0.01)
-            d.expect(not d.unasked, f"a frame with bit {bit} turned was answered: {bytes(bad).hex()}")
+            d.expect(
+                not d.unasked, f"a frame with bit {bit} turned was answered: {bytes(bad).hex()}"
+            )
             sent += 1
     status = d.status()
-    counted = status.bad_crc + status.bad_frame + status.overrun - before.bad_crc - before.bad_frame - before.overrun
-    d.expect(counted == sent, f"{counted} of {sent} damaged frames counted in bad_crc, bad_frame, overrun")
+    counted = (
+        status.bad_crc
+        + status.bad_frame
+        + status.overrun
+        - before.bad_crc
+        - before.bad_frame
+        - before.overrun
+    )
+    d.expect(
+        counted == sent,
+        f"{counted} of {sent} damaged frames counted in bad_crc, bad_frame, overrun",
+    )
 
 
 def _junk(d: Device) -> None:
     d.idle()
-    for junk in (b"\x05abc\0", b"x" * 300 + b"\0", b"\0" * 50, b"\x01", b"\xff" * 254 + b"\0", b"ets Jul 29 2019 12:21:46\r\n"):
+    for junk in (
+        b"\x05abc\0",
+        b"x" * 300 + b"\0",
+        b"\0" * 50,
+        b"\x01",
+        b"\xff" * 254 + b"\0",
+        b"ets Jul 29 2019 12:21:46\r\n",
+    ):
         d.transport.write(junk)
         d.must(Reason.ok, wire.HEARTBEAT, OURS, f"right after {junk[:12]!r}")
 
@@ -118,7 +157,9 @@ def _lost_byte(d: Device) -> None:
 def _lengths(d: Device) -> None:
     d.idle()
     for kind, length in wire.LENGTHS.items():
-        for wrong in {0, max(length - 1, 0), length + 1, 30} - {length} if kind != wire.ESTOP else ():
+        for wrong in (
+            {0, max(length - 1, 0), length + 1, 30} - {length} if kind != wire.ESTOP else ()
+        ):
             d.must(Reason.length, kind, bytes(wrong), f"with {wrong} bytes of payload")
     for kind in (8, 0x33, 0x7F):
         d.must(Reason.type, kind, b"", f"message 0x{kind:02x}")
@@ -127,7 +168,10 @@ def _lengths(d: Device) -> None:
 def _device_types(d: Device) -> None:
     d.idle()
     for kind in (0x80, wire.DEVICE_HELLO, wire.ACK, 0xFF):
-        d.expect(d.ask(kind, bytes(4)) is None, f"a frame of the hand's own type 0x{kind:02x} was answered")
+        d.expect(
+            d.ask(kind, bytes(4)) is None,
+            f"a frame of the hand's own type 0x{kind:02x} was answered",
+        )
 
 
 def _flags(d: Device) -> None:
@@ -156,19 +200,38 @@ def _sessions(d: Device) -> None:
 def _priorities(d: Device) -> None:
     d.idle()
     d.must(Reason.length, wire.ARM, bytes(3), "too short, with flags and of no session", flags=0x80)
-    d.must(Reason.flags, wire.ARM, d.arm(session=5), "with a flag and of another session", flags=0x80)
+    d.must(
+        Reason.flags, wire.ARM, d.arm(session=5), "with a flag and of another session", flags=0x80
+    )
     d.must(Reason.session, wire.ARM, d.arm(action=9, session=5), "of another session and action 9")
     d.must(Reason.state, wire.MOVE, d.move(0, duration_ms=1), "in IDLE, too short")
-    d.must(Reason.limits, wire.ARM, d.arm(action=9, hash_=d.hash ^ 1), "with another hash and action 9")
-    d.must(Reason.action, wire.ARM, d.arm(action=9, watchdog_ms=1), "with action 9 and a watchdog of 1 ms")
+    d.must(
+        Reason.limits, wire.ARM, d.arm(action=9, hash_=d.hash ^ 1), "with another hash and action 9"
+    )
+    d.must(
+        Reason.action,
+        wire.ARM,
+        d.arm(action=9, watchdog_ms=1),
+        "with action 9 and a watchdog of 1 ms",
+    )
 
 
 def _arm_bounds(d: Device) -> None:
     d.idle()
     d.must(Reason.limits, wire.ARM, d.arm(hash_=d.hash ^ 1), "with another limits hash")
     d.must(Reason.action, wire.ARM, d.arm(action=3), "with action 3")
-    for watchdog_ms in (0, CONSTANTS["watchdog_min_ms"] - 1, CONSTANTS["watchdog_max_ms"] + 1, 0xFFFF):
-        d.must(Reason.period, wire.ARM, d.arm(watchdog_ms=watchdog_ms), f"with a watchdog of {watchdog_ms} ms")
+    for watchdog_ms in (
+        0,
+        CONSTANTS["watchdog_min_ms"] - 1,
+        CONSTANTS["watchdog_max_ms"] + 1,
+        0xFFFF,
+    ):
+        d.must(
+            Reason.period,
+            wire.ARM,
+            d.arm(watchdog_ms=watchdog_ms),
+            f"with a watchdog of {watchdog_ms} ms",
+        )
     d.must_be(State.idle, "after refused ARMs", powered=False)
 
 
@@ -176,17 +239,26 @@ def _starting(d: Device) -> None:
     d.idle()
     d.must(Reason.ok, wire.ARM, d.arm())
     d.must(Reason.starting, wire.MOVE, d.move(0), "right after ARM")
-    seen, last = [], 0
+    seen = []
+    last = 0
     for _ in range(600):
         status = d.status()
-        d.expect(status.attached & last == last, f"servos {status.attached:06b} after {last:06b}: one has lost its pulses")
-        d.expect((status.attached ^ last).bit_count() <= 1, f"servos {status.attached:06b} after {last:06b}: two at once")
+        d.expect(
+            status.attached & last == last,
+            f"servos {status.attached:06b} after {last:06b}: one has lost its pulses",
+        )
+        d.expect(
+            (status.attached ^ last).bit_count() <= 1,
+            f"servos {status.attached:06b} after {last:06b}: two at once",
+        )
         seen += [status.attached] if status.attached != last else []
         last = status.attached
         if last == 0x3F and not status.moving:
             break
         d.live(0.01)
-    d.expect(len(seen) == len(SERVOS), f"servos started in {len(seen)} steps, must be {len(SERVOS)}")
+    d.expect(
+        len(seen) == len(SERVOS), f"servos started in {len(seen)} steps, must be {len(SERVOS)}"
+    )
     d.must(Reason.ok, wire.MOVE, d.move(0, 400), "once the hand is at rest")
 
 
@@ -199,7 +271,10 @@ def _moves(d: Device) -> None:
     status = d.status()
     d.expect(status.moving == 1, "in the middle of a move it says that it does not move")
     half = [abs(at - rest - 1500) for at, rest in zip(status.servo, d.rest, strict=True)]
-    d.expect(max(half) < 600, f"half-way through minimum jerk {status.servo}, {max(half)} from the middle [1e-4 rad]")
+    d.expect(
+        max(half) < 600,
+        f"half-way through minimum jerk {status.servo}, {max(half)} from the middle [1e-4 rad]",
+    )
     d.live(0.4 + SLACK)
     d.moved(0)
 
@@ -208,8 +283,14 @@ def _move_bounds(d: Device) -> None:
     d.armed()
     for i, servo in enumerate(d.limits):
         for wrong in (servo.min_urad // 100 - 1, servo.max_urad // 100 + 1, -32768, 32767):
-            got = d.refusal(wire.MOVE, d.move([wrong if j == i else rest for j, rest in enumerate(d.rest)], 10_000))
-            d.expect(got == (Reason.angle, i), f"{SERVOS[i]} to {wrong} [1e-4 rad]: {got}, must be angle at servo {i}")
+            got = d.refusal(
+                wire.MOVE,
+                d.move([wrong if j == i else rest for j, rest in enumerate(d.rest)], 10_000),
+            )
+            d.expect(
+                got == (Reason.angle, i),
+                f"{SERVOS[i]} to {wrong} [1e-4 rad]: {got}, must be angle at servo {i}",
+            )
         d.live(0.01)
     for duration_ms in (0, CONSTANTS["move_min_ms"] - 1, CONSTANTS["move_max_ms"] + 1, 0xFFFF):
         d.must(Reason.duration, wire.MOVE, d.move(0, duration_ms), f"of {duration_ms} ms")
@@ -217,10 +298,16 @@ def _move_bounds(d: Device) -> None:
         way = servo.rate_urad_s // 100 // 10  # what 0.1 s allows
         target = [rest + 3 * way // 2 if j == i else rest for j, rest in enumerate(d.rest)]
         got = d.refusal(wire.MOVE, d.move(target, 100))
-        d.expect(got == (Reason.rate, i), f"{SERVOS[i]} at 1.5 times its rate limit: {got}, must be rate at servo {i}")
+        d.expect(
+            got == (Reason.rate, i),
+            f"{SERVOS[i]} at 1.5 times its rate limit: {got}, must be rate at servo {i}",
+        )
         d.live(0.01)
     status = d.status()
-    d.expect(not status.moving and list(status.servo) == d.rest, f"after refused moves {status.servo}, must be {d.rest}")
+    d.expect(
+        not status.moving and list(status.servo) == d.rest,
+        f"after refused moves {status.servo}, must be {d.rest}",
+    )
 
 
 def _repeats(d: Device) -> None:
@@ -232,11 +319,19 @@ def _repeats(d: Device) -> None:
     d.must(Reason.ok, wire.MOVE, first, "the same frame again", seq=seq)
     d.must(Reason.stale, wire.MOVE, d.move(1500), "another MOVE of the same number", seq=seq)
     d.must(Reason.stale, wire.MOVE, first, "an older number", seq=seq - 1)
-    d.must(Reason.stale, wire.MOVE, first, "a number half the circle ahead", seq=(seq + 0x8000) % 0x10000)
+    d.must(
+        Reason.stale,
+        wire.MOVE,
+        first,
+        "a number half the circle ahead",
+        seq=(seq + 0x8000) % 0x10000,
+    )
     status = d.status()
     d.expect(not status.moving, "a repeated or old MOVE moves the hand")
     d.expect(status.last_seq == seq, f"last_seq {status.last_seq}, must be {seq}")
-    d.must(Reason.ok, wire.MOVE, d.move(500), "the largest step ahead", seq=(seq + 0x7FFF) % 0x10000)
+    d.must(
+        Reason.ok, wire.MOVE, d.move(500), "the largest step ahead", seq=(seq + 0x7FFF) % 0x10000
+    )
 
 
 def _repeat_after_clear(d: Device) -> None:
@@ -259,7 +354,9 @@ def _no_ack(d: Device) -> None:
 
 
 def _silence(d: Device, action: Action, watchdog_ms: int) -> tuple[Status, float]:
-    """Let the watchdog trip; returns the STATUS afterwards, and the earliest time at which it can have tripped [s]."""
+    """Let the watchdog trip; returns the STATUS afterwards, and the earliest time at which it can
+    have tripped [s].
+    """
     d.armed(action, watchdog_ms)
     d.moved(SILENT_AT)
     expires = d.transport.now() + watchdog_ms * 1e-3
@@ -281,25 +378,40 @@ def _watchdog_detach(d: Device) -> None:
 
 def _watchdog_relax(d: Device) -> None:
     before, expires = _silence(d, Action.relax, 100)
-    d.expect(before.attached == 0x3F, f"relax has taken the pulses of servos {before.attached ^ 0x3F:06b} at once")
+    d.expect(
+        before.attached == 0x3F,
+        f"relax has taken the pulses of servos {before.attached ^ 0x3F:06b} at once",
+    )
     d.listen(0.1)
     status = d.status()
-    gone = [abs(was - rest) - abs(at - rest) for was, at, rest in zip(before.servo, status.servo, d.rest, strict=True)]
-    d.expect(min(gone) > 0, f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]")
+    gone = [
+        abs(was - rest) - abs(at - rest)
+        for was, at, rest in zip(before.servo, status.servo, d.rest, strict=True)
+    ]
+    d.expect(
+        min(gone) > 0,
+        f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]",
+    )
     way = max(abs(rest + SILENT_AT - at) for at, rest in zip(status.servo, d.rest, strict=True))
     rate = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000
     most = rate * (d.transport.now() - expires + EARLY)
     d.expect(way <= most, f"relax has gone {way} [1e-4 rad], at most {most:.0f} at its rate")
     d.listen(1.5)
     status = d.status()
-    d.expect(not status.attached and list(status.servo) == d.rest, f"after relax {status.servo}, servos {status.attached:06b}")
+    d.expect(
+        not status.attached and list(status.servo) == d.rest,
+        f"after relax {status.servo}, servos {status.attached:06b}",
+    )
 
 
 def _watchdog_hold(d: Device) -> None:
     before, _ = _silence(d, Action.hold, 100)
     d.listen(CONSTANTS["hold_max_ms"] * 1e-3 - 1.0)
     status = d.status()
-    d.expect(status.attached == 0x3F and status.servo == before.servo, f"hold: {status.servo}, servos {status.attached:06b}")
+    d.expect(
+        status.attached == 0x3F and status.servo == before.servo,
+        f"hold: {status.servo}, servos {status.attached:06b}",
+    )
     d.listen(1.0 + 1.5)
     d.must_be(State.fault, "1.5 s after hold must have become relax", powered=False)
 
@@ -311,16 +423,30 @@ def _watchdog_food(d: Device) -> None:
     d.armed(Action.detach, 200)
     before = d.status()
     other = struct.pack("<I", 5)
-    unfit = [(wire.STATUS, bytes(2)), (wire.HEARTBEAT, other), (wire.HELLO, bytes(4)), (wire.MOVE, d.move(0, 1))]
+    unfit = [
+        (wire.STATUS, bytes(2)),
+        (wire.HEARTBEAT, other),
+        (wire.HELLO, bytes(4)),
+        (wire.MOVE, d.move(0, 1)),
+    ]
     for kind, payload in unfit * 5:
         d.send(kind, payload)
         d.listen(0.02)
     status = d.must_be(State.fault, "after 0.4 s of STATUS, strangers and refused MOVEs")
-    d.expect(status.trips - before.trips == 1, f"watchdog_trips counts {status.trips - before.trips} of 1")
+    d.expect(
+        status.trips - before.trips == 1,
+        f"watchdog_trips counts {status.trips - before.trips} of 1",
+    )
 
 
 def _estop(d: Device) -> None:
-    kinds = ((0, b"", wire.VERSION), (0xFF, b"", wire.VERSION), (0, bytes(7), wire.VERSION), (0, b"", 1), (9, b"\1", 200))
+    kinds = (
+        (0, b"", wire.VERSION),
+        (0xFF, b"", wire.VERSION),
+        (0, bytes(7), wire.VERSION),
+        (0, b"", 1),
+        (9, b"\1", 200),
+    )
     for flags, payload, version in kinds:
         d.armed(Action.hold)
         d.unasked.clear()
@@ -356,23 +482,32 @@ def _clear(d: Device) -> None:
     d.expect(not status.moving, "after CLEAR in a move it says that it moves")
     d.listen(0.5)
     later = d.status()
-    d.expect(later.servo == status.servo, f"after CLEAR the commanded pose goes on from {status.servo} to {later.servo}")
+    d.expect(
+        later.servo == status.servo,
+        f"after CLEAR the commanded pose goes on from {status.servo} to {later.servo}",
+    )
     d.must(Reason.ok, wire.CLEAR, OURS, "in IDLE")
 
 
 def _periodic(d: Device) -> None:
     d.idle()
-    d.must(Reason.period, wire.STATUS, struct.pack("<H", CONSTANTS["status_min_ms"] - 1), "every 9 ms")
+    d.must(
+        Reason.period, wire.STATUS, struct.pack("<H", CONSTANTS["status_min_ms"] - 1), "every 9 ms"
+    )
     for ended_by in ("STATUS 0", "HELLO"):
         d.status(50)
         d.unasked.clear()
         d.listen(1.0)
-        count = sum(message.kind == wire.DEVICE_STATUS and message.seq == 0 for message in d.unasked)
+        count = sum(
+            message.kind == wire.DEVICE_STATUS and message.seq == 0 for message in d.unasked
+        )
         d.expect(17 <= count <= 21, f"{count} STATUS of number 0 in 1 s, must be 20")
         d.hello(SESSION) if ended_by == "HELLO" else d.status(0)
         d.unasked.clear()
         d.listen(0.3)
-        d.expect(not d.unasked, f"after {ended_by} it still sends {len(d.unasked)} messages by itself")
+        d.expect(
+            not d.unasked, f"after {ended_by} it still sends {len(d.unasked)} messages by itself"
+        )
 
 
 def _counters(d: Device) -> None:
@@ -384,7 +519,10 @@ def _counters(d: Device) -> None:
     status = d.status()
     accepted = (status.accepted - before.accepted) % 2**32
     d.expect(accepted == 6, f"accepted counts {accepted}, must be 6")
-    d.expect(status.refused - before.refused == 5, f"refused counts {status.refused - before.refused}, must be 5")
+    d.expect(
+        status.refused - before.refused == 5,
+        f"refused counts {status.refused - before.refused}, must be 5",
+    )
 
 
 RULES: dict[str, Callable[[Device], None]] = {
@@ -419,8 +557,11 @@ RULES: dict[str, Callable[[Device], None]] = {
 }
 
 
-def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3, rules: Iterable[str] = RULES) -> Iterator[Row]:
-    """Check every rule on the device behind a transport, one after the other. The transport is closed at the end.
+def conform(
+    transport: Transport, hand: Hand = HPAC, patience: float = 0.3, rules: Iterable[str] = RULES
+) -> Iterator[Row]:
+    """Check every rule on the device behind a transport, one after the other. The transport is
+    closed at the end.
 
     Args:
         hand: the hand whose limits the device should have.
@@ -432,7 +573,8 @@ def conform(transport: Transport, hand: Hand = HPAC, patience: float = 0.3, rule
         with suppress(BrokenRule):
             device.hash = device.hello(0).limits_hash
         for rule in rules:
-            device.tried, failure = 0, ""
+            device.tried = 0
+            failure = ""
             try:
                 RULES[rule](device)
             except BrokenRule as broken:

@@ -11,7 +11,10 @@ from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, na
 from hpac_gym.bridge.transport import Transport
 from hpac_gym.model import Hand
 
-_NAMES = {getattr(wire, name): name for name in ("HELLO", "ARM", "MOVE", "HEARTBEAT", "ESTOP", "CLEAR", "STATUS")}
+_NAMES = {
+    getattr(wire, name): name
+    for name in ("HELLO", "ARM", "MOVE", "HEARTBEAT", "ESTOP", "CLEAR", "STATUS")
+}
 _ANSWERS = {wire.HELLO: wire.DEVICE_HELLO, wire.STATUS: wire.DEVICE_STATUS}
 SLACK = 0.15
 """Tolerance for the delays of device and line [s]."""
@@ -93,7 +96,14 @@ class Device:
             self.send(wire.HEARTBEAT, OURS, wire.NO_ACK)
             self.listen(min(left, 0.03))
 
-    def send(self, kind: int, payload: bytes = b"", flags: int = 0, version: int = wire.VERSION, seq: int | None = None) -> int:
+    def send(
+        self,
+        kind: int,
+        payload: bytes = b"",
+        flags: int = 0,
+        version: int = wire.VERSION,
+        seq: int | None = None,
+    ) -> int:
         """Send a frame; returns its sequence number."""
         self._seq = self._seq % 0xFFFF + 1
         seq = self._seq if seq is None else seq
@@ -101,14 +111,23 @@ class Device:
         return seq
 
     def ask(
-        self, kind: int, payload: bytes = b"", flags: int = 0, version: int = wire.VERSION, seq: int | None = None
+        self,
+        kind: int,
+        payload: bytes = b"",
+        flags: int = 0,
+        version: int = wire.VERSION,
+        seq: int | None = None,
     ) -> wire.Message | None:
         """Send a frame and return the first answer with its sequence number, or None."""
         seq = self.send(kind, payload, flags, version, seq)
         until = self.transport.now() + self._patience
         while (left := until - self.transport.now()) > 0:
             heard = self._reader.push(self.transport.read(left))
-            answers = [message for message in heard if message.seq == seq and message.kind in (wire.ACK, _ANSWERS.get(kind))]
+            answers = [
+                message
+                for message in heard
+                if message.seq == seq and message.kind in (wire.ACK, _ANSWERS.get(kind))
+            ]
             self.unasked += [message for message in heard if message not in answers]
             if answers:
                 self.unasked += answers[1:]
@@ -122,43 +141,80 @@ class Device:
             return None
         return answer.payload[1], answer.payload[2]
 
-    def must(self, reason: Reason, kind: int, payload: bytes = b"", text: str = "", **how: int) -> None:
+    def must(
+        self, reason: Reason, kind: int, payload: bytes = b"", text: str = "", **how: int
+    ) -> None:
         """Require that the device answers this message with an ACK of this reason."""
         got = self.refusal(kind, payload, **how)
         told = "no ACK" if got is None else name_of(Reason, got[0])
-        self.expect(got is not None and got[0] == reason, f"{_NAMES.get(kind, kind)} {text}: {told}, must be {reason.name}")
+        self.expect(
+            got is not None and got[0] == reason,
+            f"{_NAMES.get(kind, kind)} {text}: {told}, must be {reason.name}",
+        )
 
     def hello(self, nonce: int) -> Hello:
         """Send HELLO and return the answer."""
         answer = self.ask(wire.HELLO, struct.pack("<I", nonce))
         self.expect(answer is not None, "HELLO got no answer")
-        self.expect(answer.kind == wire.DEVICE_HELLO and len(answer.payload) == 30, f"HELLO answered by {_told(answer)}")
+        self.expect(
+            answer.kind == wire.DEVICE_HELLO and len(answer.payload) == 30,
+            f"HELLO answered by {_told(answer)}",
+        )
         session, *_, limits = (*struct.unpack_from("<I3BI", answer.payload),)
-        *trims, reversed_mask, watchdog_ms, _, _, state = struct.unpack_from("<6hBHBHB", answer.payload, 11)
+        *trims, reversed_mask, watchdog_ms, _, _, state = struct.unpack_from(
+            "<6hBHBHB", answer.payload, 11
+        )
         return Hello(session, limits, tuple(trims), reversed_mask, watchdog_ms, state)
 
     def status(self, period_ms: int = 0) -> Status:
         """Request STATUS and return the answer."""
         answer = self.ask(wire.STATUS, struct.pack("<H", period_ms))
         self.expect(answer is not None, "STATUS got no answer")
-        self.expect(answer.kind == wire.DEVICE_STATUS and len(answer.payload) == 50, f"STATUS answered by {_told(answer)}")
-        _, state, fault, attached, moving, *rest = struct.unpack("<IBBBB6h6BHHHIHHHHHHH", answer.payload)
+        self.expect(
+            answer.kind == wire.DEVICE_STATUS and len(answer.payload) == 50,
+            f"STATUS answered by {_told(answer)}",
+        )
+        _, state, fault, attached, moving, *rest = struct.unpack(
+            "<IBBBB6h6BHHHIHHHHHHH", answer.payload
+        )
         last_seq, *counters, _, trips = rest[14:]
         return Status(state, fault, attached, moving, tuple(rest[:6]), last_seq, *counters, trips)
 
-    def must_be(self, state: State, when: str, fault: Fault | None = None, powered: bool | None = None) -> Status:
-        """Require a state in STATUS, and, unless None, this fault and any or no pulses; returns the STATUS."""
+    def must_be(
+        self, state: State, when: str, fault: Fault | None = None, powered: bool | None = None
+    ) -> Status:
+        """Require a state in STATUS, and, unless None, this fault and any or no pulses; returns the
+        STATUS.
+        """
         status = self.status()
-        kept = status.state == state and fault in (None, status.fault) and powered in (None, status.attached > 0)
-        wanted = state.name + (f" ({fault.name})" if fault is not None else "") + (" without pulses" if powered is False else "")
+        kept = (
+            status.state == state
+            and fault in (None, status.fault)
+            and powered in (None, status.attached > 0)
+        )
+        wanted = (
+            state.name
+            + (f" ({fault.name})" if fault is not None else "")
+            + (" without pulses" if powered is False else "")
+        )
         self.expect(kept, f"{when} {status}, must be {wanted}")
         return status
 
-    def arm(self, action: int = Action.relax, watchdog_ms: int = 250, hash_: int | None = None, session: int = SESSION) -> bytes:
+    def arm(
+        self,
+        action: int = Action.relax,
+        watchdog_ms: int = 250,
+        hash_: int | None = None,
+        session: int = SESSION,
+    ) -> bytes:
         """Payload of an ARM."""
-        return struct.pack("<IIHB", session, self.hash if hash_ is None else hash_, watchdog_ms, action)
+        return struct.pack(
+            "<IIHB", session, self.hash if hash_ is None else hash_, watchdog_ms, action
+        )
 
-    def move(self, target: int | list[int], duration_ms: int = 400, session: int = SESSION) -> bytes:
+    def move(
+        self, target: int | list[int], duration_ms: int = 400, session: int = SESSION
+    ) -> bytes:
         """Payload of a MOVE to `target` above each servo's rest [1e-4 rad]."""
         steps = [rest + target for rest in self.rest] if isinstance(target, int) else target
         return struct.pack("<IH6h", session, duration_ms, *steps)
@@ -191,11 +247,20 @@ class Device:
         status = self.status()
         wanted = tuple(rest + target for rest in self.rest)
         off = max(abs(is_at - to) for is_at, to in zip(status.servo, wanted, strict=True))
-        self.expect(off <= 1 and not status.moving, f"after a move {status.servo}, must be {wanted} [1e-4 rad]")
+        self.expect(
+            off <= 1 and not status.moving,
+            f"after a move {status.servo}, must be {wanted} [1e-4 rad]",
+        )
 
     def must_have_told(self, fault: Fault) -> None:
-        """Require that exactly one FAULT message, of this fault, is among `unasked`, and clear them."""
-        codes = [message.payload[0] for message in self.unasked if message.kind == wire.FAULT and len(message.payload) == 6]
+        """Require that exactly one FAULT message, of this fault, is among `unasked`, and clear
+        them.
+        """
+        codes = [
+            message.payload[0]
+            for message in self.unasked
+            if message.kind == wire.FAULT and len(message.payload) == 6
+        ]
         self.unasked.clear()
         self.expect(codes == [fault], f"FAULT messages {codes}, must be one of {fault.name}")
 

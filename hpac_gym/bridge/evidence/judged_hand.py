@@ -1,4 +1,6 @@
-"""Virtual hands that an oracle checks, and hands with one fault each: the negative controls of the evidence."""
+"""Virtual hands that an oracle checks, and hands with one fault each: the negative controls of the
+evidence.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from hpac_gym.bridge.protocol import Reset
 
 
 class JudgedHand(VirtualHand):
-    """A virtual hand that an oracle checks; negative controls override its hooks `heard`, `shown` and `tick`.
+    """A virtual hand that an oracle checks; negative controls override its hooks `heard`, `shown`
+    and `tick`.
 
     Args:
         period_us: period of the board's ticks [µs].
@@ -51,8 +54,12 @@ class JudgedHand(VirtualHand):
         return widths
 
 
-def _rewritten(data: bytes, change: Callable[[bytearray], bytes | None], mend: bool = False) -> bytes:
-    """Change and re-encode every intact frame, or drop it; damaged frames pass unchanged unless ``mend`` is set."""
+def _rewritten(
+    data: bytes, change: Callable[[bytearray], bytes | None], mend: bool = False
+) -> bytes:
+    """Change and re-encode every intact frame, or drop it; damaged frames pass unchanged unless
+    ``mend`` is set.
+    """
     out = b""
     for piece in filter(None, data.split(b"\0")):
         opened = wire.unseal(piece)
@@ -75,7 +82,9 @@ class NoWatchdog(JudgedHand):
 
     def tick(self) -> None:
         if self.oracle.session:
-            feed = wire.frame(wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.session), wire.NO_ACK)
+            feed = wire.frame(
+                wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.session), wire.NO_ACK
+            )
             self._library.hpac_hand_receive(self._hand, self._config, self.now_us, feed, len(feed))
         super().tick()
 
@@ -117,7 +126,9 @@ class StartsAtOnce(JudgedHand):
     """A hand that starts all of its servos together."""
 
     def shown(self, now_us: int, widths: list[int]) -> list[int]:
-        return widths if all(widths) or not any(widths) else [width or 1_500_000 for width in widths]
+        return (
+            widths if all(widths) or not any(widths) else [width or 1_500_000 for width in widths]
+        )
 
 
 class AlwaysOn(JudgedHand):
@@ -128,7 +139,9 @@ class AlwaysOn(JudgedHand):
 
 
 class Forgiving(JudgedHand):
-    """A hand that accepts frames that it should refuse: it repairs damaged frames and wrong sessions."""
+    """A hand that accepts frames that it should refuse: it repairs damaged frames and wrong
+    sessions.
+    """
 
     def heard(self, data: bytes) -> bytes:
         return _rewritten(data, self._mend, mend=True)

@@ -1,8 +1,9 @@
-"""An oracle for hands: checks pulses against docs/wire.md, given the bytes that the hand received and sent.
+"""An oracle for hands: checks pulses against docs/wire.md, given the bytes that the hand received
+and sent.
 
-Written from the document alone. It has its own codec, its own servo table from the hand's parameters, and its own clock; it
-imports nothing from the link, the Python codec or the firmware core.
-"""
+Written from the document alone. It has its own codec, its own servo table from the hand's
+parameters, and its own clock; it imports nothing from the link, the Python codec or the firmware
+core."""
 
 from __future__ import annotations
 
@@ -20,9 +21,12 @@ HELLO, ARM, MOVE, HEARTBEAT, ESTOP, CLEAR, STATUS = range(1, 8)
 DEVICE_HELLO, ACK, DEVICE_STATUS, FAULT = range(0x81, 0x85)
 LENGTHS = {HELLO: 4, ARM: 11, MOVE: 18, HEARTBEAT: 4, ESTOP: 0, CLEAR: 4, STATUS: 2}
 """Payload length of each host message [bytes]."""
-MINIMUM_JERK, NO_ACK = 1, 2
+MINIMUM_JERK = 1
+NO_ACK = 2
 HOLD, RELAX, DETACH = range(3)
-FAULT_ESTOP, FAULT_WATCHDOG, FAULT_OVERLOAD = 1, 2, 3
+FAULT_ESTOP = 1
+FAULT_WATCHDOG = 2
+FAULT_OVERLOAD = 3
 
 WATCHDOG_US = (100_000, 2_000_000)
 HOLD_US = 30_000_000
@@ -41,7 +45,9 @@ CREDIT_ANGLE = 1e-4
 RULES = ("range", "rate", "start", "unarmed", "estop", "silence", "accept")
 
 
-def frame(kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: int = VERSION) -> bytes:
+def frame(
+    kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: int = VERSION
+) -> bytes:
     """Encode a frame for the wire."""
     return seal(struct.pack("<BBHB", version, kind, seq, flags) + payload)
 
@@ -49,7 +55,8 @@ def frame(kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: in
 def seal(body: bytes) -> bytes:
     """Header and payload with CRC-32 and COBS, between zeros."""
     data = body + struct.pack("<I", zlib.crc32(body))
-    out, run = bytearray(), bytearray()
+    out = bytearray()
+    run = bytearray()
     for byte in data:
         if byte:
             run.append(byte)
@@ -60,8 +67,11 @@ def seal(body: bytes) -> bytes:
 
 
 def unseal(piece: bytes) -> tuple[bytes, bool] | None:
-    """Header and payload of a piece between two zeros, and whether its CRC is right; None if it is not COBS or too short."""
-    data, at = bytearray(), 0
+    """Header and payload of a piece between two zeros, and whether its CRC is right; None if it is
+    not COBS or too short.
+    """
+    data = bytearray()
+    at = 0
     while at < len(piece):
         step = piece[at]
         if at + step > len(piece):
@@ -97,7 +107,11 @@ class Reader:
         *pieces, self._rest = (self._rest + data).split(b"\0")
         self._rest = self._rest[-300:]
         opened = [unseal(piece) for piece in pieces if piece]
-        return [Message(*struct.unpack_from("<BBHB", body), body[5:]) for body, intact in filter(None, opened) if intact]
+        return [
+            Message(*struct.unpack_from("<BBHB", body), body[5:])
+            for body, intact in filter(None, opened)
+            if intact
+        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,15 +141,21 @@ class Oracle:
         self._low = [round(x * 1e4) / 1e4 for x in hand.servo_min]
         self._high = [round(x * 1e4) / 1e4 for x in hand.servo_max]
         self._centre = [(low + high) / 2 for low, high in zip(self._low, self._high, strict=True)]
-        self._rest = [min(max(0.0, low), high) for low, high in zip(self._low, self._high, strict=True)]
+        self._rest = [
+            min(max(0.0, low), high) for low, high in zip(self._low, self._high, strict=True)
+        ]
         self._rate = [float(x) for x in np.broadcast_to(hand.servo_rate_limit, len(SERVOS))]
         self._period_us = period_us
-        ways = ((high - low) / (RELAX_SHARE * rate) for low, high, rate in zip(self._low, self._high, self._rate, strict=True))
+        ways = (
+            (high - low) / (RELAX_SHARE * rate)
+            for low, high, rate in zip(self._low, self._high, self._rate, strict=True)
+        )
         self._way_to_rest_us = max(ways) * 1e6
         self.complaints: list[Complaint] = []
         self.broken: Counter[str] = Counter()
         self.tried: Counter[str] = Counter(dict.fromkeys(RULES, 0))
-        self._from_host, self._from_hand = Reader(), Reader()
+        self._from_host = Reader()
+        self._from_hand = Reader()
         self.power_on()
 
     def power_on(self) -> None:
@@ -144,7 +164,8 @@ class Oracle:
         self._waiting: dict[tuple[int, int], tuple[int, Message]] = {}
         self._armed = False
         self._ending = -1  # the action started by a fault
-        self._ending_us, self._ending_rule = 0, ""
+        self._ending_us = 0
+        self._ending_rule = ""
         self._fed_us = self._watchdog_us = self._action = 0
         self._last_move: tuple[int, bytes] | None = None
         self._repeatable = False
@@ -159,7 +180,8 @@ class Oracle:
         if len(self.complaints) < 100:
             self.complaints.append(Complaint(rule, now_us, text))
 
-    # --- messages of the host and answers of the hand --------------------------------------------------------------
+    # --- messages of the host and answers of the hand
+    # --------------------------------------------------------------
 
     def host(self, now_us: int, data: bytes) -> None:
         """Record bytes that reached the hand."""
@@ -169,46 +191,74 @@ class Oracle:
                 self._end(DETACH, now_us, "estop")
             elif message.version == VERSION:
                 self._waiting[message.kind, message.seq] = (now_us, message)
-                if message.kind == HELLO and message.payload != bytes(4) and len(message.payload) == 4 and not message.flags:
+                if (
+                    message.kind == HELLO
+                    and message.payload != bytes(4)
+                    and len(message.payload) == 4
+                    and not message.flags
+                ):
                     self.session = struct.unpack("<I", message.payload)[0]
-                    self._armed, self._last_move = False, None
+                    self._armed = False
+                    self._last_move = None
 
     def _end(self, action: int, now_us: int, rule: str) -> None:
         self._armed = False
-        self._ending, self._ending_us, self._ending_rule = action, now_us, rule
+        self._ending = action
+        self._ending_us = now_us
+        self._ending_rule = rule
 
     def device(self, now_us: int, data: bytes) -> None:
         """Record bytes that the hand sent: executed messages, and faults that it detected."""
         for message in self._from_hand.push(data):
             if message.kind == ACK and len(message.payload) == 4 and message.payload[1] == 0:
-                sent_us, question = self._waiting.pop((message.payload[0], message.seq), (now_us, None))
+                sent_us, question = self._waiting.pop(
+                    (message.payload[0], message.seq), (now_us, None)
+                )
                 if question is not None:
                     self._carried_out(sent_us, question)
                 elif message.payload[0] != ESTOP:
-                    self._complain("accept", now_us, f"message {message.payload[0]} was carried out, but never came")
+                    self._complain(
+                        "accept",
+                        now_us,
+                        f"message {message.payload[0]} was carried out, but never came",
+                    )
             elif message.kind == FAULT and message.payload[0] not in (FAULT_ESTOP, FAULT_WATCHDOG):
-                self._end(RELAX if message.payload[0] == FAULT_OVERLOAD else DETACH, now_us, "silence")
+                self._end(
+                    RELAX if message.payload[0] == FAULT_OVERLOAD else DETACH, now_us, "silence"
+                )
 
     def _carried_out(self, now_us: int, message: Message) -> None:
         self.tried["accept"] += 1
         if (why := self._must_refuse(message)) is not None:
-            self._complain("accept", now_us, f"message {message.kind} of sequence {message.seq} was carried out: {why}")
+            self._complain(
+                "accept",
+                now_us,
+                f"message {message.kind} of sequence {message.seq} was carried out: {why}",
+            )
         if message.kind in (ARM, MOVE, HEARTBEAT):
             self._fed_us = max(self._fed_us, now_us)
         if message.kind == ARM:
             _, _, watchdog_ms, self._action = struct.unpack("<IIHB", message.payload)
             self._watchdog_us = watchdog_ms * 1000
-            self._armed, self._ending = True, -1
+            self._armed = True
+            self._ending = -1
         elif message.kind == CLEAR:
-            self._armed, self._ending, self._repeatable = False, -1, False
+            self._armed = False
+            self._ending = -1
+            self._repeatable = False
         elif message.kind == MOVE:
-            self._last_move, self._repeatable = (message.seq, message.payload), True
+            self._last_move = (message.seq, message.payload)
+            self._repeatable = True
 
     def _must_refuse(self, message: Message) -> str | None:
-        """Reason for which the hand must refuse this message, as far as an observer can know; None without one."""
+        """Reason for which the hand must refuse this message, as far as an observer can know; None
+        without one.
+        """
         if len(message.payload) != LENGTHS.get(message.kind, -1):
             return f"payload of {len(message.payload)} bytes"
-        if message.flags & ~(3 if message.kind == MOVE else NO_ACK if message.kind == HEARTBEAT else 0):
+        if message.flags & ~(
+            3 if message.kind == MOVE else NO_ACK if message.kind == HEARTBEAT else 0
+        ):
             return f"flags {message.flags}"
         if message.kind == STATUS:
             return None
@@ -233,12 +283,15 @@ class Oracle:
         for name, step, low, high in zip(SERVOS, steps, self._low, self._high, strict=True):
             if not low - 1e-9 <= step * 1e-4 <= high + 1e-9:
                 return f"{name} to {step * 1e-4:g} rad"
-        if self._last_move is not None and not (self._repeatable and self._last_move == (message.seq, message.payload)):
+        if self._last_move is not None and not (
+            self._repeatable and self._last_move == (message.seq, message.payload)
+        ):
             if not 0 < (message.seq - self._last_move[0]) % 0x10000 < 0x8000:
                 return f"older than {self._last_move[0]}"
         return None
 
-    # --- pulses ----------------------------------------------------------------------------------------------------
+    # --- pulses
+    # ----------------------------------------------------------------------------------------------------
 
     def pulses(self, now_us: int, widths: list[int] | np.ndarray) -> None:
         """Check the six pulse widths [ns] after a tick; 0 means no pulses."""
@@ -255,7 +308,8 @@ class Oracle:
             if angle is not None:
                 self._check_motion(i, angle, now_us, now_us - before_us)
                 self._pose[i] = angle
-        self._angles, self._now_us = angles, now_us
+        self._angles = angles
+        self._now_us = now_us
 
     def _check_power(self, now_us: int, angles: list[float | None]) -> None:
         powered = any(angle is not None for angle in angles)
@@ -266,44 +320,78 @@ class Oracle:
             if powered:
                 self._complain("unarmed", now_us, "pulses although the hand is not armed")
             return
-        allowed_us = 0.0 if self._ending == DETACH else self._way_to_rest_us + (HOLD_US if self._ending == HOLD else 0)
+        allowed_us = (
+            0.0
+            if self._ending == DETACH
+            else self._way_to_rest_us + (HOLD_US if self._ending == HOLD else 0)
+        )
         self.tried[self._ending_rule] += 1
         if powered and now_us > self._ending_us + allowed_us + 2 * self._period_us:
-            self._complain(self._ending_rule, now_us, f"pulses {(now_us - self._ending_us) / 1e3:.1f} ms after the end began")
+            self._complain(
+                self._ending_rule,
+                now_us,
+                f"pulses {(now_us - self._ending_us) / 1e3:.1f} ms after the end began",
+            )
 
     def _check_start(self, now_us: int, angles: list[float | None]) -> None:
-        new = [i for i, (was, angle) in enumerate(zip(self._angles, angles, strict=True)) if was is None and angle is not None]
+        new = [
+            i
+            for i, (was, angle) in enumerate(zip(self._angles, angles, strict=True))
+            if was is None and angle is not None
+        ]
         if not new:
             return
         self.tried["start"] += 1
         if len(new) > 1 or now_us - self._started_us < START_GAP_US - self._period_us:
-            self._complain("start", now_us, f"servos {new} start {(now_us - self._started_us) / 1e3:.0f} ms after the one before")
+            self._complain(
+                "start",
+                now_us,
+                f"servos {new} start {(now_us - self._started_us) / 1e3:.0f} ms after the one before",
+            )
         for i in new:
-            # Pulses stop at the tick at which the relaxing servo is at rest, so the last output is one tick older.
-            if abs(angles[i] - self._pose[i]) > RELAX_SHARE * self._rate[i] * 2e-6 * self._period_us + ROUNDING:
-                self._complain("start", now_us, f"{SERVOS[i]} starts at {angles[i]:.4f} rad, was last at {self._pose[i]:.4f} rad")
+            # Pulses stop at the tick at which the relaxing servo is at rest, so the last output is
+            # one tick older.
+            if (
+                abs(angles[i] - self._pose[i])
+                > RELAX_SHARE * self._rate[i] * 2e-6 * self._period_us + ROUNDING
+            ):
+                self._complain(
+                    "start",
+                    now_us,
+                    f"{SERVOS[i]} starts at {angles[i]:.4f} rad, was last at {self._pose[i]:.4f} rad",
+                )
         self._started_us = now_us
 
     def _check_motion(self, i: int, angle: float, now_us: int, step_us: int) -> None:
         self.tried["range"] += 1
         if not self._low[i] - ROUNDING <= angle <= self._high[i] + ROUNDING:
-            self._complain("range", now_us, f"{SERVOS[i]} at {angle:.4f} rad, limits {self._low[i]:g} … {self._high[i]:g} rad")
+            self._complain(
+                "range",
+                now_us,
+                f"{SERVOS[i]} at {angle:.4f} rad, limits {self._low[i]:g} … {self._high[i]:g} rad",
+            )
         before = self._angles[i]
         if before is None:
             self._over[i] = 0.0
             return
         moved = abs(angle - before)
-        slow = self._ending == RELAX or (self._ending == HOLD and now_us > self._ending_us + HOLD_US)
+        slow = self._ending == RELAX or (
+            self._ending == HOLD and now_us > self._ending_us + HOLD_US
+        )
         rate = self._rate[i] * (RELAX_SHARE if slow else 1.0)
         allowed = rate * RATE_EXCESS * min(step_us, STEP_MAX_US) * 1e-6
         self._over[i] = max(self._over[i] + moved - allowed, 0.0)
         self.tried["rate"] += moved > ROUNDING
         if self._over[i] > rate * CREDIT_TIME + CREDIT_ANGLE + ROUNDING:
-            self._complain("rate", now_us, f"{SERVOS[i]} is {self._over[i]:.4f} rad ahead of {rate:g} rad/s")
+            self._complain(
+                "rate", now_us, f"{SERVOS[i]} is {self._over[i]:.4f} rad ahead of {rate:g} rad/s"
+            )
             self._over[i] = 0.0
         if self._ending < 0 or now_us <= self._ending_us + self._period_us:
             return
         if self._ending == HOLD and now_us < self._ending_us + HOLD_US and moved > ROUNDING:
             self._complain("silence", now_us, f"{SERVOS[i]} moves although the hand must hold")
         if slow and abs(angle - self._rest[i]) > abs(before - self._rest[i]) + ROUNDING:
-            self._complain("silence", now_us, f"{SERVOS[i]} moves away from rest although the hand must relax")
+            self._complain(
+                "silence", now_us, f"{SERVOS[i]} moves away from rest although the hand must relax"
+            )

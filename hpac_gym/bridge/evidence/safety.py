@@ -1,10 +1,11 @@
-"""The safety case: claims about hand and host, each measured together with a negative control that must fail.
+"""The safety case: claims about hand and host, each measured together with a negative control that
+must fail.
 
-Firmware time is the core's own clock in the virtual hand, exact to a tick; there an `Oracle` checks the hand, knowing only the
-document and not the core. Wall-clock figures come from the host board, a process under this machine's scheduler, and thus also
-depend on the machine. A control breaks the hand between core and oracle, or omits the protection that the claim is about:
-a claim holds only if something was tried, the figure is within its limit, and the control's is not.
-"""
+Firmware time is the core's own clock in the virtual hand, exact to a tick; there an `Oracle` checks
+the hand, knowing only the document and not the core. Wall-clock figures come from the host board, a
+process under this machine's scheduler, and thus also depend on the machine. A control breaks the
+hand between core and oracle, or omits the protection that the claim is about: a claim holds only if
+something was tried, the figure is within its limit, and the control's is not."""
 
 from __future__ import annotations
 
@@ -71,7 +72,8 @@ class Claim:
         return f"{figure} tried {self.tried:<9,} control {self.control:<9.4g} {self.claim}"
 
 
-# --- scenarios: each returns the figure and the number of opportunities to break the claim ----------------------------
+# --- scenarios: each returns the figure and the number of opportunities to break the claim
+# ----------------------------
 
 Played = tuple[float, int]
 Hands = type[JudgedHand]
@@ -108,8 +110,11 @@ def _pass(hand: VirtualHand, seconds: float) -> None:
 
 
 def _silence_time(kind: Hands) -> Played:
-    """Worst time from the end of the watchdog period to the last pulse with the action `detach` [ms]."""
-    worst, tried = 0.0, 0
+    """Worst time from the end of the watchdog period to the last pulse with the action `detach`
+    [ms].
+    """
+    worst = 0.0
+    tried = 0
     for watchdog in (0.1, 0.25, 0.5, 2.0):
         for offset_us in range(0, BOARD_TICK_US, 3_700):
             hand = kind(BOARD_TICK_US, start_us=offset_us)
@@ -125,11 +130,17 @@ def _ms_until_silent(hand: VirtualHand, patience: float) -> float:
 
 
 def _fed_by_strangers(kind: Hands) -> Played:
-    """The controller is silent while others request STATUS and send HEARTBEAT, MOVE and CLEAR of other sessions."""
+    """The controller is silent while others request STATUS and send HEARTBEAT, MOVE and CLEAR of
+    other sessions.
+    """
     hand = kind()
     link = _linked(hand, Action.detach)
     session = struct.pack("<I", link.info.session ^ 1)
-    others = [(wire.STATUS, bytes(2)), (wire.HEARTBEAT, session), (wire.MOVE, session + struct.pack("<H6h", 500, *[100] * 6))]
+    others = [
+        (wire.STATUS, bytes(2)),
+        (wire.HEARTBEAT, session),
+        (wire.MOVE, session + struct.pack("<H6h", 500, *[100] * 6)),
+    ]
     others += [(wire.CLEAR, session), (wire.HEARTBEAT, bytes(4)), (wire.HELLO, bytes(4))]
     for number in range(30):
         message, payload = others[number % len(others)]
@@ -139,7 +150,9 @@ def _fed_by_strangers(kind: Hands) -> Played:
 
 
 def _random_moves(kind: Hands, rule: str, moves: int = 400) -> Played:
-    """Valid and invalid moves of every kind at random times, on boards that stall for up to 0.4 s."""
+    """Valid and invalid moves of every kind at random times, on boards that stall for up to 0.4
+    s.
+    """
     oracle = _moved_at_random(kind, moves)
     return oracle.broken[rule], oracle.tried[rule]
 
@@ -182,7 +195,13 @@ def _unarmed(kind: Hands) -> Played:
     hand = kind()
     session = struct.pack("<I", 5)
     move = (wire.MOVE, session + struct.pack("<H6h", 1000, *[100] * 6))
-    frames = [move, (wire.HELLO, session), (wire.HEARTBEAT, session), move, (wire.STATUS, struct.pack("<H", 20))]
+    frames = [
+        move,
+        (wire.HELLO, session),
+        (wire.HEARTBEAT, session),
+        move,
+        (wire.STATUS, struct.pack("<H", 20)),
+    ]
     frames.append((wire.CLEAR, session))
     with suppress(BridgeError):
         for number, (message, payload) in enumerate(frames * 3):
@@ -195,15 +214,24 @@ def _unarmed(kind: Hands) -> Played:
 
 
 def _estops(kind: Hands) -> Played:
-    """ESTOP at any time with any flags, payload, version and sequence number: worst time to the last pulse [ms]."""
+    """ESTOP at any time with any flags, payload, version and sequence number: worst time to the
+    last pulse [ms].
+    """
     rng = np.random.default_rng(3)
-    worst, tried = 0.0, 0
+    worst = 0.0
+    tried = 0
     for number in range(24):
         hand = kind(BOARD_TICK_US, start_us=1_700 * number)
         link = _linked(hand, Action(number % 3))
         link.sleep(_TIME * rng.random())
         payload = rng.bytes(int(rng.integers(0, 12))) if number % 2 else b""
-        frame = wire.frame(wire.ESTOP, int(rng.integers(0x10000)), payload, int(rng.integers(256)), int(rng.integers(256)))
+        frame = wire.frame(
+            wire.ESTOP,
+            int(rng.integers(0x10000)),
+            payload,
+            int(rng.integers(256)),
+            int(rng.integers(256)),
+        )
         tried += bool(hand.pulses().all())
         hand.receive(frame)
         worst = max(worst, _ms_until_silent(hand, _PATIENCE))
@@ -211,16 +239,29 @@ def _estops(kind: Hands) -> Played:
 
 
 def _ways_out_of_a_fault(kind: Hands) -> Played:
-    """After an e-stop, every message except the session's CLEAR: number of them that restore pulses or leave the fault."""
+    """After an e-stop, every message except the session's CLEAR: number of them that restore pulses
+    or leave the fault.
+    """
     hand = kind()
     link = _linked(hand, Action.detach)
     link.estop()
-    out, tried = 0, 0
+    out = 0
+    tried = 0
     session = struct.pack("<I", link.info.session)
     arm = session + struct.pack("<IHB", link.info.limits_hash, 250, 0)
     move = session + struct.pack("<H6h", 1000, *[100] * 6)
-    frames = [(wire.ARM, arm), (wire.MOVE, move), (wire.HEARTBEAT, session), (wire.STATUS, bytes(2)), (wire.ESTOP, b"")]
-    frames += [(wire.CLEAR, struct.pack("<I", link.info.session ^ 1)), (wire.HELLO, bytes(4)), (wire.HELLO, session)]
+    frames = [
+        (wire.ARM, arm),
+        (wire.MOVE, move),
+        (wire.HEARTBEAT, session),
+        (wire.STATUS, bytes(2)),
+        (wire.ESTOP, b""),
+    ]
+    frames += [
+        (wire.CLEAR, struct.pack("<I", link.info.session ^ 1)),
+        (wire.HELLO, bytes(4)),
+        (wire.HELLO, session),
+    ]
     for number, (message, payload) in enumerate(frames, 1000):
         hand.receive(wire.frame(message, number, payload))
         _pass(hand, 0.1)
@@ -235,7 +276,12 @@ def _old_moves(kind: Hands) -> Played:
     link = _linked(hand, Action.hold, 2.0)
     link.wait()
     session = struct.pack("<I", link.info.session)
-    moves = [wire.frame(wire.MOVE, 30_000 + i, session + struct.pack("<H6h", 1000, *[1000 * (i + 1)] * 6)) for i in range(5)]
+    moves = [
+        wire.frame(
+            wire.MOVE, 30_000 + i, session + struct.pack("<H6h", 1000, *[1000 * (i + 1)] * 6)
+        )
+        for i in range(5)
+    ]
     for move in moves:
         hand.receive(move)
         link.sleep(1.1)
@@ -253,7 +299,9 @@ def _old_moves(kind: Hands) -> Played:
 
 
 def _hostile(kind: Hands, frames: int) -> Played:
-    """Valid, absurd, damaged and foreign frames at random times: violations of any rule of the oracle."""
+    """Valid, absurd, damaged and foreign frames at random times: violations of any rule of the
+    oracle.
+    """
     rng = np.random.default_rng(6)
     hand = kind()
     link = HandLink(hand.connect)
@@ -276,8 +324,10 @@ def _hostile_frame(rng: np.random.Generator, session: int, limits_hash: int, num
     kind = int(rng.choice(kinds, p=[0.3, 0.4, 0.2, 0.02, 0.05, 0.01, 0.02]))
     nonce = struct.pack("<I", session if rng.random() < 0.9 else int(rng.integers(2**32)))
     payload = {
-        wire.ARM: nonce + struct.pack("<IHB", limits_hash, int(rng.integers(50, 2500)), int(rng.integers(0, 4))),
-        wire.MOVE: nonce + struct.pack("<H6h", int(rng.integers(5, 3000)), *rng.integers(-500, 16_000, 6).tolist()),
+        wire.ARM: nonce
+        + struct.pack("<IHB", limits_hash, int(rng.integers(50, 2500)), int(rng.integers(0, 4))),
+        wire.MOVE: nonce
+        + struct.pack("<H6h", int(rng.integers(5, 3000)), *rng.integers(-500, 16_000, 6).tolist()),
         wire.STATUS: bytes(2),
         wire.ESTOP: b"",
     }.get(kind, nonce)
@@ -326,17 +376,21 @@ def _overload(kind: Hands) -> Played:
 
 
 class _Restarting(VirtualTransport):
-    """A board that restarts when its port opens and again after `restart_at` writes, sending boot text each time."""
+    """A board that restarts when its port opens and again after `restart_at` writes, sending boot
+    text each time.
+    """
 
     def __init__(self, hand: VirtualHand, restart_at: int, seen: dict[str, int]) -> None:
         super().__init__(hand)
-        self._left, self._seen = restart_at, seen
+        self._left = restart_at
+        self._seen = seen
         self._restart()
 
     def _restart(self) -> None:
         self._seen["in a session"] += bool(self._hand.pulses().any())
         self._hand.restart(Reset.power_on)
-        self._text, self._deaf_until_us = _BOOT_TEXT, self._hand.now_us + 300_000
+        self._text = _BOOT_TEXT
+        self._deaf_until_us = self._hand.now_us + 300_000
 
     def write(self, data: bytes) -> None:
         self._left -= 1
@@ -346,17 +400,23 @@ class _Restarting(VirtualTransport):
             super().write(data)
 
     def read(self, timeout: float) -> bytes:
-        text, self._text = self._text, b""
+        text = self._text
+        self._text = b""
         self._seen["bytes"] += len(text)
         return text + super().read(timeout)
 
 
 def _boots(kind: Hands) -> Played:
-    """Sessions with boards that restart at opening and during the session: number that are lost or leave pulses."""
-    lost, seen = 0, {"in a session": 0, "bytes": 0}
+    """Sessions with boards that restart at opening and during the session: number that are lost or
+    leave pulses.
+    """
+    lost = 0
+    seen = {"in a session": 0, "bytes": 0}
     for restart_at in range(8, 28):
         hand = kind()
-        link = HandLink(lambda hand=hand, at=restart_at: _Restarting(hand, at, seen), handshake_timeout=1.0)
+        link = HandLink(
+            lambda hand=hand, at=restart_at: _Restarting(hand, at, seen), handshake_timeout=1.0
+        )
         try:
             link.connect()
             with suppress(BridgeError):  # the restart must end the session with an error
@@ -373,22 +433,34 @@ def _boots(kind: Hands) -> Played:
 
 
 def _sessions(count: int, seed: int) -> Iterator[Claim]:
-    """Random sessions; those whose link to the hand has failed are counted separately, since only the firmware can act there.
-    Controls: links that do not release the hand, and hands without a watchdog."""
-    seen, mute = run_sessions(count, seed), run_sessions(max(10, count // 50), seed, release=False)
+    """Random sessions; those whose link to the hand has failed are counted separately, since only
+    the firmware can act there. Controls: links that do not release the hand, and hands without a
+    watchdog."""
+    seen = run_sessions(count, seed)
+    mute = run_sessions(max(10, count // 50), seed, release=False)
     broken, control = (s.powered + s.untold + s.swallowed for s in (seen, mute))
     text = f"{seen.sessions:,} random sessions over bad links, interrupted anywhere: left powered over a living link, or untold"
     yield Claim(text, broken, 0, "sessions", seen.with_pulses, control)
     fed = run_sessions(150, seed, release=False, kind=partial(NoWatchdog, BOARD_TICK_US))
     for action, limit in BOUND.items():
         text = f"of them over links dead towards the hand, {action.name}: longest with pulses after the watchdog"
-        yield Claim(text, seen.longest_cut_off[action], limit, "s", seen.cut_off[action], fed.longest_cut_off[action])
+        yield Claim(
+            text,
+            seen.longest_cut_off[action],
+            limit,
+            "s",
+            seen.cut_off[action],
+            fed.longest_cut_off[action],
+        )
 
 
-# --- the claims -----------------------------------------------------------------------------------------------------
+# --- the claims
+# -----------------------------------------------------------------------------------------------------
 
 
-def measure(frames: int = 10_000_000, trials: int = 20, sessions: int = 10_000, seed: int = 1) -> Iterator[Claim]:
+def measure(
+    frames: int = 10_000_000, trials: int = 20, sessions: int = 10_000, seed: int = 1
+) -> Iterator[Claim]:
     """Measure every claim and its control, one after the other.
 
     Args:
@@ -406,7 +478,9 @@ def measure(frames: int = 10_000_000, trials: int = 20, sessions: int = 10_000, 
     yield from _wall_clock(trials)
 
 
-def _played(claim: str, limit: float, unit: str, control: Hands, play: Callable[..., Played], *words: object) -> Claim:
+def _played(
+    claim: str, limit: float, unit: str, control: Hands, play: Callable[..., Played], *words: object
+) -> Claim:
     figure, tried = play(JudgedHand, *words)
     return Claim(claim, float(figure), limit, unit, int(tried), float(play(control, *words)[0]))
 
@@ -415,18 +489,55 @@ _PLAYED = [
     ("host silent → hold for 30 s, then relax", 0, "complaints", MovesOn, _silence, Action.hold),
     ("host silent → relax, then no pulses", 0, "complaints", NoWatchdog, _silence, Action.relax),
     ("host silent → detach", 0, "complaints", NoWatchdog, _silence, Action.detach),
-    ("host silent → no pulses after the watchdog, on a board that ticks every 20 ms", 20, "ms", NoWatchdog, _silence_time),
-    ("neither STATUS nor strangers feed the watchdog", 0, "complaints", Forgiving, _fed_by_strangers),
+    (
+        "host silent → no pulses after the watchdog, on a board that ticks every 20 ms",
+        20,
+        "ms",
+        NoWatchdog,
+        _silence_time,
+    ),
+    (
+        "neither STATUS nor strangers feed the watchdog",
+        0,
+        "complaints",
+        Forgiving,
+        _fed_by_strangers,
+    ),
     ("every pulse within the servo's limits", 0, "complaints", Shifted, _random_moves, "range"),
-    ("no servo beyond its rate limit by more than 1 % and 1 ms; late ticks too", 0, "complaints", Coarse, _random_moves, "rate"),
-    ("arming: one servo after the other, from the last pose, slowly to rest", 0, "complaints", StartsAtOnce, _starts),
+    (
+        "no servo beyond its rate limit by more than 1 % and 1 ms; late ticks too",
+        0,
+        "complaints",
+        Coarse,
+        _random_moves,
+        "rate",
+    ),
+    (
+        "arming: one servo after the other, from the last pose, slowly to rest",
+        0,
+        "complaints",
+        StartsAtOnce,
+        _starts,
+    ),
     ("no pulse before ARM, nor after CLEAR or HELLO", 0, "complaints", AlwaysOn, _unarmed),
     ("e-stop of any flags, payload and version → no pulses", 20, "ms", DeafToEstop, _estops),
-    ("a fault is latched: messages other than CLEAR that leave it", 0, "messages", Forgiving, _ways_out_of_a_fault),
+    (
+        "a fault is latched: messages other than CLEAR that leave it",
+        0,
+        "messages",
+        Forgiving,
+        _ways_out_of_a_fault,
+    ),
     ("a MOVE that comes again, or late, moves nothing", 0, "moves", Renumbering, _old_moves),
     ("no damaged frame is carried out", 0, "frames", Forgiving, _damaged),
     ("a hostile host: all of the above", 0, "complaints", Shifted, _hostile, 20_000),
-    ("boot text and restarts, at opening and in the session: lost or left with pulses", 0, "sessions", Babbling, _boots),
+    (
+        "boot text and restarts, at opening and in the session: lost or left with pulses",
+        0,
+        "sessions",
+        Babbling,
+        _boots,
+    ),
     ("a fully closed hand opens by itself (chosen load model)", 300, "s", AlwaysOn, _overload),
 ]
 """Claim, limit, unit, faulty hand of the negative control, scenario and its arguments."""
@@ -436,29 +547,45 @@ _PREDICTED = ("broken", "outside_limits", "too_fast", "pulses_unarmed", "estop_i
 
 
 def _driver(frames: int, seed: int) -> Iterator[Claim]:
-    """Figures of the C driver: more frames than Python could send, checked by a second oracle, which predicts every answer
-    and every pulse. Its controls tamper with the input of oracle and hand."""
-    good, tampered = _drive(frames, seed), _drive(frames, seed, "tampered")
+    """Figures of the C driver: more frames than Python could send, checked by a second oracle,
+    which predicts every answer and every pulse. Its controls tamper with the input of oracle and
+    hand."""
+    good = _drive(frames, seed)
+    tampered = _drive(frames, seed, "tampered")
     text = f"every answer and every pulse as the document says ({good['frames']:,} hostile frames)"
     broken, control = (sum(figures[name] for name in _PREDICTED) for figures in (good, tampered))
     yield Claim(text, broken, 0, "differences", good["moves"], control)
-    good, tampered = _drive(frames, seed + 1, "damaged"), _drive(frames, seed + 1, "damaged", "tampered")
+    good = _drive(frames, seed + 1, "damaged")
+    tampered = _drive(frames, seed + 1, "damaged", "tampered")
     for text, figure, unit, tried in (
-        ("one lost byte costs at most one frame", "frames_lost_beyond_one", "more frames", "lost_bytes"),
+        (
+            "one lost byte costs at most one frame",
+            "frames_lost_beyond_one",
+            "more frames",
+            "lost_bytes",
+        ),
         ("no damaged frame is taken for a good one", "damaged_accepted", "frames", "damaged"),
     ):
-        yield Claim(f"{text} ({good[tried]:,} tried)", good[figure], 0, unit, good[tried], tampered[figure])
+        yield Claim(
+            f"{text} ({good[tried]:,} tried)", good[figure], 0, unit, good[tried], tampered[figure]
+        )
 
 
 def _drive(frames: int, seed: int, *mode: str) -> dict[str, int]:
     command = [firmware_file("hpac_driver"), str(frames), str(seed), *mode]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
     if answer.returncode not in (0, 1):  # 1: a rule was broken, as the figures show
-        raise BridgeError(f"{command[0]} ended with status {answer.returncode}: {answer.stderr.strip() or 'no message'}")
-    return {name: int(value) for name, value in (line.split() for line in answer.stdout.splitlines())}
+        raise BridgeError(
+            f"{command[0]} ended with status {answer.returncode}: {answer.stderr.strip() or 'no message'}"
+        )
+    return {
+        name: int(value) for name, value in (line.split() for line in answer.stdout.splitlines())
+    }
 
 
-def _real_ms_until_silent(board: HostBoard, start: float, keep_alive: HandLink | None = None) -> float:
+def _real_ms_until_silent(
+    board: HostBoard, start: float, keep_alive: HandLink | None = None
+) -> float:
     while board.pulses().any():
         if time.monotonic() - start > _PATIENCE:
             return _PATIENCE * 1e3
@@ -469,7 +596,8 @@ def _real_ms_until_silent(board: HostBoard, start: float, keep_alive: HandLink |
 
 
 def _wall_clock(trials: int) -> Iterator[Claim]:
-    silence, estop = [], []
+    silence = []
+    estop = []
     watchdog = CONSTANTS["watchdog_ms"] * 1e-3
 
     def begin(tries: int = 20) -> float:
@@ -494,6 +622,16 @@ def _wall_clock(trials: int) -> Iterator[Claim]:
             link.clear()
         without = _real_ms_until_silent(board, begin(), keep_alive=link)
     limit = watchdog * 1e3 + 100
-    worst, p99 = max(silence), float(np.percentile(estop, 99))
-    yield Claim("host silent → no pulses, wall clock on this machine, worst", worst, limit, "ms", len(silence), without)
-    yield Claim("e-stop → no pulses, wall clock on this machine, p99", p99, 100, "ms", len(estop), without)
+    worst = max(silence)
+    p99 = float(np.percentile(estop, 99))
+    yield Claim(
+        "host silent → no pulses, wall clock on this machine, worst",
+        worst,
+        limit,
+        "ms",
+        len(silence),
+        without,
+    )
+    yield Claim(
+        "e-stop → no pulses, wall clock on this machine, p99", p99, 100, "ms", len(estop), without
+    )

@@ -1,8 +1,8 @@
-"""Random sessions over bad links, interrupted anywhere, to check that none ends with the hand powered.
+"""Random sessions over bad links, interrupted anywhere, to check that none ends with the hand
+powered.
 
-Everything runs in virtual time against the firmware core. The check uses the pulses and the bytes that reached the
-hand, not the link's own knowledge.
-"""
+Everything runs in virtual time against the firmware core. The check uses the pulses and the bytes
+that reached the hand, not the link's own knowledge."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ BOUND = {
     Action.relax: _RELAX_TIME + _SLACK,
     Action.hold: CONSTANTS["hold_max_ms"] * 1e-3 + _RELAX_TIME + _SLACK,
 }
-"""Longest time with pulses after the watchdog if the link has failed and only the firmware can act [s]."""
+"""Longest time with pulses after the watchdog if the link has failed and only the firmware can act
+[s].
+"""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -37,7 +39,8 @@ class Interrupted(KeyboardInterrupt):
 
 
 class BadTransport(VirtualTransport):
-    """A link that loses and damages bytes, fails in one or both directions, and is interrupted at chosen calls and bytes.
+    """A link that loses and damages bytes, fails in one or both directions, and is interrupted at
+    chosen calls and bytes.
 
     Attributes:
         calls: number of reads and writes so far.
@@ -51,9 +54,12 @@ class BadTransport(VirtualTransport):
         self.calls = self.reached_us = 0
         self.loss_out, self.loss_in = rng.choice([0.0, 0.0, 0.1, 0.4], 2).tolist()
         self.dead_out = self.dead_in = self.gone = False
-        self.dies_at, self.death = int(rng.integers(3, 300)), str(rng.choice(["", "", "out", "in", "both", "gone"]))
+        self.dies_at = int(rng.integers(3, 300))
+        self.death = str(rng.choice(["", "", "out", "in", "both", "gone"]))
         first = int(rng.integers(0, 250))
-        self.interrupt_at = {first, first + int(rng.integers(1, 6))} if rng.random() < 0.6 else set()
+        self.interrupt_at = (
+            {first, first + int(rng.integers(1, 6))} if rng.random() < 0.6 else set()
+        )
         self.interrupted = 0
 
     def _spoil(self, data: bytes, loss: float) -> bytes:
@@ -111,28 +117,35 @@ class Sessions:
     powered: int = 0
     """Hands powered after the end although the link to them worked. Must be 0."""
     cut_off: Counter[Action] = field(default_factory=Counter)
-    """Hands powered after the end whose link had failed, by their safe action: only their firmware could act."""
+    """Hands powered after the end whose link had failed, by their safe action: only their firmware
+    could act.
+    """
     untold: int = 0
     """Hands powered at the end without a warning to the user. Must be 0."""
     swallowed: int = 0
     """Interrupts and exceptions of the program that were lost. Must be 0."""
     longest_cut_off: dict[Action, float] = field(default_factory=lambda: dict.fromkeys(Action, 0.0))
-    """Longest time with pulses of a cut-off hand, from one watchdog period after the last bytes that reached it, by its safe
-    action; must be at most `BOUND` [s]."""
+    """Longest time with pulses of a cut-off hand, from one watchdog period after the last bytes
+    that reached it, by its safe action; must be at most `BOUND` [s]."""
 
 
 class _UserError(Exception):
     pass
 
 
-def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float) -> None:
+def _program(
+    link: HandLink, hand: VirtualHand, rng: np.random.Generator, action: Action, watchdog: float
+) -> None:
     """A random user program, which returns or raises."""
     link.arm(action, watchdog)
     for _ in range(int(rng.integers(0, 12))):
         target = HPAC.servo_max * rng.random(6)
         step = rng.random()
         if step < 0.5:
-            link.move(ServoCommand(target, 1.1 * move_duration(HPAC.servo_min, HPAC.servo_max)), pace=rng.random() < 0.3)
+            link.move(
+                ServoCommand(target, 1.1 * move_duration(HPAC.servo_min, HPAC.servo_max)),
+                pace=rng.random() < 0.3,
+            )
         elif step < 0.6:
             link.move(ServoCommand(target, 1.0), acknowledge=False, pace=False)
         elif step < 0.7:
@@ -153,10 +166,13 @@ def _program(link: HandLink, hand: VirtualHand, rng: np.random.Generator, action
         raise SystemExit(3)
 
 
-def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: Callable[[], VirtualHand]) -> None:
+def _one(
+    rng: np.random.Generator, total: Sessions, release: bool, kind: Callable[[], VirtualHand]
+) -> None:
     """Run one session and count its result."""
     hand = kind()
-    action, watchdog = Action(int(rng.integers(3))), float(rng.choice([0.1, 0.25, 0.5, 2.0]))
+    action = Action(int(rng.integers(3)))
+    watchdog = float(rng.choice([0.1, 0.25, 0.5, 2.0]))
     timeout = float(rng.choice([0.02, 0.1]))
     bad = BadTransport(hand, rng)
     link = HandLink(lambda: bad, handshake_timeout=0.5, timeout=timeout)
@@ -173,7 +189,9 @@ def _one(rng: np.random.Generator, total: Sessions, release: bool, kind: Callabl
                         link._connection.known.may_have_power = False
         except BaseException as error:
             raised = error
-    told = any(isinstance(w.message, UnconfirmedWarning) for w in caught) or bool(getattr(raised, "__notes__", ()))
+    told = any(isinstance(w.message, UnconfirmedWarning) for w in caught) or bool(
+        getattr(raised, "__notes__", ())
+    )
     total.sessions += 1
     total.lossy += bool(bad.loss_out > 0)
     total.interrupted += bad.interrupted > 0
@@ -199,7 +217,9 @@ def seconds_with_pulses(hand: VirtualHand, patience: float, step: float = 0.01) 
     return (hand.now_us - start_us) * 1e-6
 
 
-def run_sessions(count: int, seed: int = 1, release: bool = True, kind: Callable[[], VirtualHand] = VirtualHand) -> Sessions:
+def run_sessions(
+    count: int, seed: int = 1, release: bool = True, kind: Callable[[], VirtualHand] = VirtualHand
+) -> Sessions:
     """Run random sessions and check how each one leaves the hand.
 
     Args:

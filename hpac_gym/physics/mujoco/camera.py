@@ -39,22 +39,30 @@ class Camera:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
         self._size = 640, 480
 
-    def picture(self, model: mujoco.MjModel, data: mujoco.MjData, view: Viewpoint, target: Array) -> NDArray[np.uint8]:
+    def picture(
+        self, model: mujoco.MjModel, data: mujoco.MjData, view: Viewpoint, target: Array
+    ) -> NDArray[np.uint8]:
         """RGB image of a model whose kinematics are up to date, shape (height, width, 3)."""
         self._context.make_current()
         if (view.width, view.height) != self._size:
             mujoco.mjr_resizeOffscreen(view.width, view.height, self._renderer)
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
             self._size = view.width, view.height
-        camera, option = mujoco.MjvCamera(), mujoco.MjvOption()
-        camera.lookat[:], camera.distance = target, view.distance
-        camera.azimuth, camera.elevation = view.yaw_deg + 90.0, view.pitch_deg
+        camera = mujoco.MjvCamera()
+        option = mujoco.MjvOption()
+        camera.lookat[:] = target
+        camera.distance = view.distance
+        camera.azimuth = view.yaw_deg + 90.0
+        camera.elevation = view.pitch_deg
         model.vis.global_.fovy = view.field_of_view_deg
         scene = mujoco.MjvScene(model, MAX_SHAPES)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(model, data, option, mujoco.MjvPerturb(), camera, everything, scene)
-        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False  # shadows take three quarters of the rendering time without a GPU
-        pixels, rectangle = np.empty((view.height, view.width, 3), np.uint8), mujoco.MjrRect(0, 0, view.width, view.height)
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = (
+            False  # shadows take three quarters of the rendering time without a GPU
+        )
+        pixels = np.empty((view.height, view.width, 3), np.uint8)
+        rectangle = mujoco.MjrRect(0, 0, view.width, view.height)
         mujoco.mjr_render(rectangle, scene, self._renderer)
         mujoco.mjr_readPixels(pixels, None, rectangle, self._renderer)
         return pixels[::-1].copy()
@@ -67,7 +75,9 @@ class Camera:
 
 
 def _gl_context() -> type:
-    """Context class that MUJOCO_GL selects; without that variable EGL on Linux, where MuJoCo's default needs a display."""
+    """Context class that MUJOCO_GL selects; without that variable EGL on Linux, where MuJoCo's
+    default needs a display.
+    """
     if sys.platform == "linux" and not os.environ.get("MUJOCO_GL"):
         from mujoco.egl import GLContext
     else:

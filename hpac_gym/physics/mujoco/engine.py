@@ -1,4 +1,6 @@
-"""Physics of n worlds in MuJoCo: one batch per layout, without Python code between physics steps."""
+"""Physics of n worlds in MuJoCo: one batch per layout, without Python code between physics
+steps.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +15,39 @@ from numpy.typing import NDArray
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, Contacts, Engine, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import (
+    HAND_POSITION,
+    Contacts,
+    Engine,
+    PhysicsError,
+    SceneSetup,
+    SceneState,
+    Viewpoint,
+)
 from hpac_gym.physics.mujoco.camera import Camera
-from hpac_gym.physics.mujoco.group import FELT, FORCE, ON_SUPPORT, ON_TARGET, TENSION, TOUCHING, Group, Rows
+from hpac_gym.physics.mujoco.group import (
+    FELT,
+    FORCE,
+    ON_SUPPORT,
+    ON_TARGET,
+    TENSION,
+    TOUCHING,
+    Group,
+    Rows,
+)
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
 
 class MuJoCoEngine(Engine):
-    """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads share the worlds of a layout; their number does not affect results.
+    """`hpac_gym.physics.engine.Engine` on MuJoCo. Threads share the worlds of a layout; their
+    number does not affect results.
 
     Args:
         num_worlds: n.
         settings: settings of every world.
-        visuals: include visual-only geoms; without them a step is slightly faster and the physics identical.
+        visuals: include visual-only geoms; without them a step is slightly faster and the physics
+            identical.
         threads: number of threads; None is one per processor, but no more than worlds.
 
     Raises:
@@ -35,14 +56,21 @@ class MuJoCoEngine(Engine):
     """
 
     def __init__(
-        self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False, threads: int | None = None
+        self,
+        num_worlds: int = 1,
+        settings: WorldSettings = WorldSettings(),
+        visuals: bool = False,
+        threads: int | None = None,
     ) -> None:
         if settings.solver_iterations:
-            raise ParameterError(f"solver_iterations = {settings.solver_iterations} must be 0 in MuJoCo: they are Bullet's")
+            raise ParameterError(
+                f"solver_iterations = {settings.solver_iterations} must be 0 in MuJoCo: they are Bullet's"
+            )
         threads = max(min(num_worlds, _processors()), 1) if threads is None else threads
         if not (num_worlds >= 1 and threads >= 1):
             raise ValueError(f"{num_worlds} worlds on {threads} threads: both must be at least 1")
-        self.num_worlds, self.dt = num_worlds, settings.dt
+        self.num_worlds = num_worlds
+        self.dt = settings.dt
         self._options = num_worlds, settings, threads, visuals
         self._camera: Camera | None = None
         self._groups: dict[Layout, Group] = {}
@@ -77,18 +105,25 @@ class MuJoCoEngine(Engine):
                 group = self._groups[layout] = Group(layout, *self._options)
             jobs.setdefault(group, []).append(world)
             moved |= self._group_of[world] is not group
-            self._group_of[world], self._setups[world], self._to_hand[world] = group, setup, setup.hand_rotation.T
+            self._group_of[world] = group
+            self._setups[world] = setup
+            self._to_hand[world] = setup.hand_rotation.T
         for group, entries in jobs.items():
             index = np.array(entries)
             group.start(index, [self._setups[world] for world in entries])
-            self._felt[index], self._steps[index] = 0.0, 0
+            self._felt[index] = 0.0
+            self._steps[index] = 0
         if moved:
             self._rows = {}
             for group in filter(self._group_of.__contains__, self._groups.values()):
-                rows = np.array([world for world, owner in enumerate(self._group_of) if owner is group])
+                rows = np.array(
+                    [world for world, owner in enumerate(self._group_of) if owner is group]
+                )
                 self._rows[group] = slice(None) if len(rows) == self.num_worlds else rows
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
+    def advance(
+        self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
+    ) -> None:
         """As `Engine.advance`.
 
         Raises:
@@ -96,7 +131,13 @@ class MuJoCoEngine(Engine):
         """
         failed: dict[int, str] = {}
         for group, rows in self._rows.items():
-            reasons = group.advance(rows, servo[rows], servo_vel[rows], wrist[rows], None if push is None else push[rows])
+            reasons = group.advance(
+                rows,
+                servo[rows],
+                servo_vel[rows],
+                wrist[rows],
+                None if push is None else push[rows],
+            )
             self._felt[rows] = group.felt(rows)
             self._steps[rows] += servo.shape[1]
             if worlds := sorted(reasons):
@@ -107,40 +148,60 @@ class MuJoCoEngine(Engine):
             first, *others = sorted(failed)
             place = f"world {first} of {self.num_worlds}{f' and {len(others)} others' if others else ''}"
             time = (self._steps[first] - servo.shape[1]) * self.dt
-            raise PhysicsError(f"{place} failed after {time:.3f} s of its episode: MuJoCo says {failed[first]}", sorted(failed))
+            raise PhysicsError(
+                f"{place} failed after {time:.3f} s of its episode: MuJoCo says {failed[first]}",
+                sorted(failed),
+            )
 
     def state(self) -> SceneState:
         state = SceneState.empty(self.num_worlds)
         state.time = self._steps * self.dt
         for group, rows in self._rows.items():
-            at, qpos, qvel = group.at, group.qpos[rows], group.qvel[rows]
-            state.joint_pos[rows], state.joint_vel[rows] = qpos[:, at.joint], qvel[:, at.dof]
+            at = group.at
+            qpos = group.qpos[rows]
+            qvel = group.qvel[rows]
+            state.joint_pos[rows] = qpos[:, at.joint]
+            state.joint_vel[rows] = qvel[:, at.dof]
             if group.layout.object is not None:
                 self._read_object(state, group, rows, qpos, qvel)
         felt = self._felt.copy()
-        state.tension, state.touching, state.contact_force = felt[:, TENSION], felt[:, TOUCHING] > 0, felt[:, FORCE]
+        state.tension = felt[:, TENSION]
+        state.touching = felt[:, TOUCHING] > 0
+        state.contact_force = felt[:, FORCE]
         state.on_target = felt[:, ON_TARGET] > 0
         state.supported = (felt[:, ON_SUPPORT] > 0) | state.on_target
         return state
 
-    def _read_object(self, state: SceneState, group: Group, rows: Rows, qpos: Array, qvel: Array) -> None:
-        at, to_hand = group.at, self._to_hand[rows]
+    def _read_object(
+        self, state: SceneState, group: Group, rows: Rows, qpos: Array, qvel: Array
+    ) -> None:
+        at = group.at
+        to_hand = self._to_hand[rows]
         state.palm_offset[rows] = offset = qpos[:, at.wrist]
         if group.layout.fixed:
-            place, quaternion = group.fields["body_pos"][rows, at.object_body], group.fields["body_quat"][rows, at.object_body]
+            place = group.fields["body_pos"][rows, at.object_body]
+            quaternion = group.fields["body_quat"][rows, at.object_body]
         else:
-            place, quaternion = qpos[:, at.object : at.object + 3], qpos[:, at.object + 3 : at.object + 7]
+            place = qpos[:, at.object : at.object + 3]
+            quaternion = qpos[:, at.object + 3 : at.object + 7]
         rotation = to_hand @ _matrices(quaternion)
-        state.object_pos[rows], state.object_rotation[rows] = _turn(to_hand, place - HAND_POSITION - offset), rotation
+        state.object_pos[rows] = _turn(to_hand, place - HAND_POSITION - offset)
+        state.object_rotation[rows] = rotation
         if not group.layout.fixed:
             velocity = qvel[:, at.object_dof : at.object_dof + 6]
             # MuJoCo expresses a free body's angular velocity in the body's own axes.
-            state.object_vel[rows], state.object_spin[rows] = _turn(to_hand, velocity[:, :3]), _turn(rotation, velocity[:, 3:])
+            state.object_vel[rows] = _turn(to_hand, velocity[:, :3])
+            state.object_spin[rows] = _turn(rotation, velocity[:, 3:])
 
     def contacts(self, world: int) -> Contacts:
-        group, setup = self._group_of[world], self._setups[world]
+        group = self._group_of[world]
+        setup = self._setups[world]
         model, data = self.single(world)
-        points, normals, forces, links, wrench = [], [], [], [], np.zeros(6)
+        points = []
+        normals = []
+        forces = []
+        links = []
+        wrench = np.zeros(6)
         item = group.at.object_body
         for index, contact in enumerate(data.contact):
             bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
@@ -150,7 +211,9 @@ class MuJoCoEngine(Engine):
             name = model.body(other).name
             if name != "palm" and not name.endswith("_link"):
                 continue
-            into = 1.0 if bodies[1] == item else -1.0  # the normal points from the first geom to the second
+            into = (
+                1.0 if bodies[1] == item else -1.0
+            )  # the normal points from the first geom to the second
             mujoco.mj_contactForce(model, data, index, wrench)
             points.append(contact.pos + into * contact.frame[:3] * contact.dist / 2)
             normals.append(into * contact.frame[:3])
@@ -168,7 +231,8 @@ class MuJoCoEngine(Engine):
     def single(self, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Model and data of one world, with all derived quantities computed from its state."""
         batch = self._group_of[world].batch
-        model, data = batch.get_model(world), batch.get_data(world)
+        model = batch.get_model(world)
+        data = batch.get_data(world)
         mujoco.mj_forward(model, data)
         return model, data
 
@@ -191,7 +255,8 @@ class MuJoCoEngine(Engine):
         setup, steps, felt, state = snapshot
         if setup is not self._setups[world]:
             self.reset([world], [setup])
-        self._steps[world], self._felt[world] = steps, felt
+        self._steps[world] = steps
+        self._felt[world] = felt
         self._group_of[world].batch.state[world] = state
 
     def close(self) -> None:
@@ -222,5 +287,8 @@ def _matrices(quaternion: Array) -> Array:
 
 
 _FIRST = np.array([10, 6, 7, 6, 5, 11, 7, 11, 5])
-"""Products yy, xy, xz, xy, xx, yz, xz, yz and xx, and with `_SECOND` zz, zw, yw, zw, zz, xw, yw, xw and yy."""
-_SECOND, _SIGN = np.array([15, 3, 2, 3, 15, 1, 2, 1, 10]), np.array([1, -1, 1, 1, 1, -1, -1, 1, 1])
+"""Products yy, xy, xz, xy, xx, yz, xz, yz and xx, and with `_SECOND` zz, zw, yw, zw, zz, xw, yw, xw
+and yy.
+"""
+_SECOND = np.array([15, 3, 2, 3, 15, 1, 2, 1, 10])
+_SIGN = np.array([1, -1, 1, 1, 1, -1, -1, 1, 1])

@@ -1,4 +1,6 @@
-"""The PyBullet engine: explicit tendon torques at 120 Hz, a direct solver, and one client per world."""
+"""The PyBullet engine: explicit tendon torques at 120 Hz, a direct solver, and one client per
+world.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ from numpy.typing import NDArray
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, PARTS, Contacts, Engine, PhysicsError, SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.engine import (
+    HAND_POSITION,
+    PARTS,
+    Contacts,
+    Engine,
+    PhysicsError,
+    SceneSetup,
+    SceneState,
+    Viewpoint,
+)
 from hpac_gym.physics.pybullet.scene import FORCE, LINK, NORMAL, POINT, Scene
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
@@ -19,7 +30,8 @@ _PART = {name: index for index, name in enumerate(PARTS)}
 
 
 class PyBulletEngine(Engine):
-    """`hpac_gym.physics.engine.Engine` on PyBullet. Worlds are stepped sequentially: PyBullet holds the GIL.
+    """`hpac_gym.physics.engine.Engine` on PyBullet. Worlds are stepped sequentially: PyBullet holds
+    the GIL.
 
     Args:
         num_worlds: n.
@@ -34,16 +46,23 @@ class PyBulletEngine(Engine):
         scenes: one PyBullet world each, for tests.
     """
 
-    def __init__(self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False) -> None:
+    def __init__(
+        self, num_worlds: int = 1, settings: WorldSettings = WorldSettings(), visuals: bool = False
+    ) -> None:
         if num_worlds < 1:
             raise ValueError(f"{num_worlds} worlds: at least 1 is needed")
         if settings.torsion and not settings.solver_iterations:
-            raise ParameterError(f"torsion = {settings.torsion} m needs Bullet's iterative solver: solver_iterations ≥ 1")
-        self.num_worlds, self.dt = num_worlds, settings.dt
+            raise ParameterError(
+                f"torsion = {settings.torsion} m needs Bullet's iterative solver: solver_iterations ≥ 1"
+            )
+        self.num_worlds = num_worlds
+        self.dt = settings.dt
         self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
         self._setups: list[SceneSetup | None] = [None] * num_worlds
         self._time = np.zeros(num_worlds)
-        self._past: list[list[tuple[Array, ...]]] = [[] for _ in range(num_worlds)]  # tables of each world's episode so far
+        self._past: list[list[tuple[Array, ...]]] = [
+            [] for _ in range(num_worlds)
+        ]  # tables of each world's episode so far
 
     def require(self, settings: HandSettings) -> None:
         """As `Engine.require`; inertia at the servos' hubs is not supported."""
@@ -58,11 +77,17 @@ class PyBulletEngine(Engine):
             self.require(setup.hand_settings)
         for world, setup in zip(worlds, setups, strict=True):
             self.scenes[world].reset(setup)
-            self._setups[world], self._time[world], self._past[world] = setup, 0.0, []
+            self._setups[world] = setup
+            self._time[world] = 0.0
+            self._past[world] = []
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None) -> None:
+    def advance(
+        self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
+    ) -> None:
         pushes = [None] * self.num_worlds if push is None else push
-        for scene, past, *tables in zip(self.scenes, self._past, servo, servo_vel, wrist, pushes, strict=True):
+        for scene, past, *tables in zip(
+            self.scenes, self._past, servo, servo_vel, wrist, pushes, strict=True
+        ):
             scene.advance(*tables)
             past.append(tuple(tables))
         for _ in range(servo.shape[1]):
@@ -81,7 +106,9 @@ class PyBulletEngine(Engine):
                 self._read(found, world, scene)
         if not np.isfinite(found.joint_pos).all():
             bad = int(np.argmin(np.isfinite(found.joint_pos).all(axis=1)))
-            raise PhysicsError(f"world {bad} of {self.num_worlds}: joint angles {found.joint_pos[bad]} rad are not finite")
+            raise PhysicsError(
+                f"world {bad} of {self.num_worlds}: joint angles {found.joint_pos[bad]} rad are not finite"
+            )
         return found
 
     def _read(self, found: SceneState, world: int, scene: Scene) -> None:
@@ -93,10 +120,16 @@ class PyBulletEngine(Engine):
         position, quaternion = scene.object.pose()
         to_hand = scene.to_hand
         found.object_pos[world] = to_hand @ (position - HAND_POSITION - offset)
-        found.object_rotation[world] = to_hand @ np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
-        linear, angular = pybullet.getBaseVelocity(scene.object.body, physicsClientId=scene.world.client)
-        found.object_vel[world], found.object_spin[world] = to_hand @ linear, to_hand @ angular
-        touching, force = found.touching[world], found.contact_force[world]
+        found.object_rotation[world] = to_hand @ np.reshape(
+            pybullet.getMatrixFromQuaternion(quaternion), (3, 3)
+        )
+        linear, angular = pybullet.getBaseVelocity(
+            scene.object.body, physicsClientId=scene.world.client
+        )
+        found.object_vel[world] = to_hand @ linear
+        found.object_spin[world] = to_hand @ angular
+        touching = found.touching[world]
+        force = found.contact_force[world]
         for contact in scene.contacts():
             part = _PART[scene.hand.part_of_link[contact[LINK]]]
             touching[part] = True
@@ -105,7 +138,8 @@ class PyBulletEngine(Engine):
         found.on_target[world] = scene.target_post is not None and scene.touches(scene.target_post)
 
     def contacts(self, world: int) -> Contacts:
-        scene, setup = self.scenes[world], self._setups[world]
+        scene = self.scenes[world]
+        setup = self._setups[world]
         found = scene.contacts()
         names = {index: name for name, index in scene.hand.link_index.items()} | {-1: "palm"}
         return Contacts(
@@ -122,25 +156,39 @@ class PyBulletEngine(Engine):
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             list(target), viewpoint.distance, viewpoint.yaw_deg, viewpoint.pitch_deg, 0.0, 2
         )
-        width, height = viewpoint.width, viewpoint.height
-        projection = pybullet.computeProjectionMatrixFOV(viewpoint.field_of_view_deg, width / height, 0.02, 3.0)
+        width = viewpoint.width
+        height = viewpoint.height
+        projection = pybullet.computeProjectionMatrixFOV(
+            viewpoint.field_of_view_deg, width / height, 0.02, 3.0
+        )
         pixels = pybullet.getCameraImage(
-            width, height, view, projection, lightDirection=[0.5, 0.8, 1.0], shadow=1,
-            renderer=pybullet.ER_TINY_RENDERER, physicsClientId=self.scenes[world].world.client,
-        )[2]  # fmt: skip
+            width,
+            height,
+            view,
+            projection,
+            lightDirection=[0.5, 0.8, 1.0],
+            shadow=1,
+            renderer=pybullet.ER_TINY_RENDERER,
+            physicsClientId=self.scenes[world].world.client,
+        )[2]
         return np.reshape(np.asarray(pixels, dtype=np.uint8), (height, width, 4))[:, :, :3]
 
     def save(self, world: int) -> Any:
-        """As `Engine.save`: the tables of the episode so far. PyBullet's own snapshots omit part of the contact state."""
+        """As `Engine.save`: the tables of the episode so far. PyBullet's own snapshots omit part of
+        the contact state.
+        """
         return self._setups[world], self._time[world], list(self._past[world])
 
     def restore(self, world: int, snapshot: Any) -> None:
-        """As `Engine.restore`: replays the episode from its start, in about a millisecond per control step."""
+        """As `Engine.restore`: replays the episode from its start, in about a millisecond per
+        control step.
+        """
         self._setups[world], time, past = snapshot
         self.scenes[world].reset(self._setups[world])
         for tables in past:
             self.scenes[world].advance(*tables)
-        self._time[world], self._past[world] = time, list(past)
+        self._time[world] = time
+        self._past[world] = list(past)
 
     def close(self) -> None:
         for scene in self.scenes:

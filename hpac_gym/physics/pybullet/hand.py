@@ -1,4 +1,6 @@
-"""The hand in PyBullet: six servos move fifteen joints through tendons and springs. No joint has a motor."""
+"""The hand in PyBullet: six servos move fifteen joints through tendons and springs. No joint has a
+motor.
+"""
 
 from __future__ import annotations
 
@@ -21,13 +23,16 @@ from hpac_gym.physics.settings import HandSettings
 from hpac_gym.physics.tendons import Tendons
 
 _SLIDES = ("wrist_x", "wrist_y", "wrist_z")
-_OTHER, _FINGER = 1, 64
+_OTHER = 1
+_FINGER = 64
 """Collision groups: 1 is Bullet's default, 64 the first without a predefined meaning."""
 MAX_JOINT_SPEED = 20.0
 """Joint speed limit: that of a digit that snaps free of another one [rad/s]."""
 _urdf = lru_cache(maxsize=64)(hand_urdf)
 _LOAD_FLAGS = (
-    pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_SELF_COLLISION | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+    pybullet.URDF_USE_INERTIA_FROM_FILE
+    | pybullet.URDF_USE_SELF_COLLISION
+    | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
 )
 
 
@@ -54,62 +59,110 @@ class SimHand:
         orientation: ArrayLike,
         visuals: bool,
     ) -> None:
-        self.world, self._client = world, world.client
+        self.world = world
+        self._client = world.client
         flags = _LOAD_FLAGS if visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
         with TemporaryDirectory() as folder:  # PyBullet loads from files only
             file = Path(folder, "hand.urdf")
             file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
             self.body = pybullet.loadURDF(
-                str(file), list(HAND_POSITION), list(orientation), useFixedBase=True, flags=flags, physicsClientId=self._client
+                str(file),
+                list(HAND_POSITION),
+                list(orientation),
+                useFixedBase=True,
+                flags=flags,
+                physicsClientId=self._client,
             )
-        info = [pybullet.getJointInfo(self.body, i, self._client) for i in range(pybullet.getNumJoints(self.body, self._client))]
+        info = [
+            pybullet.getJointInfo(self.body, i, self._client)
+            for i in range(pybullet.getNumJoints(self.body, self._client))
+        ]
         self.link_index = {entry[12].decode(): entry[0] for entry in info}
         self.joint_index = {entry[1].decode(): entry[0] for entry in info}
         self.part_of_link = {
-            index: next((digit for digit in DIGITS if name.startswith(digit)), "palm") for name, index in self.link_index.items()
+            index: next((digit for digit in DIGITS if name.startswith(digit)), "palm")
+            for name, index in self.link_index.items()
         } | {-1: "palm"}
         self._joints = [self.joint_index[name] for name in JOINTS]
         self._slides = [self.joint_index[name] for name in _SLIDES if name in self.joint_index]
         self._rotation = np.reshape(pybullet.getMatrixFromQuaternion(list(orientation)), (3, 3))
         self._axes = self._rotation.T.tolist()
         for name, index in zip(JOINTS, self._joints, strict=True):
-            inertia = np.array(pybullet.getDynamicsInfo(self.body, index, self._client)[2]) + armature_of(name, settings)
-            pybullet.changeDynamics(self.body, index, localInertiaDiagonal=inertia.tolist(), physicsClientId=self._client)
+            inertia = np.array(
+                pybullet.getDynamicsInfo(self.body, index, self._client)[2]
+            ) + armature_of(name, settings)
+            pybullet.changeDynamics(
+                self.body,
+                index,
+                localInertiaDiagonal=inertia.tolist(),
+                physicsClientId=self._client,
+            )
         self.collide(True)
         self.configure(hand, settings)
 
     def configure(self, hand: Hand, settings: HandSettings) -> None:
         """Switch to another hand. The armature, which is set on loading, stays the same."""
-        self.hand, self.settings = hand, settings
+        self.hand = hand
+        self.settings = settings
         for name, index in self.joint_index.items():
             friction = settings.joint_friction if name in JOINTS else 0.0
             pybullet.setJointMotorControl2(
-                self.body, index, pybullet.VELOCITY_CONTROL, targetVelocity=0, force=friction, physicsClientId=self._client
+                self.body,
+                index,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocity=0,
+                force=friction,
+                physicsClientId=self._client,
             )
         for index in range(-1, len(self.joint_index)):
             pybullet.changeDynamics(
-                self.body, index, linearDamping=0, angularDamping=0, jointDamping=0,
-                lateralFriction=settings.contact_friction, physicsClientId=self._client,
-            )  # fmt: skip
-        # Separate call: PyBullet silently ignores lateralFriction if maxJointVelocity is passed with it.
-        pybullet.changeDynamics(self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client)
-        self.tendons = Tendons(hand, self.inertia(), self.world.settings.dt, settings.damping, settings.slack, settings.strength)
+                self.body,
+                index,
+                linearDamping=0,
+                angularDamping=0,
+                jointDamping=0,
+                lateralFriction=settings.contact_friction,
+                physicsClientId=self._client,
+            )
+        # Separate call: PyBullet silently ignores lateralFriction if maxJointVelocity is passed
+        # with it.
+        pybullet.changeDynamics(
+            self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client
+        )
+        self.tendons = Tendons(
+            hand,
+            self.inertia(),
+            self.world.settings.dt,
+            settings.damping,
+            settings.slack,
+            settings.strength,
+        )
         self.tension = [0.0] * len(DIGITS)
 
     def collide(self, solid: bool) -> None:
-        """Enable or disable collisions of the hand. Fingers cannot reach each other, so pairs of fingers are never checked."""
+        """Enable or disable collisions of the hand. Fingers cannot reach each other, so pairs of
+        fingers are never checked.
+        """
         solid = solid and self.world.settings.collisions
         for name, index in self.link_index.items():
             group = _FINGER if name.split("_")[0] in FINGERS else _OTHER
             mask = ~_FINGER if group == _FINGER else -1
-            pybullet.setCollisionFilterGroupMask(self.body, index, group * solid, mask * solid, self._client)
+            pybullet.setCollisionFilterGroupMask(
+                self.body, index, group * solid, mask * solid, self._client
+            )
 
     def inertia(self) -> Array:
-        """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15, 15) [kg·m²]."""
+        """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15,
+        15) [kg·m²].
+        """
         posture = np.zeros(len(self.joint_index))
         posture[self._joints] = joints_from_synergy(self.hand.synergy_max / 2, self.hand)
         with quiet_output():  # it warns about unit axes that are off in the last bit
-            matrix = np.array(pybullet.calculateMassMatrix(self.body, posture.tolist(), physicsClientId=self._client))
+            matrix = np.array(
+                pybullet.calculateMassMatrix(
+                    self.body, posture.tolist(), physicsClientId=self._client
+                )
+            )
         return matrix[np.ix_(self._joints, self._joints)]
 
     # State ---------------------------------------------------------------------
@@ -130,7 +183,9 @@ class SimHand:
         self.move_wrist([0.0, 0.0, 0.0])
 
     def joint_state(self) -> tuple[list[float], list[float]]:
-        """True joint angles [rad] and speeds [rad/s], 15 of each. The real hand cannot measure them."""
+        """True joint angles [rad] and speeds [rad/s], 15 of each. The real hand cannot measure
+        them.
+        """
         states = pybullet.getJointStates(self.body, self._joints, self._client)
         return [state[0] for state in states], [state[1] for state in states]
 
@@ -145,7 +200,8 @@ class SimHand:
     # Motion --------------------------------------------------------------------
 
     def move_wrist(self, offset: list[float]) -> None:
-        """Set the palm's target for the end of the next step, reached unless a force above `WRIST_EFFORT` resists.
+        """Set the palm's target for the end of the next step, reached unless a force above
+        `WRIST_EFFORT` resists.
 
         Args:
             offset: offset from the start, along the world's axes, 3 values [m].
@@ -176,11 +232,22 @@ class SimHand:
         joint_pos, joint_vel = self.joint_state()
         torque, self.tension = self.tendons.torque(joint_pos, joint_vel, servo, servo_vel)
         if self.settings.tendon_friction:
-            friction = self.settings.joint_friction + self.settings.tendon_friction * self.tendons.load(joint_pos, self.tension)
+            friction = (
+                self.settings.joint_friction
+                + self.settings.tendon_friction * self.tendons.load(joint_pos, self.tension)
+            )
             pybullet.setJointMotorControlArray(
-                self.body, self._joints, pybullet.VELOCITY_CONTROL, targetVelocities=[0.0] * len(self._joints),
-                forces=friction.tolist(), physicsClientId=self._client,
-            )  # fmt: skip
+                self.body,
+                self._joints,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocities=[0.0] * len(self._joints),
+                forces=friction.tolist(),
+                physicsClientId=self._client,
+            )
         pybullet.setJointMotorControlArray(
-            self.body, self._joints, pybullet.TORQUE_CONTROL, forces=torque, physicsClientId=self._client
+            self.body,
+            self._joints,
+            pybullet.TORQUE_CONTROL,
+            forces=torque,
+            physicsClientId=self._client,
         )

@@ -14,8 +14,8 @@ from hpac_gym.physics.engine import OBJECT_COLORS
 from hpac_gym.physics.pybullet.world import World
 
 SPIN_DECAY = 6.0
-"""Spin damping rate of a named object [1/s]. The direct solver has no torsional friction at a fingertip: without this, an
-object held by two fingertips would swing for ever."""
+"""Spin damping rate of a named object [1/s]. The direct solver has no torsional friction at a
+fingertip: without this, an object held by two fingertips would swing for ever."""
 
 
 class SimObject:
@@ -39,61 +39,104 @@ class SimObject:
         visuals: bool = True,
         fixed: bool = False,
     ) -> None:
-        self.spec, self._fixed, self._client = spec, fixed, world.client
+        self.spec = spec
+        self._fixed = fixed
+        self._client = world.client
         place = list(position), list(orientation)
-        self.body = self._primitive(*place, visuals) if spec.model is None else self._model(spec.model, *place, visuals)
+        self.body = (
+            self._primitive(*place, visuals)
+            if spec.model is None
+            else self._model(spec.model, *place, visuals)
+        )
         pybullet.changeDynamics(
-            self.body, -1, lateralFriction=spec.friction, linearDamping=0, angularDamping=0, physicsClientId=self._client
+            self.body,
+            -1,
+            lateralFriction=spec.friction,
+            linearDamping=0,
+            angularDamping=0,
+            physicsClientId=self._client,
         )
         if fixed:
             pybullet.changeDynamics(self.body, -1, mass=0.0, physicsClientId=self._client)
 
     def _primitive(self, position: list[float], orientation: list[float], visuals: bool) -> int:
         self._to_frame: tuple[Array, Array] | None = None
-        spec, client, visual = self.spec, self._client, -1
+        spec = self.spec
+        client = self._client
+        visual = -1
         kind, lengths = _form(spec, "height")
         solid = pybullet.createCollisionShape(kind, **lengths, physicsClientId=client)
         if visuals:
             kind, lengths = _form(spec, "length")
-            visual = pybullet.createVisualShape(kind, **lengths, rgbaColor=OBJECT_COLORS[spec.shape], physicsClientId=client)
-        return pybullet.createMultiBody(spec.mass, solid, visual, position, orientation, physicsClientId=client)
+            visual = pybullet.createVisualShape(
+                kind, **lengths, rgbaColor=OBJECT_COLORS[spec.shape], physicsClientId=client
+            )
+        return pybullet.createMultiBody(
+            spec.mass, solid, visual, position, orientation, physicsClientId=client
+        )
 
-    def _model(self, model: ObjectModel, position: list[float], orientation: list[float], visuals: bool) -> int:
-        # Without the second flag a cylinder becomes a faceted hull that keeps 1 mm distance from the hand.
+    def _model(
+        self, model: ObjectModel, position: list[float], orientation: list[float], visuals: bool
+    ) -> int:
+        # Without the second flag a cylinder becomes a faceted hull that keeps 1 mm distance from
+        # the hand.
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
         spec = self.spec
         body = pybullet.loadURDF(
-            str(object_urdf_file(model)), position, orientation, globalScaling=spec.scale,
-            flags=flags if visuals else flags | pybullet.URDF_IGNORE_VISUAL_SHAPES, physicsClientId=self._client,
-        )  # fmt: skip
+            str(object_urdf_file(model)),
+            position,
+            orientation,
+            globalScaling=spec.scale,
+            flags=flags if visuals else flags | pybullet.URDF_IGNORE_VISUAL_SHAPES,
+            physicsClientId=self._client,
+        )
         mass, _, inertia, middle, turn, *_ = pybullet.getDynamicsInfo(body, -1, self._client)
         heavier = spec.mass / mass * spec.scale**2
         pybullet.changeDynamics(
-            body, -1, mass=spec.mass, localInertiaDiagonal=[heavier * moment for moment in inertia], physicsClientId=self._client
+            body,
+            -1,
+            mass=spec.mass,
+            localInertiaDiagonal=[heavier * moment for moment in inertia],
+            physicsClientId=self._client,
         )
-        # PyBullet reports the pose of the principal inertia axes; this transform leads from there to the object's frame.
+        # PyBullet reports the pose of the principal inertia axes; this transform leads from there
+        # to the object's frame.
         self._to_frame = pybullet.invertTransform(middle, turn)
         return body
 
     def lose_spin(self, dt: float) -> None:
-        """Damp a named object's spin, once per physics step; PyBullet's own damping does not act on its base."""
+        """Damp a named object's spin, once per physics step; PyBullet's own damping does not act on
+        its base.
+        """
         if self.spec.model is not None:
             _, spin = pybullet.getBaseVelocity(self.body, self._client)
             kept = 1.0 - SPIN_DECAY * dt
-            pybullet.resetBaseVelocity(self.body, angularVelocity=[kept * rate for rate in spin], physicsClientId=self._client)
+            pybullet.resetBaseVelocity(
+                self.body,
+                angularVelocity=[kept * rate for rate in spin],
+                physicsClientId=self._client,
+            )
 
     def push(self, force: list[float]) -> None:
-        """Apply a force [N], along the world's axes, at the centre of mass in the next physics step; fixed objects ignore it."""
+        """Apply a force [N], along the world's axes, at the centre of mass in the next physics
+        step; fixed objects ignore it.
+        """
         if self._fixed:
             return
-        centre, _ = pybullet.getBasePositionAndOrientation(self.body, self._client)  # of mass, whatever the object's frame is
-        pybullet.applyExternalForce(self.body, -1, force, centre, pybullet.WORLD_FRAME, physicsClientId=self._client)
+        centre, _ = pybullet.getBasePositionAndOrientation(
+            self.body, self._client
+        )  # of mass, whatever the object's frame is
+        pybullet.applyExternalForce(
+            self.body, -1, force, centre, pybullet.WORLD_FRAME, physicsClientId=self._client
+        )
 
     def pose(self) -> tuple[Array, Array]:
         """Centre, shape (3,) [m], and orientation, quaternion xyzw, shape (4,), in the world."""
         position, orientation = pybullet.getBasePositionAndOrientation(self.body, self._client)
         if self._to_frame is not None:
-            position, orientation = pybullet.multiplyTransforms(position, orientation, *self._to_frame)
+            position, orientation = pybullet.multiplyTransforms(
+                position, orientation, *self._to_frame
+            )
         return np.array(position), np.array(orientation)
 
 
@@ -105,18 +148,28 @@ def add_fixed_box(
     friction: float,
     orientation: ArrayLike = (0, 0, 0, 1),
 ) -> int:
-    """Add a static box, such as a table, and return its body; a box without a colour is invisible."""
-    client, box, visual = world.client, {"halfExtents": list(half_extents)}, -1
+    """Add a static box, such as a table, and return its body; a box without a colour is
+    invisible.
+    """
+    client = world.client
+    box = {"halfExtents": list(half_extents)}
+    visual = -1
     solid = pybullet.createCollisionShape(pybullet.GEOM_BOX, **box, physicsClientId=client)
     if color is not None:
-        visual = pybullet.createVisualShape(pybullet.GEOM_BOX, **box, rgbaColor=list(color), physicsClientId=client)
-    body = pybullet.createMultiBody(0, solid, visual, list(position), list(orientation), physicsClientId=client)
+        visual = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, **box, rgbaColor=list(color), physicsClientId=client
+        )
+    body = pybullet.createMultiBody(
+        0, solid, visual, list(position), list(orientation), physicsClientId=client
+    )
     pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=client)
     return body
 
 
 def _form(spec: ObjectSpec, height: str) -> tuple[int, dict[str, object]]:
-    """PyBullet's type and dimensions of a primitive; `height` is the name of a cylinder's length in the call."""
+    """PyBullet's type and dimensions of a primitive; `height` is the name of a cylinder's length in
+    the call.
+    """
     radius, _, half_height = spec.half_extents
     return {
         "box": (pybullet.GEOM_BOX, {"halfExtents": spec.half_extents}),

@@ -1,4 +1,6 @@
-"""One PyBullet world of the engine: a hand that stays loaded, and the object, supports and table of the current episode."""
+"""One PyBullet world of the engine: a hand that stays loaded, and the object, supports and table of
+the current episode.
+"""
 
 from __future__ import annotations
 
@@ -23,17 +25,24 @@ from hpac_gym.physics.settings import WorldSettings
 
 _EPISODES = 200
 """Number of episodes after which the hand is loaded again."""
-LINK, POINT, NORMAL, DISTANCE, FORCE = 3, 6, 7, 8, 9
-"""Indices into a PyBullet contact: link of the hand, point on the object, normal out of the object, distance, normal force."""
+LINK = 3
+POINT = 6
+NORMAL = 7
+DISTANCE = 8
+FORCE = 9
+"""Indices into a PyBullet contact: link of the hand, point on the object, normal out of the object,
+distance, normal force.
+"""
 
 
 class Scene:
     """One world, reset for every episode.
 
-    Loading a hand takes a hundred times as long as restoring a snapshot, so the loaded hand is reconfigured. The snapshot is
-    taken after a physics step, without which PyBullet does not replay bit-exactly. The hand is loaded again for another body,
-    armature, orientation or mounting, and every `_EPISODES` episodes, because PyBullet retains memory of every removed body
-    and shape until the world is cleared.
+    Loading a hand takes a hundred times as long as restoring a snapshot, so the loaded hand is
+    reconfigured. The snapshot is taken after a physics step, without which PyBullet does not replay
+    bit-exactly. The hand is loaded again for another body, armature, orientation or mounting, and
+    every `_EPISODES` episodes, because PyBullet retains memory of every removed body and shape
+    until the world is cleared.
 
     Attributes:
         hand: the simulated hand.
@@ -43,13 +52,16 @@ class Scene:
     """
 
     def __init__(self, settings: WorldSettings, visuals: bool) -> None:
-        self.world, self._visuals = World(settings), visuals
+        self.world = World(settings)
+        self._visuals = visuals
         self.hand: SimHand | None = None
         self._added: list[int] = []
         self._episodes = 0
 
     def reset(self, setup: SceneSetup) -> None:
-        """Set up an episode. The same setup gives the same trajectory, to the bit, regardless of earlier episodes."""
+        """Set up an episode. The same setup gives the same trajectory, to the bit, regardless of
+        earlier episodes.
+        """
         self._start_hand(setup)
         self.hand.reset(setup.synergy)
         self.object: SimObject | None = None
@@ -60,25 +72,41 @@ class Scene:
             return
         centre = HAND_POSITION + self.to_hand.T @ setup.position
         orientation, _ = setup.object_turn
-        self.object = SimObject(self.world, setup.object, centre, orientation, self._visuals, setup.fixed)
-        if torsion := self.world.settings.torsion:  # Bullet multiplies it by the other body's lateral friction
+        self.object = SimObject(
+            self.world, setup.object, centre, orientation, self._visuals, setup.fixed
+        )
+        if (
+            torsion := self.world.settings.torsion
+        ):  # Bullet multiplies it by the other body's lateral friction
             spinning = torsion / setup.hand_settings.contact_friction
-            pybullet.changeDynamics(self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client)
+            pybullet.changeDynamics(
+                self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client
+            )
         if not setup.fixed:
             self._add_supports(setup)
         self._added += [self.object.body, *self.supports]
 
     def _start_hand(self, setup: SceneSetup) -> None:
         """Put a hand at rest into an otherwise empty world."""
-        hand, settings = setup.hand, setup.hand_settings
+        hand = setup.hand
+        settings = setup.hand_settings
         on_wrist = setup.object is not None
         start = settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
         if self.hand is None or self._start != start or self._episodes == _EPISODES:
             if self.hand is not None:
                 self.world.clear()
                 self._added.clear()
-            self.hand = SimHand(self.world, hand, settings, setup.geometry, on_wrist, setup.hand_quaternion, self._visuals)
-            self._start, self._episodes = start, 0
+            self.hand = SimHand(
+                self.world,
+                hand,
+                settings,
+                setup.geometry,
+                on_wrist,
+                setup.hand_quaternion,
+                self._visuals,
+            )
+            self._start = start
+            self._episodes = 0
             self.world.step()
             self._snapshot = pybullet.saveState(physicsClientId=self.world.client)
         elif self.hand.hand is not hand or self.hand.settings != settings:
@@ -87,7 +115,8 @@ class Scene:
         for body in reversed(self._added):
             pybullet.removeBody(body, physicsClientId=self.world.client)
         self._added.clear()
-        # Drop the cached pairs of nearby links: the solver processes contacts in the order in which pairs first met.
+        # Drop the cached pairs of nearby links: the solver processes contacts in the order in which
+        # pairs first met.
         self.hand.collide(False)
         pybullet.performCollisionDetection(self.world.client)
         self.hand.collide(True)
@@ -102,14 +131,23 @@ class Scene:
             self.supports = (*self.supports, self.target_post)
 
     def _fixed_box(self, half_extents, position, color, turn=(0.0, 0.0, 0.0, 1.0)) -> int:
-        return add_fixed_box(self.world, half_extents, position, color if self._visuals else None, SUPPORT_FRICTION, turn)
+        return add_fixed_box(
+            self.world,
+            half_extents,
+            position,
+            color if self._visuals else None,
+            SUPPORT_FRICTION,
+            turn,
+        )
 
     def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None) -> None:
-        """Carry out k physics steps, one row of each table per step: shapes (k, 6) [rad], (k, 6) [rad/s], (k, 3) [m] and
-        (k, 3) [N], or None for no push."""
+        """Carry out k physics steps, one row of each table per step: shapes (k, 6) [rad], (k, 6)
+        [rad/s], (k, 3) [m] and (k, 3) [N], or None for no push."""
         dt = self.world.settings.dt
         pushes = [None] * len(servo) if push is None else push.tolist()
-        for angles, speeds, offset, force in zip(servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True):
+        for angles, speeds, offset, force in zip(
+            servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True
+        ):
             self.hand.move_wrist(offset)
             self.hand.apply_tendons(angles, speeds)
             if self.object is not None:
@@ -120,13 +158,19 @@ class Scene:
 
     def touches(self, body: int) -> bool:
         """True if the object touches another body."""
-        return bool(pybullet.getContactPoints(self.object.body, body, physicsClientId=self.world.client))
+        return bool(
+            pybullet.getContactPoints(self.object.body, body, physicsClientId=self.world.client)
+        )
 
     def contacts(self) -> list[tuple]:
-        """PyBullet's contact points between hand and object, without those at a positive distance."""
+        """PyBullet's contact points between hand and object, without those at a positive
+        distance.
+        """
         if self.object is None:
             return []
-        found = pybullet.getContactPoints(self.hand.body, self.object.body, physicsClientId=self.world.client)
+        found = pybullet.getContactPoints(
+            self.hand.body, self.object.body, physicsClientId=self.world.client
+        )
         return [contact for contact in found if contact[DISTANCE] <= 0]
 
 

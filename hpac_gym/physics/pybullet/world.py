@@ -1,4 +1,6 @@
-"""One PyBullet world: client, time step and solver; and suppression of PyBullet's printed output."""
+"""One PyBullet world: client, time step and solver; and suppression of PyBullet's printed
+output.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from hpac_gym.physics.settings import WorldSettings
 
 @contextmanager
 def quiet_output() -> Iterator[None]:
-    """Discard what C code, such as PyBullet's, writes to file descriptors 1 and 2 while the block runs; either may be closed."""
+    """Discard what C code, such as PyBullet's, writes to file descriptors 1 and 2 while the block
+    runs; either may be closed.
+    """
     for stream in filter(None, (sys.stdout, sys.stderr)):
         stream.flush()
     while (sink := os.open(os.devnull, os.O_WRONLY)) <= 2:
@@ -46,16 +50,24 @@ class World:
     def clear(self) -> None:
         """Remove every body. Bodies loaded afterwards behave, to the bit, as in a new world.
 
-        The simple broadphase keeps no history-dependent tree, and is the faster one for so few bodies.
-        """
+        The simple broadphase keeps no history-dependent tree, and is the faster one for so few
+        bodies."""
         iterations = self.settings.solver_iterations
-        solver = pybullet.CONSTRAINT_SOLVER_LCP_SI if iterations else pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG
+        solver = (
+            pybullet.CONSTRAINT_SOLVER_LCP_SI
+            if iterations
+            else pybullet.CONSTRAINT_SOLVER_LCP_DANTZIG
+        )
         pybullet.resetSimulation(pybullet.RESET_USE_SIMPLE_BROADPHASE, physicsClientId=self.client)
         with quiet_output():
             pybullet.setPhysicsEngineParameter(
                 fixedTimeStep=self.settings.dt,
                 constraintSolverType=solver,
-                **({"numSolverIterations": iterations, "solverResidualThreshold": 0} if iterations else {}),
+                **(
+                    {"numSolverIterations": iterations, "solverResidualThreshold": 0}
+                    if iterations
+                    else {}
+                ),
                 globalCFM=self.settings.constraint_softness,
                 erp=self.settings.error_reduction,
                 contactERP=self.settings.error_reduction,
