@@ -20,7 +20,7 @@ need-compiler = $(if $(shell command -v $(firstword $(CC))),,$(error \
 	no C compiler '$(firstword $(CC))' found: install one such as gcc, or name one with CC=))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compiler firmware test test-all test-lerobot demo bench generate wheel lint clean
+.PHONY: help setup compiler firmware test test-all test-lerobot demo bench generate wheel lint size clean
 MAKEFLAGS += --no-print-directory
 # Some two hundred processes of the tests share compiled modules, even where the user has none written.
 unexport PYTHONDONTWRITEBYTECODE
@@ -70,7 +70,7 @@ demo: compiler setup firmware ## train, evaluate and replay over the wire into r
 	@$(BIN)/python -m agents.demo --out runs/demo $(DEMO_ARGS)
 
 bench: setup ## measure the speed of the environments, of the model and of the command line
-	@$(BIN)/hpac bench
+	@$(BIN)/python -m tools.env_bench
 	@$(BIN)/python -m tools.bench
 
 generate: setup ## rewrite every generated file from its data
@@ -84,6 +84,9 @@ lint: setup ## check the format and the style of the Python code
 	@$(BIN)/ruff format --check --quiet . || { echo "not formatted: run 'ruff format' ($(BIN)/ruff)"; exit 1; }
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/python -m tools.style $$(git ls-files '*.py')
+
+size: setup ## count files, statements and lines by folder
+	@$(BIN)/python -m tools.size
 
 clean: ## remove what was built, but neither .venv nor runs
 	@rm -rf build dist .pytest_cache .hypothesis .ruff_cache

@@ -14,10 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from agents import POLICY, RunError, command_parser, make_task, target_of, versions
-from agents.evaluate import run_batch, worlds
-from hpac import run, whole_number
+from agents import POLICY, RunError, target_of
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
+from hpac_gym.evaluation.environment import make_env, versions
+from hpac_gym.evaluation.evaluate import run_batch, worlds
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, Policy, PolicyFile, write_policy
@@ -177,7 +178,7 @@ def main(argv: list[str] | None = None) -> int:
     options = dataset.env_spec.kwargs
     target = target_of(env_id, **options)
     if args.rounds:
-        with make_task(target["env_id"], **options) as env:
+        with make_env(target["env_id"], **options) as env:
             load_policy(args.expert, env)  # errors are raised here, not after the first fit
     settings = {name: getattr(args, name) for name in ("epochs", "rounds", "expert", "seed")}
 

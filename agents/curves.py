@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from agents import RunError, command_parser
-from agents.evaluate import table
-from hpac import run
+from agents import RunError
+from hpac_gym.command import command_parser, run
+from hpac_gym.evaluation.evaluate import table
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.output import replacing, write_text
 

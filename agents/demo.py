@@ -9,9 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from agents import command_parser, minutes
 from agents.recipes import RECIPES
-from hpac import run, whole_number
+from hpac_gym.command import command_parser, minutes, run, whole_number
 from hpac_gym.output import writable_folder
 
 EVALUATION_MINUTES = (
@@ -29,7 +28,14 @@ def steps(
     engine, body = RECIPES[recipe].set_ups[0].split("/")
     trained = ["--policy", policy, "--engine", engine, "--body", body]
     train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed)]
-    judge = ["agents.evaluate", *trained, "--episodes", str(episodes), "--workers", "2"]
+    judge = [
+        "hpac_gym.evaluation.evaluate",
+        *trained,
+        "--episodes",
+        str(episodes),
+        "--workers",
+        "2",
+    ]
     return [
         (
             "Train from random weights",

@@ -21,12 +21,13 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
 
-from agents import POLICY, RecipeError, RunError, command_parser, minutes, target_of, versions
+from agents import POLICY, RecipeError, RunError, target_of
 from agents.curves import CURVE, Progress
 from agents.recipes import add_settings, applies, check, given_settings, setting, with_settings
-from hpac import run
+from hpac_gym.command import command_parser, minutes, run
 from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy

@@ -12,7 +12,7 @@ import numpy as np
 from agents import POLICY, RunError, target_of
 from agents.closures import Learner, Trials, sizes_of
 from agents.recipes import Recipe
-from agents.train import latest_checkpoint
+from agents.runs import latest_checkpoint
 from hpac_gym.policies import Closures, read_policy
 
 COLUMNS = tuple(Trials(0, 1, 1, 1).columns)

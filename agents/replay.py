@@ -19,9 +19,7 @@ import imageio.v2 as imageio
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from agents import RunError, command_parser, make_task
-from agents.evaluate import task_of
-from hpac import run, whole_number
+from agents import RunError
 from hpac_gym.bridge import (
     FaultError,
     HandLink,
@@ -31,8 +29,11 @@ from hpac_gym.bridge import (
     WireLog,
     servo_from_pulses,
 )
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import HpacError
+from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episode import control_steps
+from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
 from hpac_gym.output import replacing, writable_folder, write_text
@@ -281,7 +282,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     args = parser.parse_args(argv)
     writable_folder(args.out)
-    env_id = task_of(args.policy)
+    env_id = env_id_of(args.policy)
     options = {
         name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None
     }
@@ -289,7 +290,7 @@ def main(argv: list[str] | None = None) -> int:
     try:
         with ExitStack() as stack:
             env = stack.enter_context(
-                make_task(env_id, transmit=lambda command: wire.transmit(command), **options)
+                make_env(env_id, transmit=lambda command: wire.transmit(command), **options)
             )
             policy = load_policy(
                 args.policy, env

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from agents import POLICY, RecipeError, RunError, command_parser, minutes
+from agents import POLICY, RecipeError, RunError
 from agents.curves import draw_trials
-from agents.evaluate import DEFAULT_TASK, evaluate, task_of
-from hpac import run, whole_number
+from hpac_gym.command import command_parser, minutes, run, whole_number
+from hpac_gym.evaluation.evaluate import DEFAULT_ENV, env_id_of, evaluate
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import interquartile_mean, stratified_bootstrap
 from hpac_gym.output import markdown, writable_file, write_text
@@ -47,7 +47,7 @@ def elsewhere(policies: Sequence[str], judge: Judge) -> Iterator[Row]:
                 {"engine": engine, "body": body, "randomize": randomize} for randomize in RANDOMIZED
             ]
             cells = [
-                {"policy": policy, **each, **judge(policy, task_of(policy), each)}
+                {"policy": policy, **each, **judge(policy, env_id_of(policy), each)}
                 for each in options
             ]
             yield (policy, f"{engine} {body}", *map(_rate, cells)), cells
@@ -72,7 +72,7 @@ def seeds(policies: Iterable[str], judge: Judge) -> Iterator[Row]:
             "asked": asked,
             "trained": trained,
             "trials": trials,
-            **judge(policy, DEFAULT_TASK, {"engine": "mujoco"}),
+            **judge(policy, DEFAULT_ENV, {"engine": "mujoco"}),
         }
         lost = ", ".join(str(cell["failures_by_phase"].get(phase, 0)) for phase in PHASES)
         yield (

@@ -4,18 +4,11 @@ The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, both upd
 checkpoint, ``progress.csv``, ``run.json`` (the settings) and the last checkpoint, from which
 ``--resume`` continues. With ``--trials-of`` there is no picture. After every checkpoint new
 episodes begin, with random numbers of its own, so that a killed and resumed run ends with the same
-policy as an uninterrupted one.
-
-A checkpoint is a folder ``checkpoint-EPISODES`` that is renamed to this name once its contents are
-on disk; only then is the previous one removed. It holds JSON and plain arrays: reading it executes
-no foreign code."""
+policy as an uninterrupted one."""
 
 from __future__ import annotations
 
-import errno
 import json
-import os
-import shutil
 import signal
 import sys
 import time
@@ -26,41 +19,34 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from agents import (
-    POLICY,
-    RecipeError,
-    RunError,
-    command_parser,
-    minutes,
-    other_versions,
-    target_of,
-    versions,
-)
-from agents.curves import CURVE, PAGE, PICTURE, RESULTS, Progress, drop_rows_after, report
+from agents import POLICY, RecipeError, RunError, target_of
+from agents.curves import CURVE, Progress, drop_rows_after, report
 from agents.recipes import (
     RECIPES,
     Recipe,
     add_recipe,
     given_settings,
     recipe_of,
-    settings_of,
     with_settings,
 )
-from hpac import INTERRUPTED, run, whole_number
+from agents.runs import (
+    RUN,
+    latest_checkpoint,
+    load_checkpoint,
+    recipe_in,
+    remove_run,
+    save_checkpoint,
+    saved_trials,
+)
+from hpac_gym.command import INTERRUPTED, command_parser, minutes, run, whole_number
 from hpac_gym.errors import HpacError
+from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 
 if TYPE_CHECKING:
-    from agents.closures import Learner
     from hpac_gym.tasks.task import Task
-
-RUN = "run.json"
-_PREFIX = "checkpoint-"
-_UNFINISHED = ".unfinished"
 
 
 def train(
@@ -93,7 +79,7 @@ def train(
     torch.set_num_threads(1)
     done = 0 if fresh else saved_trials(out)
     if nodes:
-        from agents.nodes import Collectors
+        from agents.collectors import Collectors
 
         all_worlds = [Collectors(recipe, nodes, done)]
     elif recipe.trials_of:
@@ -171,114 +157,6 @@ def train(
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
 
 
-def save_checkpoint(folder: Path, learner: Learner, state: dict[str, Any]) -> Path:
-    """Write a checkpoint of the learner, its optimisers, its trials and the scaling; returns its
-    folder.
-
-    Raises:
-        RunError: The training has diverged, the disk is full or the folder cannot be written; the
-            previous checkpoint is kept.
-    """
-    final = folder / f"{_PREFIX}{learner.trials.count:09d}"
-    unfinished = final.with_suffix(_UNFINISHED)
-    arrays = learner.arrays()
-    try:
-        if bad := next(
-            (name for name, array in arrays.items() if not np.isfinite(array).all()), None
-        ):
-            raise ValueError(f"the training has diverged, {bad} is not finite")
-        shutil.rmtree(unfinished, ignore_errors=True)
-        unfinished.mkdir(parents=True)
-        np.savez(unfinished / "arrays.npz", **arrays)
-        state = {
-            "episodes": learner.trials.count,
-            "updates": learner.updates,
-            "versions": versions(),
-            **state,
-        }
-        (unfinished / "state.json").write_text(json.dumps(state, indent=2) + "\n")
-        for path in (*unfinished.iterdir(), unfinished):
-            _to_disk(path)
-        shutil.rmtree(final, ignore_errors=True)
-        os.rename(unfinished, final)
-        _to_disk(folder)
-    except (OSError, ValueError) as error:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        kept = latest_checkpoint(folder)
-        reason = getattr(error, "strerror", None) or error
-        which = f"'{kept.name}' is kept" if kept else "there is no earlier one"
-        raise RunError(f"cannot write checkpoint '{final}': {reason}; {which}") from error
-    for old in folder.glob(f"{_PREFIX}*"):
-        if old != final:
-            shutil.rmtree(old, ignore_errors=True)
-    return final
-
-
-def latest_checkpoint(folder: Path) -> Path | None:
-    """The latest complete checkpoint in a folder; None without one."""
-    found = [
-        path for path in folder.glob(f"{_PREFIX}*") if path.name.removeprefix(_PREFIX).isdecimal()
-    ]
-    return max(found, default=None)
-
-
-def saved_trials(folder: Path) -> int:
-    """Number of trials in the latest complete checkpoint in a folder; 0 without one."""
-    path = latest_checkpoint(folder)
-    return int(path.name.removeprefix(_PREFIX)) if path else 0
-
-
-def recipe_in(folder: Path) -> Recipe:
-    """The recipe of the run in a folder.
-
-    Raises:
-        RunError: The folder holds no run, or a damaged one, or one of another version.
-    """
-    try:
-        return settings_of(json.loads((folder / RUN).read_text()))
-    except FileNotFoundError:
-        raise RunError(f"no run in '{folder}': it has no {RUN}") from None
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise RunError(f"cannot read the settings of '{folder / RUN}': {error}") from None
-
-
-def load_checkpoint(path: Path, learner: Learner, trials: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Load a checkpoint, and the columns of trials that it leaves out, into a learner of the same
-    recipe; returns its state.
-
-    Raises:
-        RunError: A file is missing or damaged, or the checkpoint is of another recipe or of other
-            versions.
-    """
-    try:
-        state = json.loads((path / "state.json").read_text())
-        with np.load(path / "arrays.npz", allow_pickle=False) as file:
-            arrays = dict(file) | trials
-        if len(arrays["survived"]) != state["episodes"]:
-            raise ValueError(f"{len(arrays['survived'])} trials, not {state['episodes']}")
-        if others := other_versions(state["versions"]):
-            raise ValueError(f"it was written with {others}")
-        if not min(state.get(name, 0) for name in ("updates", "seconds", "env_steps")) >= 0:
-            raise ValueError("its updates, seconds or env_steps are negative")
-        learner.restore(arrays, state["updates"])
-    except Exception as error:  # a damaged file can make its reader raise anything
-        raise RunError(
-            f"checkpoint '{path}' is damaged, of another recipe or of other versions: {error}"
-        ) from error
-    return state
-
-
-def _to_disk(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    except OSError as error:
-        if error.errno != errno.EINVAL:  # a file system without fsync of folders
-            raise
-    finally:
-        os.close(handle)
-
-
 def main(argv: list[str] | None = None, make: Callable[[Recipe], Task] | None = None) -> int:
     """The command; ``make`` is as in `train`."""
     started = time.monotonic()
@@ -335,20 +213,6 @@ def _fresh_recipe(args: Namespace) -> Recipe:
         recipe = _with_trials(recipe, args)
     writable_folder(args.out)
     return recipe
-
-
-def remove_run(folder: Path) -> None:
-    """Remove what a run left in a folder.
-
-    Raises:
-        RunError: A checkpoint cannot be removed.
-    """
-    for name in (RUN, POLICY, CURVE, PICTURE, RESULTS, PAGE):
-        (folder / name).unlink(missing_ok=True)
-    for old in folder.glob(f"{_PREFIX}*"):
-        shutil.rmtree(old, ignore_errors=True)
-    if kept := latest_checkpoint(folder):
-        raise RunError(f"cannot remove checkpoint '{kept}' of the run before")
 
 
 def _with_trials(recipe: Recipe, args: Namespace) -> Recipe:

@@ -1,54 +1,16 @@
 """Reinforcement learning and control of the H-PAC tendon hand, from simulation to the servo.
 
-Importing this package registers its Gymnasium environments; it does not load PyBullet, and works
-without Gymnasium."""
+Importing this package registers its Gymnasium environments; it loads no engine, and works without
+Gymnasium."""
 
-try:
-    from gymnasium.envs.registration import register
-except ImportError:  # the model and the bridge work without Gymnasium
-    pass
-else:
-    register(
-        id="HPAC-Grasp-v0",
-        entry_point="hpac_gym.envs:grasp",
-        vector_entry_point="hpac_gym.envs:grasp_vector",
-        max_episode_steps=65,  # episodes terminate after 64 steps, so the limit never truncates one
-    )
-    register(
-        id="HPAC-GraspAny-v0",
-        entry_point="hpac_gym.envs:grasp_any",
-        vector_entry_point="hpac_gym.envs:grasp_any_vector",
-        max_episode_steps=145,
-        kwargs={"clear": False},
-    )
-    register(
-        id="HPAC-GraspAny-v1",
-        entry_point="hpac_gym.envs:grasp_any",
-        vector_entry_point="hpac_gym.envs:grasp_any_vector",
-        max_episode_steps=145,
-    )
-    register(
-        id="HPAC-GraspType-v0",
-        entry_point="hpac_gym.envs:grasp_type",
-        vector_entry_point="hpac_gym.envs:grasp_type_vector",
-        max_episode_steps=65,
-    )
-    register(
-        id="HPAC-PickPlace-v0",
-        entry_point="hpac_gym.envs:pick_place",
-        vector_entry_point="hpac_gym.envs:pick_place_vector",
-        max_episode_steps=111,
-    )
-    register(
-        id="HPAC-Posture-v0",
-        entry_point="hpac_gym.envs:PostureEnv",
-        vector_entry_point="hpac_gym.envs:posture_v0_vector",
-        max_episode_steps=40,
-    )
-    register(
-        id="HPAC-Posture-v1",
-        entry_point="hpac_gym.envs:PostureEnv",
-        vector_entry_point="hpac_gym.envs:posture_vector",
-        max_episode_steps=40,
-        kwargs={"reachable": True, "randomize": "hand"},
-    )
+import sys
+
+# The `hpac` command leaves this to the commands that make environments: Gymnasium takes some tenths
+# of a second to load, and a stop must not wait for it.
+if "hpac" not in sys.modules:
+    try:
+        from hpac_gym.registration import register_all
+    except ModuleNotFoundError:  # the model and the bridge work without Gymnasium
+        pass
+    else:
+        register_all()

@@ -28,3 +28,11 @@ class EpisodeError(HpacError, RuntimeError):
 
 class PolicyError(HpacError, ValueError):
     """A policy is unknown, or its file is missing, damaged or made for another environment."""
+
+
+class EnvError(HpacError, ValueError):
+    """An environment id is unknown, an option of it is invalid, or its spaces are not supported."""
+
+
+class DatasetError(HpacError, ValueError):
+    """A folder does not contain a dataset, or exists already."""

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from hpac import COMMANDS, INTERRUPTED, USAGE_ERROR, Parser, main, run, whole_number
+from hpac import COMMANDS, main
+from hpac_gym.command import INTERRUPTED, USAGE_ERROR, Parser, run, whole_number
 from hpac_gym.errors import WorkspaceError
 
 NAMES = [command.name for command in COMMANDS]
@@ -82,8 +83,8 @@ def test_the_version_is_that_of_the_package():
         (["posture", "list", "--hand", "/no/such/hand.toml"], "/no/such/hand.toml"),
         (["calibrate", "/no/such/sweep.csv"], "sweep.csv"),
         (["physics", "--engine", "pybullet", "--body", "light"], "pybullet with body light"),
-        (["bench", "--rounds", "0"], "'0' is not a whole number of at least 1"),
-        (["study", "causes", "--seed", "-1"], "'-1' is not a whole number of at least 0"),
+        (["grasps", "-n", "0"], "'0' is not a whole number of at least 1"),
+        (["record", "--seed", "-1"], "'-1' is not a whole number of at least 0"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(words, named, capsys):
@@ -143,7 +144,7 @@ def test_an_output_that_takes_no_more_is_one_line_and_status_2(words, unbuffered
 
 SCRIPT = """
 import sys
-from hpac import run
+from hpac_gym.command import run
 def command():
     print({words!r} * {times}, flush={flush})
     open({path!r}).close()
@@ -193,7 +194,7 @@ import sys, hpac
 sys.modules |= {"matplotlib": None, "PIL": None}
 for words in sys.argv[1:]:
     print(hpac.main(words.split()), flush=True)
-sys.modules["hpac_gym.study"] = None
+sys.modules["hpac_gym.calibration"] = None
 hpac.main(["sweep"])
 """
 
@@ -207,8 +208,6 @@ def test_without_its_packages_a_command_says_what_it_needs():
     needs = {
         "sweep": study,
         "calibrate --record x.csv y": study,
-        "study --help": study,
-        "posture": study,
         "grasps -n 1": grasps,
     }
     done = python(WITHOUT_PACKAGES, *needs)

@@ -1,179 +1,163 @@
-"""The layer table of docs/architecture.md, read from the imports of every module."""
+"""The rooms of docs/architecture.md, read from the imports of every module."""
 
 import ast
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import cache
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGE = ROOT / "hpac_gym"
-MODULES = sorted(PACKAGE.rglob("*.py"))
 
-# What a layer may import of this package, and from outside of it beside the standard library. An
-# engine's folder is a layer of its own, and so is the adapter to Stable-Baselines3. The package's
-# own __init__.py and its benchmark of speed stand above all of them; `hpac` is the command beside
-# it.
-BELOW_TASKS = {"errors", "model", "body", "physics"}
-BELOW_ENVS = BELOW_TASKS | {"tasks"}
-LAYERS = {
+# From bottom to top, with what each room may import from outside beside the standard library. A
+# module imports its own room and the rooms before it. An engine's folder belongs to `physics`.
+ROOMS = {
     "errors": set(),
-    "progress": set(),
-    "output": {"errors"},
-    "model": {"errors"},
-    "body": {"errors", "output", "model"},
-    "physics": {"errors", "model", "body"},
-    "physics.pybullet": BELOW_TASKS,
-    "physics.mujoco": BELOW_TASKS,
-    "tasks": BELOW_TASKS,
-    "envs": BELOW_ENVS,
-    "envs.sb3": BELOW_ENVS | {"envs"},
-    "bridge": {"errors", "model"},
-    "policies": {"errors", "output", *BELOW_ENVS, "envs"},
-    "evaluation": {"errors", "output", "progress", *BELOW_ENVS, "envs", "policies"},
-    "study": {"errors", "output", "progress", *BELOW_TASKS},
-}
-NEEDS = {
-    "errors": set(),
-    "progress": set(),
     "output": set(),
+    "progress": {"tqdm"},
+    "command": set(),
+    "registration": {"gymnasium"},
+    "figures": {"matplotlib"},
     "model": {"numpy"},
     "body": {"numpy", "coacd", "trimesh"},
-    "physics": {"numpy", "hpac"},
-    "physics.pybullet": {"numpy", "pybullet"},
-    "physics.mujoco": {"numpy", "mujoco"},
+    "bridge": {"numpy", "serial"},
+    "calibration": {"numpy", "scipy", "matplotlib"},
+    "physics": {"numpy", "pybullet", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium"},
-    "envs": {"numpy", "gymnasium"},
-    "envs.sb3": {"numpy", "gymnasium", "stable_baselines3"},
-    "bridge": {"numpy", "serial", "hpac"},
+    "envs": {"numpy", "gymnasium", "stable_baselines3"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime"},
-    "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "hpac"},
-    "study": {"numpy", "scipy", "matplotlib", "hpac"},
+    "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
+    "posture": {"numpy", "matplotlib"},
+    "hpac_gym": set(),
+    "hpac": set(),
 }
-ENGINES = {"physics.pybullet": "pybullet", "physics.mujoco": "mujoco"}
-CHOOSER = "hpac_gym.physics.simulation"
-"""The one module that imports an engine's folder, once it is asked for."""
-WORKSHOP = {"agents", "tools", "tests"}
+WORKSHOP = ("agents", "experiments", "tools")
+"""Not in the wheel, from bottom to top; each imports everything before it, and anything."""
+ENGINES = {"pybullet", "mujoco"}
 
 
-def module_name(path: Path) -> str:
-    """The dotted name under which ``path`` is imported."""
+def name_of(path: Path) -> str:
+    """The dotted name under which a module is imported."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-@cache
-def imports_of(path: Path, lazy: bool = True) -> tuple[str, ...]:
-    """The dotted names that a module imports, relative ones resolved and submodules spelled out;
-    with those in functions.
-    """
-    return tuple(_imports_of(path, lazy))
+PATHS = {
+    name_of(path): path
+    for folder in ("hpac_gym", *WORKSHOP)
+    for path in sorted((ROOT / folder).rglob("*.py"))
+} | {"hpac": ROOT / "hpac.py"}
+PACKAGE = [name for name in PATHS if name.split(".")[0] not in WORKSHOP]
 
 
-def _imports_of(path: Path, lazy: bool) -> Iterator[str]:
-    package = module_name(path).split(".")
-    package = package if path.name == "__init__.py" else package[:-1]
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    inside = {
-        node
-        for f in ast.walk(tree)
-        if isinstance(f, ast.FunctionDef | ast.AsyncFunctionDef)
-        for node in ast.walk(f)
-    }
+def imports_of(name: str, lazy: bool = True) -> Iterator[str]:
+    """The dotted names that a module imports, members spelled out; with those in functions."""
+    tree = ast.parse(PATHS[name].read_text(encoding="utf-8"))
+    functions = [
+        node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    inside = {node for function in functions for node in ast.walk(function)}
     for node in ast.walk(tree):
         if node in inside and not lazy:
             continue
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            parts = package[: len(package) - node.level + 1] if node.level else []
-            parts += node.module.split(".") if node.module else []
-            yield from (".".join([*parts, alias.name]) for alias in node.names)
+            assert not node.level, f"{name} has a relative import"
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
-            if getattr(node.func, "attr", getattr(node.func, "id", "")) in {
-                "import_module",
-                "__import__",
-            }:
+            if getattr(node.func, "attr", getattr(node.func, "id", "")) == "import_module":
                 yield str(node.args[0].value)
 
 
-def layer_of(name: str) -> str | None:
-    """The layer of a dotted name of this package; None for its root and its commands."""
-    parts = name.split(".")
-    return next((layer for layer in (".".join(parts[1:3]), *parts[1:2]) if layer in LAYERS), None)
+def module_of(imported: str) -> str | None:
+    """The module of this project that an imported name belongs to; None for others."""
+    while imported and imported not in PATHS:
+        imported = imported.rpartition(".")[0]
+    return imported or None
 
 
-IN_LAYERS = [path for path in MODULES if layer_of(module_name(path))]
+def room_of(name: str) -> str:
+    first, *rest = name.split(".")
+    return rest[0] if first == "hpac_gym" and rest else first
 
 
-@pytest.mark.parametrize("path", IN_LAYERS, ids=module_name)
-def test_a_module_imports_only_layers_below_its_own(path):
-    layer = layer_of(module_name(path))
-    own = [name for name in imports_of(path) if name.split(".")[0] in {"hpac_gym"} | WORKSHOP]
-    upward = [name for name in own if layer_of(name) not in LAYERS[layer] | {layer}]
-    if module_name(path) == CHOOSER:
-        upward = [name for name in upward if layer_of(name) not in ENGINES]
-    assert not upward, f"{module_name(path)} is in '{layer}' and imports {upward}"
+def modules_imported_by(name: str) -> set[str]:
+    return {module for imported in imports_of(name) if (module := module_of(imported))} - {name}
 
 
-@pytest.mark.parametrize("path", IN_LAYERS, ids=module_name)
-def test_a_module_needs_only_what_its_layer_may(path):
-    layer = layer_of(module_name(path))
-    outside = (
-        {name.split(".")[0] for name in imports_of(path)} - {"hpac_gym"} - sys.stdlib_module_names
-    )
-    assert outside <= NEEDS[layer], (
-        f"{module_name(path)} is in '{layer}' and imports {sorted(outside - NEEDS[layer])}"
-    )
+@pytest.mark.parametrize("name", PATHS)
+def test_no_arrow_points_upward(name):
+    order = [*ROOMS, *WORKSHOP]
+    order.remove("hpac")  # the command: above the package, and imported by nobody
+    allowed = {*order[: order.index(room_of(name)) + 1]} if name != "hpac" else {"command"}
+    rooms = {room_of(module) for module in modules_imported_by(name)}
+    assert rooms <= allowed, f"{name} imports {sorted(rooms - allowed)}"
 
 
-@pytest.mark.parametrize(("folder", "engine"), ENGINES.items())
-def test_only_its_folder_names_an_engine(folder, engine):
-    modules = [*MODULES, *(ROOT / "agents").rglob("*.py")]
+def test_there_is_no_circle():
+    graph = {name: modules_imported_by(name) for name in PATHS}
+    for name, modules in graph.items():  # a member of a package is not a circle with its __init__
+        graph[name] = {module for module in modules if not name.startswith(f"{module}.")}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" → ".join(error.args[1]))
+
+
+@pytest.mark.parametrize("name", PACKAGE)
+def test_a_module_needs_only_what_its_room_may(name):
+    outside = {imported.split(".")[0] for imported in imports_of(name)} - sys.stdlib_module_names
+    outside -= {path.split(".")[0] for path in PATHS}
+    assert outside <= ROOMS[room_of(name)], f"{name} imports {sorted(outside)}"
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_only_its_folder_names_an_engine(engine):
     named = {
-        module_name(path)
-        for path in modules
-        if any(name.split(".")[0].startswith(engine) for name in imports_of(path))
+        name
+        for name in PACKAGE
+        if any(imported.split(".")[0] == engine for imported in imports_of(name))
     }
-    assert {layer_of(name) for name in named} <= {folder}, named
+    assert named
+    folder = f"hpac_gym.physics.{engine}"
+    assert all(name == folder or name.startswith(f"{folder}.") for name in named), named
 
 
 def test_one_module_imports_the_engines_and_only_once_it_is_asked():
-    path = ROOT.joinpath(*CHOOSER.split(".")).with_suffix(".py")
-    assert {layer_of(name) for name in imports_of(path)} >= set(ENGINES)
-    assert not {layer_of(name) for name in imports_of(path, lazy=False)} & set(ENGINES)
+    chooser = "hpac_gym.physics.simulation"
+    folders = {f"hpac_gym.physics.{engine}" for engine in ENGINES}
 
+    def engines_of(name: str, lazy: bool) -> set[str]:
+        modules = {module_of(imported) or "" for imported in imports_of(name, lazy)}
+        return {folder for folder in folders for module in modules if module.startswith(folder)}
 
-def test_the_command_imports_without_the_package():
-    """Nor anything else beside the standard library: the list of commands is there at once."""
-    assert {
-        name.split(".")[0] for name in imports_of(ROOT / "hpac.py", lazy=False)
-    } <= sys.stdlib_module_names
-
-
-def test_the_package_does_not_know_the_workshop():
-    assert not [
-        path for path in MODULES for name in imports_of(path) if name.split(".")[0] in WORKSHOP
-    ]
+    assert engines_of(chooser, lazy=True) == folders
+    assert not engines_of(chooser, lazy=False)
+    others = [name for name in PACKAGE if name != chooser and not name.startswith(tuple(folders))]
+    assert not [name for name in others if engines_of(name, lazy=True)]
 
 
 def test_what_names_no_engine_imports_without_one():
-    layers = ("model", "body", "physics", "tasks", "envs", "bridge")
-    names = [name for name in map(module_name, IN_LAYERS) if layer_of(name) in layers]
-    assert {layer_of(name) for name in names} == set(layers)
+    rooms = ("model", "body", "bridge", "calibration", "physics", "tasks", "envs")
+    names = [
+        name
+        for name in PACKAGE
+        if room_of(name) in rooms and not ENGINES & set(name.split(".")) and name[-3:] != "sb3"
+    ]
+    assert {room_of(name) for name in names} == set(rooms)
     script = f"""
 import importlib, sys
 
 class Refuse:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {{"pybullet", "mujoco"}}:
+        if name.split(".")[0] in {ENGINES!r}:
             raise ImportError(f"{{name}} is refused")
 
 sys.meta_path.insert(0, Refuse())
-for name in {[name for name in names if not name.endswith("__main__")]!r}:
+for name in {names!r}:
     importlib.import_module(name)
 """
     done = subprocess.run(

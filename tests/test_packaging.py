@@ -80,7 +80,7 @@ def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     source = {
         str(p.relative_to(ROOT))
         for p in (ROOT / "hpac_gym").rglob("*")
-        if p.suffix in {".py", ".toml"}
+        if p.suffix in {".py", ".toml", ".zip"}
     }
     assets = {
         f"hpac_gym/{p.relative_to(ROOT)}" for p in (ROOT / "assets").rglob("*") if p.is_file()
@@ -100,7 +100,7 @@ env.action_space.seed(0)
 reward = env.step(env.action_space.sample())[1]
 env.close()
 import hpac_gym
-absent = [name for name in ("agents", "tools") if importlib.util.find_spec(name) is None]
+absent = [name for name in ("agents", "experiments", "tools") if importlib.util.find_spec(name) is None]
 print(json.dumps({{"reward": float(reward), "package": hpac_gym.__file__, "absent": absent}}))
 """
     # -I: no PYTHONPATH, and an output that waits in buffers, where PyBullet's own prints must not
@@ -109,7 +109,7 @@ print(json.dumps({{"reward": float(reward), "package": hpac_gym.__file__, "absen
     package = Path(seen["package"]).parent
     assert package.is_relative_to(clean_python.parents[1])
     assert (package / "assets").is_dir()
-    assert seen["absent"] == ["agents", "tools"]
+    assert seen["absent"] == ["agents", "experiments", "tools"]
 
 
 def test_without_pybullet_everything_runs_on_mujoco_and_asking_for_pybullet_is_one_line(

@@ -16,7 +16,7 @@ def test_what_is_soon_done_shows_nothing(capsys):
 
 
 def test_what_takes_long_shows_how_far_it_is_on_a_terminal_alone(capsys, monkeypatch):
-    monkeypatch.setattr(module, "_PATIENCE", -1.0)
+    monkeypatch.setattr(module, "_PATIENCE", 0.0)
     assert list(progress("abcd", "label")) == list("abcd")
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
@@ -24,13 +24,12 @@ def test_what_takes_long_shows_how_far_it_is_on_a_terminal_alone(capsys, monkeyp
     seen = capsys.readouterr()
     assert seen.out == ""
     assert "label" in seen.err
-    assert "2/4" in seen.err
-    assert seen.err.rstrip().endswith("s")
+    assert "4/4" in seen.err
 
 
 @pytest.mark.parametrize("items", [[], [1]])
 def test_none_is_shown_where_none_is_wanted(items, capsys, monkeypatch):
-    monkeypatch.setattr(module, "_PATIENCE", -1.0)
+    monkeypatch.setattr(module, "_PATIENCE", 0.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert list(progress(items, "label", shown=False)) == items
     assert capsys.readouterr().err == ""

@@ -19,9 +19,8 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from agents import command_parser
-from hpac import run, whole_number
 from hpac_gym.body.object_sets import SPLITS
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
@@ -243,7 +242,7 @@ CHOICES = ("keep", "squeeze", "again")
 """Keep still; close further by `SQUEEZE`; open for `OPENING` control steps, then close as the
 policy decides on what is seen by then, `HASTE` times as fast, so that the hand has closed before
 the lift."""
-POLICY = Path(__file__).parents[1] / "agents" / "trained" / "grasp-any.zip"
+POLICY = "grasp-any"
 SQUEEZE = 0.3
 OPENING = 11
 HASTE = 1.5

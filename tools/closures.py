@@ -15,8 +15,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 
-from agents import command_parser
-from hpac import run, whole_number
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation import closures
 from hpac_gym.evaluation.closures import COLUMNS, FILE, Closure, Try, share_found
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hpac import Parser, run, whole_number
+from hpac_gym.command import Parser, run, whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.model import JOINT_INDEX, SERVOS, action_from_synergy

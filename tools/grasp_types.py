@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.evaluation.agree import VARIATIONS
+from experiments.agree import VARIATIONS
 from hpac_gym.evaluation.grasp_types import run_types
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -206,7 +206,7 @@ def main() -> None:
         default=list(SET_UPS),
         metavar="ENGINE/BODY",
         choices=[*SET_UPS, *(f"{set_up}/{name}" for set_up in SET_UPS for name in VARIATIONS)],
-        help="engines and bodies; ENGINE/BODY/VARIATION, physics as of hpac agree, is printed alone",
+        help="engines and bodies; ENGINE/BODY/VARIATION, physics as of experiments.agree, is printed alone",
     )
     parser.add_argument(
         "--out", type=Path, default=RESULTS, help="file to update (default: %(default)s)"

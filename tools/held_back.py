@@ -8,8 +8,8 @@ evaluated."""
 import sys
 from pathlib import Path
 
-from agents import POLICY, closures, command_parser, train
-from hpac import run, whole_number
+from agents import POLICY, closures, train
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs import GraspAny
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval

@@ -10,9 +10,9 @@ import sys
 import time
 from pathlib import Path
 
-from agents import POLICY, RunError, command_parser
-from agents.train import saved_trials
-from hpac import run, whole_number
+from agents import POLICY, RunError
+from agents.runs import saved_trials
+from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.policies import read_policy
 
 SETTINGS = {"random-episodes": 500, "updates-per-episode": 0.3, "checkpoint-every": 500}

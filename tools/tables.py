@@ -14,9 +14,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from agents import benchmark
 from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, OPTIONS, PICK_PLACE, POSTURE, Option
 from hpac_gym.envs.randomization import PRESETS, Randomization
+from hpac_gym.evaluation import benchmark
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.model import HPAC, SERVOS
@@ -216,7 +216,7 @@ def scale_table() -> str:
 
 
 def result_tables() -> str:
-    """Every results file as printed by ``python -m agents.benchmark --check``, with the command
+    """Every results file as printed by ``python -m hpac_gym.evaluation.benchmark --check``, with the command
     that produced it.
     """
     files = [benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))]

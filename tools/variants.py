@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from agents import POLICY, RunError, command_parser
+from agents import POLICY, RunError
 from agents.closures import training_task
-from agents.evaluate import DEFAULT_TASK, evaluate
 from agents.recipes import RECIPES, Recipe
 from agents.reproduce import middle
-from agents.train import RUN, recipe_in, saved_trials, train
-from hpac import run, whole_number
+from agents.runs import RUN, recipe_in, saved_trials
+from agents.train import train
+from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.evaluation.evaluate import DEFAULT_ENV, evaluate
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.output import markdown, writable_folder
 from hpac_gym.physics.engine import SceneSetup
@@ -98,7 +99,7 @@ def success(
     policies: list[str], options: dict[str, str], episodes: int, workers: int
 ) -> np.ndarray:
     """Success of policies in the same episodes, shape (policies,)."""
-    judged = evaluate(policies, DEFAULT_TASK, episodes, workers=workers, options=options).summary()[
+    judged = evaluate(policies, DEFAULT_ENV, episodes, workers=workers, options=options).summary()[
         "policies"
     ]
     return np.array([cell["success_rate"] for cell in judged.values()])

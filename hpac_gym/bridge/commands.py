@@ -12,10 +12,8 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from hpac import whole_number
 from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
 from hpac_gym.bridge.errors import LinkTimeout, PortError
-from hpac_gym.bridge.evidence import safety
 from hpac_gym.bridge.evidence.conform import Row, conform
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.hands import HostBoard, VirtualHand, config_of
@@ -28,40 +26,6 @@ from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, move_dur
 _WIGGLE_TIME = 0.8
 _ESTOP_ATTEMPTS = 20
 PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this process) or `host` (the firmware as a process)"
-
-
-def add_safety(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `hpac safety`."""
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="print a list of claim, figure, limit, unit, tried, control, holds",
-    )
-    parser.add_argument(
-        "--frames",
-        type=whole_number(1),
-        default=10_000_000,
-        help="hostile frames (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--trials",
-        type=whole_number(1),
-        default=20,
-        help="wall-clock repetitions (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--sessions",
-        type=whole_number(1),
-        default=10_000,
-        help="random sessions (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=whole_number(1),
-        default=1,
-        help="of frames and sessions (default: %(default)s)",
-    )
-    parser.set_defaults(run=_safety)
 
 
 def add_conform(parser: argparse.ArgumentParser) -> None:
@@ -140,21 +104,14 @@ def _print_json(rows: list[object], *names: str) -> None:
     )
 
 
-def _safety(options: argparse.Namespace) -> int:
-    claims = safety.measure(options.frames, options.trials, options.sessions, options.seed)
-    return _verdict(
-        claims, options.json, "claim", "figure", "limit", "unit", "tried", "control", "holds"
-    )
-
-
 def _conform(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         hand = _hand(options)
         rows = conform(open_transport(connector(options.port, hand, stack)), hand)
-        return _verdict(rows, options.json, "rule", "tried", "holds", "failure")
+        return verdict(rows, options.json, "rule", "tried", "holds", "failure")
 
 
-def _verdict(rows: Iterable[safety.Claim | Row], as_json: bool, *names: str) -> int:
+def verdict(rows: Iterable[Row], as_json: bool, *names: str) -> int:
     """Print each row as soon as it is known, or all of them as JSON with the named attributes;
     returns 1 unless all hold.
     """

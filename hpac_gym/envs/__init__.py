@@ -29,6 +29,7 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.simulation import default_engine
+from hpac_gym.registration import register_all
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import settings_from
 from hpac_gym.tasks.grasp import OBJECT_RANGES, Grasp, GraspByName, GraspConfig
@@ -39,6 +40,8 @@ from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.tasks.posture import Posture, PostureConfig
 from hpac_gym.tasks.scripted import ScriptedClosure, ScriptedPickPlace, scripted_closure
 from hpac_gym.tasks.task import CONTROL_HZ, Task
+
+register_all()
 
 __all__ = [
     "GRASPS",

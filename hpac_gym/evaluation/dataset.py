@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpac import whole_number
+from hpac_gym.command import whole_number
 from hpac_gym.envs.options import GRASP, IDS, OPTIONS
-from hpac_gym.errors import HpacError
+from hpac_gym.errors import DatasetError
 from hpac_gym.output import OutputError, writable_folder
 from hpac_gym.progress import progress
 
@@ -38,10 +38,6 @@ _ABOUT = """\
 Runs a policy and writes observations, actions and rewards as a Minari dataset, with the seed and success of every episode.
 `minari.MinariDataset(DIR / "data")` opens it, `python -m agents.clone DIR` learns from it; with --format lerobot as one of
 LeRobot v3. The folder appears when all episodes are written."""
-
-
-class DatasetError(HpacError, ValueError):
-    """A folder does not contain a dataset, or exists already."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

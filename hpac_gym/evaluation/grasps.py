@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hpac import whole_number
+from hpac_gym.command import whole_number
 from hpac_gym.envs import GRASPS, NOMINAL
 from hpac_gym.envs.options import GRASP
 from hpac_gym.evaluation.episode import control_steps

@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from hpac_gym.evaluation.dataset import DatasetError
+from hpac_gym.errors import DatasetError
 from hpac_gym.output import OutputError
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.progress import progress

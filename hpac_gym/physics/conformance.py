@@ -15,9 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from hpac import whole_number
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry, link_poses
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.command import whole_number
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
     FINGERS,

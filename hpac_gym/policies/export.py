@@ -91,7 +91,7 @@ def onnx_model(policy: PolicyFile) -> Any:
 
 def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[str, Any]:
     """Inputs, outputs and provenance of the exported policy; `evaluation` is a result of
-    `agents.evaluate`.
+    `hpac evaluate`.
     """
     about = policy.about
     closures = policy.closures
@@ -197,7 +197,7 @@ def export(
     Args:
         path: the policy file.
         out: the folder.
-        evaluation: output of `agents.evaluate --out` for this policy, copied into the card.
+        evaluation: output of `hpac evaluate --out` for this policy, copied into the card.
         film: video of the policy (MP4), such as ``grasps.mp4`` of `agents.replay`, copied into the
             folder.
 
@@ -240,7 +240,7 @@ def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
     except PolicyError:
         raise
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise PolicyError(f"'{path}' is not a result of agents.evaluate: {error!r}") from None
+        raise PolicyError(f"'{path}' is not a result of hpac evaluate: {error!r}") from None
     if weights != sha256:
         raise PolicyError(
             f"'{path}' evaluates other weights, {weights[:12]}…, than those of the policy, {sha256[:12]}…"
@@ -354,7 +354,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("policy", type=Path, help="a policy file")
     parser.add_argument("--out", type=Path, required=True, help="folder of the exported policy")
     parser.add_argument(
-        "--evaluation", type=Path, help="output of agents.evaluate --out for this policy"
+        "--evaluation",
+        type=Path,
+        help="output of hpac evaluate --out for this policy",
     )
     parser.add_argument(
         "--film",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -14,14 +13,14 @@ from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.export import read_card, read_onnx
 from hpac_gym.policies.made_for import misfit
 from hpac_gym.policies.policy import LearnedPolicy, Policy
-from hpac_gym.policies.policy_file import PolicyFile, read_policy
+from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
 
 
 def load_policy(name: str, env: gymnasium.Env) -> Policy:
     """Load a policy for this environment.
 
     Args:
-        name: ``random``, ``scripted``, a policy file, the folder of an exported policy, or
+        name: ``random``, ``scripted``, a shipped policy such as ``grasp``, a policy file, the folder of an exported policy, or
             ``module:function``, which takes the environment and returns a policy;
             ``module:function:text`` passes it the text as well, for example the path of a weights
             file.
@@ -33,14 +32,15 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     """
     if name in BASELINES:
         return BASELINES[name](env)
-    if Path(name).is_dir():
-        return read_onnx(Path(name), env)
-    if Path(name).exists():
+    path = policy_path(name)
+    if path.is_dir():
+        return read_onnx(path, env)
+    if path.exists():
         return LearnedPolicy.of(policy_file_for(name, env))
     module, *rest = name.split(":", 2)
     if not rest:
         raise PolicyError(
-            f"no policy file '{name}', and not one of the baselines {', '.join(BASELINES)}"
+            f"no policy file '{name}', and not one of {', '.join([*BASELINES, *SHIPPED])}"
         )
     try:
         make = getattr(import_module(module), rest[0])
@@ -56,9 +56,10 @@ def about(name: str) -> dict[str, Any]:
     Raises:
         PolicyError: The file is damaged.
     """
-    if not Path(name).exists():
+    path = policy_path(name)
+    if not path.exists():
         return {}
-    return read_card(Path(name)) if Path(name).is_dir() else read_policy(name).about
+    return read_card(path) if path.is_dir() else read_policy(name).about
 
 
 def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:

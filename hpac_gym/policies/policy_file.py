@@ -13,6 +13,7 @@ import os
 import zipfile
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from hpac_gym.output import replacing
 from hpac_gym.policies.closure import Closures
 
 FORMAT = 1
+SHIPPED = {path.stem: path for path in sorted((Path(__file__).parent / "trained").glob("*.zip"))}
+"""The policies that come with the package, one for each environment, by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,14 +131,19 @@ def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
         archive.writestr(zipfile.ZipInfo("actor.npz"), packed.getvalue())
 
 
+def policy_path(name: str | os.PathLike[str]) -> Path:
+    """The path of a policy: of a shipped one by its name, such as `grasp`; `./grasp` is a file."""
+    return SHIPPED.get(str(name), Path(name))
+
+
 def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
-    """Read a policy file.
+    """Read a policy file, or a policy of `SHIPPED` by its name.
 
     Raises:
         PolicyError: The file is missing, damaged, not a policy file, or of a later format.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(policy_path(path)) as archive:
             about = json.loads(archive.read("policy.json"))
             packed = archive.read("actor.npz")
         if about["format"] != FORMAT:

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from agents.recipes import RECIPES
-from hpac import run
+from hpac import main as hpac
+from hpac_gym.command import run
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
@@ -108,9 +109,13 @@ def folder(tmp_path_factory) -> Path:
 def test_a_mistake_ends_in_one_line_and_status_2(
     folder, command, words, complaint, monkeypatch, capsys
 ):
-    monkeypatch.setattr(sys, "argv", [command, *words.format(folder=folder).split()])
+    words = words.format(folder=folder).split()
+    monkeypatch.setattr(sys, "argv", [command, *words])
+    of_agents = command != "evaluate"
     with pytest.raises(SystemExit) as left:
-        sys.exit(run(import_module(f"agents.{command}").main))
+        sys.exit(
+            run(import_module(f"agents.{command}").main) if of_agents else hpac([command, *words])
+        )
     said = capsys.readouterr().err.strip()
     assert left.value.code == 2
     assert said.startswith("error: ")

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_a_policy_is_judged_and_replayed_on_the_engine_and_body_of_its_training(recipe):
     engine, body = RECIPES[recipe].set_ups[0].split("/")
     commands = {words[0]: words for _, words in steps(recipe, Path("runs/demo"), 10.0, 400, 0)}
-    for name in ("agents.evaluate", "agents.replay"):
+    for name in ("hpac_gym.evaluation.evaluate", "agents.replay"):
         given = dict(pairwise(commands[name]))
         assert (given.get("--engine"), given.get("--body")) == (engine, body), name
 

@@ -15,10 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents import RunError, nodes, train, versions
+from agents import RunError, collectors, nodes, train
+from agents import runs as runs_of
 from agents.closures import Learner
 from agents.recipes import RECIPES, with_settings
-from agents.train import saved_trials
+from agents.runs import saved_trials
+from hpac_gym.evaluation.environment import versions
 from hpac_gym.policies import read_policy
 from tests.processes import wait_for
 
@@ -36,7 +38,7 @@ SMALL = [
 
 def test_a_collector_decides_with_what_the_learner_knows():
     recipe = with_settings(RECIPES["grasp"], {"episodes": "40", **SETTINGS})
-    collector = nodes.Collector(recipe, 5, versions())
+    collector = collectors.Collector(recipe, 5, versions())
     copy = collector._learner
     learner = Learner(recipe, len(copy.mean), 44, 4)
     rng = np.random.default_rng(0)
@@ -46,7 +48,7 @@ def test_a_collector_decides_with_what_the_learner_knows():
     )
     learner.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), came_to)
     learner.learn(0.5)
-    known = nodes.knowledge(learner)
+    known = collectors.knowledge(learner)
     assert {type(array) for name in ("actor", "critics") for array in known[name].values()} == {
         np.ndarray
     }
@@ -68,7 +70,7 @@ def test_a_node_of_other_versions_is_refused():
     with pytest.raises(
         RunError, match=r"the learner has mujoco-core 1\.2, not \S+ as here, on node"
     ):
-        nodes.Collector(RECIPES["grasp"], 0, versions() | {"mujoco-core": "1.2"})
+        collectors.Collector(RECIPES["grasp"], 0, versions() | {"mujoco-core": "1.2"})
 
 
 def test_without_ray_one_line_names_the_extra(monkeypatch):
@@ -76,7 +78,7 @@ def test_without_ray_one_line_names_the_extra(monkeypatch):
     with pytest.raises(
         RunError, match=r"needs Ray, which is not installed: pip install 'hpac_gym\[nodes\]'"
     ):
-        nodes.Collectors(RECIPES["grasp"], 2)
+        collectors.Collectors(RECIPES["grasp"], 2)
 
 
 def test_the_training_of_a_killed_worker_ends_and_is_continued(tmp_path, monkeypatch):
@@ -139,7 +141,7 @@ def cluster():
     """A cluster of one node with one processor, the head."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         settings = {"RAY_worker_register_timeout_seconds": "600", "RAY_worker_niceness": "0"}
-        for name, value in (nodes.QUIET | settings).items():
+        for name, value in (collectors.QUIET | settings).items():
             monkeypatch.setenv(name, value)
         import ray
         from ray.cluster_utils import Cluster
@@ -157,7 +159,7 @@ def cluster():
 def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypatch, capsys):
     watched = []
 
-    class Watched(nodes.Collectors):
+    class Watched(collectors.Collectors):
         """Kills a node as soon as both collectors have given a chunk."""
 
         def step(self, learner, meanwhile=None):
@@ -167,7 +169,7 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
             return super().step(learner, meanwhile)
 
     # before there is a second node: Ray refuses to remove the one that it is connected to
-    nodes.connected()
+    collectors.connected()
     doomed = cluster.add_node(num_cpus=1)
     monkeypatch.setattr(train, "_stop_on_signal", lambda progress: None)
     monkeypatch.setattr(nodes, "Collectors", Watched)
@@ -186,7 +188,7 @@ def test_a_run_goes_on_without_a_node_and_is_resumed(cluster, tmp_path, monkeypa
 
 
 def assert_no_trial_twice(folder, count):
-    path = train.latest_checkpoint(folder)
+    path = runs_of.latest_checkpoint(folder)
     assert json.loads((path / "state.json").read_text())["episodes"] == count
     assert len(np.unique(np.load(path / "arrays.npz")["seen"], axis=0)) == count
 

@@ -14,9 +14,10 @@ import pytest
 from jax import tree
 
 from agents import RecipeError, RunError, race, reproduce, train
-from hpac import INTERRUPTED, run
+from hpac_gym.command import INTERRUPTED, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
+from hpac_gym.policies.policy_file import SHIPPED
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:jax.core.pytype_aval_mappings"
@@ -76,7 +77,7 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     monkeypatch.setattr(race, "CONTENDERS", {"sac": small("sac")})
     ours = tmp_path / "grasp-0"
     ours.mkdir()
-    copyfile("agents/trained/grasp.zip", ours / "policy.zip")
+    copyfile(SHIPPED["grasp"], ours / "policy.zip")
     words = f"race --runs {tmp_path} --minutes 0.005 --episodes 2".split()
     assert reproduce.main(words) == 0
     *_, first, second = capsys.readouterr().out.splitlines()
@@ -147,7 +148,7 @@ def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(
     with pytest.raises(RecipeError, match=re.escape(needs)):
         race.main(["sbx-sac", "--out", str(tmp_path / "sbx-sac-0")])
     (tmp_path / "grasp-0").mkdir()
-    copyfile("agents/trained/grasp.zip", tmp_path / "grasp-0" / "policy.zip")
+    copyfile(SHIPPED["grasp"], tmp_path / "grasp-0" / "policy.zip")
     assert reproduce.main(f"race --runs {tmp_path} --episodes 1".split()) == 0
     told = capsys.readouterr()
     assert told.err.endswith(f"{needs}; its row is left out\n")

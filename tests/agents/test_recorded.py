@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+from agents import runs as runs_of
 from agents import train
 from agents.closures import Worlds
 from agents.recorded import COLUMNS, Recorded
@@ -35,10 +36,10 @@ def run(*words) -> int:
 
 def trials(folder) -> dict[str, np.ndarray]:
     """All trials that a run learned from, in their order."""
-    recipe = train.recipe_in(folder)
+    recipe = runs_of.recipe_in(folder)
     if recipe.trials_of:
-        return Recorded(recipe, done=train.saved_trials(folder)).tried
-    with np.load(train.latest_checkpoint(folder) / "arrays.npz") as file:
+        return Recorded(recipe, done=runs_of.saved_trials(folder)).tried
+    with np.load(runs_of.latest_checkpoint(folder) / "arrays.npz") as file:
         return {name: file[name] for name in COLUMNS}
 
 
@@ -116,8 +117,8 @@ def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoin
         dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
             run(*TOGETHER, "--trials-of", *(runs / name for name in SET_UPS), "--out", tmp_path)
-    assert 0 < train.saved_trials(tmp_path) < train.saved_trials(runs / "together")
-    with np.load(train.latest_checkpoint(tmp_path) / "arrays.npz") as file:
+    assert 0 < runs_of.saved_trials(tmp_path) < runs_of.saved_trials(runs / "together")
+    with np.load(runs_of.latest_checkpoint(tmp_path) / "arrays.npz") as file:
         assert not set(COLUMNS) & set(file)
     run("--resume", "--out", tmp_path)
     hashes = {
@@ -136,12 +137,12 @@ def other_closures(folder):
 
 
 def half_a_checkpoint(folder):
-    path = train.latest_checkpoint(folder) / "arrays.npz"
+    path = runs_of.latest_checkpoint(folder) / "arrays.npz"
     path.write_bytes(path.read_bytes()[:1000])
 
 
 def learned_from_others(folder):
-    path = train.latest_checkpoint(folder) / "arrays.npz"
+    path = runs_of.latest_checkpoint(folder) / "arrays.npz"
     with np.load(path) as file:
         np.savez(path, **{name: file[name] for name in file if name not in COLUMNS})
 
@@ -151,7 +152,7 @@ def learned_from_others(folder):
     [
         (
             ["grasp"],
-            lambda folder: shutil.rmtree(train.latest_checkpoint(folder)),
+            lambda folder: shutil.rmtree(runs_of.latest_checkpoint(folder)),
             "no trials in .*: it holds no checkpoint",
         ),
         (

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from agents.replay import PULSE_TOLERANCE, Report, film, main
-from hpac import run
 from hpac_gym.bridge import HostBoard
+from hpac_gym.command import run
 from hpac_gym.envs import HandEnv
 from hpac_gym.physics.engine import PhysicsError
 
@@ -28,8 +28,8 @@ def film_the_beginning(policy, env_id, options, commands, *rest) -> None:
 
 SHORT = ("--engine", "mujoco", "--seed-start", "1000007")
 """An episode that ends in the lift, after 31 moves."""
-GOALS = ("--virtual", "--policy", "agents/trained/posture.zip", "--engine", "mujoco")
-FREE_WRIST = ("--virtual", "--policy", "agents/trained/grasp-type.zip", "--engine", "mujoco")
+GOALS = ("--virtual", "--policy", "posture", "--engine", "mujoco")
+FREE_WRIST = ("--virtual", "--policy", "grasp-type", "--engine", "mujoco")
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,10 @@ import numpy as np
 import pytest
 
 from agents import RecipeError, RunError, train
+from agents import runs as runs_of
 from agents.closures import Learner, training_task, worlds_of
-from agents.evaluate import evaluate
 from agents.recipes import RECIPES, with_settings
+from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import read_policy
 from tests.processes import once_alive, wait_for
 
@@ -120,7 +121,7 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
         dying.setattr(train, "save_checkpoint", once_alive(train.save_checkpoint))
         with pytest.raises(KeyboardInterrupt):
             train_here(dying, *RUNS[recipe], "--out", tmp_path)
-    assert 8 <= train.saved_trials(tmp_path) < 16
+    assert 8 <= runs_of.saved_trials(tmp_path) < 16
     with (tmp_path / "progress.csv").open("a") as file:
         file.write("20,1.0,0.5,20,0.1\n2")  # after the checkpoint
     train_here(monkeypatch, "--out", tmp_path, "--resume")
@@ -148,16 +149,16 @@ def test_a_killed_training_goes_on_from_its_last_checkpoint_and_an_interrupted_o
     ]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
-        wait_for(lambda: train.latest_checkpoint(tmp_path) or process.poll() is not None, 600)
+        wait_for(lambda: runs_of.latest_checkpoint(tmp_path) or process.poll() is not None, 600)
     finally:
         process.kill()
         process.wait()
     killed = state_of(tmp_path)
-    kept = train.latest_checkpoint(tmp_path)
+    kept = runs_of.latest_checkpoint(tmp_path)
     handlers = [(number, signal.getsignal(number)) for number in (signal.SIGINT, signal.SIGTERM)]
     over = threading.Event()
     interrupt = threading.Thread(
-        target=interrupt_after, args=[lambda: train.latest_checkpoint(tmp_path) != kept, over]
+        target=interrupt_after, args=[lambda: runs_of.latest_checkpoint(tmp_path) != kept, over]
     )
     interrupt.start()
     try:
@@ -194,7 +195,7 @@ def interrupt_after(condition, over: threading.Event) -> None:
 
 
 def state_of(folder: Path) -> dict:
-    return json.loads((train.latest_checkpoint(folder) / "state.json").read_text())
+    return json.loads((runs_of.latest_checkpoint(folder) / "state.json").read_text())
 
 
 def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
@@ -313,7 +314,7 @@ def test_a_training_that_ends_before_its_first_trial_can_be_resumed(tmp_path, mo
 def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
     path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     other = Learner(recipe, observed=60, deployed=44, phases=4)
-    assert train.load_checkpoint(path, other, {})["seconds"] == 1.0
+    assert runs_of.load_checkpoint(path, other, {})["seconds"] == 1.0
     assert (other.updates, other.trials.count) == (learner.updates, learner.trials.count) == (5, 30)
     assert np.array_equal(other.trials.seen, learner.trials.seen)
     saved, loaded = (one.arrays() for one in (learner, other))
@@ -460,5 +461,5 @@ def test_a_checkpoint_that_does_not_fit_is_refused_in_one_error_and_kept(
     path = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     change(path / name)
     with pytest.raises(RunError, match=complaint):
-        train.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4), {})
+        runs_of.load_checkpoint(path, Learner(recipe, observed=60, deployed=44, phases=4), {})
     assert len(list(path.iterdir())) == 2

@@ -4,10 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from agents.evaluate import evaluate
+from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import read_policy
+from hpac_gym.policies.policy_file import SHIPPED
 
 FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
+
+
+def path_of(name):
+    return name if name in SHIPPED else str(FOLDER / f"{name}.zip")
 
 
 @pytest.mark.parametrize(
@@ -24,7 +29,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
     ],
 )
 def test_it_says_how_it_was_made(name, env_id, trials):
-    about = read_policy(FOLDER / f"{name}.zip").about
+    about = read_policy(path_of(name)).about
     assert about["env_id"].endswith(env_id)
     assert (about["settings"]["seed"], about["episodes"]) == (0, trials)
     assert about["versions"]["torch"].startswith("2.13.0")
@@ -54,8 +59,6 @@ def test_it_still_grasps(name, engine, episodes, held):
     """90 % of 1,000 held-out episodes of grasp on MuJoCo; another observation or physics would drop
     most of them.
     """
-    about = read_policy(FOLDER / f"{name}.zip").about
-    result = evaluate(
-        [str(FOLDER / f"{name}.zip")], about["env_id"], episodes, options={"engine": engine}
-    )
+    about = read_policy(path_of(name)).about
+    result = evaluate([path_of(name)], about["env_id"], episodes, options={"engine": engine})
     assert sum(episode.success for episode in result.episodes["learned"]) >= held

@@ -1,4 +1,4 @@
-"""hpac safety, wiggle and doctor."""
+"""hpac wiggle and doctor."""
 
 import argparse
 import dataclasses

@@ -11,13 +11,14 @@ import pytest
 
 from hpac_gym.bridge import HostBoard, VirtualHand
 from hpac_gym.bridge.evidence import conform as suite
-from hpac_gym.bridge.evidence import judged_hand, oracle
+from hpac_gym.bridge.evidence import oracle
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.device import OURS, BrokenRule, Device
 from hpac_gym.bridge.evidence.oracle import unseal
 from hpac_gym.bridge.protocol import Fault, State
 from hpac_gym.model import HPAC
 from tests.bridge.test_commands import run
+from tools.evidence import judged_hand
 
 
 class LosesStep(judged_hand.JudgedHand):

@@ -2,6 +2,7 @@
 promise each.
 """
 
+import argparse
 import json
 import os
 import shutil
@@ -11,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from hpac_gym.bridge.evidence import safety, sessions
 from hpac_gym.bridge.hands import BUILD_VARIABLE
-from tests.bridge.test_commands import run
+from tests.options import called
+from tools.evidence import safety, sessions
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
@@ -48,7 +49,7 @@ def test_every_other_claim_holds_beside_a_control_that_does_not():
 
 @pytest.mark.slow
 def test_every_safety_claim_is_one_row_of_the_command(capsys):
-    run("safety", "--json", "--frames", "20000", "--trials", "5", "--sessions", "200")
+    called(safety, "--json", "--frames", "20000", "--trials", "5", "--sessions", "200")
     claims = json.loads(capsys.readouterr().out)
     assert len(claims) == len({claim["claim"] for claim in claims}) == len(safety._PLAYED) + 9
     check(safety.Claim(*list(claim.values())[:-1]) for claim in claims)
@@ -62,7 +63,7 @@ def test_a_claim_that_was_not_tried_does_not_hold(capsys, monkeypatch):
     assert few
     assert not any(claim.holds for claim in few)
     monkeypatch.setattr(safety, "measure", lambda *_: iter(few))
-    assert run("safety") == 1
+    assert called(safety) == 1
     assert "NOT TRIED" in capsys.readouterr().out
 
 
@@ -70,9 +71,9 @@ def test_a_broken_claim_is_told_and_ends_in_status_1(capsys, monkeypatch):
     monkeypatch.setattr(
         safety, "measure", lambda *_: iter([safety.Claim("it is safe", 21.0, 20.0, "ms", 1, 30.0)])
     )
-    assert run("safety") == 1
+    assert called(safety) == 1
     assert "BROKEN" in capsys.readouterr().out
-    assert run("safety", "--json") == 1
+    assert called(safety, "--json") == 1
     (row,) = json.loads(capsys.readouterr().out)
     assert row["claim"] == "it is safe"
     assert list(row.values())[1:] == [21.0, 20.0, "ms", 1, 30.0, False]
@@ -97,7 +98,7 @@ def test_a_firmware_that_breaks_a_promise_breaks_its_claim(tmp_path, file, was, 
     source.write_text(text.replace(was, becomes))
     subprocess.run(["make", "-s", "-C", copy], check=True)
     program = (
-        "from hpac_gym.bridge.evidence import safety\n"
+        "from tools.evidence import safety\n"
         "from hpac_gym.bridge.errors import BridgeError\n"
         "for name, limit, unit, control, play, *words in safety._PLAYED:\n"
         "    try: figure = play(safety.JudgedHand, *words)[0]\n"
@@ -152,3 +153,23 @@ def test_no_random_session_leaves_the_hand_powered_and_those_without_last_words_
 @pytest.mark.slow
 def test_none_of_ten_thousand_random_sessions_leaves_the_hand_powered():
     check_sessions(sessions.run_sessions(10_000, seed=2))
+
+
+def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unless_told():
+    parser = argparse.ArgumentParser()
+    safety.add_arguments(parser)
+    options = parser.parse_args([])
+    assert (options.frames, options.trials, options.sessions, options.seed) == (
+        10_000_000,
+        20,
+        10_000,
+        1,
+    )
+    assert (
+        parser.parse_args(
+            ["--frames", "1", "--trials", "1", "--sessions", "1", "--seed", "1"]
+        ).frames
+        == 1
+    )
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--sessions", "0"])

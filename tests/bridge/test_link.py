@@ -23,12 +23,12 @@ from hpac_gym.bridge import (
     pulses_from_servo,
     servo_from_pulses,
 )
-from hpac_gym.bridge.evidence.sessions import BadTransport
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.errors import HpacError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration, stream_command
 from tests.bridge.devices import Device, of_another_version, refusing
+from tools.evidence.sessions import BadTransport
 
 POSE = np.array([0.5, 0.4, 0.3, 0.2, 0.1, 0.6])
 

@@ -2,7 +2,6 @@
 answer.
 """
 
-import argparse
 import json
 import math
 import socket
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 from hpac_gym.bridge import HandLink, LinkStatistics, PortError, VirtualHand, WireLog
-from hpac_gym.bridge.commands import _print_json, add_safety
+from hpac_gym.bridge.commands import _print_json
 from hpac_gym.bridge.doctor import Finding
 from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.frame import Frame, decode
@@ -346,23 +345,3 @@ def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
 def test_json_is_indented_and_in_plain_letters(capsys):
     _print_json([SimpleNamespace(claim="host silent → detach")], "claim")
     assert capsys.readouterr().out == '[\n  {\n    "claim": "host silent → detach"\n  }\n]\n'
-
-
-def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unless_told():
-    parser = argparse.ArgumentParser()
-    add_safety(parser)
-    options = parser.parse_args([])
-    assert (options.frames, options.trials, options.sessions, options.seed) == (
-        10_000_000,
-        20,
-        10_000,
-        1,
-    )
-    assert (
-        parser.parse_args(
-            ["--frames", "1", "--trials", "1", "--sessions", "1", "--seed", "1"]
-        ).frames
-        == 1
-    )
-    with pytest.raises(SystemExit):
-        parser.parse_args(["--sessions", "0"])

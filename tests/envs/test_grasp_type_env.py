@@ -8,9 +8,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from agents.evaluate import evaluate
 from hpac_gym.envs import scripted_closure
 from hpac_gym.errors import ParameterError
+from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.tasks.grasp_types import (
     GRASP_TYPES,
     HELD_OUT_TYPES,

@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-from agents.evaluate import table
 from hpac_gym.evaluation.closures import (
     BLIND,
     COLUMNS,
@@ -19,6 +18,7 @@ from hpac_gym.evaluation.closures import (
     share_found,
     winning_closures,
 )
+from hpac_gym.evaluation.evaluate import table
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.policies.loading import load_policy
 from tools.closures import ENV_ID

@@ -14,9 +14,10 @@ from PIL import Image
 from hpac import main
 from hpac_gym.envs import GRASPS
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.policies.policy_file import SHIPPED
 from tests.processes import wait_for
 
-TRAINED = Path(__file__).resolve().parents[2] / "agents" / "trained" / "grasp.zip"
+TRAINED = SHIPPED["grasp"]
 
 
 def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
@@ -91,7 +92,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("--policy best", "no policy file 'best', and not one of the baselines random, scripted"),
+        ("--policy best", "no policy file 'best', and not one of random, scripted, grasp"),
         ("--policy {folder}/file", "is damaged"),
         ("--policy {folder}/cut.zip", "is damaged"),
         ("--policy {folder}", "is not an exported policy"),

@@ -9,8 +9,9 @@ import pytest
 
 from agents import RunError, clone
 from hpac import main
+from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation import dataset as module
-from hpac_gym.evaluation.dataset import DatasetError, read_dataset, record
+from hpac_gym.evaluation.dataset import read_dataset, record
 from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import load_policy

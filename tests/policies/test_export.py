@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
-from agents import evaluate
 from hpac import main
 from hpac_gym.envs.randomization import changed_hand
+from hpac_gym.evaluation import evaluate
 from hpac_gym.model import HPAC
 from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, read_policy, write_policy
 from hpac_gym.policies.export import export, read_onnx
 from hpac_gym.policies.made_for import made_for
+from hpac_gym.policies.policy_file import SHIPPED
+from tests.options import called
 
 onnxruntime = pytest.importorskip("onnxruntime")
 
@@ -49,11 +51,12 @@ def folder(policy, tmp_path) -> Path:
     return tmp_path / "out"
 
 
-SHIPPED = sorted((Path(__file__).resolve().parents[2] / "agents" / "trained").glob("*.zip"))
-
-
 @pytest.mark.parametrize(
-    "path", [None, *(pytest.param(path, marks=pytest.mark.slow, id=path.stem) for path in SHIPPED)]
+    "path",
+    [
+        None,
+        *(pytest.param(path, marks=pytest.mark.slow, id=path.stem) for path in SHIPPED.values()),
+    ],
 )
 def test_onnxruntime_decides_as_the_numpy_reader_does_on_1e5_observations(path, policy, tmp_path):
     policy = policy if path is None else read_policy(path)
@@ -206,7 +209,7 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
         "--out",
         f"{tmp_path}/results.json",
     ]
-    assert evaluate.main([*words, "--workers", "1", "--no-baselines"]) == 0
+    assert called(evaluate, *words, "--workers", "1", "--no-baselines") == 0
     (tmp_path / "film.mp4").write_bytes(b"\0\0\0\x1cftypisom")
     given = ["--evaluation", f"{tmp_path}/results.json", "--film", f"{tmp_path}/film.mp4"]
     assert main(["export", f"{tmp_path}/policy.zip", "--out", f"{tmp_path}/out", *given]) == 0
@@ -228,7 +231,7 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
     assert "| learned | 4 |" in page
     words[1] = f"{tmp_path}/out"
     words[-1] = f"{tmp_path}/again.json"
-    assert evaluate.main([*words, "--workers", "1", "--no-baselines"]) == 0
+    assert called(evaluate, *words, "--workers", "1", "--no-baselines") == 0
     assert json.loads((tmp_path / "again.json").read_text())["policies"] == judged["policies"]
 
 
@@ -239,7 +242,7 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
             "{trained} --evaluation {folder}/results.json",
             "evaluates other weights, 12ab…, than those of the policy, ",
         ),
-        ("{trained} --evaluation {trained}", "is not a result of agents.evaluate"),
+        ("{trained} --evaluation {trained}", "is not a result of hpac evaluate"),
         (
             "{trained} --evaluation {folder}/several.json",
             "several.json' compares 2 policies: evaluate this one alone",
@@ -263,13 +266,13 @@ def test_what_does_not_belong_to_the_policy_is_refused_before_anything_is_writte
     }
     (tmp_path / "results.json").write_text(json.dumps(results))
     (tmp_path / "several.json").write_text(json.dumps(results | {"files": [{}, {}]}))
-    sha256 = read_policy(SHIPPED[0]).about["sha256"]
+    sha256 = read_policy(SHIPPED["grasp"]).about["sha256"]
     (tmp_path / "bent.json").write_text(json.dumps(results | {"policy": {"sha256": sha256}}))
     assert (
         main(
             [
                 "export",
-                *words.format(trained=SHIPPED[0], folder=tmp_path).split(),
+                *words.format(trained=SHIPPED["grasp"], folder=tmp_path).split(),
                 "--out",
                 f"{tmp_path}/out",
             ]

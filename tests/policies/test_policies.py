@@ -41,7 +41,7 @@ def test_a_baseline_acts_the_same_for_the_same_seed(name):
 
 def test_a_name_that_is_no_policy_is_told_with_those_that_are():
     with pytest.raises(
-        PolicyError, match="no policy file 'best', and not one of the baselines random, scripted"
+        PolicyError, match="no policy file 'best', and not one of random, scripted, grasp"
     ):
         load_policy("best", gymnasium.make(TINY))
 
@@ -52,7 +52,7 @@ import sys
 for name in ("pybullet", "gymnasium", "torch", "stable_baselines3"):
     sys.modules[name] = None  # refuses the import
 from hpac_gym.policies import LearnedPolicy, read_policy
-file = read_policy("agents/trained/grasp.zip")
+file = read_policy("grasp")
 policy = LearnedPolicy.of(file)
 policy.reset(seed=0)
 action = policy.act([0.0] * file.actor.sizes[0])

@@ -1,14 +1,13 @@
 """Choosing settings on training objects: none that is held back is trained on."""
 
-from pathlib import Path
-
 from agents import POLICY, train
 from agents.recipes import RECIPES
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.envs import GraspAny
+from hpac_gym.policies.policy_file import SHIPPED
 from tools import held_back
 
-TRAINED = Path(train.__file__).parent / "trained" / "grasp-any.zip"
+TRAINED = SHIPPED["grasp-any"]
 
 
 def test_the_objects_are_split_by_families():

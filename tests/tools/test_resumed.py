@@ -4,7 +4,7 @@ import pytest
 
 from agents import RunError
 from agents.curves import read_curve
-from agents.train import saved_trials
+from agents.runs import saved_trials
 from tools import resumed
 
 

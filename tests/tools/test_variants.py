@@ -9,7 +9,7 @@ import pytest
 from agents import POLICY, RunError
 from agents.closures import training_task
 from agents.recipes import RECIPES
-from agents.train import RUN
+from agents.runs import RUN
 from tools import variants
 from tools.variants import GROW, NEAR, VARIANTS, NearFirst, task_maker
 

@@ -1,0 +1,103 @@
+"""Results of the experiments: means and ranges, Markdown tables, JSON data, and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+from numpy.typing import ArrayLike
+
+from hpac_gym.output import markdown
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A middle value between two bounds. A format such as ``.2f`` applies to all three; ``str``
+    shows three decimals.
+    """
+
+    middle: float
+    low: float
+    high: float
+
+    def __format__(self, form: str) -> str:
+        return f"{self.middle:{form}} [{self.low:{form}}, {self.high:{form}}]"
+
+    def __str__(self) -> str:
+        return f"{self:.3f}"
+
+
+def mean_of(values: ArrayLike) -> Interval:
+    """Mean of independent values, shape (n,), with its 95 % Student's t interval; the bounds of a
+    single value are NaN.
+    """
+    values = np.asarray(values, dtype=float)
+    centre = float(values.mean())
+    half = float("nan")
+    if len(values) > 1:
+        from scipy import stats  # takes half a second to load
+
+        half = float(
+            stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+        )
+    return Interval(centre, centre - half, centre + half)
+
+
+def range_of(values: ArrayLike) -> Interval:
+    """Median and middle 95 % of a population, shape (n,)."""
+    return Interval(*np.quantile(values, (0.5, 0.025, 0.975)).tolist())
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Result of one part."""
+
+    text: str
+    """Report in Markdown."""
+    data: object
+    """Contents of the JSON file: numbers, strings, lists, mappings and dataclasses."""
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    """Figures by file name without extension."""
+    caption: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table."""
+
+    key: str
+    """Name in the JSON file."""
+    heading: str
+    """Heading in the Markdown table."""
+    value: Callable[[Any], object]
+    """Function of a row's result that returns the value."""
+    form: str = "{}"
+    """Format in the Markdown table."""
+
+
+def rows_of(columns: Sequence[Column], found: Mapping[str, Any]) -> dict[str, dict[str, object]]:
+    """Values of a table's rows by key, computed from the result of each row."""
+    return {
+        name: {column.key: column.value(item) for column in columns} for name, item in found.items()
+    }
+
+
+def table(first: str, columns: Sequence[Column], rows: Mapping[str, Mapping[str, object]]) -> str:
+    """The rows as a Markdown table; `first` is the heading of the first column."""
+    body = [
+        (name, *(column.form.format(row[column.key]) for column in columns))
+        for name, row in rows.items()
+    ]
+    return markdown((first, *(column.heading for column in columns)), body)
+
+
+def log_ticks(axis: Axis, ticks: Sequence[float]) -> None:
+    """Make one axis of a plot logarithmic, with only the given ticks."""
+    axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+    axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_minor_locator(NullLocator())

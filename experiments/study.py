@@ -1,0 +1,163 @@
+"""``python -m experiments.study``: accuracy of the compensation on hands with tolerances, and the paper's future
+work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Collection
+from dataclasses import asdict, replace
+from functools import partial
+from pathlib import Path
+
+from experiments import commands, hidden, populations, reference, rivals, tracking, trials
+from experiments.populations import Workshop
+from experiments.results import Part
+from hpac_gym.command import run_module, whole_number
+from hpac_gym.errors import HpacError
+from hpac_gym.figures import save
+from hpac_gym.output import write_text
+
+TRIAL_PROTOCOL = {"points": 15, "seconds_per_point": 3.0}
+"""Slow, because a finger that stops from a faster move overshoots within its friction band, which
+hides the hysteresis.
+"""
+QUICK_PROTOCOL = {"points": 9, "seconds_per_point": 1.0}
+COMMANDED = "all of these, geometry 1 %"
+"""Tolerances of the hands that are calibrated and commanded."""
+
+
+class StudyError(HpacError, ValueError):
+    """The command line names an unknown part."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument(
+        "parts", nargs="*", metavar="PART", help=f"parts to run: {', '.join(PARTS)} (default: all)"
+    )
+    parser.add_argument(
+        "--hands",
+        type=whole_number(2),
+        metavar="N",
+        help="hands per population (400; costly parts: fewer)",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=whole_number(2),
+        default=20,
+        metavar="N",
+        help="reference seeds (%(default)s)",
+    )
+    parser.add_argument(
+        "--trials",
+        type=whole_number(3),
+        default=5,
+        metavar="N",
+        help="trials and tracking runs (%(default)s)",
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0), default=0, help="seed of all parts (%(default)s)"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="few and coarse runs, to test the command"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("runs/study"),
+        metavar="DIR",
+        help="folder of the results (%(default)s)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of the report"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the parts in sequence; each writes its table, figures and numbers when it is complete."""
+    unknown = [name for name in arguments.parts if name not in PARTS]
+    if unknown:
+        raise StudyError(
+            f"{', '.join(unknown)}: experiments.study has the parts {', '.join(PARTS)}"
+        )
+    results = {}
+    for name in arguments.parts or PARTS:
+        part = PARTS[name](arguments)
+        for stem, figure in part.figures.items():
+            save(figure, arguments.out / f"{stem}.png", part.caption)
+        write_text(arguments.out / f"{name}.md", part.text)
+        results[name] = part.data
+        write_text(
+            arguments.out / f"{name}.json", json.dumps(part.data, indent=2, default=asdict) + "\n"
+        )
+        if not arguments.json:
+            print(part.text)
+    print(json.dumps(results, default=asdict) if arguments.json else f"written to {arguments.out}")
+    return 0
+
+
+def _hands(arguments: argparse.Namespace, usual: int) -> int:
+    return arguments.hands or (4 if arguments.quick else usual)
+
+
+# The parts: interpretation of the options -------------------------------------------------
+
+
+def _rivals(stem: str, options: argparse.Namespace) -> Part:
+    return rivals.rivals(
+        stem, _hands(options, 8), options.seed, (3, 8) if options.quick else rivals.SAMPLES
+    )
+
+
+def _commands(
+    name: str, workshop: Workshop, maps: Collection[str], options: argparse.Namespace
+) -> Part:
+    return commands.commands(name, workshop, _hands(options, 100), options.seed, maps)
+
+
+def _trials(options: argparse.Namespace) -> Part:
+    hand = reference.Reference.of()
+    slow = replace(
+        hand, rig=hand.rig.with_protocol(**(QUICK_PROTOCOL if options.quick else TRIAL_PROTOCOL))
+    )
+    return trials.trials(slow, options.trials, options.seed)
+
+
+PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
+    "populations": lambda options: populations.populations(_hands(options, 400), options.seed),
+    "causes": lambda options: populations.causes(),
+    "seeds": lambda options: reference.seeds(
+        2 if options.quick else options.seeds, {0.75: 1.0} if options.quick else reference.SPEEDS
+    ),
+    **{name: partial(_rivals, name) for name in rivals.RACES},
+    "calibration": lambda options: hidden.calibration(
+        _hands(options, 100),
+        options.seed,
+        0 if options.quick else max(_hands(options, 100) // 20, 2),
+    ),
+    "labels": lambda options: hidden.labels(
+        _hands(options, 100),
+        options.seed,
+        0 if options.quick else max(_hands(options, 100) // 50, 2),
+    ),
+    "commands": partial(_commands, COMMANDED, populations.WORKSHOPS[COMMANDED], commands.MAPS),
+    "commands-other-laws": partial(
+        _commands, *rivals.RACES["rivals"][:2], commands.BEFORE_AND_AFTER
+    ),
+    "trials": _trials,
+    "tracking": lambda options: tracking.tracking(
+        reference.Reference.of(),
+        options.trials,
+        options.seed,
+        (0.5,) if options.quick else tracking.RATES_HZ,
+    ),
+}
+"""Parts by their names on the command line."""
+
+
+if __name__ == "__main__":
+    sys.exit(run_module("experiments.study", __doc__, add_arguments))

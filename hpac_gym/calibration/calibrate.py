@@ -1,0 +1,304 @@
+"""``hpac calibrate``: a hand file from a sweep of the hand, with a report of what the record can
+identify.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict, astuple, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hpac_gym.calibration.combinations import SweptDigit, values
+from hpac_gym.calibration.identification import (
+    HELD_OUT_EVERY,
+    SPREAD,
+    DigitFit,
+    Identification,
+    held_out_rows,
+    identify,
+)
+from hpac_gym.calibration.judging import judged
+from hpac_gym.calibration.record import read_sweep
+from hpac_gym.calibration.samples import DigitSamples
+from hpac_gym.figures import GREEN, GREY, RED, label, save
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, hand_to_toml, load_hand
+from hpac_gym.model.checks import Array
+from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
+from hpac_gym.output import markdown, write_text
+
+OUT = Path("runs/calibrate/hand.toml")
+_IDENTIFIED = (
+    "d2",
+    "alpha_deg",
+    "servo_radius",
+    "joint_radius",
+    "path_length",
+    "drive_stiffness",
+    "cmc_gain",
+    "calibration",
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument(
+        "record",
+        type=Path,
+        metavar="sweep.csv",
+        help="the record; columns of unmeasured joints may be absent",
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=OUT,
+        metavar="TOML",
+        help="hand file, its report beside it (%(default)s)",
+    )
+    parser.add_argument(
+        "--base", type=Path, metavar="TOML", help="the hand's design (default: the nominal hand)"
+    )
+    parser.add_argument(
+        "--spread",
+        type=float,
+        default=SPREAD,
+        metavar="S",
+        help="relative spread of the design (%(default)s)",
+    )
+    parser.add_argument(
+        "--radii-known",
+        action="store_true",
+        help="joint radii have the design's ratios to 0.1 %%, making k_s L/EA identifiable",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object instead of the report"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check the record, fit, write the hand file, and report the file's error at the held-out
+    points.
+    """
+    base = load_hand(arguments.base) if arguments.base else HPAC
+    record = read_sweep(arguments.record, allow_missing=True)
+    remarks = judged(record, base)
+    found = identify(
+        record, base, arguments.spread, arguments.radii_known, hold_out=True, shown=True
+    )
+    write_text(arguments.out, hand_to_toml(named(found, base, arguments.record.name)))
+    written = load_hand(arguments.out)
+    errors = file_errors(found, written)
+    folder = arguments.out.with_name(f"{arguments.out.stem}-report")
+    result = summary(found, base, errors, remarks)
+    text = report(found, base, errors, remarks)
+    write_text(folder / "report.md", text)
+    write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
+    caption = f"{written.name}, {arguments.record.name}; points, every {HELD_OUT_EVERY}th held out"
+    save(fit_figure(found, base, written), folder / "fit.png", caption)
+    print(json.dumps(result) if arguments.json else f"{text}\nwritten: {arguments.out}, {folder}")
+    return 0
+
+
+def named(found: Identification, base: Hand, record: str) -> Hand:
+    """The identified hand with a name and the sources of its numbers."""
+    sources = {
+        **base.sources,
+        **dict.fromkeys(_IDENTIFIED, f"identified from {record}, about {base.name}"),
+    }
+    for field in ("d1", "spring_stiffness", "tendon_stiffness"):
+        sources[field] = f"of {base.name}: angles do not depend on it once the others are fitted"
+    if any(fit.samples.stops for fit in found.fits.values()):
+        sources["workspace"] = f"of {base.name}, up to the stops in {record}"
+    return replace(found.hand, name=f"{base.name}, calibrated", sources=sources)
+
+
+# Accuracy of the written file ---------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class FileError:
+    """Error of the written file for one joint, at the held-out points."""
+
+    mean_abs_deg: float
+    max_deg: float
+    noise_deg: float
+    """Standard deviation of one camera sample."""
+    points: int
+
+
+def residuals(found: Identification, hand: Hand) -> dict[str, tuple[DigitSamples, Array]]:
+    """Measured minus predicted angles by joint: the digit's samples and the residuals (k,)
+    [rad].
+    """
+    table = {}
+    for column, samples in found.samples.items():
+        servo = np.zeros((len(samples.servo), len(SERVOS)))
+        predicted = np.empty((len(samples.servo), len(JOINTS)))
+        servo[:, column] = samples.servo
+        for direction in (FLEXION, EXTENSION):
+            rows = samples.direction == direction
+            predicted[rows] = settled_joints_from_servo(servo[rows], hand, direction)
+        rest = samples.joint_pos - predicted[:, [JOINT_INDEX[joint] for joint in samples.joints]]
+        table |= {
+            joint: (samples, rest[:, i])
+            for i, joint in enumerate(samples.joints)
+            if joint not in samples.missing
+        }
+    return {name: table[name] for name in JOINTS if name in table}
+
+
+def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
+    """Errors at the held-out points, by joint."""
+    table = {}
+    for name, (samples, rest) in residuals(found, written).items():
+        rows = held_out_rows(samples) & ~np.isnan(rest)
+        if rows.any():
+            off = np.degrees(np.abs(rest[rows]))
+            noise = np.degrees(samples.noise[samples.joints.index(name)])
+            table[name] = FileError(*map(float, (off.mean(), off.max(), noise)), int(rows.sum()))
+    return table
+
+
+# The report -----------------------------------------------------------------------------
+
+
+def summary(
+    found: Identification, base: Hand, errors: dict[str, FileError], remarks: list[str]
+) -> dict[str, object]:
+    """The contents of the report as data."""
+    return {
+        "base": base.name,
+        "digits": {
+            name: {
+                "estimates": {item.name: asdict(item) for item in fit.estimates},
+                "friction": asdict(fit.swept.friction),
+                "servo_zero_deg": float(np.degrees(fit.swept.servo_zero)),
+                "misfit": fit.misfit,
+                "samples": fit.samples.samples,
+                "outliers": fit.samples.outliers,
+                "stops_rad": fit.samples.stops,
+                "points_at_stops": fit.samples.at_stops,
+                "not_told_apart": [list(group) for group in fit.confounded],
+                "missing": list(fit.samples.missing),
+            }
+            for name, fit in found.fits.items()
+        },
+        "cmc": {item.name: asdict(item) for item in found.cmc or ()},
+        "kept": found.kept,
+        "file_error": {name: asdict(error) for name, error in errors.items()},
+        "remarks": remarks,
+    }
+
+
+def report(
+    found: Identification, base: Hand, errors: dict[str, FileError], remarks: list[str]
+) -> str:
+    """The report as Markdown."""
+    worst = max(errors.values(), key=lambda error: error.mean_abs_deg, default=None)
+    lines = [f"# Calibration about {base.name}", ""]
+    if worst:
+        mean = np.mean([error.mean_abs_deg for error in errors.values()])
+        told = ("file, mean error [°]", "largest", "camera noise", "points held out")
+        cells = {
+            name: (*(f"{value:.3f}" for value in astuple(error)[:-1]), error.points)
+            for name, error in errors.items()
+        }
+        lines += [
+            f"The error of the written file at the held-out points is {mean:.3f}° on average and "
+            f"{worst.mean_abs_deg:.3f}° at the worst joint.",
+            "",
+            markdown(("joint", *told), [(label(name), *row) for name, row in cells.items()]),
+            "",
+        ]
+    for name, fit in found.fits.items():
+        lines += _digit_report(name, fit, base)
+    if found.cmc:
+        gain, zero = found.cmc
+        lines += [
+            "## thumb CMC",
+            "",
+            f"g_CMC = {gain.value:.4f}, 95 % interval {gain.low:.4f} … {gain.high:.4f}.",
+        ]
+        low, middle, high = np.degrees([zero.low, zero.value, zero.high])
+        lines += [f"Zero {middle:.2f}°, 95 % interval {low:.2f}° … {high:.2f}°.", ""]
+    lines += [f"{name} keeps the design's parameters: {why}." for name, why in found.kept.items()]
+    lines += [f"Remark: {remark}." for remark in remarks]
+    return "\n".join(lines) + "\n"
+
+
+def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
+    head = ("combination", "formula", "design", "found", "95 % interval", "determined by the data")
+    rows = [
+        (
+            item.name,
+            item.formula,
+            f"{nominal:.4g}",
+            f"{item.value:.4g}",
+            f"{item.low:.4g} … {item.high:.4g}",
+            f"{item.told:.0%}",
+        )
+        for item, nominal in zip(fit.estimates, values(SweptDigit(base.digits[name])), strict=True)
+    ]
+    lines = [f"## {name}", "", markdown(head, rows)]
+    samples = fit.samples
+    lines += [
+        "",
+        f"{samples.samples} samples, {samples.outliers} of them outliers. The points scatter {fit.misfit:.2f} times "
+        f"as much about the fit as expected from their samples.",
+    ]
+    lines += [
+        f"{joint} rests at {angle:.3f} rad: it, or another joint of the digit, is at a stop. {samples.at_stops} points "
+        "are left out; the file's workspace ends there."
+        for joint, angle in samples.stops.items()
+    ]
+    lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
+    for first, *others in fit.confounded:
+        apart = f"; it is confounded with {', '.join(others)}" if others else ""
+        lines.append(f"The record hardly determines {first}{apart}.")
+    return [*lines, ""]
+
+
+def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
+    """Residuals of the points for the design and for the written file, joint by joint; held-out
+    points are rings.
+    """
+    figure = Figure(figsize=(13, 9), layout="constrained")
+    axes = list(figure.subplots(3, 5).flat)
+    designed, table = (residuals(found, hand) for hand in (base, written))
+    for axis, (name, (samples, rest)) in zip(axes, table.items(), strict=False):
+        angle = np.degrees(samples.servo)
+        out = held_out_rows(samples)
+        axis.plot(
+            angle, np.degrees(designed[name][1]), ".", color=RED, markersize=4, label="design"
+        )
+        axis.plot(
+            angle[~out],
+            np.degrees(rest[~out]),
+            ".",
+            color=GREEN,
+            markersize=4,
+            label="file, fitted points",
+        )
+        axis.plot(
+            angle[out],
+            np.degrees(rest[out]),
+            "o",
+            color=GREEN,
+            markersize=4,
+            fillstyle="none",
+            label="file, held-out points",
+        )
+        axis.axhline(0.0, color=GREY, linewidth=0.8)
+        axis.set_title(label(name), fontsize=9)
+    for axis in axes[len(table) :]:
+        axis.set_axis_off()
+    figure.supxlabel("servo angle u [°]")
+    figure.supylabel("measured − predicted [°]")
+    figure.legend(
+        *figure.axes[0].get_legend_handles_labels(), loc="outside right upper", frameon=False
+    )
+    return figure

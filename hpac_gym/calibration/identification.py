@@ -1,0 +1,473 @@
+"""Identification of a hand's parameters from a sweep: bounded robust least squares, with the
+information in the data.
+
+The points of a sweep are fitted by the static equilibrium in closed form
+(`hpac_gym.model.settled`), including drive stretch, direction-dependent friction and servo zeros.
+Every digit is fitted separately, in its `combinations`, with a prior around a base hand; the prior
+decides where the data is uninformative, and the report states where. The drift line that the rest
+poses of a joint determine enters with its remaining uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize
+
+from hpac_gym.calibration.combinations import (
+    Combination,
+    SweptDigit,
+    combinations,
+    digit_with,
+    values,
+)
+from hpac_gym.calibration.processing import robust_deviation
+from hpac_gym.calibration.record import Sweep
+from hpac_gym.calibration.samples import DigitSamples, digit_samples
+from hpac_gym.errors import HpacError, ParameterError
+from hpac_gym.model import HPAC, SERVOS, Digit, Hand
+from hpac_gym.model.checks import Array
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.model.settled import EXTENSION, FLEXION, digit_statics, settled_digit
+from hpac_gym.progress import progress
+
+SPREAD = 0.15
+"""Relative standard deviation of each parameter about the base hand."""
+RADIUS_SPREAD = 1e-3
+"""The same for radius ratios that are known to be the design's: a manufacturing tolerance."""
+ORDER_SPREAD = 1.0
+"""Standard deviation of the logarithm of the frictions, of which only the order of magnitude is
+known.
+"""
+DRIVE_SPREAD = 2.0
+"""Standard deviation of the drive stretch relative to the design's: no servo stiffness is
+published; 8 N·m/rad adds twice it.
+"""
+ZERO_SPREAD = np.deg2rad(1.0)
+"""Standard deviation of a servo's zero [rad]: a spline tooth is some 15°, trimmed to about one
+degree.
+"""
+LEAST_POINTS = 8
+"""Least number of sampling points for a fit of a digit."""
+LEAST_RANGE = 0.3
+"""Least swept share of the servo's range for a fit of a digit."""
+WORST_FIT = np.deg2rad(1.0)
+"""A residual of this size [rad] means that the model does not describe the hand."""
+HELD_OUT_EVERY = 4
+"""One in this many sampling points is held out for evaluation."""
+
+_OUTLIER = 3.0  # standard deviations, beyond which the loss of a point is linear
+_CONTRADICTION = 3.0  # standard deviations of the prior, beyond which known radii are contradicted
+_BOUND = 4.0  # standard deviations of the prior
+_TIED = 0.5  # correlation of two estimates' errors above which they are confounded
+_STRAIGHT = np.pi - 0.02  # rad, included angle of aligned guides
+_NOTHING = 1e-7  # value of a combination that the paper's model does not have
+
+
+class IdentificationError(HpacError, ValueError):
+    """The record does not allow a fit; the message states what is missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Estimate of one combination of parameters."""
+
+    name: str
+    formula: str
+    value: float
+    low: float
+    """Lower end of the 95 % interval."""
+    high: float
+    told: float
+    """Share of the prior's uncertainty removed by the data, 0…1."""
+
+
+@dataclass(frozen=True, slots=True)
+class DigitFit:
+    """Result of the fit of one digit."""
+
+    swept: SweptDigit
+    estimates: tuple[Estimate, ...]
+    samples: DigitSamples
+    misfit: float
+    """Scatter of the points about the fit, relative to that expected from the samples; 1 for a
+    perfect model.
+    """
+    confounded: tuple[tuple[str, ...], ...]
+    """Poorly identified combinations, each followed by those with which it is confounded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identification:
+    """Result of the identification of a hand."""
+
+    hand: Hand
+    """The identified hand, with its `calibration` and a workspace that ends at the detected stops.
+    """
+    fits: dict[str, DigitFit]
+    """Fits by digit name."""
+    kept: dict[str, str]
+    """Digits (or the CMC) that keep the base hand's parameters, with the reason."""
+    cmc: tuple[Estimate, Estimate] | None
+    """g_CMC and the zero of servo 6."""
+    cmc_samples: DigitSamples | None
+
+    @property
+    def samples(self) -> dict[int, DigitSamples]:
+        """Sampling points of every fitted servo, by the servo's index."""
+        fitted = {
+            column: self.fits[name].samples
+            for column, name in enumerate(self.hand.digits)
+            if name in self.fits
+        }
+        return fitted | ({len(SERVOS) - 1: self.cmc_samples} if self.cmc_samples else {})
+
+
+def identify(
+    record: Sweep,
+    base: Hand = HPAC,
+    spread: float = SPREAD,
+    radii_known: bool = False,
+    hold_out: bool = False,
+    least_points: int = LEAST_POINTS,
+    papers_model: bool = False,
+    shown: bool = False,
+) -> Identification:
+    """Identify the hand of a record.
+
+    Args:
+        record: unfiltered camera samples; NaN where a joint was not measured.
+        base: the design, whose parameters remain where the data is uninformative.
+        spread: relative standard deviation of each parameter about the design.
+        radii_known: the ratios of joint radii are the design's, to `RADIUS_SPREAD`; otherwise a
+            free-space sweep cannot distinguish them from the elasticity.
+        hold_out: leave every fourth point (`held_out_rows`) out of the fit, for evaluation.
+        least_points: least number of sampling points of a digit.
+        papers_model: fit only Eqs. (5), (7), (12), (13): a rigid drive, no friction, no zero.
+        shown: draw a progress bar.
+
+    Raises:
+        IdentificationError: No digit can be fitted, or `spread` is out of bounds; the message
+            states the reason.
+    """
+    if not 0 < spread < 1:
+        raise IdentificationError(f"spread = {spread} must lie between 0 and 1")
+    fits = {}
+    kept = {}
+    for servo, (name, digit) in progress(list(enumerate(base.digits.items())), "digits", shown):
+        try:
+            samples = _enough(record, servo, digit.joints, base, least_points)
+            prior = _Prior.about(digit, spread, radii_known, papers_model)
+            fit = _fit_digit(samples, digit, prior, hold_out)
+            if radii_known:
+                _check_radii(fit, prior)
+            fits[name] = fit
+        except IdentificationError as error:
+            kept[name] = str(error)
+    if not fits:
+        raise IdentificationError(
+            "the record supports no fit: "
+            + "; ".join(f"{name}: {why}" for name, why in kept.items())
+        )
+    cmc = cmc_samples = None
+    try:
+        cmc_samples = _enough(record, len(SERVOS) - 1, ("thumb_cmc",), base, least_points)
+        cmc = _fit_cmc(cmc_samples, base.cmc_gain, hold_out)
+    except IdentificationError as error:
+        kept["thumb_cmc"] = str(error)
+    return Identification(_identified_hand(base, fits, cmc), fits, kept, cmc, cmc_samples)
+
+
+def held_out_rows(samples: DigitSamples) -> np.ndarray:
+    """Mask of the held-out points, shape (k,): every fourth sampling point, excluding the first and
+    the last.
+    """
+    return samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
+
+
+def _enough(
+    record: Sweep, servo: int, joints: tuple[str, ...], base: Hand, least_points: int
+) -> DigitSamples:
+    samples = digit_samples(record, servo, joints, base)
+    if samples is None:
+        raise IdentificationError(
+            f"no measurement of {', '.join(joints)} while servo {SERVOS[servo]} sweeps"
+        )
+    count = len(np.unique(samples.point[samples.direction == FLEXION]))
+    if count < least_points:
+        at_stops = f" ({samples.at_stops} more are at stops)" if samples.at_stops else ""
+        raise IdentificationError(
+            f"{count} sampling points of servo {SERVOS[servo]}{at_stops}, fewer than {least_points}"
+        )
+    share = np.ptp(samples.servo) / (base.servo_max[servo] - base.servo_min[servo])
+    if share < LEAST_RANGE:
+        raise IdentificationError(
+            f"servo {SERVOS[servo]} sweeps {share:.0%} of its range, less than {LEAST_RANGE:.0%}"
+        )
+    return samples
+
+
+def _identified_hand(
+    base: Hand, fits: dict[str, DigitFit], cmc: tuple[Estimate, Estimate] | None
+) -> Hand:
+    digits = dict(base.digits)
+    workspace = dict(base.workspace)
+    zero = list(base.calibration.servo_zero)
+    friction = list(base.calibration.friction)
+    for column, name in enumerate(base.digits):
+        if name not in fits:
+            continue
+        fit = fits[name]
+        digits[name] = fit.swept.digit
+        friction[column] = fit.swept.friction
+        zero[column] = fit.swept.servo_zero
+        bounds = dict(fit.samples.stops)
+        joints = digits[name].joints
+        statics = digit_statics(fit.swept.digit, fit.swept.friction)
+        met = [
+            (bounds[joint] - statics.offset[i]) / statics.slope[i]
+            for i, joint in enumerate(joints)
+            if joint in bounds
+        ]
+        if met:  # the driven joint's range ends where any joint of its digit meets a stop
+            bounds[joints[0]] = float(min(met))
+        for joint, angle in bounds.items():
+            low, high = workspace[joint]
+            if low < angle < high:
+                workspace[joint] = (low, angle)
+    if cmc:
+        zero[-1] = cmc[1].value
+    try:
+        return replace(
+            base,
+            digits=digits,
+            workspace=workspace,
+            cmc_gain=cmc[0].value if cmc else base.cmc_gain,
+            calibration=Calibration(tuple(zero), tuple(friction)),
+        )
+    except ParameterError as error:
+        raise IdentificationError(f"the identified parameters are invalid: {error}") from None
+
+
+# Least squares ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """Prior of the combinations: normal, in the logarithm of each or in the number itself."""
+
+    known: tuple[Combination, ...]
+    linear: np.ndarray
+    centre: Array
+    sigma: Array
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def about(cls, base: Digit, spread: float, radii_known: bool, papers_model: bool) -> _Prior:
+        known = combinations(base)
+        names = [item.name for item in known]
+        linear = np.array([item.linear for item in known])
+        design = values(SweptDigit(base))
+        sigma = np.array([spread * item.spread if item.spread else ORDER_SPREAD for item in known])
+        zero, drive, alpha, tendon = map(
+            names.index, ("servo_zero", "drive_stretch", "alpha", "tendon_friction")
+        )
+        sigma[zero] = ZERO_SPREAD
+        sigma[drive] = DRIVE_SPREAD * design[drive]
+        if radii_known:
+            sigma[[name.endswith("_ratio") for name in names]] = RADIUS_SPREAD
+        if papers_model:
+            left_out = [drive, names.index("friction"), tendon, zero]
+            design[left_out] = _NOTHING
+            sigma[left_out] = 0.1 * _NOTHING
+        centre = np.where(linear, design, np.log(np.where(linear, 1.0, design)))
+        lower = centre - _BOUND * sigma
+        upper = centre + _BOUND * sigma
+        lower[drive] = max(lower[drive], 0.1 * _NOTHING)  # a practically rigid tendon
+        upper[alpha] = min(upper[alpha], np.log(_STRAIGHT))
+        upper[tendon] = min(upper[tendon], np.log(0.5))
+        return cls(known, linear, centre, sigma, lower, upper)
+
+    def values(self, unknowns: Array) -> Array:
+        """Values of the combinations for given unknowns."""
+        return np.where(self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns)))
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """Least squares of one digit: unknowns are the combinations, then offset and slope of every
+    joint's drift.
+    """
+
+    samples: DigitSamples
+    base: Digit
+    prior: _Prior
+
+    @property
+    def seen(self) -> np.ndarray:
+        return ~np.isnan(self.samples.joint_pos)
+
+    def misfit(self, unknowns: Array) -> Array:
+        """Measured minus predicted angles of the measured points [rad]."""
+        count = len(self.prior.centre)
+        swept = digit_with(self.base, self.prior.values(unknowns[:count]))
+        drift = self.samples.line @ unknowns[count:].reshape(2, -1)
+        return (self.samples.joint_pos - predicted(self.samples, swept) - drift)[self.seen]
+
+    def rows(self, unknowns: Array, scale: float) -> Array:
+        """Misfit and prior, each divided by its standard deviation."""
+        count = len(self.prior.centre)
+        prior = (unknowns[:count] - self.prior.centre) / self.prior.sigma
+        drift = unknowns[count:].reshape(2, -1) / np.nanmax(self.samples.noise)
+        return np.concatenate(
+            [
+                self.misfit(unknowns) / (scale * self.samples.deviation[self.seen]),
+                prior,
+                drift.ravel(),
+            ]
+        )
+
+    def solve(self, start: Array, scale: float) -> optimize.OptimizeResult:
+        noise = float(np.nanmax(self.samples.noise))
+        free = np.full(len(start) - len(self.prior.centre), np.inf)
+        return optimize.least_squares(
+            self.rows,
+            start,
+            args=(scale,),
+            bounds=(
+                np.concatenate([self.prior.lower, -free]),
+                np.concatenate([self.prior.upper, free]),
+            ),
+            x_scale=np.concatenate([self.prior.sigma, np.full(len(free), noise)]),
+            loss=lambda squares: soft_beyond_outliers(squares, int(self.seen.sum())),
+            method="trf",
+            ftol=1e-6,
+            xtol=1e-6,
+        )
+
+
+def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:
+    """Predicted angles of a digit at the points of a sweep, reached in their directions, shape (k,
+    joints) [rad].
+    """
+    angles = np.empty_like(samples.joint_pos)
+    for direction in (FLEXION, EXTENSION):
+        rows = samples.direction == direction
+        if rows.any():
+            angles[rows] = settled_digit(
+                samples.servo[rows] + swept.servo_zero, swept.digit, swept.friction, direction
+            )
+    return angles
+
+
+def soft_beyond_outliers(squares: Array, data: int) -> Array:
+    """Loss for SciPy: linear for points beyond `_OUTLIER` deviations, quadratic for the prior,
+    after the first `data` rows.
+    """
+    rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
+    root = np.sqrt(1 + squares[:data] / _OUTLIER**2)
+    rho[0, :data] = 2 * _OUTLIER**2 * (root - 1)
+    rho[1, :data] = 1 / root
+    rho[2, :data] = -0.5 / (_OUTLIER**2 * root**3)
+    return rho
+
+
+def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool) -> DigitFit:
+    fitted = samples.only(np.flatnonzero(~held_out_rows(samples))) if hold_out else samples
+    problem = _Problem(fitted, base, prior)
+    count = len(prior.centre)
+    start = np.concatenate([prior.centre, np.zeros(2 * fitted.joint_pos.shape[1])])
+    first = problem.solve(start, 1.0).x
+    scale = max(robust_deviation(problem.misfit(first) / fitted.deviation[problem.seen]), 1.0)
+    result = problem.solve(first, scale)
+    worst = robust_deviation(problem.misfit(result.x))
+    if worst > WORST_FIT:
+        raise IdentificationError(
+            f"the model misses the points by {np.degrees(worst):.2g}°, more than {np.degrees(WORST_FIT):.2g}°"
+        )
+    found = result.x[:count]
+    covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
+    swept = digit_with(base, prior.values(found))
+    return DigitFit(
+        swept, _estimates(prior, found, covariance), samples, scale, _confounded(prior, covariance)
+    )
+
+
+def _check_radii(fit: DigitFit, prior: _Prior) -> None:
+    """Reject known radii that would imply implausible strains or ratios."""
+    for item, centre, sigma in zip(fit.estimates, prior.centre, prior.sigma, strict=True):
+        if (
+            item.name.endswith(("_strain", "_ratio"))
+            and abs(np.log(item.value) - centre) > _CONTRADICTION * sigma
+        ):
+            factor = item.value / np.exp(centre)
+            message = f"the record contradicts --radii-known: {item.formula} would be {factor:.2f} times the design's"
+            raise IdentificationError(message)
+
+
+def _estimates(prior: _Prior, solution: Array, covariance: Array) -> tuple[Estimate, ...]:
+    deviation = np.sqrt(np.diag(covariance))
+    told = 1 - np.minimum(deviation / prior.sigma, 1.0)
+    ends = (np.clip(solution + k * deviation, prior.lower, prior.upper) for k in (0.0, -1.96, 1.96))
+    value, low, high = map(prior.values, ends)
+    return tuple(
+        Estimate(item.name, item.formula, *map(float, numbers))
+        for item, *numbers in zip(prior.known, value, low, high, told, strict=True)
+    )
+
+
+def _confounded(prior: _Prior, covariance: Array) -> tuple[tuple[str, ...], ...]:
+    """Combinations that keep over half of their prior uncertainty, each with those of correlated
+    error.
+    """
+    names = [item.name for item in prior.known]
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(deviation, deviation))
+    groups = []
+    for row in np.flatnonzero(deviation > 0.5 * prior.sigma):
+        partners = [
+            name
+            for name, part in zip(names, correlation[row], strict=True)
+            if part > _TIED and name != names[row]
+        ]
+        groups.append((names[row], *partners))
+    return tuple(groups)
+
+
+def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estimate, Estimate]:
+    """Fit gain and zero of the directly driven joint."""
+    rows = ~np.isnan(samples.joint_pos[:, 0])
+    if hold_out:
+        rows &= ~held_out_rows(samples)
+    servo, joint_pos, deviation, line = (
+        item[rows]
+        for item in (samples.servo, samples.joint_pos[:, 0], samples.deviation[:, 0], samples.line)
+    )
+
+    def misfit(solution: Array) -> Array:
+        gain, zero = solution[:2]
+        data = (
+            joint_pos - np.maximum(gain * (servo + zero), 0.0) - line @ solution[2:]
+        ) / deviation
+        return np.concatenate([data, [zero / ZERO_SPREAD], solution[2:] / samples.noise[0]])
+
+    result = optimize.least_squares(
+        misfit,
+        [base, 0.0, 0.0, 0.0],
+        x_scale=[1.0, ZERO_SPREAD, samples.noise[0], samples.noise[0]],
+        loss=lambda squares: soft_beyond_outliers(squares, len(servo)),
+    )
+    spread = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
+    pairs = (("cmc_gain", "g_CMC", np.inf), ("servo_zero", "rad", ZERO_SPREAD))
+    return tuple(
+        Estimate(
+            name,
+            formula,
+            float(x),
+            float(x - 1.96 * s),
+            float(x + 1.96 * s),
+            float(1 - min(s / prior, 1.0)),
+        )
+        for (name, formula, prior), x, s in zip(pairs, result.x, spread, strict=False)
+    )

@@ -1,0 +1,219 @@
+"""The paper's processing of a record: radians, zero-phase Butterworth, unwrapping, drift
+correction; then points.
+
+Here unwrapping precedes the filter, and mistaken markers are left out: a low-pass would smear both
+over neighbouring samples. On a record without them this makes no difference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hpac_gym.calibration.record import REST, RecordError, Sweep, joints_of_servo
+from hpac_gym.errors import WorkspaceError
+from hpac_gym.model import JOINTS
+from hpac_gym.model.checks import Array
+
+CUTOFF_HZ = 3.0
+"""Cut-off of the low-pass [Hz]. A point is held for half a second; a much lower cut-off would mix
+in the adjacent steps.
+"""
+MOST_MISSING = 0.2
+"""Largest share of missing samples of a joint in a segment."""
+LONGEST_GAP = 6
+"""Longest gap between samples, in sampling periods."""
+FAR = 6.0
+"""Robust standard deviations beyond which a sample of a stationary joint is an outlier."""
+NEIGHBOURS = 7
+"""Number of samples in the running median from which a sample may deviate."""
+LEAST_FAR = np.deg2rad(2.0)
+"""Deviation from its neighbours that a sample may have in any record [rad]."""
+LEAST_NOISE = np.deg2rad(0.02)
+"""Lower bound of the assumed camera noise [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """The sampling points of a sweep: means over the samples with stationary servos."""
+
+    trial: np.ndarray
+    """Shape (k,)."""
+    swept: np.ndarray
+    """Index in `SERVOS`, shape (k,)."""
+    phase: np.ndarray
+    """Index in `PHASES`, shape (k,)."""
+    servo: Array
+    """Servo angles u, shape (k, 6) [rad]."""
+    joint_pos: Array
+    """Joint angles q_meas, shape (k, 15) [rad]; NaN for points without a measurement."""
+
+
+def processed(sweep: Sweep) -> Sweep:
+    """The record after the paper's processing, segment by segment.
+
+    Dropped frames, missing measurements and samples far from their neighbours are interpolated
+    linearly for the filter and removed again after it, so that only these samples are lost.
+
+    Raises:
+        RecordError: A segment is not sampled evenly, has too many missing samples, or is too short
+            to filter.
+        WorkspaceError: The cut-off is not below half of the sampling rate.
+    """
+    joint_pos = sweep.joint_pos.copy()
+    for rows in sweep.segments():
+        rate = sampling_rate(sweep.time[rows])
+        frame = np.round((sweep.time[rows] - sweep.time[rows[0]]) * rate).astype(int)
+        frames = np.arange(frame[-1] + 1)
+        for joint in range(joint_pos.shape[1]):
+            seen = ~np.isnan(joint_pos[rows, joint])
+            if not seen.any():
+                continue
+            unwrapped = np.full(len(rows), np.nan)
+            unwrapped[seen] = np.unwrap(joint_pos[rows[seen], joint])
+            seen[seen] = near_neighbours(unwrapped[seen])
+            missing = 1 - seen.sum() / len(frames)
+            if missing > MOST_MISSING:
+                raise RecordError(
+                    f"{missing:.0%} of the samples of {JOINTS[joint]} from {sweep.time[rows[0]]:g} s to "
+                    f"{sweep.time[rows[-1]]:g} s are missing or far from the others, more than {MOST_MISSING:.0%}"
+                )
+            filtered = low_pass(np.interp(frames, frame[seen], unwrapped[seen]), rate, CUTOFF_HZ)
+            joint_pos[rows, joint] = np.where(seen, filtered[frame], np.nan)
+    return without_drift(sweep.with_joint_pos(joint_pos))
+
+
+def near_neighbours(values: Array) -> np.ndarray:
+    """Mask of the samples near the running median, which a steady motion equals; mistaken markers
+    are far from it.
+    """
+    from scipy import ndimage
+
+    off = np.abs(values - ndimage.median_filter(values, NEIGHBOURS, mode="nearest"))
+    return off <= max(FAR * robust_deviation(off), LEAST_FAR)
+
+
+def sampling_rate(time: Array) -> float:
+    """Rate of evenly spaced samples [Hz], some of which may be missing.
+
+    Raises:
+        RecordError: A gap deviates from a multiple of the median gap by more than 5 % of it, or
+            exceeds `LONGEST_GAP` of them.
+    """
+    gaps = np.diff(time)
+    period = float(np.median(gaps)) if gaps.size else 0.0
+    steps = np.maximum(np.round(gaps / period), 1) if period > 0 else gaps
+    if (
+        period <= 0
+        or np.abs(gaps - steps * period).max() > 0.05 * period
+        or steps.max() > LONGEST_GAP
+    ):
+        raise RecordError(
+            f"samples from {time[0]:g} s to {time[-1]:g} s are not evenly spaced with at most {LONGEST_GAP - 1} dropped in a "
+            f"row; a filter needs them so"
+        )
+    return 1.0 / period
+
+
+def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
+    """Zero-phase second-order Butterworth low-pass of values of shape (n, ...), run forwards and
+    backwards.
+
+    Raises:
+        WorkspaceError: The cut-off is not between 0 and half of the sampling rate.
+        RecordError: Fewer samples than the filter needs at its ends.
+    """
+    from scipy import signal  # takes a second to load, and most commands do not filter
+
+    if not 0 < cutoff_hz < rate_hz / 2:
+        raise WorkspaceError(f"cut-off = {cutoff_hz} Hz must lie between 0 and {rate_hz / 2:g} Hz")
+    sections = signal.butter(2, cutoff_hz, fs=rate_hz, output="sos")
+    pad = int(np.ceil(rate_hz / cutoff_hz))
+    if len(values) <= pad:
+        raise RecordError(
+            f"a segment of {len(values)} samples is too short: the filter needs more than {pad}"
+        )
+    return signal.sosfiltfilt(sections, values, axis=0, padlen=pad)
+
+
+def without_drift(sweep: Sweep) -> Sweep:
+    """Subtract the camera's drift: a straight line in time through the readings of the swept joints
+    at rest.
+
+    Uses only the rest poses of a segment, where the swept joints are at zero, without outliers. If
+    a segment rests at one end only, the drift is a constant; a segment without rest is left
+    unchanged."""
+    joint_pos = sweep.joint_pos.copy()
+    for rows in sweep.segments():
+        rest = rows[sweep.phase[rows] == REST]
+        if not rest.size:
+            continue
+        time = sweep.time[rest] - sweep.time[rows[0]]
+        moving = rows[sweep.phase[rows] != REST]
+        both_ends = moving.size and rest[0] < moving[0] and rest[-1] > moving[-1]
+        ends = (rest < moving[0], rest > moving[0]) if both_ends else (slice(None),)
+        basis = np.vander(time, len(ends))
+        for joint in joints_of_servo(int(sweep.swept[rows[0]])):
+            seen = np.zeros(rest.size, dtype=bool)
+            for end in ends:
+                seen[end] = near_median(joint_pos[rest[end], joint])
+            if seen.sum() >= basis.shape[1]:
+                line = np.linalg.lstsq(basis[seen], joint_pos[rest[seen], joint], rcond=None)[0]
+                joint_pos[rows, joint] -= np.polyval(line, sweep.time[rows] - sweep.time[rows[0]])
+    return sweep.with_joint_pos(joint_pos)
+
+
+def near_median(values: Array) -> np.ndarray:
+    """Mask of the samples of a joint at rest within `FAR` robust standard deviations of their
+    median; False for NaN.
+    """
+    seen = values[~np.isnan(values)]
+    off = values - np.median(seen) if seen.size else values
+    return np.abs(off) <= FAR * noise_of(off)
+
+
+def robust_deviation(values: Array) -> float:
+    """Standard deviation of normal values about zero from their median magnitude, without NaN;
+    outliers hardly change it.
+    """
+    seen = values[~np.isnan(values)]
+    return 1.4826 * float(np.median(np.abs(seen))) if seen.size else 0.0
+
+
+def noise_of(deviations: Array) -> float:
+    """Robust standard deviation of samples about their point's median [rad], at least
+    `LEAST_NOISE`.
+    """
+    return max(robust_deviation(deviations), LEAST_NOISE)
+
+
+def points(sweep: Sweep) -> Points:
+    """One entry for every sampling point of every segment and direction.
+
+    Raises:
+        RecordError: No sample belongs to a sampling point.
+    """
+    held = (sweep.point >= 0) & (sweep.phase != REST)
+    if not held.any():
+        raise RecordError(
+            "column point: no row of a flexion or an extension is at a sampling point (all are −1)"
+        )
+    keys = np.stack([sweep.trial, sweep.swept, sweep.phase, sweep.point], axis=1)[held]
+    unique, group = np.unique(keys, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    servo, joint_pos = (
+        group_means(values[held], group)[0] for values in (sweep.servo, sweep.joint_pos)
+    )
+    return Points(*unique.T[:3], servo, joint_pos)
+
+
+def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:
+    """Means and counts, shape (groups, m), of values (n, m) by their group's number (n,), ignoring
+    NaN; NaN without values.
+    """
+    seen = ~np.isnan(values)
+    total, count = np.zeros((2, group.max() + 1, values.shape[1]))
+    np.add.at(total, group, np.where(seen, values, 0.0))
+    np.add.at(count, group, seen)
+    with np.errstate(invalid="ignore"):
+        return total / count, count

@@ -1,0 +1,194 @@
+"""The sampling points of one digit in a record: sample means, detected stops, and the uncertainty
+of the drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hpac_gym.calibration.judging import point_medians
+from hpac_gym.calibration.processing import FAR, LEAST_NOISE, group_means, noise_of, without_drift
+from hpac_gym.calibration.record import EXTENDING, FLEXING, REST, Sweep
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_joints_from_servo
+from hpac_gym.model.checks import Array
+from hpac_gym.model.settled import EXTENSION, FLEXION
+
+STOP_SLOPE = 0.3
+"""A joint that turns by less than this share of its usual rate until the end of the sweep rests at
+a stop.
+"""
+BEFORE_STOP = 0.9
+"""The same share for the last step of a sweep, in which it may meet the stop; without one it turns
+by 0.93 or more.
+"""
+TURNED = 0.1
+"""Share of the servo's range after a reversal within which friction has not reversed everywhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class DigitSamples:
+    """Sampling points of one servo's sweeps, each the mean of its samples."""
+
+    joints: tuple[str, ...]
+    """Joints that the servo moves, root first."""
+    servo: Array
+    """Commanded angle, shape (k,) [rad]."""
+    direction: Array
+    """`FLEXION` or `EXTENSION`, shape (k,)."""
+    point: np.ndarray
+    """Number of the sampling point, shape (k,)."""
+    joint_pos: Array
+    """Mean of the samples without outliers, corrected for drift, shape (k, joints) [rad]; NaN
+    without samples.
+    """
+    deviation: Array
+    """Standard deviation of that mean from the scatter of the samples, shape (k, joints) [rad]."""
+    line: Array
+    """Uncertainty of the drift's offset and slope for unit noise of a sample, shape (k, 2)."""
+    noise: Array
+    """Standard deviation of one sample, shape (joints,) [rad]."""
+    samples: int
+    outliers: int
+    """Number of samples far from the others of their point."""
+    missing: tuple[str, ...]
+    """Joints without a measurement."""
+    stops: dict[str, float]
+    """Angles at which joints were found to rest at a stop [rad]; the points from there on are left
+    out.
+    """
+    at_stops: int
+    """Number of points left out because of stops."""
+
+    def only(self, rows: np.ndarray) -> DigitSamples:
+        """The samples restricted to some points."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in _OF_POINTS})
+
+
+_OF_POINTS = ("servo", "direction", "point", "joint_pos", "deviation", "line")
+
+
+def digit_samples(
+    record: Sweep, servo: int, joints: tuple[str, ...], base: Hand = HPAC
+) -> DigitSamples | None:
+    """Sampling points of a servo's sweeps without those at stops or near the reversal; None if no
+    joint was measured.
+    """
+    parts = []
+    for rows in record.segments():
+        if record.swept[rows[0]] != servo:
+            continue
+        segment = without_drift(record[rows])
+        for phase, direction in ((FLEXING, FLEXION), (EXTENDING, EXTENSION)):
+            held = np.flatnonzero((segment.phase == phase) & (segment.point >= 0))
+            if held.size:
+                parts.append(_phase_points(segment, held, joints, direction))
+    unseen = [
+        all(np.isnan(part.joint_pos[:, i]).all() for part in parts) for i in range(len(joints))
+    ]
+    if all(unseen):
+        return None
+    whole = replace(
+        parts[0],
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_POINTS},
+        noise=np.mean([part.noise for part in parts], axis=0),
+        samples=sum(part.samples for part in parts),
+        outliers=sum(part.outliers for part in parts),
+        missing=tuple(name for name, never in zip(joints, unseen, strict=True) if never),
+    )
+    kept = _without_stops(whole, servo, base)
+    back = kept.direction == EXTENSION
+    if not back.any():
+        return kept
+    near_turn = kept.servo >= kept.servo.max() - TURNED * (
+        base.servo_max[servo] - base.servo_min[servo]
+    )
+    return kept.only(np.flatnonzero(~(back & near_turn)))
+
+
+def _phase_points(
+    sweep: Sweep, rows: np.ndarray, joints: tuple[str, ...], direction: float
+) -> DigitSamples:
+    columns = [JOINT_INDEX[name] for name in joints]
+    numbers, place = np.unique(sweep.point[rows], return_inverse=True)
+    off = np.abs(point_medians(sweep, rows)[2][:, columns])
+    far = FAR * np.array([noise_of(values) for values in off.T])
+    values = np.where(off <= far, sweep.joint_pos[np.ix_(rows, columns)], np.nan)
+    mean, kept = group_means(values, place)
+    freedom = np.maximum(kept.sum(axis=0) - (kept > 0).sum(axis=0), 1)
+    noise = np.maximum(
+        np.sqrt(np.nansum((values - mean[place]) ** 2, axis=0) / freedom), LEAST_NOISE
+    )
+    time = sweep.time[rows]
+    servo = sweep.servo[rows, sweep.swept[rows[0]]]
+    time, servo = group_means(np.stack([time, servo], axis=1), place)[0].T
+    return DigitSamples(
+        joints,
+        servo,
+        np.full(len(numbers), direction),
+        numbers,
+        mean,
+        noise / np.sqrt(np.where(kept > 0, kept, np.nan)),
+        _open_line(sweep, time),
+        noise,
+        int((~np.isnan(off)).sum()),
+        int((off > far).sum()),
+        (),
+        {},
+        0,
+    )
+
+
+def _open_line(sweep: Sweep, time: Array) -> Array:
+    """Remaining uncertainty of a segment's drift line after the rest poses, shape (k, 2): offset
+    and slope, decorrelated.
+    """
+    line = np.zeros((len(time), 2))
+    rest = sweep.time[sweep.phase == REST]
+    if rest.size < 2:
+        return line
+    origin = rest.mean()
+    line[:, 0] = 1 / np.sqrt(rest.size)
+    if rest[-1] > time.max():
+        line[:, 1] = (time - origin) / np.sqrt(((rest - origin) ** 2).sum())
+    return line
+
+
+def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSamples:
+    """Leave out the points at which a joint of the digit rests at a stop, where the model does not
+    apply.
+    """
+    rows = np.flatnonzero(samples.direction == FLEXION)
+    rows = rows[np.argsort(samples.servo[rows], kind="stable")]
+    angles, first = np.unique(np.round(samples.servo[rows], 6), return_index=True)
+    if len(angles) < 5:
+        return samples
+    command = np.zeros((len(angles), len(SERVOS)))
+    command[:, servo] = np.clip(angles, base.servo_min[servo], base.servo_max[servo])
+    design = elastic_joints_from_servo(command, base)
+    found = {}
+    starts = {}
+    limit = np.inf
+    for i, name in enumerate(samples.joints):
+        if name in samples.missing:
+            continue
+        course = np.array(
+            [np.nanmean(part) for part in np.split(samples.joint_pos[rows, i], first[1:])]
+        )
+        rate = np.diff(course) / np.diff(design[:, JOINTS.index(name)])
+        usual = np.nanmedian(rate)
+        turning = np.flatnonzero(~(rate < STOP_SLOPE * usual))
+        start = turning[-1] + 1 if turning.size else 0
+        if start < len(rate):
+            found[name] = float(np.nanmean(course[start:]))
+            starts[name] = start
+        if start > 0 and (start < len(rate) or rate[-1] < BEFORE_STOP * usual):
+            start -= 1  # it met the stop within the preceding step
+        if start < len(rate):
+            limit = min(limit, angles[start])
+    kept = samples.servo <= limit + 1e-6
+    stops = {
+        name: found[name] for name, start in starts.items() if start == min(starts.values())
+    }  # this one holds the others
+    return replace(samples.only(np.flatnonzero(kept)), stops=stops, at_stops=int((~kept).sum()))

@@ -1,0 +1,142 @@
+"""The base of every command: its parser, argument types, errors in one line, and exit statuses.
+
+It imports nothing but the standard library and the errors of this package, since every command waits for it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from typing import NoReturn, TextIO
+
+from hpac_gym.errors import HpacError
+
+USAGE_ERROR = 2
+INTERRUPTED = 130  # exit status of a shell command ended by Ctrl-C
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser with one-line errors without usage text; it does not hide a failure to
+    write its help.
+    """
+
+    def _print_message(self, message: str, file: TextIO | None = None) -> None:
+        (file or sys.stderr).write(message)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(USAGE_ERROR, f"error: {message} (see {self.prog} --help)\n")
+
+
+def whole_number(at_least: int) -> Callable[[str], int]:
+    """Argument type: a whole number of at least `at_least`."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = at_least - 1
+        if not at_least <= value < 2**63:
+            below = "" if value < at_least else " and below 2⁶³"
+            raise argparse.ArgumentTypeError(
+                f"'{text}' is not a whole number of at least {at_least}{below}"
+            )
+        return value
+
+    return parse
+
+
+def run(command: Callable[[], int]) -> int:
+    """Run a command and return its exit status.
+
+    An `HpacError` or an unwritable standard output gives one line and `USAGE_ERROR`; Ctrl-C gives
+    `INTERRUPTED`. A warning is one line too. Any other exception is a bug and keeps its traceback.
+    """
+    warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
+    if sys.stdout is None:
+        return complain("cannot write to standard output: it is closed")
+    try:
+        try:
+            return command()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:  # the reader of the output has closed it
+        _drop_output()
+        return 0
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except Exception as error:
+        if isinstance(error, HpacError):
+            return complain(str(error))
+        # Errors of other files have a filename.
+        if (
+            isinstance(error, OSError)
+            and error.filename is None
+            and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+        ):
+            _drop_output()
+            return complain(f"cannot write to standard output: {error.strerror}")
+        raise
+
+
+def complain(message: str) -> int:
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    return USAGE_ERROR
+
+
+def _drop_output() -> None:
+    """Discard buffered output; otherwise Python would try to write it again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+class Formatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Help with every default that there is and that the text does not name itself."""
+
+    def _get_help_string(self, action: argparse.Action) -> str:
+        told = action.help or ""
+        default = action.default
+        named = (
+            default is None
+            or default is False
+            or default in ([], float("inf"))
+            or "default:" in told
+        )
+        return told if named else super()._get_help_string(action)
+
+
+def command_parser(module: str, description: str) -> Parser:
+    """Parser of ``python -m module``; its help shows the description and every default."""
+    return Parser(
+        prog=f"python -m {module}",
+        description=description.replace("``", "'"),
+        formatter_class=Formatter,
+    )
+
+
+def run_module(
+    module: str, description: str, add_arguments: Callable[[argparse.ArgumentParser], None]
+) -> int:
+    """Run ``python -m module`` as `hpac` runs a command, and return its exit status."""
+
+    def command() -> int:
+        parser = command_parser(module, description)
+        add_arguments(parser)
+        arguments = parser.parse_args()
+        return arguments.run(arguments)
+
+    return run(command)
+
+
+def minutes(text: str) -> float:
+    """Argument type: a positive number of minutes."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a positive number of minutes")
+    return value

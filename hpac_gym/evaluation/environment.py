@@ -1,0 +1,64 @@
+"""Environments by their ids, and the versions of the libraries that their results depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from platform import python_version
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+from hpac_gym.errors import EnvError
+
+LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
+
+
+def make_env(env_id: str, **options) -> gymnasium.Env:
+    """Create the environment of an id, ``name-v0`` or ``module:name-v0``.
+
+    Raises:
+        EnvError: The id is unknown, an option is invalid, or the action is not a flat box of −1…1.
+    """
+    try:
+        env = gymnasium.make(env_id, disable_env_checker=True, **options)
+    except (gymnasium.error.Error, ModuleNotFoundError) as error:
+        raise EnvError(f"no environment '{env_id}': {error}") from None
+    except TypeError as error:
+        reason = f"{error}".partition(" was raised from")[0]
+        raise EnvError(f"no environment '{env_id}' with {', '.join(options)}: {reason}") from None
+    space = env.action_space
+    if not (
+        isinstance(space, Box)
+        and len(space.shape) == 1
+        and np.all(space.low == -1)
+        and np.all(space.high == 1)
+    ):
+        raise EnvError(
+            f"environment '{env_id}' acts in {space}: policies need one flat box of -1…1"
+        )
+    return env
+
+
+def versions(*more: str) -> dict[str, str]:
+    """The versions of Python and of the libraries that a result depends on, and of `more`
+    libraries.
+    """
+    found = {"python": python_version()}
+    for name in (*LIBRARIES, *more):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def other_versions(told: Mapping[str, str]) -> str:
+    """The entries of `told` that differ from `versions` here, in words; empty if there are none."""
+    here = versions()
+    return ", ".join(
+        f"{name} {told.get(name)}, not {here[name]} as here"
+        for name in here
+        if told.get(name) != here[name]
+    )

@@ -1,0 +1,375 @@
+"""``hpac evaluate``: policies on held-out episodes.
+
+All policies run the same episodes, one per seed from ``--seed-start`` on; a learned policy is
+compared with the baselines. An episode depends only on its seed, so the results do not depend on
+the number of workers, nor on whether a world is single or, as on MuJoCo, one of a batch."""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import SyncVectorEnv, VectorEnv
+from tqdm import tqdm
+
+from hpac_gym.command import Formatter, minutes, whole_number
+from hpac_gym.envs import HandEnv
+from hpac_gym.evaluation.closures import scale_of
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import paired_difference, success_counts
+from hpac_gym.evaluation.workers import shared
+from hpac_gym.output import OutputError, markdown, writable_file, write_text
+from hpac_gym.policies import Policy
+from hpac_gym.policies.baselines import BASELINES
+from hpac_gym.policies.loading import about, load_policy
+from hpac_gym.policies.policy_file import SHIPPED, policy_path
+
+DEFAULT_ENV = "hpac_gym:HPAC-Grasp-v0"
+BATCH = 50  # parallel worlds on MuJoCo
+BLOCK = 10
+BATCH_BLOCK = 200  # episodes per job of a worker, with single worlds and in a batch
+LEARNED = "learned"  # name of a policy file in tables
+NO_PHASE = "unknown"  # name of the phase of failures in a task without phases
+OPTIONS = {
+    "engine": "pybullet or mujoco",
+    "body": "twin or light",
+    "randomize": "nominal, hand, link or full",
+    "objects": "HPAC-GraspAny-v1: train, test or real; HPAC-GraspType-v0: train or test",
+    "hands": "HPAC-GraspAny-v1: nominal, train or test",
+    "types": "HPAC-GraspType-v0: all, train, test or the name of a type",
+}
+"""Options of the environment that the command offers, and their values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """Result of one episode: ``phase`` is the task's phase at the end, ``holding_force`` [N] its
+    score, if it has one.
+    """
+
+    seed: int
+    success: bool
+    total_reward: float
+    steps: int
+    phase: str | None
+    holding_force: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Episodes of several policies, by name; the n-th episode of each has the same seed.
+
+    `options` are those of the environment, with its engine and body also where they were not given.
+    """
+
+    env_id: str
+    episodes: dict[str, tuple[Episode, ...]]
+    options: dict[str, Any]
+
+    def summary(self) -> dict[str, Any]:
+        """Success with its interval, return, failures by phase, and differences over paired
+        episodes.
+        """
+        (name, first), *others = self.episodes.items()
+        differences = []
+        for other, episodes in others:
+            more = [a.success - b.success for a, b in zip(first, episodes, strict=True)]
+            difference, *interval = paired_difference(more.count(1), more.count(-1), len(more))
+            differences.append(
+                {"of": name, "over": other, "success": difference, "interval_95": interval}
+            )
+        return {
+            "env_id": self.env_id,
+            "first_seed": first[0].seed,
+            "last_seed": first[-1].seed,
+            "policies": {name: _summary(episodes) for name, episodes in self.episodes.items()},
+            "differences": differences,
+            "options": self.options,
+        }
+
+
+def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int]) -> list[Episode]:
+    """Run one episode per seed in parallel; a world whose episode has ended takes the next seed.
+
+    Args:
+        envs: n worlds without autoreset.
+        policies: one instance of the policy per world.
+        seeds: any number of seeds; the episodes are returned in their order.
+    """
+    waiting = iter(seeds)
+    playing = [None] * envs.num_envs
+    rewards: list[list[float]] = [[] for _ in playing]
+    over = np.ones(envs.num_envs, dtype=bool)
+    episodes = {}
+    while len(episodes) < len(seeds):
+        if over.any():
+            for place in np.flatnonzero(over):
+                playing[place] = next(waiting, None)
+                rewards[place] = []
+                policies[place].reset(playing[place] or 0)
+            # At the end, surplus worlds run seed 0; their episodes are discarded.
+            seen, _ = envs.reset(seed=[seed or 0 for seed in playing], options={"reset_mask": over})
+        actions = np.zeros(envs.action_space.shape, np.float32)
+        for place, policy in enumerate(policies):
+            if playing[place] is not None:
+                one = (
+                    {name: part[place] for name, part in seen.items()}
+                    if isinstance(seen, dict)
+                    else seen[place]
+                )
+                actions[place] = policy.act(one)
+        seen, gained, terminated, truncated, infos = envs.step(actions)
+        over = terminated | truncated
+        for place, seed in enumerate(playing):
+            if seed is None:
+                continue
+            rewards[place].append(float(gained[place]))
+            if over[place]:
+                phase, force = (
+                    infos[name][place] if name in infos else None
+                    for name in ("phase", "holding_force")
+                )
+                episodes[seed] = Episode(
+                    seed=seed,
+                    success=bool(infos["is_success"][place]),
+                    total_reward=sum(rewards[place]),
+                    steps=len(rewards[place]),
+                    phase=phase and str(phase),
+                    holding_force=None if force is None else float(force),
+                )
+    return [episodes[seed] for seed in seeds]
+
+
+@contextmanager
+def worlds(
+    env_id: str, options: Mapping[str, Any], episodes: int
+) -> Iterator[tuple[gymnasium.Env, VectorEnv]]:
+    """An environment, and worlds of it without autoreset for some episodes: on MuJoCo a batch,
+    elsewhere that one.
+    """
+    with make_env(env_id, **options) as env:
+        size = min(BATCH, episodes) if _has_batch(env) else 1
+        if size == 1:
+            yield env, SyncVectorEnv([lambda: env], autoreset_mode="Disabled")
+        else:
+            with closing(
+                gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)
+            ) as envs:
+                yield env, envs
+
+
+def run_block(
+    names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]
+) -> list[tuple[Episode, ...]]:
+    """Run an episode of each policy for each seed, in an environment of their own."""
+    with worlds(env_id, options, len(seeds)) as (env, envs):
+        columns = [
+            run_batch(envs, [load_policy(name, env) for _ in range(envs.num_envs)], seeds)
+            for name in names
+        ]
+    return list(zip(*columns, strict=True))
+
+
+def _has_batch(env: gymnasium.Env) -> bool:
+    """Whether an environment can run as a batch: those of this package on MuJoCo."""
+    return isinstance(env.unwrapped, HandEnv) and env.unwrapped.episodes.options.engine == "mujoco"
+
+
+def evaluate(
+    names: Sequence[str],
+    env_id: str,
+    episodes: int,
+    *,
+    seed_start: int = HELD_OUT_SEED,
+    workers: int = 1,
+    time_limit: float = float("inf"),
+    options: Mapping[str, Any] | None = None,
+) -> Evaluation:
+    """Run policies over the same held-out episodes; a policy file gets the name ``learned``, and
+    its own if there are several.
+
+    After ``time_limit`` [s] the evaluation stops with fewer episodes, the same ones for every
+    policy; ``options`` are those of the environment, such as engine, body and randomize.
+
+    Raises:
+        EnvError: The environment is unknown.
+        PolicyError: A policy cannot be loaded, or was made for another environment.
+    """
+    options = dict(options or {})
+    with make_env(env_id, **options) as env:
+        for name in names:
+            load_policy(name, env)  # errors are raised here, not in a worker
+        block = BATCH_BLOCK if _has_batch(env) else BLOCK
+        if isinstance(env.unwrapped, HandEnv):
+            options |= {
+                name: getattr(env.unwrapped.episodes.options, name) for name in ("engine", "body")
+            }
+    several = len(set(names) - set(BASELINES)) > 1
+    labels = [name if several or name in BASELINES else LEARNED for name in names]
+    deadline = time.monotonic() + time_limit
+    seeds = range(seed_start, seed_start + episodes)
+    jobs = (
+        (names, env_id, options, seeds[start : start + block])
+        for start in range(0, episodes, block)
+    )
+    rows: list[tuple[Episode, ...]] = []
+    with (
+        closing(shared(run_block, jobs, workers)) as blocks,
+        tqdm(
+            total=episodes,
+            desc="evaluating",
+            unit="seed",
+            disable=not sys.stderr.isatty(),
+            dynamic_ncols=True,
+        ) as bar,
+    ):
+        for done in blocks:
+            rows += done
+            rates = (np.mean([row[number].success for row in rows]) for number in range(len(names)))
+            bar.set_postfix_str(
+                ", ".join(f"{label} {rate:.0%}" for label, rate in zip(labels, rates, strict=True))
+            )
+            bar.update(len(done))
+            if time.monotonic() > deadline:
+                break
+    return Evaluation(
+        env_id,
+        {label: tuple(row[number] for row in rows) for number, label in enumerate(labels)},
+        options,
+    )
+
+
+def table(summary: dict[str, Any]) -> str:
+    """A summary as a table in Markdown."""
+    columns = ("policy", "episodes", "success", "95 % interval", "mean return", "failures by phase")
+    rows = []
+    for name, numbers in summary["policies"].items():
+        low, high = numbers["interval_95"]
+        phases = (
+            ", ".join(f"{phase} {count}" for phase, count in numbers["failures_by_phase"].items())
+            or "–"
+        )
+        rate = (f"{numbers['success_rate']:.1%}", f"{low:.1%} … {high:.1%}")
+        rows.append((name, numbers["episodes"], *rate, f"{numbers['return_mean']:.2f}", phases))
+    lines = [markdown(columns, rows)]
+    if given := summary.get("options"):
+        lines += ["", f"Options: {', '.join(f'{name} {value}' for name, value in given.items())}."]
+    if scale := scale_of(summary["env_id"], summary.get("options")):
+        scores = ", ".join(
+            f"{name} {scale.score(row['success_rate']):.2f}"
+            for name, row in summary["policies"].items()
+        )
+        ends = f"0 at a random closure ({scale.floor:.1%}) and 1 at the best of many ({scale.ceiling:.1%})"
+        lines += ["", f"Score, {ends}: {scores}."]
+    for pair in summary["differences"]:
+        low, high = pair["interval_95"]
+        interval = f"{100 * pair['success']:+.1f} points ({100 * low:+.1f} … {100 * high:+.1f})"
+        lines += ["", f"Success of {pair['of']} over {pair['over']}, same episodes: {interval}."]
+    return "\n".join(lines)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac evaluate`."""
+    parser.formatter_class = Formatter
+    parser.add_argument(
+        "--policy",
+        required=True,
+        action="append",
+        help=f"{', '.join([*BASELINES, *SHIPPED])}, or a policy file; may be repeated, to compare",
+    )
+    parser.add_argument("--env", help="environment id; default for a policy file: its own")
+    for name, values in OPTIONS.items():
+        parser.add_argument(f"--{name}", help=f"{values} (default: the environment's own)")
+    parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes per policy")
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=HELD_OUT_SEED,
+        help="seed of the first episode",
+    )
+    parser.add_argument(
+        "--workers", type=whole_number(1), default=os.cpu_count() or 1, help="number of processes"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=minutes,
+        default=float("inf"),
+        metavar="MINUTES",
+        help="stop after this many minutes, evaluating fewer episodes",
+    )
+    parser.add_argument(
+        "--no-baselines",
+        action="store_true",
+        help="do not compare a policy file with random and scripted",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--out", type=Path, help="also write the JSON object to this file")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command: evaluate, print the table, write the file."""
+    files = list(dict.fromkeys(name for name in args.policy if name not in BASELINES))
+    names = list(
+        dict.fromkeys(
+            [*args.policy, *(() if args.no_baselines or not files else reversed(BASELINES))]
+        )
+    )
+    if args.out:
+        writable_file(args.out)
+        if any(args.out.resolve() == policy_path(name).resolve() for name in files):
+            raise OutputError(f"--out is '{args.out}', a policy to evaluate")
+    options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
+    how = {
+        "seed_start": args.seed_start,
+        "workers": args.workers,
+        "time_limit": 60 * args.time_limit,
+    }
+    summary = evaluate(
+        names, args.env or env_id_of(args.policy[0]), args.episodes, options=options, **how
+    ).summary()
+    told = [{"file": name, **found} for name in files if (found := about(name))]
+    if len(told) == 1:
+        summary["policy"] = told[0]
+    elif told:
+        summary["files"] = told
+    text = json.dumps(summary, indent=2)
+    print(text if args.json else table(summary), flush=True)
+    if args.out:
+        write_text(args.out, text + "\n")
+    return 0
+
+
+def env_id_of(policy: str) -> str:
+    """The environment that a policy was made for; `DEFAULT_ENV` for one without a file.
+
+    Raises:
+        PolicyError: The file is damaged.
+    """
+    return about(policy).get("env_id", DEFAULT_ENV)
+
+
+def failures_by_phase(episodes: Sequence[Episode]) -> Counter[str]:
+    """Number of failures in each phase; `NO_PHASE` for a task without phases."""
+    return Counter(episode.phase or NO_PHASE for episode in episodes if not episode.success)
+
+
+def _summary(episodes: Sequence[Episode]) -> dict[str, Any]:
+    wins = sum(episode.success for episode in episodes)
+    returns = [episode.total_reward for episode in episodes]
+    return success_counts(wins, len(episodes)) | {
+        "return_mean": float(np.mean(returns)),
+        "return_std": float(np.std(returns)),
+        "steps_mean": float(np.mean([episode.steps for episode in episodes])),
+        "failures_by_phase": dict(failures_by_phase(episodes).most_common()),
+    }

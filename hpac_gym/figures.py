@@ -1,0 +1,50 @@
+"""Figures of Matplotlib: colours, names of joints, files."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from hpac_gym.output import replacing
+
+RED = "#c0392b"
+GREEN = "#1e8449"
+BLUE = "#2471a3"
+GREY = "#7f8c8d"
+
+
+def label(joint: str) -> str:
+    """Display name of a joint: ``index_dip`` → ``Index DIP``."""
+    digit, _, part = joint.partition("_")
+    return f"{digit.capitalize()} {part.upper()}"
+
+
+def save(
+    figure: Figure, path: str | os.PathLike[str], caption: str = "", picture: bool = False
+) -> None:
+    """Write a figure atomically as PNG and, with the same name, as SVG.
+
+    Args:
+        figure: the figure, without a title if there is a caption.
+        path: path of the PNG.
+        caption: hand, seed and record of the figure.
+        picture: the figure consists of pixels, so no SVG is written.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    if caption:
+        figure.suptitle(caption, fontsize=9, color=GREY)
+    FigureCanvasAgg(figure)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=130, format="png", metadata={"Software": None})
+    if not picture:
+        with (
+            replacing(Path(path).with_suffix(".svg")) as temporary,
+            rc_context({"svg.hashsalt": "hpac", "svg.fonttype": "none"}),
+        ):
+            figure.savefig(temporary, format="svg", metadata={"Date": None, "Creator": None})

@@ -1,0 +1,166 @@
+"""``hpac posture``: show or draw the paper's gestures and grasp shapes, or send one to a hand."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hpac_gym.model import (
+    HPAC,
+    JOINTS,
+    POSTURES,
+    SERVOS,
+    Hand,
+    Posture,
+    ServoCommand,
+    load_hand,
+    move_duration,
+    posture,
+    reach,
+)
+from hpac_gym.output import OutputError
+from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
+from hpac_gym.physics.simulation import default_engine
+from hpac_gym.physics.stand import HAND, UPRIGHT, WORLD, HandOnStand
+from hpac_gym.progress import progress
+
+SHEET_COLUMNS = 6
+SETTLE = 0.5  # s after the move
+LOOK_AT = HAND_POSITION + np.array([0.03, 0.0, 0.10])  # m, the middle of the hand
+SHEET_CAMERA = Viewpoint(width=320, height=320, distance=0.34, yaw_deg=55.0, pitch_deg=-12.0)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac posture`."""
+    parser.add_argument(
+        "name",
+        metavar="NAME|list|all",
+        help="a posture, the list of them, or all on a contact sheet",
+    )
+    parser.add_argument(
+        "--hand", type=Path, metavar="TOML", help="hand parameters (default: the nominal hand)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--port", metavar="PORT", help="send the posture to the hand on this port")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command: list, show, draw or send postures."""
+    hand = load_hand(arguments.hand) if arguments.hand else HPAC
+    everything = arguments.name in ("list", "all")
+    shown = list(POSTURES.values()) if everything else [posture(arguments.name)]
+    if arguments.json:
+        print(json.dumps({item.name: description(item, hand) for item in shown}))
+    elif everything:
+        print("\n".join(summary(item, hand) for item in shown))
+    else:
+        print(table(shown[0], hand))
+    sheet = arguments.out or (Path("runs/postures.png") if arguments.name == "all" else None)
+    if sheet:
+        draw(shown, sheet, hand)
+        if not arguments.json:
+            print(f"drawn to {sheet}")
+    if arguments.port and not everything:
+        from hpac_gym.bridge.commands import send_and_hold
+
+        send_and_hold(arguments.port, command_to(shown[0], hand), hand)
+    return 0
+
+
+def command_to(item: Posture, hand: Hand = HPAC) -> ServoCommand:
+    """Command that moves an open hand to a posture at the rate limit."""
+    servo = reach(item.target_joint_pos, hand).servo
+    return ServoCommand(servo, max(move_duration(hand.servo_min, servo, hand), 0.1))
+
+
+def description(item: Posture, hand: Hand = HPAC) -> dict[str, object]:
+    """Description of a posture as data, by joint and servo name [rad]."""
+    taken = reach(item.target_joint_pos, hand)
+    return {
+        "panel": item.panel,
+        "kind": item.kind,
+        "about": item.about,
+        "aliases": list(item.aliases),
+        "target_rad": dict(zip(JOINTS, item.target_joint_pos.tolist(), strict=True)),
+        "reachable_rad": dict(zip(JOINTS, taken.joint_pos.tolist(), strict=True)),
+        "servo_rad": dict(zip(SERVOS, taken.servo.tolist(), strict=True)),
+        "distance_rad": taken.distance,
+    }
+
+
+def summary(item: Posture, hand: Hand = HPAC) -> str:
+    """Description of a posture in one line."""
+    names = "/".join((item.name, *item.aliases))
+    distance = reach(item.target_joint_pos, hand).distance
+    return f"{item.panel:>2}  {names:<20} {item.kind:<10} {distance:5.3f} rad off  {item.about}"
+
+
+def table(item: Posture, hand: Hand = HPAC) -> str:
+    """Table of a posture's joint and servo angles."""
+    taken = reach(item.target_joint_pos, hand)
+    lines = [
+        f"{item.name}: {item.about} (panel {item.panel})",
+        f"{'joint':<12} target [rad]  reachable [rad]",
+    ]
+    for name, target, joint in zip(
+        JOINTS, item.target_joint_pos, taken.joint_pos.round(9) + 0.0, strict=True
+    ):
+        lines.append(f"{name:<12} {target:12.3f} {joint:16.3f}")
+    lines.append(f"distance from the manifold: {taken.distance:.3f} rad")
+    lines.append(f"{'servo':<12} angle [rad]")
+    lines += [f"{name:<12} {angle:11.3f}" for name, angle in zip(SERVOS, taken.servo, strict=True)]
+    return "\n".join(lines)
+
+
+def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
+    """Draw a contact sheet of postures, each reached by the simulated hand from open."""
+    try:
+        from matplotlib.figure import Figure
+
+        from hpac_gym.figures import save
+    except ModuleNotFoundError as error:
+        raise OutputError(
+            f"a drawing needs more: pip install 'hpac_gym[study]' ({error})"
+        ) from None
+
+    columns = min(SHEET_COLUMNS, len(items))
+    rows = -(-len(items) // columns)
+    figure = Figure(figsize=(2.2 * columns, 2.4 * rows), layout="constrained")
+    axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
+    for axis in axes:
+        axis.set_axis_off()
+    for axis, item in zip(axes, progress(items, "contact sheet"), strict=False):
+        axis.imshow(picture(item, hand))
+        axis.set_title(f"{item.panel} {item.name.replace('_', ' ')}", fontsize=8)
+    save(
+        figure,
+        path,
+        f"{hand.name}, simulated in {default_engine()}, each posture commanded from the open hand",
+        picture=True,
+    )
+
+
+def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
+    """RGB of the simulated hand in a posture, shape (height, width, 3)."""
+    sim = take(item, hand, visuals=True)
+    seen = sim.simulation.engine.picture(0, SHEET_CAMERA, LOOK_AT)
+    sim.close()
+    return seen
+
+
+def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand:
+    """Simulate a hand that moves from open to a posture; the caller closes it."""
+    sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals)
+    sim.reset(np.zeros(len(SERVOS)))
+    command = command_to(item, hand)
+    sim.command(command.servo, command.duration)
+    sim.step(command.duration + SETTLE)
+    return sim

@@ -1,0 +1,312 @@
+"""The protocol: a results file that says what was played, goes on after an interruption, and is
+refused once it is wrong.
+"""
+
+import copy
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from agents.closures import SHORT
+from hpac_gym.envs import GraspAny
+from hpac_gym.envs.episodes import Episodes
+from hpac_gym.envs.options import GRASP_ANY, GRASP_TYPE, POSTURE, checked_options
+from hpac_gym.errors import EnvError
+from hpac_gym.evaluation import benchmark
+from hpac_gym.evaluation.benchmark import (
+    ResultsError,
+    comparison,
+    env_hash,
+    faults,
+    splits_of,
+    table,
+)
+from hpac_gym.evaluation.evaluate import evaluate
+from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.policies import Closures, PolicyError
+from hpac_gym.tasks.task import RUNNING, SUCCESS
+from tests.options import called
+
+TINY = "tests.tiny_task:Tiny-v0"
+RESULTS = Path(__file__).parents[2] / "docs" / "results"
+POINTER = "tests.evaluation.test_benchmark:Pointer:{seed}"
+
+
+def main(words):
+    return called(benchmark, *words)
+
+
+class Pointer:
+    """Points where the observation of Tiny-v0 points, with an error that grows with the seed of its
+    run.
+    """
+
+    def __init__(self, env, run):
+        self._error = 0.5 + 0.05 * int(run)
+
+    def reset(self, seed):
+        self._rng = np.random.default_rng(seed)
+
+    def act(self, observation):
+        return np.clip(observation + self._rng.uniform(-1, 1, 6) * self._error, -1, 1).astype(
+            np.float32
+        )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def tiny():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
+        patch.setattr(benchmark, "EPISODES", 40)
+        yield
+
+
+def submit(path, *words, policy=POINTER):
+    assert main([TINY, "--policy", policy, "--episodes", "40", "--out", str(path), *words]) == 0
+    return json.loads(path.read_text())
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    return submit(tmp_path_factory.mktemp("trained") / "results.json", "--budget", "1e5")
+
+
+def test_a_training_is_judged_by_five_runs_in_every_split(trained):
+    assert not list(faults(trained))
+    assert {(cell["seed"], cell["split"]) for cell in trained["cells"]} == {
+        (s, n) for s in range(5) for n in ("one", "two")
+    }
+    won = [cell["successes"] for cell in trained["cells"] if cell["split"] == "one"]
+    episodes = evaluate([POINTER.replace("{seed}", "3")], TINY, 40, seed_start=2_000_000).episodes[
+        "learned"
+    ]
+    assert won[3] == sum(episode.success for episode in episodes)
+    assert won[0] > won[4], "the last one points less well"
+    assert trained["summary"][0]["iqm"] == pytest.approx(sum(sorted(won)[1:4]) / 3 / 40)
+    assert f"| {', '.join(f'{100 * n / 40:.1f}' for n in won)} | end" in table(trained)
+
+
+def test_what_nobody_trained_has_one_run_with_its_wilson_interval(tmp_path, capsys):
+    results = submit(tmp_path / "random.json", policy="hpac_gym.policies.baselines:RandomPolicy")
+    (cell, _) = results["cells"]
+    (row, *_) = results["summary"]
+    assert row["iqm"] == cell["successes"] / 40
+    assert cell["interval_95"] == list(wilson_interval(cell["successes"], 40))
+    assert main(["--check", str(tmp_path / "random.json")]) == 0
+    assert "valid" in capsys.readouterr().out
+
+
+def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, trained):
+    judged = []
+    judge = benchmark.judge
+
+    def interrupted(head, split, seed, workers):
+        if len(judged) == 3:
+            raise KeyboardInterrupt
+        judged.append((seed, split))
+        return judge(head, split, seed, workers)
+
+    path = tmp_path / "results.json"
+    monkeypatch.setattr(benchmark, "judge", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        submit(path, "--budget", "1e5")
+    assert len(json.loads(path.read_text())["cells"]) == 3
+    before = judged.copy()
+    judged.clear()
+    monkeypatch.setattr(
+        benchmark, "judge", lambda *job: judged.append((job[2], job[1])) or judge(*job)
+    )
+    assert submit(path, "--budget", "1e5") | {"command": None} == trained | {"command": None}
+    assert len(judged) == 7
+    assert not set(judged) & set(before)
+    with pytest.raises(
+        ResultsError, match=r"holds results with policy '.*Pointer.*', not 'random'"
+    ):
+        submit(path, policy="random")
+
+
+@pytest.mark.parametrize("cells", [None, [1], [{"seed": 0}], [{"seed": 9, "split": "nominal"}]])
+def test_a_results_file_with_other_cells_is_not_continued(tmp_path, trained, cells):
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps(trained | {"cells": cells}))
+    before = path.read_bytes()
+    with pytest.raises(ResultsError, match=r"cannot continue results file '.*results\.json'"):
+        submit(path, "--budget", "1e5")
+    assert path.read_bytes() == before
+
+
+def broken(results, *path, value):
+    """A copy with one value changed; None removes it."""
+    results = copy.deepcopy(results)
+    *way, last = path
+    place = results
+    for step in way:
+        place = place[step]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return results
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "told"),
+    [
+        (("schema",), "hpac-benchmark-0", "schema is 'hpac-benchmark-0', not"),
+        (("env_sha256",), "0" * 64, "env_sha256 000000000000… is not that of this version"),
+        (("budget",), 200_000, "budget is 200000: it must be one of"),
+        (("seeds",), [0, 1, 2, 3], "a trained policy has 5 from 0 on"),
+        (("episodes",), 39, "a submission has at least 40"),
+        (("first_seed",), 0, "first_seed is 0, not 2000000"),
+        (("training_seeds",), [0, 2_000_000], "training seeds 0 to 2000000 overlap"),
+        (
+            ("files",),
+            [{"sha256": "", "env_steps": 100_001}],
+            "trained for 100,001 steps, over the budget of 100,000",
+        ),
+        (("files",), [{"sha256": "a"}] * 2, "two runs have the same policy file"),
+        (("versions", "mujoco-core"), None, "version of mujoco-core is missing"),
+        (("cells", 4), None, "split 'one' of seed 2 is missing"),
+        (("cells", 0, "split"), "two", "split 'two' of seed 0 occurs 2 times"),
+        (("cells", 0, "split"), "three", "split 'three' of seed 0 is unexpected"),
+        (("cells", 0, "successes"), 41, "split 'one' of seed 0: 41 successes and"),
+        (("cells", 0, "failures", "end"), -1, "failures do not make 40 episodes"),
+        (("cells", 0, "interval_95", 0), 0.0, "is not Wilson's of"),
+        (("cells", 0, "holding_force"), float("nan"), "holding_force is nan N"),
+        (("summary", 0, "iqm"), 0.99, "summary does not follow from the cells"),
+        (("summary", 2, "interval_95", 1), 0.99, "summary does not follow from the cells"),
+        (("cells", 0, "successes"), None, "field 'successes' is missing"),
+        (("cells", 0, "failures"), 3, "a field has the wrong type"),
+    ],
+)
+def test_a_results_file_that_was_changed_is_refused_with_its_fault(trained, path, value, told):
+    found = list(faults(broken(trained, *path, value=value)))
+    assert found, "no fault was told"
+    assert any(told in fault for fault in found), found
+    assert not any("\n" in fault for fault in found)
+
+
+def test_check_tells_every_fault_in_a_line_and_ends_with_status_1(trained, tmp_path, capsys):
+    path = tmp_path / "bad.json"
+    path.write_text(
+        json.dumps(broken(broken(trained, "env_sha256", value="0"), "first_seed", value=5_000_000))
+    )
+    assert main(["--check", str(path)]) == 1
+    assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == [str(path)] * 2
+
+
+def test_two_files_are_compared_by_the_probability_of_improvement(trained):
+    worse = copy.deepcopy(trained)
+    for cell in worse["cells"]:
+        cell["successes"] = 0
+    assert comparison(trained, worse).endswith("1.00 [1.00, 1.00]")
+    assert ": 0.50 [" in comparison(trained, trained)
+
+
+def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
+    before = env_hash(GRASP_ANY)
+    monkeypatch.setattr(benchmark, "object_set", lambda split: ())
+    assert env_hash.__wrapped__(GRASP_ANY) != before
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            ["HPAC-Posture-v0", "--policy", "random", "--out", "x"],
+            "'HPAC-Posture-v0' has no benchmark: known are HPAC-Grasp-v0",
+        ),
+        (
+            [TINY, "--policy", "random", "--budget", "1e5", "--out", "x"],
+            "contains no {seed}: a trained method needs 5 runs",
+        ),
+        ([TINY, "--policy", "random"], "an environment, --policy and --out are needed, or --check"),
+        (["--check", "no/such.json"], "cannot read results file 'no/such.json'"),
+        ([TINY, "--policy", "no/such.zip", "--out", "x"], "no policy file 'no/such.zip'"),
+        (
+            [TINY, "--policy", "no.such:thing", "--out", "x"],
+            "no policy 'no.such:thing': No module named 'no'",
+        ),
+        (
+            [TINY, "--policy", "hpac_gym.policies.baselines:Nobody", "--out", "x"],
+            "has no attribute 'Nobody'",
+        ),
+    ],
+)
+def test_a_mistake_is_one_line(words, told):
+    with pytest.raises((ResultsError, EnvError, PolicyError), match=told.replace("{", r"\{")):
+        main(words)
+
+
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
+def test_the_results_of_the_repository_are_valid(path):
+    results = benchmark.read(path)
+    assert not list(faults(results))
+    assert str(path.relative_to(RESULTS.parents[1])) in results["command"]
+
+
+def test_every_split_differs_from_the_first_in_one_thing_or_from_one_that_does():
+    for splits in map(splits_of, benchmark.SPLITS):
+        for options in splits.values():
+            assert (
+                min(
+                    len(options.items() ^ other.items())
+                    for other in splits.values()
+                    if other is not options
+                )
+                <= 2
+            )
+
+
+@pytest.mark.slow
+def test_what_nobody_trained_on_types_and_postures_is_as_far_apart_as_the_results_say():
+    """On other seeds than theirs: what knows the type or sees the goal wins, random actions do not,
+    one closure is in between.
+    """
+    shares = {}
+    for env_id, other in (
+        (GRASP_TYPE, "hpac_gym.policies.baselines:one_closure:small_cylinder"),
+        (POSTURE, "hpac_gym.policies.baselines:constant_posture"),
+    ):
+        options = next(iter(splits_of(env_id).values()))
+        judged = evaluate(
+            ["scripted", other, "random"], env_id, 100, seed_start=8_000_000, options=options
+        )
+        shares[env_id] = [
+            np.mean([episode.success for episode in episodes])
+            for episodes in judged.episodes.values()
+        ]
+    assert shares[GRASP_TYPE][0] > 0.85
+    assert 0.1 < shares[GRASP_TYPE][1] < 0.6
+    assert shares[POSTURE][0] > 0.6
+    assert shares[POSTURE][1] < 0.1
+    assert shares[GRASP_TYPE][2] < 0.03 > shares[POSTURE][2]
+
+
+@pytest.mark.slow
+def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outcomes():
+    """The same random closures in episodes of full length and in those that `grasp-any` trains
+    on.
+    """
+    held = []
+    decisions = np.random.default_rng(3).uniform(-1, 1, (96, 8))
+    for task in (GraspAny(), GraspAny(config=SHORT)):
+        episodes = Episodes(task, len(decisions), checked_options(engine="mujoco"))
+        episodes.reset(
+            range(len(decisions)),
+            [np.random.default_rng(7_700_000 + world) for world in range(len(decisions))],
+        )
+        won = np.zeros(len(decisions), bool)
+        over = np.zeros(len(decisions), bool)
+        step = 0
+        while not over.all():
+            episodes.step(Closures().actions(decisions, np.full(len(decisions), step)))
+            won |= ~over & (episodes.outcome == SUCCESS)
+            over |= episodes.outcome != RUNNING
+            step += 1
+        held.append(won)
+        episodes.close()
+    assert 0.1 < held[0].mean() < 0.9
+    assert (held[0] != held[1]).mean() < 0.05

@@ -1,0 +1,251 @@
+import json
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from agents import reproduce
+from agents.curves import draw_trials
+from hpac_gym.errors import EnvError
+from hpac_gym.evaluation import evaluate as command
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.episode import control_steps
+from hpac_gym.evaluation.evaluate import BLOCK, evaluate, run_batch, table
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.physics.simulation import default_engine
+from hpac_gym.policies.loading import load_policy
+from tests.options import called
+from tests.processes import wait_for
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def main(words):
+    return called(command, *words)
+
+
+TINY = "tests.tiny_task:Tiny-v0"
+
+
+def test_episodes_do_not_depend_on_the_number_of_workers():
+    alone = evaluate(["random"], TINY, 12, workers=1)
+    assert evaluate(["random"], TINY, 12, workers=2) == alone
+    assert (
+        evaluate(["random"], TINY, 5, workers=1).episodes["random"] == alone.episodes["random"][:5]
+    )
+    assert [episode.seed for episode in alone.episodes["random"]] == list(
+        range(HELD_OUT_SEED, HELD_OUT_SEED + 12)
+    )
+
+
+REAL = pytest.param("HPAC-GraspAny-v1", {"objects": "real"}, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize(
+    ("name", "options"), [("HPAC-Grasp-v0", {}), ("HPAC-Posture-v1", {}), REAL]
+)
+def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has(name, options):
+    env = make_env(name, engine="mujoco", **options)
+    policies = [load_policy("scripted", env) for _ in range(3)]
+    envs = gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="Disabled", **options)
+    seeds = [HELD_OUT_SEED + place for place in (0, 7, 1, 2)]
+    together = run_batch(envs, policies, seeds)
+    for seed, episode in zip(seeds, together, strict=True):
+        rewards, infos = zip(*control_steps(env, policies[0], seed), strict=True)
+        assert (episode.seed, episode.total_reward, episode.steps) == (
+            seed,
+            sum(rewards),
+            len(rewards),
+        )
+        told = (infos[-1].get(name) for name in ("is_success", "phase", "holding_force"))
+        assert (episode.success, episode.phase, episode.holding_force) == tuple(told)
+    assert len({episode.total_reward for episode in together}) == len(seeds)
+    env.close()
+    envs.close()
+
+
+def test_the_summary_counts_what_the_episodes_say():
+    result = evaluate(["random"], TINY, 60)
+    episodes = result.episodes["random"]
+    wins = sum(episode.success for episode in episodes)
+    numbers = result.summary()["policies"]["random"]
+    assert numbers["successes"] == wins
+    assert tuple(numbers["interval_95"]) == wilson_interval(wins, 60)
+    assert numbers["return_mean"] == pytest.approx(
+        np.mean([episode.total_reward for episode in episodes])
+    )
+    assert numbers["failures_by_phase"] == {"end": 60 - wins}
+    assert f"| random | 60 | {wins / 60:.1%} |" in table(result.summary())
+
+
+def test_a_time_limit_takes_fewer_episodes_and_says_so():
+    result = evaluate(["random"], TINY, 10_000, time_limit=1e-9)
+    assert len(result.episodes["random"]) == BLOCK
+    assert result.summary()["policies"]["random"]["episodes"] == BLOCK
+
+
+def test_json_is_one_object_on_standard_output(capsys, tmp_path):
+    out = tmp_path / "new" / "results.json"
+    assert (
+        main(
+            [
+                "--policy",
+                "random",
+                "--env",
+                TINY,
+                "--episodes",
+                "3",
+                "--workers",
+                "1",
+                "--json",
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads(out.read_text())
+    assert (printed["env_id"], printed["first_seed"]) == (TINY, HELD_OUT_SEED)
+
+
+def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
+    words = [
+        "--policy",
+        "hpac_gym.evaluation.closures:Blind",
+        "--engine",
+        "mujoco",
+        "--episodes",
+        "2",
+        "--workers",
+        "1",
+    ]
+    assert main([*words, "--no-baselines", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["policies"]["learned"]["episodes"], "policy" in printed) == (2, False)
+
+
+def test_several_policies_are_compared_with_the_first_on_the_same_episodes(capsys):
+    files = ["grasp", str(ROOT / "agents" / "trained" / "grasp-robust.zip")]
+    words = [word for name in (*files, files[0]) for word in ("--policy", name)]
+    assert main([*words, "--engine", "mujoco", "--episodes", "2", "--workers", "1", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert list(printed["policies"]) == [*files, "scripted", "random"]
+    assert [pair["over"] for pair in printed["differences"]] == [files[1], "scripted", "random"]
+    assert [each["file"] for each in printed["files"]] == files
+
+
+def test_the_options_of_an_environment_are_passed_on_and_one_that_it_lacks_is_told():
+    with pytest.raises(EnvError, match="with objects, types: Tiny"):
+        main(["--policy", "random", "--env", TINY, "--objects", "real", "--types", "hook"])
+
+
+def test_the_workers_of_a_killed_evaluation_end(tmp_path):
+    words = ["--policy", "random", "--env", TINY, "--episodes", "100000", "--workers", "2"]
+    command = subprocess.Popen(
+        [sys.executable, "-m", "hpac", "evaluate", *words],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+    )
+    children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
+    try:
+        wait_for(
+            lambda: len(children.read_text().split()) >= 3
+        )  # two workers, and the tracker of their resources
+        workers = children.read_text().split()
+        time.sleep(0.5)
+    finally:
+        command.kill()
+        command.wait()
+    wait_for(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
+
+
+def test_a_result_says_on_which_engine_and_body_it_was_found(tmp_path, capsys):
+    out = tmp_path / "results.json"
+    assert (
+        main(
+            f"--policy random --env HPAC-Grasp-v0 --randomize hand --episodes 1 --workers 1 --out {out}".split()
+        )
+        == 0
+    )
+    assert json.loads(out.read_text())["options"] == {
+        "randomize": "hand",
+        "engine": default_engine(),
+        "body": "twin",
+    }
+    assert (
+        f"Options: randomize hand, engine {default_engine()}, body twin." in capsys.readouterr().out
+    )
+
+
+def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_path):
+    words = [
+        "elsewhere",
+        "--policy",
+        "scripted",
+        "--episodes",
+        "2",
+        "--out",
+        str(tmp_path / "cells.json"),
+    ]
+    assert reproduce.main(words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    cells = json.loads((tmp_path / "cells.json").read_text())
+    engines = [engine for engine in ("pybullet", "mujoco") if find_spec(engine)]
+    assert len(lines) == 2 + len(cells) / 3
+    assert len(cells) == 3 * (1 + len(engines))
+    assert all(cell["episodes"] == 2 for cell in cells)
+    assert "| scripted | mujoco light |" in lines[-1]
+
+
+def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp_path):
+    policies = ["--policy=grasp", "--policy=grasp", "--policy=agents/trained/grasp-best.zip"]
+    numbers = tmp_path / "cells.json"
+    picture = tmp_path / "picture.png"
+    assert (
+        reproduce.main(
+            [
+                "seeds",
+                *policies,
+                "--episodes",
+                "4",
+                "--out",
+                str(numbers),
+                "--picture",
+                str(picture),
+            ]
+        )
+        == 0
+    )
+    *_, first, second, third, _, last = capsys.readouterr().out.splitlines()
+    assert first == second
+    assert first.startswith("| closures | 0 | 60,0")
+    assert third.startswith("| closures | 0 | 300,000 ")
+    assert last.startswith("closures, at most 60,000 trials: 2 runs: median "), (
+        "the third has another number of trials"
+    )
+    cells = json.loads(numbers.read_text())
+    assert [cell["trials"] for cell in cells] == ["of one run", "of one run", "of several runs"]
+    draw_trials(tmp_path / "again.png", cells)
+    draw_trials(tmp_path / "other.png", cells[:2])
+    drawn = [(tmp_path / f"{name}.png").read_bytes() for name in ("picture", "again", "other")]
+    assert drawn[0] == drawn[1] != drawn[2]
+
+
+def test_a_picture_of_trials_needs_runs(capsys):
+    with pytest.raises(SystemExit):
+        reproduce.main(["elsewhere", "--policy", "scripted", "--picture", "picture.png"])
+    assert "--picture needs race or seeds" in capsys.readouterr().err
+
+
+def test_several_runs_are_summed_up_by_median_lowest_and_interquartile_mean():
+    cells = [{"success_rate": rate} for rate in (0.5, 0.9, 0.8, 0.7, 0.6)]
+    assert reproduce.over_runs(cells).startswith(
+        "5 runs: median 70.0, lowest 50.0, interquartile mean 70.0 ["
+    )

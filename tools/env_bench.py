@@ -1,0 +1,358 @@
+"""``python -m tools.env_bench``: the speed of the environments on both engines, compared with environments of
+other libraries.
+
+All figures are for a hand that holds a can, at 20 commands per second. A rate is per second of CPU
+time, which reduces the effect of other load on the machine, and is the median over rounds in which
+all environments take turns. What needs wall-clock time (two threads, two processes of arithmetic)
+is the ratio of the best rounds, and a reset the least of five medians: other load only slows. The
+other libraries need another MuJoCo version: the command creates a separate virtual environment for
+them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import venv
+from collections import defaultdict
+from collections.abc import Sequence
+from contextlib import ExitStack
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from hpac_gym.command import run_module, whole_number
+from hpac_gym.errors import HpacError
+from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.physics.simulation import ENGINES
+
+WORKER = Path(__file__).with_name("env_bench_worker.py")
+NUM_ENVS = (1, 16, 64)
+STEPS = 40
+"""Steps per round of a single environment; n environments take STEPS / n each, at least 4."""
+RESETS = 100
+"""Resets of a single environment in each of `env_bench_worker.BLOCKS` blocks; n environments take
+RESETS / n each, at least 6.
+"""
+PEERS = {"HandManipulateBlock-v1": "gymnasium_robotics", "PandaPickAndPlace-v3": "panda_gym"}
+"""Ids of a MuJoCo hand and a PyBullet arm, and the modules that register them."""
+# Gymnasium-Robotics 1.4.2 fails with an AssertionError from MuJoCo 3.12 on: it does not support the
+# new joint types.
+PEER_PACKAGES = (
+    "gymnasium-robotics==1.4.2",
+    "mujoco==3.11.0",
+    "panda-gym==3.0.7",
+    "gymnasium==1.4.0",
+    "numpy==2.4.6",
+)
+LEAST_OVER_PYBULLET = 2.1
+LEAST_OVER_PEERS = 3.0
+LEAST_THREADS = 1.8
+LEAST_ARITHMETIC = 1.9
+MOST_OUTSIDE = 0.10
+MOST_RESET_MS = 0.3
+
+Report = dict[str, Any]
+
+
+class BenchError(HpacError, RuntimeError):
+    """A measurement could not be made."""
+
+
+class Worker:
+    """A process that times one environment."""
+
+    def __init__(self, python: str, **make: Any) -> None:
+        threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        self._process = subprocess.Popen(
+            [python, "-P", str(WORKER)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            env=os.environ | threads,
+        )
+        self.ask("make", **make)
+
+    def send(self, call: str, **arguments: Any) -> None:
+        """Start a call."""
+        print(json.dumps({"call": call, **arguments}), file=self._process.stdin, flush=True)
+
+    def answer(self) -> dict[str, float]:
+        """Wait for the result of the call that was started.
+
+        Raises:
+            BenchError: The environment failed.
+        """
+        line = self._process.stdout.readline()
+        found = (
+            json.loads(line)
+            if line
+            else {"error": f"its process ended with status {self._process.wait()}"}
+        )
+        if "error" in found:
+            raise BenchError(f"an environment of the benchmark failed: {found['error']}")
+        return found
+
+    def ask(self, call: str, **arguments: Any) -> dict[str, float]:
+        """Send a call and wait for its result."""
+        self.send(call, **arguments)
+        return self.answer()
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+def peers_python() -> str:
+    """Python of the peers' virtual environment, which is created if missing.
+
+    Raises:
+        BenchError: It cannot be created; the message contains the last line of pip's output.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = cache / "hpac_gym" / f"bench-peers-{sys.version_info[0]}.{sys.version_info[1]}"
+    python = folder / "bin" / "python"
+    stamp = folder / "complete"
+    wanted = "\n".join(PEER_PACKAGES)
+    if not (stamp.exists() and stamp.read_text(encoding="utf-8") == wanted):
+        print(f"creating the peers' virtual environment in {folder}", file=sys.stderr)
+        venv.create(folder, with_pip=True, clear=True)
+        pip = [
+            python,
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-input",
+            *PEER_PACKAGES,
+        ]
+        done = subprocess.run(pip, stderr=subprocess.PIPE, text=True, check=False)
+        if done.returncode:
+            raise BenchError(
+                f"the peers cannot be installed in {folder}: {(done.stderr.splitlines() or ['pip failed'])[-1]}"
+            )
+        stamp.write_text(wanted, encoding="utf-8")
+    return str(python)
+
+
+def measure(
+    engines: Sequence[str],
+    num_envs: Sequence[int],
+    peers: Sequence[str],
+    rounds: int,
+    physics_hz: int,
+) -> Report:
+    """Time all environments, in rounds in which all take turns.
+
+    Args:
+        engines: installed engines to measure.
+        num_envs: sizes of the vector environments; two threads are measured at the largest.
+        peers: ids from `PEERS`.
+        rounds: number of rounds.
+        physics_hz: physics steps per second.
+
+    Raises:
+        BenchError: An environment failed, or the peers cannot be installed.
+    """
+    with ExitStack() as stack:
+
+        def worker(python: str = sys.executable, **make: Any) -> Worker:
+            made = Worker(python, **make)
+            stack.callback(made.close)
+            return made
+
+        most = max(num_envs)
+        rate = {"physics_hz": physics_hz}
+        hands = {
+            (e, n): worker(kind="hands", engine=e, num_envs=n, threads=1, **rate)
+            for e in engines
+            for n in num_envs
+        }
+        turns = [(key, each, max(STEPS // key[1], 4)) for key, each in hands.items()]
+        if "mujoco" in engines:
+            two = worker(kind="hands", engine="mujoco", num_envs=most, threads=2, **rate)
+            turns.append(("two", two, max(STEPS // most, 4)))
+        turns += [
+            (name, worker(peers_python(), kind="peer", name=name, module=PEERS[name]), STEPS)
+            for name in peers
+        ]
+        pair = [worker(kind="arithmetic") for _ in range(2)]
+        turns.append(("alone", pair[0], STEPS))
+        found: dict[Any, list[dict[str, float]]] = defaultdict(list)
+        for _ in range(rounds):
+            for key, each, steps in turns:
+                found[key].append(each.ask("measure", steps=steps))
+            for each in pair:
+                each.send("measure", steps=STEPS)
+            found["pair"].append({"per_second": sum(each.answer()["per_second"] for each in pair)})
+        resets = {
+            key: each.ask("resets", count=max(RESETS // key[1], 6))["reset_ms"]
+            for key, each in hands.items()
+        }
+
+    def median(key: Any, figure: str) -> float:
+        return statistics.median(row[figure] for row in found[key])
+
+    def most_per_second(key: Any) -> float:
+        return max(row["per_second"] for row in found[key])
+
+    return {
+        "engines": {
+            engine: {
+                "env_steps_per_cpu_second": {
+                    str(n): median((engine, n), "per_cpu_second") for n in num_envs
+                },
+                "outside_engine": {str(n): median((engine, n), "outside") for n in num_envs},
+                "reset_ms": {str(n): resets[engine, n] for n in num_envs},
+            }
+            for engine in engines
+        },
+        "two_threads": most_per_second("two") / most_per_second(("mujoco", most))
+        if "mujoco" in engines
+        else None,
+        "two_processes_of_arithmetic": most_per_second("pair") / most_per_second("alone"),
+        "peers": {name: median(name, "per_cpu_second") for name in peers},
+        "peers_control_hz": {name: median(name, "control_hz") for name in peers},
+    }
+
+
+def marks(report: Report) -> list[tuple[str, float, str, bool | None]]:
+    """Requirements on MuJoCo's figures: name, figure, bound, and whether it is met; None if that
+    cannot be decided.
+    """
+    engines = report["engines"]
+    peers = report["peers"]
+    if "mujoco" not in engines:
+        return []
+    found = engines["mujoco"]
+    n = max(found["env_steps_per_cpu_second"], key=int)
+    rate = found["env_steps_per_cpu_second"][n]
+    arithmetic = report["two_processes_of_arithmetic"]
+    rows = []
+    if "pybullet" in engines:
+        slower = max(engines["pybullet"]["env_steps_per_cpu_second"].values())
+        rows.append((f"n = {n} over pybullet's best", rate / slower, LEAST_OVER_PYBULLET))
+    if peers:
+        rows.append((f"n = {n} over the faster peer", rate / max(peers.values()), LEAST_OVER_PEERS))
+    rows.append(
+        (
+            f"two threads over one, arithmetic × {arithmetic:.2f}",
+            report["two_threads"],
+            LEAST_THREADS,
+        )
+    )
+    least = [
+        (f"mujoco, {name}", figure, f"≥ {bound}", figure >= bound) for name, figure, bound in rows
+    ]
+    if arithmetic < LEAST_ARITHMETIC:
+        least[-1] = (*least[-1][:3], None)
+    outside = found["outside_engine"][n]
+    share = (
+        f"mujoco, n = {n}, share outside the engine",
+        outside,
+        f"≤ {MOST_OUTSIDE}",
+        outside <= MOST_OUTSIDE,
+    )
+    resets = [
+        (
+            f"mujoco, n = {n}, reset of a world [ms]",
+            spent,
+            f"≤ {MOST_RESET_MS}",
+            spent <= MOST_RESET_MS,
+        )
+        for n, spent in found["reset_ms"].items()
+    ]
+    return [*least, share, *resets]
+
+
+def lines(report: Report) -> list[str]:
+    """The report as text."""
+    text = ["env steps per second of CPU time, hand holding a can, one thread"]
+    for name, found in report["engines"].items():
+        rates = "   ".join(
+            f"n = {n}: {rate:6.0f}" for n, rate in found["env_steps_per_cpu_second"].items()
+        )
+        outside = ", ".join(f"{share:.1%}" for share in found["outside_engine"].values())
+        resets = ", ".join(f"{spent:.2f}" for spent in found["reset_ms"].values())
+        text.append(
+            f"  {name:<24} {rates}   outside the engine {outside}   reset of a world {resets} ms"
+        )
+    for name, rate in report["peers"].items():
+        text.append(
+            f"  {name:<24} n = 1: {rate:6.0f}   {report['peers_control_hz'][name]:g} commands a second"
+        )
+    signs = {True: "✓", False: "✗", None: "? (no second processor is available)"}
+    return [
+        *text,
+        "marks",
+        *(
+            f"  {name}: {figure:.3g} ({bound}) {signs[kept]}"
+            for name, figure, bound, kept in marks(report)
+        ),
+    ]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `python -m tools.env_bench`."""
+    parser.description = " ".join(__doc__.partition("\n\n")[2].split())
+    parser.add_argument(
+        "--engine", choices=ENGINES, action="append", help="only this engine; may be repeated"
+    )
+    parser.add_argument(
+        "--num-envs",
+        type=whole_number(1),
+        nargs="+",
+        default=NUM_ENVS,
+        metavar="N",
+        help="sizes of the vector environments (default: 1 16 64)",
+    )
+    parser.add_argument(
+        "--rounds",
+        type=whole_number(1),
+        default=9,
+        metavar="N",
+        help="number of rounds (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--physics-hz",
+        type=whole_number(1),
+        default=WorldSettings().physics_hz,
+        metavar="HZ",
+        help="physics steps per second (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--no-peers", action="store_true", help="without the other libraries (they need a download)"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command: measure and print."""
+    installed = [engine for engine in ENGINES if find_spec(engine)]
+    missing = [engine for engine in arguments.engine or [] if engine not in installed]
+    if missing:
+        raise BenchError(
+            f"engine {missing[0]!r} is not installed, only {', '.join(installed) or 'none'}"
+        )
+    engines = [engine for engine in installed if engine in (arguments.engine or installed)]
+    # panda-gym needs PyBullet, which has no wheels beyond CPython 3.11.
+    peers = (
+        []
+        if arguments.no_peers
+        else [name for name in PEERS if "panda" not in PEERS[name] or sys.version_info < (3, 12)]
+    )
+    report = measure(engines, arguments.num_envs, peers, arguments.rounds, arguments.physics_hz)
+    print(json.dumps(report, indent=2) if arguments.json else "\n".join(lines(report)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run_module("tools.env_bench", __doc__, add_arguments))

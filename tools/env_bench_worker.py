@@ -1,0 +1,173 @@
+"""Worker process of `python -m tools.env_bench`: creates an environment and times it on request.
+
+It reads requests from standard input, one JSON object per line, and answers each with one. It runs
+as a script, also in the peers' virtual environment, and therefore imports this package only for
+this package's environments."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import warnings
+from time import perf_counter, process_time
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+WARM_UP_STEPS = 20
+"""Steps until the hand has closed on its can; also the warm-up of the peers."""
+HELD_STEPS = 40
+"""Steps after that, until an episode of the grasp task would end."""
+BLOCKS = 5
+
+
+class Hands:
+    """n hands that hold the same can: every step is in contact."""
+
+    def __init__(self, engine: str, num_envs: int, threads: int, physics_hz: int) -> None:
+        from hpac_gym.body.objects import ObjectSpec
+        from hpac_gym.envs import Grasp, HandVectorEnv
+        from hpac_gym.envs.episodes import change_physics
+        from hpac_gym.physics.engine import SceneSetup
+        from hpac_gym.physics.settings import WorldSettings
+
+        can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
+        opposed = np.array([0, 0, 0, 0, 0, 1.2])
+        self.options = {"setup": SceneSetup(can, np.array([0.048, 0.004, 0.112]), 0.0, opposed)}
+        if hasattr(os, "sched_setaffinity"):  # an engine uses one thread per available processor
+            os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
+        self.env = HandVectorEnv(Grasp(), num_envs, engine=engine)
+        if physics_hz != WorldSettings().physics_hz:
+            change_physics(self.env, WorldSettings(physics_hz))
+        self.opened = np.array([-1, -1, -1, -1, -1, 0.5])
+        self.closed = np.array([0.3, 1, 1, 1, 1, 0.5])
+        self.inside = 0.0
+        self.step_of_episode = 0
+        physics = self.env.episodes.simulation.engine
+        physics.advance = self._timed(physics.advance)
+        physics.state = self._timed(physics.state)
+        self.env.reset(seed=0)
+
+    def _timed(self, call: Any) -> Any:
+        def timed(*arguments: Any) -> Any:
+            start = process_time()
+            result = call(*arguments)
+            self.inside += process_time() - start
+            return result
+
+        return timed
+
+    def _step(self) -> None:
+        share = min(self.step_of_episode / 16, 1.0)
+        action = self.closed * share + self.opened * (1 - share)
+        self.env.step(np.tile(action, (self.env.num_envs, 1)).astype(np.float32))
+        self.step_of_episode += 1
+
+    def measure(self, steps: int) -> dict[str, float]:
+        """Step rates of closed hands, excluding resets and the closing itself."""
+        wall = cpu = inside = 0.0
+        for step in range(steps):
+            if step % HELD_STEPS == 0:
+                self.env.reset(seed=0, options=self.options)
+                self.step_of_episode = 0
+                for _ in range(WARM_UP_STEPS):
+                    self._step()
+            self.inside = 0.0
+            start = process_time()
+            began = perf_counter()
+            self._step()
+            cpu = cpu + process_time() - start
+            wall = wall + perf_counter() - began
+            inside = inside + self.inside
+        env_steps = steps * self.env.num_envs
+        return {
+            "per_cpu_second": env_steps / cpu,
+            "per_second": env_steps / wall,
+            "outside": 1 - inside / cpu,
+        }
+
+    def resets(self, count: int) -> dict[str, float]:
+        """CPU time per world of starting a random episode [ms]: least of the medians of `BLOCKS`
+        blocks of `count` resets.
+        """
+        times = np.empty((BLOCKS, count))
+        for block, number in np.ndindex(times.shape):
+            start = process_time()
+            self.env.reset(seed=block * count + number)
+            times[block, number] = process_time() - start
+        return {"reset_ms": 1e3 * float(np.median(times, axis=1).min()) / self.env.num_envs}
+
+
+class Peer:
+    """An environment of another library, under random actions."""
+
+    def __init__(self, name: str, module: str) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            gymnasium.register_envs(importlib.import_module(module))
+            self.env = gymnasium.make(name).unwrapped
+        self.rng = np.random.default_rng(0)
+
+    def measure(self, steps: int) -> dict[str, float]:
+        """Step rates within one episode."""
+        shape = self.env.action_space.shape
+        self.env.reset(seed=0)
+        actions = self.rng.uniform(-1, 1, (WARM_UP_STEPS + steps, *shape)).astype(np.float32)
+        for action in actions[:WARM_UP_STEPS]:
+            self.env.step(action)
+        start = process_time()
+        began = perf_counter()
+        for action in actions[WARM_UP_STEPS:]:
+            self.env.step(action)
+        spent = process_time() - start
+        passed = perf_counter() - began
+        return {
+            "per_cpu_second": steps / spent,
+            "per_second": steps / passed,
+            "control_hz": self.env.metadata["render_fps"],
+        }
+
+
+class Arithmetic:
+    """Plain arithmetic, which shows how much of a second processor is available."""
+
+    def measure(self, steps: int) -> dict[str, float]:
+        """Rates of 1000 × steps multiplications."""
+        start = process_time()
+        began = perf_counter()
+        value = 1.0
+        for _ in range(1000 * steps):
+            value = value * 1.0000001 + 1e-9
+        return {
+            "per_cpu_second": steps / (process_time() - start),
+            "per_second": steps / (perf_counter() - began),
+        }
+
+
+KINDS = {"hands": Hands, "peer": Peer, "arithmetic": Arithmetic}
+
+
+def main() -> None:
+    """Answer requests until standard input ends. Output of libraries goes to standard error."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+    made: Any = None
+    for line in sys.stdin:
+        request = json.loads(line)
+        call = request.pop("call")
+        try:
+            if call == "make":
+                made = KINDS[request.pop("kind")](**request)
+                answer = {}
+            else:
+                answer = getattr(made, call)(**request)
+        except Exception as error:
+            answer = {"error": f"{type(error).__name__}: {error}"}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    main()

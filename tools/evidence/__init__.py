@@ -1,0 +1,1 @@
+"""Evidence for the safety claims: judged hands, hostile frames, random sessions."""

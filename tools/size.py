@@ -1,0 +1,68 @@
+"""The size of the house: files, statements and lines after formatting, by part and by folder.
+
+``python -m tools.size`` prints them, the largest files and the largest classes. Statements count,
+not lines: width hides growth.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+
+from hpac_gym.output import markdown
+
+ROOT = Path(__file__).parents[1]
+PARTS = {
+    "wheel": ("hpac_gym", "hpac.py"),
+    "workshop": ("agents", "experiments", "tools", "firmware"),
+    "tests": ("tests",),
+}
+LARGEST = 5
+
+
+def statements(tree: ast.AST) -> int:
+    """Number of statements, nested ones included; docstrings are statements."""
+    return sum(isinstance(node, ast.stmt) for node in ast.walk(tree))
+
+
+def files_of(names: Iterable[str]) -> list[Path]:
+    """The Python files below some names of the root."""
+    paths = [ROOT / name for name in names]
+    return sorted(
+        file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py"))
+    )
+
+
+def main() -> int:
+    """Print the tables."""
+    rows = []
+    lengths = {}
+    classes = {}
+    for part, names in PARTS.items():
+        totals = defaultdict(lambda: [0, 0, 0])
+        for path in files_of(names):
+            text = path.read_text(encoding="utf-8")
+            tree = ast.parse(text)
+            name = path.relative_to(ROOT)
+            folder = str(Path(*name.parts[:2]) if len(name.parts) > 2 else name.parts[0])
+            counts = (1, statements(tree), len(text.splitlines()))
+            for total in (totals[part], totals[f"    {folder}"]):
+                total[:] = map(sum, zip(total, counts, strict=True))
+            if part != "tests":
+                lengths[str(name)] = counts[2]
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ClassDef) and part != "tests":
+                    classes[f"{name}: {node.name}"] = node.end_lineno - node.lineno + 1
+        rows += [(name, *map(str, total)) for name, total in totals.items()]
+    print(markdown(("part", "files", "statements", "lines"), rows))
+    for title, sizes in (("file", lengths), ("class", classes)):
+        largest = sorted(sizes.items(), key=lambda item: -item[1])[:LARGEST]
+        print(f"\nLargest {title}: {', '.join(f'{name} {lines}' for name, lines in largest)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
