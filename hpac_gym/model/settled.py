@@ -221,6 +221,23 @@ def settled_servo_from_joints(
     synergy = np.clip(
         settled_synergy_from_joints(joint_pos, hand, direction), hand.synergy_min, hand.synergy_max
     )
+    servo = settled_servo_from_synergy(synergy, hand, direction)
+    return np.clip(servo, hand.servo_min, hand.servo_max)
+
+
+def settled_servo_from_synergy(
+    synergy: Array, hand: Hand = HPAC, direction: float = FLEXION
+) -> Array:
+    """Servo angles at which the driven joints come to rest at given angles.
+
+    Args:
+        synergy: finite angles of the driven joints, shape (..., 6) [rad].
+        hand: the identified hand.
+        direction: `FLEXION` or `EXTENSION`, in which the hand approaches them.
+
+    Returns:
+        u, not clipped to the servos' range, shape (..., 6) [rad].
+    """
     servo = np.empty_like(synergy)
     for column, digit in enumerate(hand.digits.values()):
         statics = digit_statics(digit, hand.calibration.friction[column], direction)
@@ -233,4 +250,4 @@ def settled_servo_from_joints(
         )
         servo[..., column] = wound / digit.servo_radius
     servo[..., _CMC] = synergy[..., _CMC] / hand.cmc_gain
-    return np.clip(servo - hand.calibration.servo_zero, hand.servo_min, hand.servo_max)
+    return servo - hand.calibration.servo_zero

@@ -1,0 +1,174 @@
+"""The command map of a model, for any number of hands: from an action to servo angles, and from
+servo angles to the joint angles that the model predicts.
+
+A nominal hand commands with the paper's Eq. (15). A hand with a `[calibration]` is commanded by
+inverting its whole file: servo zeros, stretch and slack of the driving tendons, and friction, which
+depends on the direction of the motion. Both map synergies, so the same policy commands both.
+
+The inverse is tabulated per servo and direction when a model is taken up, and then costs one lookup
+a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpac_gym.model.checks import Array
+from hpac_gym.model.command import servo_from_action, synergy_from_action
+from hpac_gym.model.elasticity import elastic_joints_from_servo
+from hpac_gym.model.files import HPAC
+from hpac_gym.model.joints import JOINT_INDEX, SERVOS
+from hpac_gym.model.parameters import Calibration, Hand, unchecked_servo_from_synergy
+from hpac_gym.model.settled import (
+    EXTENSION,
+    FLEXION,
+    settled_joints_from_servo,
+    settled_servo_from_synergy,
+)
+
+POINTS = 513
+"""Points of a table; the interpolation is within 2e-6 rad of the exact map."""
+_DIRECTIONS = (FLEXION, EXTENSION)
+
+
+def is_calibrated(hand: Hand) -> bool:
+    """Whether a hand file has a `[calibration]`, so that commands invert the whole file."""
+    return hand.calibration != Calibration()
+
+
+@dataclass(frozen=True, slots=True)
+class _Tables:
+    """Tables of one calibrated hand, for both directions: flexion first."""
+
+    servo: Array
+    """Servo angle over the synergy's range, shape (2, 6, `POINTS`) [rad]."""
+    joint_pos: Array
+    """Predicted joint angles over the servo's range, shape (2, 15, `POINTS`) [rad]."""
+
+
+class CommandMap:
+    """The command maps of n models.
+
+    Nominal models must be one and the same, and every number is then that of `servo_from_action`
+    and `elastic_joints_from_servo`, to the bit. Calibrated models may differ from place to place.
+
+    Args:
+        hand: the model at every place.
+        count: n.
+        table: hand whose servo range bounds the commands of a calibrated model, as the board that
+            drives the hand was flashed with it.
+    """
+
+    def __init__(self, hand: Hand = HPAC, count: int = 1, table: Hand = HPAC) -> None:
+        self.hands = [hand] * count
+        self._board = table
+        self._known: dict[int, tuple[Hand, _Tables]] = {}
+        self._tables: list[_Tables] | None = None
+        if is_calibrated(hand):
+            self.take(range(count), [hand] * count)
+
+    @property
+    def inverts_files(self) -> bool:
+        """Whether commands come from the inverse of hand files instead of Eq. (15)."""
+        return self._tables is not None
+
+    def take(self, places: Sequence[int], hands: Sequence[Hand]) -> None:
+        """Give some of the n places other models, all of them calibrated or not; those that differ
+        from each other are commanded by the inverse of their files.
+        """
+        for place, hand in zip(places, hands, strict=True):
+            self.hands[place] = hand
+            if id(hand) not in self._known:  # the hand is kept beside its tables, and so is its id
+                self._known[id(hand)] = hand, _tables(hand, self._board)
+        tables = [
+            self._known.get(id(hand)) or (hand, _tables(hand, self._board)) for hand in self.hands
+        ]
+        self._tables = [found for _, found in tables]
+        self._servo = np.stack([found.servo for found in self._tables])
+        self._joint_pos = np.stack([found.joint_pos for found in self._tables])
+
+    def servo_from_action(self, action: ArrayLike, flexing: Array) -> Array:
+        """Servo angles for actions.
+
+        Args:
+            action: shape (n, 6), −1…1.
+            flexing: whether each servo's joint comes to its target by flexion, shape (n, 6).
+
+        Returns:
+            Shape (n, 6) [rad], within the range of the board's table.
+
+        Raises:
+            ShapeError, WorkspaceError: As `hpac_gym.model.servo_from_action`.
+        """
+        if self._tables is None:
+            return servo_from_action(action, self.hands[0])
+        return self.servo_from_synergy(synergy_from_action(action, self._board), flexing)
+
+    def servo_from_synergy(self, synergy: Array, flexing: Array) -> Array:
+        """Servo angles for synergies within Table I, shape (n, 6) [rad]."""
+        if self._tables is None:
+            return unchecked_servo_from_synergy(np.asarray(synergy, dtype=float), self.hands[0])
+        board = self._board
+        share = (synergy - board.synergy_min) / (board.synergy_max - board.synergy_min)
+        return _interpolated(self._servo, share, flexing, _SERVO_OF_SERVO)
+
+    def joints_from_servo(self, servo: Array, flexing: Array) -> Array:
+        """Joint angles that the models predict for servo angles, shape (n, 6) → (n, 15) [rad]."""
+        if self._tables is None:
+            return elastic_joints_from_servo(servo, self.hands[0])
+        share = (servo - self._board.servo_min) / (self._board.servo_max - self._board.servo_min)
+        return _interpolated(self._joint_pos, share, flexing, self._board.servo_of_joint)
+
+    def shown_servo(self, servo: Array, predicted: Array) -> Array:
+        """Servo angles as a policy sees them: those of the nominal hand at the synergy that the
+        models predict, since zeros and stretch of one hand mean nothing to a policy.
+
+        Args:
+            servo: commanded angles, shape (n, 6) [rad].
+            predicted: `joints_from_servo` of them, shape (n, 15) [rad].
+        """
+        if self._tables is None:
+            return servo
+        synergy = np.clip(predicted[:, _ROOTS], self._board.synergy_min, self._board.synergy_max)
+        return unchecked_servo_from_synergy(synergy, self._board)
+
+
+_SERVO_OF_SERVO = np.arange(len(SERVOS))
+_ROOTS = [JOINT_INDEX[name] for name in SERVOS]
+
+
+def _tables(hand: Hand, board: Hand) -> _Tables:
+    synergy = np.linspace(board.synergy_min, board.synergy_max, POINTS)
+    servo = np.linspace(board.servo_min, board.servo_max, POINTS)
+    return _Tables(
+        np.stack(
+            [
+                np.clip(
+                    settled_servo_from_synergy(synergy, hand, way), board.servo_min, board.servo_max
+                ).T
+                for way in _DIRECTIONS
+            ]
+        ),
+        np.stack([settled_joints_from_servo(servo, hand, way).T for way in _DIRECTIONS]),
+    )
+
+
+def _interpolated(tables: Array, share: Array, flexing: Array, column: Array) -> Array:
+    """Linear interpolation in tables over evenly spaced points.
+
+    Args:
+        tables: shape (n, 2, m, `POINTS`), flexion first.
+        share: place in the range of every servo, 0…1, shape (n, 6).
+        flexing: whether to take the first table, shape (n, 6).
+        column: servo of each of the m columns, shape (m,).
+    """
+    place = np.minimum(np.maximum(share, 0.0), 1.0).take(column, axis=1) * (POINTS - 1)
+    left = np.minimum(place.astype(int), POINTS - 2)
+    world = np.arange(len(tables))[:, None]
+    way = np.where(flexing, 0, 1).take(column, axis=1)
+    row = np.arange(len(column))
+    low = tables[world, way, row, left]
+    return low + (place - left) * (tables[world, way, row, left + 1] - low)
