@@ -58,7 +58,7 @@ COMMANDS = (
         "find hands, report faults and the first remedy; moves nothing",
         "hpac_gym.bridge.commands:add_doctor",
     ),
-    Command("estop", "stop all pulses now and latch a fault", "hpac_gym.bridge.commands:add_estop"),
+    Command("estop", "stop all pulses now and latch a fault", "hpac_gym.bridge.stop:add_arguments"),
     Command(
         "evaluate",
         "evaluate policies on held-out episodes",

@@ -13,25 +13,80 @@ with HostBoard() as hand, HandLink(hand.connect) as link:   # or VirtualHand(): 
 ```
 """
 
-from hpac_gym.bridge.errors import (
-    BridgeError,
-    FaultError,
-    FirmwareMissing,
-    FrameError,
-    HandshakeError,
-    LinkTimeout,
-    PortError,
-    RejectedError,
-    StoppedError,
-    UnconfirmedWarning,
-)
-from hpac_gym.bridge.exchange import LinkStatistics, WireLog
-from hpac_gym.bridge.hands import HostBoard, VirtualHand
-from hpac_gym.bridge.limits import pulses_from_servo, servo_from_pulses
-from hpac_gym.bridge.link import HandLink
-from hpac_gym.bridge.protocol import Action, Fault, Reason, Reset, State
-from hpac_gym.bridge.reports import HandInfo, HandStatus
-from hpac_gym.bridge.transport import SerialTransport, SocketTransport, Transport, open_transport
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hpac_gym.bridge.errors import (
+        BridgeError,
+        FaultError,
+        FirmwareMissing,
+        FrameError,
+        HandshakeError,
+        LinkTimeout,
+        PortError,
+        RejectedError,
+        StoppedError,
+        UnconfirmedWarning,
+    )
+    from hpac_gym.bridge.exchange import LinkStatistics, WireLog
+    from hpac_gym.bridge.hands import HostBoard, VirtualHand
+    from hpac_gym.bridge.limits import pulses_from_servo, servo_from_pulses
+    from hpac_gym.bridge.link import HandLink
+    from hpac_gym.bridge.protocol import Action, Fault, Reason, Reset, State
+    from hpac_gym.bridge.reports import HandInfo, HandStatus
+    from hpac_gym.bridge.transport import (
+        SerialTransport,
+        SocketTransport,
+        Transport,
+        open_transport,
+    )
+
+_HOMES = {
+    "errors": (
+        "BridgeError",
+        "FaultError",
+        "FirmwareMissing",
+        "FrameError",
+        "HandshakeError",
+        "LinkTimeout",
+        "PortError",
+        "RejectedError",
+        "StoppedError",
+        "UnconfirmedWarning",
+    ),
+    "exchange": (
+        "LinkStatistics",
+        "WireLog",
+    ),
+    "hands": (
+        "HostBoard",
+        "VirtualHand",
+    ),
+    "limits": (
+        "pulses_from_servo",
+        "servo_from_pulses",
+    ),
+    "link": ("HandLink",),
+    "protocol": (
+        "Action",
+        "Fault",
+        "Reason",
+        "Reset",
+        "State",
+    ),
+    "reports": (
+        "HandInfo",
+        "HandStatus",
+    ),
+    "transport": (
+        "SerialTransport",
+        "SocketTransport",
+        "Transport",
+        "open_transport",
+    ),
+}
+"""The names of this package by module: a stop must not wait for NumPy, so they load when used."""
 
 __all__ = [
     "Action",
@@ -63,3 +118,12 @@ __all__ = [
     "pulses_from_servo",
     "servo_from_pulses",
 ]
+
+
+def __getattr__(name: str) -> object:
+    for module, names in _HOMES.items():
+        if name in names:
+            value = getattr(import_module(f"hpac_gym.bridge.{module}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'hpac_gym.bridge' has no attribute {name!r}")

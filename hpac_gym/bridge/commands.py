@@ -13,18 +13,14 @@ from contextlib import ExitStack
 import numpy as np
 
 from hpac_gym.bridge.doctor import Finding, diagnose, find_ports
-from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.evidence.conform import Row, conform
-from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.hands import HostBoard, VirtualHand, config_of
 from hpac_gym.bridge.link import HandLink
-from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, move_duration
 
 _WIGGLE_TIME = 0.8
-_ESTOP_ATTEMPTS = 20
 PORT_HELP = "serial port, socket://HOST:PORT, `virtual` (the firmware in this process) or `host` (the firmware as a process)"
 
 
@@ -45,11 +41,6 @@ def add_wiggle(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--angle", type=float, default=0.3, help="angle from rest [rad] (default: %(default)s)"
     )
-
-
-def add_estop(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `hpac estop`."""
-    _add_hand(parser, _estop)
 
 
 def add_clear(parser: argparse.ArgumentParser) -> None:
@@ -78,7 +69,7 @@ def _add_hand(parser: argparse.ArgumentParser, run: Callable, required: bool = T
     parser.set_defaults(run=run)
 
 
-def connector(port: str, hand: Hand, stack: ExitStack) -> str | Callable[[], Transport]:
+def connector(port: str, stack: ExitStack, hand: Hand = HPAC) -> str | Callable[[], Transport]:
     """The `port` argument of a `HandLink` for a `--port`; starts the firmware for `virtual` and
     `host`.
     """
@@ -107,7 +98,7 @@ def _print_json(rows: list[object], *names: str) -> None:
 def _conform(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         hand = _hand(options)
-        rows = conform(open_transport(connector(options.port, hand, stack)), hand)
+        rows = conform(open_transport(connector(options.port, stack, hand)), hand)
         return verdict(rows, options.json, "rule", "tried", "holds", "failure")
 
 
@@ -139,7 +130,7 @@ def _wiggle(options: argparse.Namespace) -> int:
             f"--angle {options.angle} rad must be above 0 and at most {room:.3f} rad"
         )
     with ExitStack() as stack:
-        link = stack.enter_context(HandLink(connector(options.port, hand, stack), hand=hand))
+        link = stack.enter_context(HandLink(connector(options.port, stack, hand), hand=hand))
         link.arm()
         for name in options.servo or SERVOS:
             index = SERVOS.index(name)
@@ -156,31 +147,10 @@ def _wiggle(options: argparse.Namespace) -> int:
     return 0
 
 
-def _estop(options: argparse.Namespace) -> int:
-    """Send ESTOP without a handshake: the hand accepts it from any sender. An unreadable hand file
-    is reported afterwards.
-    """
-    with ExitStack() as stack:
-        try:
-            hand = _hand(options) if options.port == "virtual" else HPAC
-            transport = open_transport(connector(options.port, hand, stack))
-            stack.callback(transport.close)
-            Exchange(transport, LinkStatistics(), KnownState()).request(
-                "estop", attempts=_ESTOP_ATTEMPTS
-            )
-        except (LinkTimeout, PortError) as error:
-            raise type(error)(
-                f"ESTOP is not confirmed, switch the servo supply off: {error}"
-            ) from None
-    print("stopped: no pulses, fault estop; `hpac clear` leaves it", flush=True)
-    _hand(options)
-    return 0
-
-
 def _clear(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         link = stack.enter_context(
-            HandLink(connector(options.port, _hand(options), stack), hand=_hand(options))
+            HandLink(connector(options.port, stack, _hand(options)), hand=_hand(options))
         )
         fault = link.last_status.fault if link.last_status else "none"
         link.clear()
@@ -194,7 +164,7 @@ def _doctor(options: argparse.Namespace) -> int:
     hand = _hand(options)
     ports = [options.port] if options.port else find_ports()
     with ExitStack() as stack:
-        findings = [diagnose(port, connector(port, hand, stack), hand) for port in ports]
+        findings = [diagnose(port, connector(port, stack, hand), hand) for port in ports]
     if not ports:
         what = "no USB serial port on this machine"
         advice = "plug the hand in; with a cable that carries data; in a container or virtual machine pass the device through"
@@ -220,7 +190,7 @@ def send_and_hold(port: str, command: ServoCommand, hand: Hand = HPAC) -> None:
             an `UnconfirmedWarning` was issued.
     """
     with ExitStack() as stack:
-        link = stack.enter_context(HandLink(connector(port, hand, stack), hand=hand))
+        link = stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
         link.arm()
         rest = np.clip(0.0, hand.servo_min, hand.servo_max)
         link.move(

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from threading import RLock
+from threading import RLock, current_thread
 from time import monotonic
 
 from hpac_gym.bridge.errors import (
@@ -30,10 +30,15 @@ _HELLO_PERIOD = 0.1
 _PREEMPT_PERIOD = 0.02
 _PREEMPT_TIMEOUT = 3.0
 
-_LAST_WORDS = ("clear",) * 6 + ("estop",) * 4
+TAKEN_OVER = (
+    "another program has greeted the hand since, or the board has restarted: it is left as it is"
+)
+LAST_WORDS_TIME = 3.0
+"""How long the end of a link asks a silent hand to switch its pulses off [s]."""
+_LAST_WORDS = ("clear",) * 3 + ("estop",) * 2
 _LAST_WORDS_UNGREETED = ("hello", "clear") * 3
 """Messages to a device that never answered: not a hand, perhaps, or one that an earlier session
-left holding in a fault.
+left holding in a fault; sent once, since nothing says that a hand is there.
 """
 
 
@@ -135,6 +140,8 @@ class Connection:
         self._attempts = attempts
         self._owner = os.getpid()
         self.ended = False
+        self.thread = current_thread()
+        self._port_gone = False
         self.watchdog = math.inf
         self.fed_at = self.busy_until = 0.0
         interrupts.link_opened(self)
@@ -239,22 +246,36 @@ class Connection:
             if self._owner == os.getpid():
                 with self._turns.preempt("close()", lambda: self.exchange.send("clear")):
                     unconfirmed, interrupt = ("", None) if self.ended else self._release()
-                if unconfirmed and error is not None:
-                    error.add_note(unconfirmed)
-                if unconfirmed and not isinstance(error, HandshakeError):
-                    tell(UnconfirmedWarning(unconfirmed))
+                known = isinstance(error, RejectedError) and error.reason == Reason.session.name
+                if unconfirmed and not (unconfirmed == TAKEN_OVER and known):
+                    if error is not None:
+                        error.add_note(unconfirmed)
+                    if not isinstance(error, HandshakeError):
+                        tell(UnconfirmedWarning(unconfirmed))
         finally:
+            with suppress(Exception):  # must not replace the program's own exception
+                self.exchange.transport.close()
             if not self.ended:
                 self.ended = True
                 self._statistics.bad_frames += self.exchange.splitter.rejected_frames
                 self._statistics.bad_bytes += self.exchange.splitter.rejected_bytes
                 self.known.forget()
                 interrupts.link_closed(self)
-            self.exchange.transport.close()
-        already_ending = error is not None and not isinstance(error, Exception)
+        already_ending = isinstance(error, KeyboardInterrupt | SystemExit)
         if interrupt is not None and not already_ending:
             raise interrupt
         interrupts.deliver(already_ending)
+
+    def _last_words(self) -> Iterator[str]:
+        """Messages that end the pulses: all of them once, and then again for `LAST_WORDS_TIME`."""
+        if self.info is None:
+            yield from _LAST_WORDS_UNGREETED
+            return
+        clock = self.exchange.transport.now
+        until = clock() + LAST_WORDS_TIME
+        yield from _LAST_WORDS
+        while self.known.may_have_power and clock() < until and not self._port_gone:
+            yield from _LAST_WORDS
 
     def _release(self) -> tuple[str, BaseException | None]:
         """Send CLEAR, then ESTOP, until the hand confirms that its pulses are off.
@@ -266,10 +287,12 @@ class Connection:
         sent_before = dict(self.exchange.sent)
         failure = "no answer"
         interrupt = None
-        for name in _LAST_WORDS if self.info is not None else _LAST_WORDS_UNGREETED:
+        for name in self._last_words():
             try:
                 if self.known.may_have_power:
-                    self.exchange.request(name, timeout=self._timeout, attempts=1)
+                    answer = self.exchange.request(name, timeout=self._timeout, attempts=1)
+                    if answer.name == "ack" and answer.fields["reason"] == Reason.session:
+                        return TAKEN_OVER, interrupt
                 if self.known.may_have_power:  # refused, or only HELLO: query the state
                     self.exchange.request(
                         "status", {"period_ms": 0}, timeout=self._timeout, attempts=1
@@ -278,6 +301,7 @@ class Connection:
                 pass
             except Exception as error:
                 failure = str(error)
+                self._port_gone = isinstance(error, PortError)
             except BaseException as error:
                 interrupt = interrupt or error
         if not self.known.may_have_power:

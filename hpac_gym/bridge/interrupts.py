@@ -6,11 +6,14 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from time import monotonic
 from types import CodeType, FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 from weakref import WeakSet
 
 _SAME_INTENT = 1.0
@@ -18,52 +21,68 @@ _SAME_INTENT = 1.0
 
 
 class _Interrupts:
-    """Handles SIGINT, SIGTERM and SIGHUP while links are open, unless the program has its own
-    handlers.
+    """Handles SIGINT, SIGTERM and SIGHUP from the import of the link on, unless the program has its
+    own handlers. Without an open link each does what it did before.
 
-    The first signal raises (`KeyboardInterrupt`, or `SystemExit` with 128 + its number), so that
-    every `with` releases its hand. Signals that arrive while a link is being closed are delayed
-    until it is closed. A second signal within a second is a repetition, and must not interrupt the
-    clean-up that the first started."""
+    The first signal ends the links of other threads, which no exception would reach, and raises
+    (`KeyboardInterrupt`, or `SystemExit` with 128 + its number), so that every `with` releases its
+    hand. Signals that arrive while a link is being closed are delayed until it is closed. A second
+    signal within a second is a repetition, and must not interrupt the clean-up that the first
+    started."""
 
     def __init__(self) -> None:
-        self._links: WeakSet[object] = (
-            WeakSet()
-        )  # weak: a link lost to an interrupt in its constructor is dropped
-        self._raised_at: float  # set with the first link
-        self._held: list[int] = []
-        self._before: dict[int, object] = {}
         self._closing: set[CodeType] = set()
-        self._owner = 0  # the process that installed the handlers
+        self._before: dict[int, Any] = {}
+        self.closing(type(self)._end_links)
+        self.begin()
+        os.register_at_fork(after_in_child=self.begin)
+
+    def begin(self) -> None:
+        """Begin without links: in a new process, which a fork may have left its parent's."""
+        # Weak: a link lost to an interrupt in its constructor is dropped.
+        self._links: WeakSet[Any] = WeakSet()
+        self._raised_at = -_SAME_INTENT
+        self._held: list[int] = []
+        self._ends_with_process = False
 
     def closing(self, function: Callable) -> Callable:
         """Mark a function during which signals are delayed."""
         self._closing.add(function.__code__)
         return function
 
-    def link_opened(self, link: object) -> None:
-        """Install the handlers with the first link. This is possible only in the main thread."""
-        if not self._links:
-            self._raised_at = -_SAME_INTENT
-        self._links.add(link)
+    def install(self) -> None:
+        """Install the handlers, in place of those of Python and of asyncio alone. This is possible
+        only in the main thread.
+        """
         if threading.current_thread() is not threading.main_thread():
             return
-        self._owner = os.getpid()
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) in (
-                signal.SIG_DFL,
-                signal.default_int_handler,
-            ):
-                self._before[number] = signal.signal(number, self._on_signal)
+            if number is not None and _is_default(handler := signal.getsignal(number)):
+                self._before[number] = handler
+                signal.signal(number, self._on_signal)
 
-    def link_closed(self, link: object) -> None:
-        """Restore the previous handlers with the last link."""
+    def link_opened(self, link: Any) -> None:
+        """Take a link under protection.
+
+        Args:
+            link: has `end()` and the `thread` that opened it; it is ended also where a process of
+                `multiprocessing` returns, which runs no other clean-up.
+        """
+        self.install()
+        if not self._links:
+            self._raised_at = -_SAME_INTENT
+        if not self._ends_with_process and "multiprocessing.process" in sys.modules:
+            from multiprocessing import parent_process, util
+
+            if parent_process() is not None:
+                util.Finalize(None, self._end_links, exitpriority=100)
+                self._ends_with_process = True
+        self._links.add(link)
+
+    def link_closed(self, link: Any) -> None:
+        """Take a link out of protection."""
         self._links.discard(link)
-        if not self._links and threading.current_thread() is threading.main_thread():
-            for number, before in self._before.items():
-                if signal.getsignal(number) == self._on_signal:
-                    signal.signal(number, before)
 
     def deliver(self, already_ending: bool) -> None:
         """Raise the delayed signal, unless the program is already ending because of an earlier
@@ -74,10 +93,20 @@ class _Interrupts:
         if held and not already_ending:
             self._raise(held[0])
 
+    def _end_links(self, but_of: threading.Thread | None = None) -> None:
+        """End the links of all threads but one; calls in progress end with `StoppedError`."""
+        for link in list(self._links):
+            if link.thread is not but_of:
+                with suppress(Exception):
+                    link.end()
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        if os.getpid() != self._owner:  # in a forked child
+        if not self._links:
             signal.signal(number, self._before[number])
-            signal.raise_signal(number)
+            try:
+                signal.raise_signal(number)
+            finally:
+                signal.signal(number, self._on_signal)
             return
         while frame is not None:
             if frame.f_code in self._closing:
@@ -85,6 +114,7 @@ class _Interrupts:
                 return
             frame = frame.f_back
         if monotonic() - self._raised_at >= _SAME_INTENT:
+            self._end_links(but_of=threading.current_thread())
             self._raise(number)
 
     def _raise(self, number: int) -> NoReturn:
@@ -94,5 +124,15 @@ class _Interrupts:
         raise SystemExit(128 + number)
 
 
+def _is_default(handler: Any) -> bool:
+    """Whether a handler is Python's, or asyncio's, which only asks a task to end that may never
+    listen.
+    """
+    if isinstance(handler, partial):
+        return getattr(handler.func, "__qualname__", "") == "Runner._on_sigint"
+    return handler in (signal.SIG_DFL, signal.default_int_handler)
+
+
 interrupts = _Interrupts()
 """The instance of this process, since signal handlers belong to the process."""
+interrupts.install()

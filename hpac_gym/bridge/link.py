@@ -93,6 +93,7 @@ class Line:
         handshake_timeout: float = 3.0,
         log: WireLog | None = None,
     ) -> None:
+        interrupts.install()
         self._port = port
         self._hand = hand
         self._patience = {"timeout": timeout, "attempts": attempts}
@@ -281,6 +282,7 @@ class HandLink(Line):
         connection.watchdog = watchdog
         deadline = self._now() + CONSTANTS["start_max_ms"] * 1e-3
         while len(self.status().attached) < len(SERVOS) or self.last_status.moving:
+            connection.raise_unasked("it latched while arming")
             if self._now() > deadline:
                 raise LinkTimeout(
                     f"after {CONSTANTS['start_max_ms'] * 1e-3:g} s pulses at {self.last_status.attached} alone"

@@ -189,7 +189,7 @@ class KnownState:
             reason, fields, ack.fields["servo"]
         )
         if reason == Reason.session.name:
-            where = ": another program has greeted the hand since, or the board has restarted"
+            where = ": another program has greeted the hand since, or the board has restarted; this link is over"
         return RejectedError(
             f"the hand refused {name}: {reason}{where} (state {self.state})",
             reason,

@@ -17,6 +17,9 @@ from hpac_gym.bridge.errors import PortError
 from hpac_gym.bridge.protocol import CONSTANTS
 
 READ_SIZE = 4096
+_MISSED_MAX = 50
+_MISSED_WAIT = 1e-3
+"""Reads in a row that may find no bytes though there were some, and the time between them [s]."""
 
 
 class Transport(Protocol):
@@ -39,21 +42,30 @@ class Transport(Protocol):
 class SerialTransport(Transport):
     """A serial port or pseudo-terminal through pyserial, locked against other programs.
 
+    `lock=False` opens it beside the program that has the lock: for a stop, which a hand accepts
+    from anybody. Each of the two then reads only some of the hand's bytes.
+
     DTR and RTS are set low before the port opens; otherwise many boards reset or stay in their boot
     loader.
 
     Args:
         port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, or any URL that pyserial takes.
         write_timeout: a port that accepts no bytes for this long is considered gone [s].
+        lock: refuse, and be refused by, other programs.
 
     Raises:
         PortError: The port does not exist, access is denied, or another program uses it.
     """
 
     def __init__(
-        self, port: str, baud: int = CONSTANTS["baud"], write_timeout: float = 1.0
+        self,
+        port: str,
+        baud: int = CONSTANTS["baud"],
+        write_timeout: float = 1.0,
+        lock: bool = True,
     ) -> None:
         self.port = port
+        self._missed = 0
         try:
             self._serial = serial.serial_for_url(
                 port, do_not_open=True, timeout=0, write_timeout=write_timeout
@@ -61,9 +73,10 @@ class SerialTransport(Transport):
             self._serial.baudrate = baud
             self._serial.dtr = False
             self._serial.rts = False
-            self._serial.exclusive = True
+            self._serial.exclusive = lock
             self._serial.open()
-            self._serial.reset_input_buffer()
+            if lock:  # otherwise they are the other program's bytes too
+                self._serial.reset_input_buffer()
         except (OSError, ValueError) as error:
             raise PortError(_open_advice(port, error)) from error
 
@@ -72,12 +85,17 @@ class SerialTransport(Transport):
             if self._serial.timeout != timeout:
                 self._serial.timeout = timeout
             first = self._serial.read(1)
-            return first + self._serial.read(self._serial.in_waiting) if first else b""
-        except (
-            OSError,
-            TypeError,
-        ) as error:  # TypeError: raised by pyserial if the port was closed meanwhile
-            raise PortError(f"{self.port} has gone: {error}") from error
+            data = first + self._serial.read(self._serial.in_waiting) if first else b""
+        except (OSError, TypeError) as error:  # TypeError: raised by pyserial if it was closed
+            if "multiple access" not in str(error) or self._missed > _MISSED_MAX:
+                raise PortError(f"{self.port} has gone: {error}") from error
+            self._missed += (
+                1  # a stop from another program may have read them; gone ports repeat it
+            )
+            time.sleep(_MISSED_WAIT)
+            return b""
+        self._missed = 0
+        return data
 
     def write(self, data: bytes) -> None:
         try:
@@ -139,7 +157,7 @@ class SocketTransport(Transport):
         self._socket.close()
 
 
-def open_transport(port: str | Callable[[], Transport]) -> Transport:
+def open_transport(port: str | Callable[[], Transport], lock: bool = True) -> Transport:
     """Open a port: `socket://HOST:PORT`, the name of a serial port, or a function that opens a
     transport.
 
@@ -149,7 +167,7 @@ def open_transport(port: str | Callable[[], Transport]) -> Transport:
     if not isinstance(port, str):
         return port()
     if not port.startswith("socket://"):
-        return SerialTransport(port)
+        return SerialTransport(port, lock=lock)
     host, _, number = port.removeprefix("socket://").rpartition(":")
     if not host or not number.isdecimal():
         raise PortError(f"{port}: write socket://HOST:PORT")

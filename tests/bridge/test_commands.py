@@ -3,6 +3,8 @@
 import argparse
 import dataclasses
 import json
+import subprocess
+import sys
 import time
 from contextlib import ExitStack
 
@@ -11,6 +13,7 @@ import pytest
 
 from hpac_gym.bridge import (
     Action,
+    FaultError,
     HandLink,
     HandshakeError,
     LinkTimeout,
@@ -20,6 +23,7 @@ from hpac_gym.bridge import (
     VirtualHand,
     commands,
     servo_from_pulses,
+    stop,
 )
 from hpac_gym.bridge.commands import connector, send_and_hold
 from hpac_gym.bridge.doctor import diagnose
@@ -28,6 +32,7 @@ from hpac_gym.bridge.hands import VirtualTransport, config_of, default_config
 from hpac_gym.errors import HpacError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, ServoCommand, hand_to_toml
 from tests.bridge.devices import Device, of_another_version, refusing, without_status
+from tests.processes import wait_for
 
 
 @pytest.fixture
@@ -41,7 +46,8 @@ def slower_hand(tmp_path):
 
 def run(name, *words):
     parser = argparse.ArgumentParser()
-    getattr(commands, f"add_{name}")(parser)
+    add = stop.add_arguments if name == "estop" else getattr(commands, f"add_{name}")
+    add(parser)
     options = parser.parse_args(words)
     return options.run(options)
 
@@ -181,15 +187,62 @@ def test_doctor_sees_a_port_in_use_and_does_not_disturb_it(host_board):
 
 
 def test_estop_stops_a_hand_that_another_program_has_armed(host_board, capsys):
+    """Beside the lock; the program gets its error, and the fault stays latched after its end."""
     with HandLink(host_board.connect) as link:
-        link.arm()
-        with pytest.raises(PortError, match="used by another program"):
-            run("estop", "--port", host_board.port)
-    with HandLink(host_board.connect):
-        pass
-    assert run("estop", "--port", host_board.port) == 0
+        link.arm(Action.hold)
+        assert host_board.pulses().all()
+        assert run("estop", "--port", host_board.port) == 0
+        assert not host_board.pulses().any()
+        with pytest.raises(FaultError, match="estop"):
+            link.sleep(1.0)
     assert "no pulses" in capsys.readouterr().out
     assert "fault estop" in diagnose(host_board.port, host_board.port).what
+
+
+RUNNING = {
+    "wiggle": "import hpac; hpac.main(['wiggle', '--port', PORT])",
+    "posture": "import hpac; hpac.main(['posture', 'fist', '--port', PORT])",
+    "moves": """
+from hpac_gym.bridge import HandLink
+from hpac_gym.model import ServoCommand
+import numpy as np
+with HandLink(PORT) as link:
+    link.arm()
+    while True:
+        for angle in (0.3, 0.0):
+            link.move(ServoCommand(np.full(6, angle), 0.3))
+""",
+}
+
+
+@pytest.mark.parametrize("program", RUNNING)
+def test_estop_from_a_second_terminal_stops_a_running_program(program, host_board):
+    script = f"PORT = {host_board.port!r}\n{RUNNING[program]}"
+    running = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True)
+    try:
+        wait_for(lambda: host_board.pulses().all(), 30)
+        stopping = [sys.executable, "-m", "hpac", "estop", "--port", host_board.port]
+        done = subprocess.run(stopping, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout[:7]) == (0, "stopped"), done.stderr
+        assert not host_board.pulses().any()
+        assert "estop" in running.communicate(timeout=30)[1]
+        assert not host_board.pulses().any()
+    finally:
+        running.kill()
+
+
+def test_a_stop_loads_neither_numpy_nor_gymnasium(tmp_path):
+    """It must not wait for them: the first byte leaves within some hundredths of a second."""
+    script = f"""
+import sys, hpac
+status = hpac.main(["estop", "--port", {str(tmp_path / "none")!r}])
+print(status, sorted({{"numpy", "gymnasium", "scipy"}} & set(sys.modules)))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "2 []\n"
+    assert "switch the servo supply off" in done.stderr
 
 
 def test_clear_leaves_a_fault_that_holds(host_board, capsys):
@@ -212,7 +265,7 @@ def test_an_estop_that_nobody_confirms_says_what_to_do(monkeypatch):
         "hpac_gym.bridge.commands.VirtualHand.connect", lambda self: Device(self, lambda data: b"")
     )
     with pytest.raises(
-        LinkTimeout, match=r"switch the servo supply off: no answer to estop: 20 times, 0\.1 s each"
+        LinkTimeout, match=r"switch the servo supply off: no answer to estop for 3 s"
     ):
         run("estop", "--port", "virtual")
     with pytest.raises(PortError, match="switch the servo supply off: /dev/does_not_exist"):
@@ -230,10 +283,10 @@ def test_the_port_host_starts_a_board_for_as_long_as_the_command_runs(capsys):
     assert run("doctor", "--port", "host") == 0
     assert "ok  host: hand with firmware" in capsys.readouterr().out
     with ExitStack() as stack:
-        board = connector("host", HPAC, stack).__self__
+        board = connector("host", stack).__self__
         assert board.process.poll() is None
     assert board.process.poll() is not None
-    assert connector("/dev/ttyUSB0", HPAC, stack) == "/dev/ttyUSB0"
+    assert connector("/dev/ttyUSB0", stack) == "/dev/ttyUSB0"
 
 
 @pytest.mark.parametrize("command", ["wiggle", "doctor", "clear", "estop", "conform"])

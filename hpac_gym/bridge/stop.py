@@ -1,0 +1,81 @@
+"""`hpac estop`: stop a hand from anywhere, also beside the program that drives it.
+
+A hand accepts ESTOP from anybody, so the port is opened without the lock, no session is begun, and
+nothing is loaded that the stop does not need."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+
+from hpac_gym.bridge.errors import LinkTimeout, PortError
+from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
+from hpac_gym.bridge.protocol import MESSAGES, Reason, State
+from hpac_gym.bridge.transport import Transport, open_transport
+
+PATIENCE = 3.0
+"""Longest wait for the hand's confirmation [s]."""
+_PERIOD = 0.1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac estop`."""
+    parser.add_argument("--port", required=True, help="port of the hand; may be in use")
+    parser.add_argument("--hand", metavar="FILE", help="checked after the stop, which needs none")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Stop the hand at a port."""
+    try:
+        with ExitStack() as stack:
+            port = options.port
+            if port in ("virtual", "host"):
+                from hpac_gym.bridge.commands import connector
+
+                port = connector(port, stack)
+            transport = open_transport(port, lock=False)
+            stack.callback(transport.close)
+            stop(transport)
+    except (LinkTimeout, PortError) as error:
+        raise type(error)(f"ESTOP is not confirmed, switch the servo supply off: {error}") from None
+    print("stopped: no pulses, fault estop; `hpac clear` leaves it", flush=True)
+    if options.hand:  # a file that cannot be read is an error, but must not delay the stop
+        from hpac_gym.model import load_hand
+
+        load_hand(options.hand)
+    return 0
+
+
+def stop(transport: Transport) -> None:
+    """Send ESTOP until the hand confirms that it has no pulses.
+
+    The program that drives the hand may read some of the answers, so STATUS is asked for as well:
+    any of them confirms.
+
+    Raises:
+        LinkTimeout: No confirmation within `PATIENCE`.
+        PortError: The port is gone.
+    """
+    splitter = FrameSplitter()
+    deadline = transport.now() + PATIENCE
+    seq = 0
+    while transport.now() < deadline:
+        for name, fields in (("estop", {}), ("status", {"period_ms": 0})):
+            seq += 1
+            transport.write(encode(Frame(name, seq, 0, fields)))
+        until = min(transport.now() + _PERIOD, deadline)
+        while (left := until - transport.now()) > 0:
+            if any(_confirms(frame) for _, frame in splitter.push(transport.read(left))):
+                return
+    raise LinkTimeout(f"no answer to estop for {PATIENCE:g} s")
+
+
+def _confirms(frame: Frame) -> bool:
+    """Whether a frame of the hand says that it has no pulses because of a stop."""
+    fields = frame.fields
+    if frame.name == "ack":
+        return fields["acked"] == MESSAGES["estop"].code and fields["reason"] == Reason.ok
+    if frame.name == "device_status":
+        return fields["state"] != State.armed and not fields["attached"]
+    return False
