@@ -63,9 +63,9 @@ def protocol_header(hand: Hand = HPAC) -> str:
         *_constant_lines("PULSE_", protocol.PULSE),
         *_constant_lines("LOAD_", protocol.LOAD),
         "",
-        "/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction;",
-        " * trims and directions are those of one copy of the hand. */",
-        f"#define HPAC_SERVO_TABLE({_each('trim')}, {_each('direction')}) \\",
+        "/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction,",
+        " * holds_unpowered; trims, directions and the last are those of one copy of the hand. */",
+        f"#define HPAC_SERVO_TABLE(holds_unpowered, {_each('trim')}, {_each('direction')}) \\",
         "    { \\",
         *_servo_rows(hand),
         "    }",
@@ -107,7 +107,7 @@ def _each(name: str) -> str:
 def _servo_rows(hand: Hand) -> list[str]:
     return [
         f"        {{ {s.min_urad}, {s.max_urad}, {s.rest_urad}, {s.centre_urad}, {s.rate_urad_s}, {s.ns_per_rad}, "
-        f"{s.centre_ns}, trim{i}, direction{i} }}, /* {s.name} */ \\"
+        f"{s.centre_ns}, trim{i}, direction{i}, holds_unpowered }}, /* {s.name} */ \\"
         for i, s in enumerate(servo_limits(hand))
     ]
 

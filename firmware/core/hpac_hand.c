@@ -7,7 +7,7 @@
 
 void hpac_config_default(hpac_config_t *config)
 {
-    static const hpac_servo_t table[HPAC_SERVOS] = HPAC_SERVO_TABLE(0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1);
+    static const hpac_servo_t table[HPAC_SERVOS] = HPAC_SERVO_TABLE(0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1);
     for (int i = 0; i < HPAC_SERVOS; i++) {
         config->servo[i] = table[i];
     }

@@ -45,11 +45,11 @@ typedef struct {
     uint64_t heard_us; /* last accepted frame of the session */
     uint64_t load_us;   /* the load estimate stands here */
     uint64_t status_us; /* last periodic STATUS */
+    uint64_t safe_until_us; /* when the hold or the relax that runs is over, finished or not */
     uint32_t status_period_us;
     uint32_t step_us;       /* how far motions have gone on since the last output */
     uint32_t behind_us;     /* how much of the present motion's time late calls have held back */
     uint32_t start_left_us; /* until the next servo starts */
-    uint32_t hold_left_us;  /* of the hold action; 0: not holding */
     uint32_t supply_low_us; /* for how long the servo supply has been too low */
     uint32_t heat[HPAC_SERVOS];
     int32_t pose[HPAC_SERVOS]; /* commanded angles of the last output [urad] */
@@ -69,6 +69,7 @@ typedef struct {
     bool any_move;
     bool repeatable; /* the last accepted MOVE may come again: neither CLEAR nor a fault came after it */
     bool starting;   /* armed, but not all servos have their pulses or the hand is not at rest yet */
+    bool holding;    /* the hold action runs; a relax follows it */
     bool relaxing;   /* the relax action runs; pulses stop at its end */
     bool estop_pressed;
     bool started; /* a time has been seen */

@@ -7,7 +7,7 @@
 #define NRAD_PER_URAD 1000
 /* The minimum-jerk polynomial is evaluated with 30 fractional bits: its roundings stay below this. */
 #define ROUNDING_URAD 16
-/* No motion's state is computed with beyond these: speed over the rate limit, duration of minimum jerk. */
+/* No motion's state is computed with beyond these: speed over the rate limit, duration of a move. */
 #define SPEED_MARGIN_URAD_S 1000000
 #define DURATION_MAX_US ((HPAC_MOVE_MAX_MS + HPAC_WATCHDOG_MAX_MS) * US_PER_MS)
 
@@ -61,7 +61,8 @@ uint16_t hpac_motion_rate_permille(const hpac_hand_t *hand)
 bool hpac_motion_sound(const hpac_hand_t *hand)
 {
     const hpac_ramp_t *ramp = &hand->ramp;
-    bool sound = !ramp->minimum_jerk || ramp->duration_us <= DURATION_MAX_US;
+    uint32_t relax_us = hpac_motion_relax_max_us(hand);
+    bool sound = ramp->duration_us <= (relax_us > DURATION_MAX_US ? relax_us : DURATION_MAX_US);
     for (unsigned i = 0; i < HPAC_SERVOS; i++) {
         const hpac_servo_t *limits = limits_of(hand, i);
         sound = sound && within(limits, ramp->from[i]) && within(limits, ramp->to[i])
@@ -104,18 +105,34 @@ static hpac_ramp_t ramp_from_here(const hpac_hand_t *hand)
     return ramp;
 }
 
+static uint32_t relax_us(const hpac_servo_t *limits, int64_t travel)
+{
+    int64_t us = magnitude(travel) * US_PER_S * 1000 / ((int64_t)limits->rate_urad_s * HPAC_RELAX_PERMILLE);
+    return us < UINT32_MAX ? (uint32_t)us : UINT32_MAX;
+}
+
+uint32_t hpac_motion_relax_max_us(const hpac_hand_t *hand)
+{
+    uint32_t longest_us = 0;
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        const hpac_servo_t *limits = limits_of(hand, i);
+        uint32_t down_us = relax_us(limits, (int64_t)limits->max_urad - limits->rest_urad);
+        uint32_t up_us = relax_us(limits, (int64_t)limits->rest_urad - limits->min_urad);
+        longest_us = down_us > longest_us ? down_us : longest_us;
+        longest_us = up_us > longest_us ? up_us : longest_us;
+    }
+    return longest_us;
+}
+
 void hpac_motion_relax(hpac_hand_t *hand)
 {
     hpac_ramp_t ramp = ramp_from_here(hand);
-    int64_t longest_us = 0;
     for (unsigned i = 0; i < HPAC_SERVOS; i++) {
         const hpac_servo_t *limits = limits_of(hand, i);
         ramp.to[i] = (hand->attached & (1u << i)) != 0u ? limits->rest_urad : ramp.from[i]; /* without pulses it stays */
-        int64_t travel = magnitude((int64_t)ramp.to[i] - ramp.from[i]);
-        int64_t us = travel * US_PER_S * 1000 / ((int64_t)limits->rate_urad_s * HPAC_RELAX_PERMILLE);
-        longest_us = us > longest_us ? us : longest_us;
+        uint32_t us = relax_us(limits, (int64_t)ramp.to[i] - ramp.from[i]);
+        ramp.duration_us = us > ramp.duration_us ? us : ramp.duration_us;
     }
-    ramp.duration_us = longest_us < UINT32_MAX ? (uint32_t)longest_us : UINT32_MAX;
     hand->ramp = ramp;
 }
 
@@ -127,6 +144,16 @@ bool hpac_motion_at_rest(const hpac_hand_t *hand)
         }
     }
     return true;
+}
+
+void hpac_motion_place(hpac_hand_t *hand, unsigned servo)
+{
+    const hpac_servo_t *limits = limits_of(hand, servo);
+    if (limits->holds_unpowered == 0) {
+        hand->ramp.from[servo] = limits->rest_urad;
+        hand->ramp.to[servo] = limits->rest_urad;
+        hand->pose[servo] = limits->rest_urad;
+    }
 }
 
 uint32_t hpac_motion_start_us(const hpac_hand_t *hand, unsigned servo)

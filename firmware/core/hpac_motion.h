@@ -25,6 +25,13 @@ void hpac_motion_stop(hpac_hand_t *hand);
 /* Ramp the servos that have pulses to rest, slowly. */
 void hpac_motion_relax(hpac_hand_t *hand);
 
+/* How long a relax may take from anywhere [us]. */
+uint32_t hpac_motion_relax_max_us(const hpac_hand_t *hand);
+
+/* Take a servo without pulses to stand where its first pulse is to find it: at rest, to which the springs pull it, or,
+ * where it holds by itself, at its last commanded angle. */
+void hpac_motion_place(hpac_hand_t *hand, unsigned servo);
+
 /* True if the commanded pose is the rest pose. */
 bool hpac_motion_at_rest(const hpac_hand_t *hand);
 

@@ -180,16 +180,16 @@ typedef enum {
 #define HPAC_LOAD_DERATE_TO_PERMILLE 250
 #define HPAC_LOAD_TIME_CONSTANT_S 120
 
-/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction;
- * trims and directions are those of one copy of the hand. */
-#define HPAC_SERVO_TABLE(trim0, trim1, trim2, trim3, trim4, trim5, direction0, direction1, direction2, direction3, direction4, direction5) \
+/* One row a servo: min, max, rest, centre [urad], rate [urad/s], slope [ns/rad], centre [ns], trim [ns], direction,
+ * holds_unpowered; trims, directions and the last are those of one copy of the hand. */
+#define HPAC_SERVO_TABLE(holds_unpowered, trim0, trim1, trim2, trim3, trim4, trim5, direction0, direction1, direction2, direction3, direction4, direction5) \
     { \
-        { 0, 1356600, 0, 678300, 2000000, 636620, 1500000, trim0, direction0 }, /* thumb_mp */ \
-        { 0, 1386000, 0, 693000, 2000000, 636620, 1500000, trim1, direction1 }, /* index_mcp */ \
-        { 0, 1350200, 0, 675100, 2000000, 636620, 1500000, trim2, direction2 }, /* middle_mcp */ \
-        { 0, 1360800, 0, 680400, 2000000, 636620, 1500000, trim3, direction3 }, /* ring_mcp */ \
-        { 0, 1349700, 0, 674850, 2000000, 636620, 1500000, trim4, direction4 }, /* pinky_mcp */ \
-        { 0, 1570000, 0, 785000, 2000000, 636620, 1500000, trim5, direction5 }, /* thumb_cmc */ \
+        { 0, 1356600, 0, 678300, 2000000, 636620, 1500000, trim0, direction0, holds_unpowered }, /* thumb_mp */ \
+        { 0, 1386000, 0, 693000, 2000000, 636620, 1500000, trim1, direction1, holds_unpowered }, /* index_mcp */ \
+        { 0, 1350200, 0, 675100, 2000000, 636620, 1500000, trim2, direction2, holds_unpowered }, /* middle_mcp */ \
+        { 0, 1360800, 0, 680400, 2000000, 636620, 1500000, trim3, direction3, holds_unpowered }, /* ring_mcp */ \
+        { 0, 1349700, 0, 674850, 2000000, 636620, 1500000, trim4, direction4, holds_unpowered }, /* pinky_mcp */ \
+        { 0, 1570000, 0, 785000, 2000000, 636620, 1500000, trim5, direction5, holds_unpowered }, /* thumb_cmc */ \
     }
 
 #endif

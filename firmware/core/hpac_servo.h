@@ -17,6 +17,7 @@ typedef struct {
     int32_t centre_ns;
     int32_t trim_ns;   /* zero trim of this copy of the hand, added to every pulse */
     int32_t direction; /* 1, or -1 for a servo mounted the other way round */
+    int32_t holds_unpowered; /* 0: without pulses the springs take it to rest; 1: it keeps its angle */
 } hpac_servo_t;
 
 /* True if the limits are in order, the wire can say them, and every admissible angle has an admissible pulse. */

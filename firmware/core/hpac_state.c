@@ -24,7 +24,7 @@ static void detach(hpac_hand_t *hand)
     hand->attached = 0;
     hand->starting = false;
     hand->relaxing = false;
-    hand->hold_left_us = 0;
+    hand->holding = false;
     hand->repeatable = false;
 }
 
@@ -46,7 +46,8 @@ void hpac_state_arm(hpac_hand_t *hand)
 static void relax(hpac_hand_t *hand)
 {
     hand->relaxing = true;
-    hand->hold_left_us = 0;
+    hand->holding = false;
+    hand->safe_until_us = hand->now_us + hpac_motion_relax_max_us(hand);
     hpac_motion_relax(hand);
 }
 
@@ -78,7 +79,8 @@ void hpac_state_fault(hpac_hand_t *hand, hpac_fault_t fault, unsigned servo)
     } else if (action == HPAC_ACTION_RELAX) {
         relax(hand);
     } else if (action == HPAC_ACTION_HOLD) {
-        hand->hold_left_us = HOLD_MAX_US;
+        hand->holding = true;
+        hand->safe_until_us = hand->now_us + HOLD_MAX_US;
     } else {
         detach(hand);
     }
@@ -119,14 +121,16 @@ static bool sound(const hpac_hand_t *hand)
     } else if (hand->state == HPAC_STATE_ARMED) {
         in_order = !faulty;
     } else if (hand->state == HPAC_STATE_FAULT) {
-        in_order = faulty && (!powered || hand->relaxing || hand->hold_left_us != 0u) && hand->hold_left_us <= HOLD_MAX_US;
+        uint32_t longest_us = hand->relaxing ? hpac_motion_relax_max_us(hand) : HOLD_MAX_US;
+        in_order = faulty && (!powered || ((hand->relaxing || hand->holding) && hand->safe_until_us <= hand->now_us + longest_us));
     }
     return in_order && (hand->fault == HPAC_FAULT_CONFIG ? !powered : hpac_motion_sound(hand));
 }
 
 static void watch_estop_input(hpac_hand_t *hand)
 {
-    if (hand->estop_pressed && hand->fault != HPAC_FAULT_ESTOP) {
+    bool nothing_to_stop = hand->fault == HPAC_FAULT_ESTOP || hand->fault == HPAC_FAULT_CONFIG;
+    if (hand->estop_pressed && !nothing_to_stop) {
         hpac_state_fault(hand, HPAC_FAULT_ESTOP, HPAC_NO_SERVO);
     }
 }
@@ -149,7 +153,7 @@ static void watch_supply(hpac_hand_t *hand, uint32_t step_us)
     }
 }
 
-/* Servo after servo gets pulses at its last commanded angle; then all go to rest together, slowly. */
+/* Servo after servo gets pulses where it stands, as far as that is known; then all go to rest together, slowly. */
 static void start_servos(hpac_hand_t *hand, uint32_t step_us)
 {
     if (hand->state != HPAC_STATE_ARMED || !hand->starting) {
@@ -162,6 +166,7 @@ static void start_servos(hpac_hand_t *hand, uint32_t step_us)
     for (unsigned i = 0; i < HPAC_SERVOS; i++) {
         if ((hand->attached & (1u << i)) == 0u) {
             hand->start_left_us = hpac_motion_start_us(hand, i);
+            hpac_motion_place(hand, i);
             hand->attached = (uint8_t)(hand->attached | (1u << i));
             hand->placed = (uint8_t)(hand->placed | (1u << i));
             return;
@@ -173,19 +178,18 @@ static void start_servos(hpac_hand_t *hand, uint32_t step_us)
     }
 }
 
-static void end_safe_action(hpac_hand_t *hand, uint32_t step_us)
+/* A safe action ends in seconds of the clock, however rarely the board calls: late calls slow a motion down, but nobody
+ * should have to wait for them until the grip is off. */
+static void end_safe_action(hpac_hand_t *hand)
 {
     if (hand->state != HPAC_STATE_FAULT) {
         return;
     }
-    if (hand->relaxing && !hpac_ramp_moving(&hand->ramp)) {
+    bool over = hand->now_us >= hand->safe_until_us;
+    if (hand->relaxing && (over || !hpac_ramp_moving(&hand->ramp))) {
         detach(hand);
-    } else if (hand->hold_left_us != 0u) {
-        if (hand->hold_left_us > step_us) {
-            hand->hold_left_us -= step_us;
-        } else {
-            relax(hand);
-        }
+    } else if (hand->holding && over) {
+        relax(hand);
     }
 }
 
@@ -228,7 +232,7 @@ void hpac_state_advance(hpac_hand_t *hand, uint64_t now_us)
     watch_host(hand);
     watch_supply(hand, step_us);
     start_servos(hand, step_us);
-    end_safe_action(hand, step_us);
+    end_safe_action(hand);
     step_load(hand);
     watch_load(hand);
     if (hand->status_period_us != 0u && hand->now_us - hand->status_us >= hand->status_period_us) {

@@ -337,6 +337,11 @@ static void start(run_t *run)
         table[i].trim_ns = trim_ns;
         table[i].direction = direction;
     }
+    bool holds = any(2) == 0u;
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        run->config.servo[i].holds_unpowered = holds;
+        table[i].holds_unpowered = holds;
+    }
     if (any(4) == 0u) { /* another hand: servos that rest in the middle of their ranges */
         for (int i = 0; i < HPAC_SERVOS; i++) {
             run->config.servo[i].min_urad = 10000 * i;

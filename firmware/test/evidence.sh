@@ -114,6 +114,7 @@ long_part() {
             { cat "$build/tidy.txt"; exit 1; }
         echo "clang-tidy: clean"
     fi
+    "$build/flips" every
     driver "$driver_frames" 2
     if have clang-14 "clang-14 libclang-rt-14-dev"; then fuzz raw; fuzz structured; fi
     echo "firmware check-all: passed"

@@ -133,7 +133,7 @@ void oracle_table(oracle_servo_t table[ORACLE_SERVOS], double rate)
     static const double max[ORACLE_SERVOS] = { 1.3566, 1.3860, 1.3502, 1.3608, 1.3497, 1.5700 };
     for (int i = 0; i < ORACLE_SERVOS; i++) {
         double urad = round(max[i] * 1e6);
-        table[i] = (oracle_servo_t){ 0, urad, 0, urad / 2, rate * 1e6, 636620, 1500000, 0, 1 };
+        table[i] = (oracle_servo_t){ 0, urad, 0, urad / 2, rate * 1e6, 636620, 1500000, 0, 1, false };
     }
 }
 
@@ -309,7 +309,21 @@ static void detach(oracle_t *o)
     o->attached = 0;
     o->starting = o->relaxing = o->repeatable = false;
     o->due = 0;
-    o->hold_left_us = 0;
+    o->holding = false;
+}
+
+/* From anywhere in the table; what late calls hold back does not make it longer. */
+static void relax(oracle_t *o)
+{
+    double longest = 0;
+    for (int i = 0; i < ORACLE_SERVOS; i++) {
+        const oracle_servo_t *s = &o->guard.table[i];
+        longest = fmax(longest, fmax(s->max - s->rest, s->rest - s->min) / (s->rate * RELAX_PERMILLE * 1e-3) * 1e6);
+    }
+    o->holding = false;
+    o->relaxing = true;
+    o->safe_until_us = o->now_us + (uint64_t)longest;
+    go_to_rest(o);
 }
 
 static void enter_fault(oracle_t *o, uint8_t fault, uint8_t servo)
@@ -326,11 +340,10 @@ static void enter_fault(oracle_t *o, uint8_t fault, uint8_t servo)
     if (o->attached == 0u || action == DETACH) {
         detach(o);
     } else if (action == HOLD) {
-        o->hold_left_us = HOLD_US;
+        o->holding = true;
+        o->safe_until_us = o->now_us + HOLD_US;
     } else {
-        o->hold_left_us = 0;
-        o->relaxing = true;
-        go_to_rest(o);
+        relax(o);
     }
     const uint8_t *p = answered(o, FAULT, 0, 6);
     if (p != NULL) {
@@ -398,13 +411,18 @@ static void watch_start(oracle_t *o)
     if (o->state != ARMED && o->pulses == NULL) {
         return; /* it keeps what it had at the fault */
     }
-    double slack = learn(o, i) ? 1 : (URAD + pose_doubt(o)) / START_SPEED;
+    bool learnt = s->holds_unpowered && learn(o, i);
+    double slack = learnt ? 1 : (URAD + (s->holds_unpowered ? pose_doubt(o) : o->stood_doubt)) / START_SPEED;
+    double stood = s->holds_unpowered ? angle_of(o, i) : o->stood[i];
     bool placed = (o->placed & bit) != 0;
-    double takes = SETTLE_US + (placed ? fabs(angle_of(o, i) - s->rest) : s->max - s->min) / START_SPEED;
+    double takes = SETTLE_US + (placed ? fabs(stood - s->rest) : s->max - s->min) / START_SPEED;
     o->chance_us = o->pulses != NULL && !begun ? o->passed_us : o->chance_us;
     o->start_from_us = o->chance_us + (int64_t)(takes - (placed ? slack : 0));
     o->start_until_us = o->passed_us + (int64_t)(takes + (placed ? slack : 0));
     o->attached = (uint8_t)(begun ? o->attached | bit : o->attached & ~bit);
+    if (!s->holds_unpowered) { /* the springs have taken it to rest, where its first pulse finds it */
+        o->pose[i] = o->ramp.to[i] = o->ramp.from[i] = begun ? s->rest : o->stood[i];
+    }
     if (shown || over) {
         o->due = 0;
         o->placed |= begun ? bit : 0u;
@@ -521,15 +539,11 @@ static void advance(oracle_t *o, uint64_t now_us)
     }
     start_servos(o);
     o->in_doubt = o->in_doubt || (o->relaxing && o->ramp.duration_us < DOUBT_US); /* in the hand there may be no way left */
-    if (o->relaxing && !moving(o)) {
+    bool over = o->now_us >= o->safe_until_us;
+    if (o->relaxing && (over || !moving(o))) {
         detach(o);
-    } else if (o->hold_left_us > 0) {
-        o->hold_left_us -= step;
-        if (o->hold_left_us <= 0) {
-            o->hold_left_us = 0;
-            o->relaxing = true;
-            go_to_rest(o);
-        }
+    } else if (o->holding && over) {
+        relax(o);
     }
     warm(o);
     if (o->status_period_us != 0 && o->now_us - o->status_us >= (uint64_t)o->status_period_us) {
@@ -733,6 +747,10 @@ static void carry_out(oracle_t *o, const uint8_t *frame, uint32_t crc, bool repe
             o->arms++;
             o->state = ARMED;
             o->starting = true;
+            o->stood_doubt = pose_doubt(o);
+            for (int i = 0; i < ORACLE_SERVOS; i++) {
+                o->stood[i] = angle_of(o, i);
+            }
             o->start_from_us = o->start_until_us = o->passed_us + POWER_ON_US;
         }
     } else if (type == MOVE && !repeat) {

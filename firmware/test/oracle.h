@@ -16,6 +16,7 @@ typedef struct {
     double rate;                   /* urad/s */
     double ns_per_rad, centre_ns, trim_ns;
     int direction;
+    bool holds_unpowered;
 } oracle_servo_t;
 
 /* What holds whatever happens inside: every pulse is one that the table has, and none is further from the last one than
@@ -50,8 +51,9 @@ typedef struct {
     oracle_ramp_t ramp;
     uint8_t answers[24][64]; /* frames of this call, decoded; the first byte is the length */
     unsigned answers_heard, answers_expected;
+    uint64_t safe_until_us; /* when the hold or the relax that runs is over */
     uint64_t now_us, heard_us, load_us, status_us;
-    int64_t status_period_us, step_us, behind_us, hold_left_us, supply_low_us;
+    int64_t status_period_us, step_us, behind_us, supply_low_us;
     int64_t passed_us;                      /* the time that motions have taken up */
     int64_t start_from_us, start_until_us;  /* in it, when the next servo starts: between these */
     int64_t due_from_us, due_until_us, chance_us; /* when it may have started first */
@@ -59,13 +61,15 @@ typedef struct {
     const uint32_t *pulses; /* of this call, or NULL */
     double heat[ORACLE_SERVOS];    /* permille squared */
     double pose[ORACLE_SERVOS];    /* at the last tick, urad */
+    double stood[ORACLE_SERVOS];   /* when it was armed, urad */
+    double stood_doubt;
     double credit[ORACLE_SERVOS];  /* urad */
     uint32_t session, last_crc, accepted;
     unsigned refused, bad_crc, bad_frame, bad_version, overrun, trips;
     uint16_t last_seq;
     unsigned watchdog_ms, supply_mv, boot_count;
     uint8_t state, fault, action, reset, attached, placed;
-    bool any_move, repeatable, starting, relaxing, estop_pressed, started, in_doubt;
+    bool any_move, repeatable, starting, holding, relaxing, estop_pressed, started, in_doubt;
     unsigned long moves, refusals, arms, faults; /* what was tried */
 } oracle_t;
 

@@ -137,7 +137,9 @@ class ServoConfig(ctypes.Structure):
     """
 
     _limits = tuple(field.name for field in fields(ServoLimits))[1:]
-    _fields_ = [(name, ctypes.c_int32) for name in (*_limits, "trim_ns", "direction")]
+    _fields_ = [
+        (name, ctypes.c_int32) for name in (*_limits, "trim_ns", "direction", "holds_unpowered")
+    ]
 
 
 Config = ServoConfig * len(SERVOS)
@@ -185,7 +187,7 @@ def default_config() -> ctypes.Array[ServoConfig]:
 
 def config_of(hand: Hand) -> ctypes.Array[ServoConfig]:
     """The servo table of a firmware that is generated for a hand."""
-    return Config(*(ServoConfig(*astuple(servo)[1:], 0, 1) for servo in servo_limits(hand)))
+    return Config(*(ServoConfig(*astuple(servo)[1:], 0, 1, 0) for servo in servo_limits(hand)))
 
 
 class VirtualHand:

@@ -256,6 +256,9 @@ class HandLink(Line):
     ) -> None:
         """Arm the hand and wait until all servos have pulses, one after the other, and are at rest.
 
+        The first pulse of a servo is at rest, to which the springs have pulled it; on a board that
+        was told that its servos hold without power, at its last commanded angle.
+
         Args:
             action: safe action of the hand when this program stops sending. `hold` also relaxes,
                 after 30 s. If the link fails, `relax` keeps the pulses for up to 3.2 s after the

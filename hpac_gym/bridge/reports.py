@@ -222,8 +222,9 @@ class KnownState:
         self, what: str, reason: str = Reason.state.name, servo: str | None = None
     ) -> FaultError:
         """The error for a latched fault."""
+        advice = "" if what.startswith("clear ") else "; `hpac clear` or HandLink.clear() leaves it"
         return FaultError(
-            f"the hand is in fault ({self.fault}): {what}; clear() leaves it",
+            f"the hand is in fault ({self.fault}): {what}{advice}",
             reason,
             servo,
             self.state,

@@ -238,6 +238,7 @@ def test_every_angle_is_within_its_range():
     for angles, within in ((low, True), (low - 5e-6, False), (high, True), (high + 5e-6, False)):
         stage = Stage(*ARMED)
         stage.oracle._pose = list(angles)
+        stage.oracle._holds = True
         assert (stage.started(angles).broken == set()) is within
         assert stage.oracle.tried["range"] == 21
         assert stage.oracle.broken["range"] == (0 if within else 21)
@@ -324,8 +325,19 @@ def test_arming_again_changes_period_and_action():
 def test_how_a_hand_moves_in_its_safe_action(after, slow, angle, broken):
     stage = Stage(HELLO, (wire.ARM, arm(action=wire.RELAX if slow else wire.HOLD)))
     stage.oracle._pose = list(HALF)
+    stage.oracle._holds = True
     powered_until(stage.started(HALF), WATCHDOG_MS + 2.0, HALF)
     assert stage.show(HALF, after=after).show([angle] * 6).broken == broken
+
+
+@pytest.mark.parametrize(("holds", "angles"), [(False, REST), (True, HALF)])
+def test_a_first_pulse_finds_the_servo_where_it_stands(holds, angles):
+    """At rest, to which the springs pull it, or where it holds by itself at its last angle."""
+    for shown in (REST, HALF):
+        stage = Stage(*ARMED)
+        stage.oracle._pose = list(HALF)
+        stage.oracle._holds = holds
+        assert (stage.started(shown).broken == set()) is (shown is angles)
 
 
 @pytest.mark.parametrize(

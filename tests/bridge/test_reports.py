@@ -157,7 +157,7 @@ def test_a_fault_is_known_until_the_hand_says_otherwise():
         ),
         (
             ack(State.fault, Reason.hot, 0),
-            "the hand is in fault (none): move refused; clear() leaves it",
+            "the hand is in fault (none): move refused; `hpac clear` or HandLink.clear() leaves it",
             "hot",
             "thumb_mp",
         ),

@@ -177,6 +177,8 @@ class HostileHost(RuleBasedStateMachine):
     @rule(seconds=st.floats(0.001, 0.7))
     def time_passes(self, seconds):
         before = self._state()
+        if before == State.armed:  # the silence begins here
+            self._ask("heartbeat", SESSION)
         until = self.hand.now_us + seconds * 1e6
         while self.hand.now_us < until:
             self.hand.run((until - self.hand.now_us) * 1e-6)

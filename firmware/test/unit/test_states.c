@@ -49,11 +49,20 @@ static void arming_is_checked_and_staggered(void)
     CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
 }
 
-/* Nobody knows better where the servos are than the last command: no step at the first pulses, then slowly to rest. */
-static void arming_takes_up_the_last_pose_and_goes_to_rest_slowly(void)
+static void hold_unpowered(bench_t *bench)
+{
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        bench->config.servo[i].holds_unpowered = 1;
+    }
+}
+
+/* Where servos hold by themselves, nobody knows better where they are than the last command: no step at the first pulses,
+ * then slowly to rest. */
+static void arming_takes_up_the_last_pose_of_servos_that_hold_and_goes_to_rest_slowly(void)
 {
     bench_t bench;
     bench_armed(&bench, HPAC_ACTION_HOLD);
+    hold_unpowered(&bench);
     CHECK(bench_move(&bench, 0, 300, half) == HPAC_REASON_OK);
     bench_run(&bench, 200);
     uint32_t last[HPAC_SERVOS];
@@ -84,6 +93,33 @@ static void arming_takes_up_the_last_pose_and_goes_to_rest_slowly(void)
     CHECK(bench.pulses[0] == hpac_servo_pulse(&bench.config.servo[0], 0));
 }
 
+/* The springs open a hand without pulses: after a stop it may hold somebody's finger, and must not close on it again. */
+static void a_closed_hand_that_was_stopped_does_not_close_again(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench_move(&bench, 0, 300, half) == HPAC_REASON_OK);
+    bench_run(&bench, 300);
+    bench_send(&bench, HPAC_ESTOP, 0, NULL, 0);
+    CHECK(bench_silent(&bench));
+    bench_run(&bench, 60000);
+    bench_send(&bench, HPAC_CLEAR, 0, NULL, 0);
+    uint64_t armed_us = bench.now_us;
+    CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
+    for (uint32_t ms = 0; ms < HPAC_START_MAX_MS && bench.hand.starting; ms++) {
+        bench_run(&bench, 1);
+        for (int i = 0; i < HPAC_SERVOS; i++) {
+            CHECK(bench.pulses[i] == 0u || bench.pulses[i] == hpac_servo_pulse(&bench.config.servo[i], 0));
+        }
+        if (ms % 100u == 0u) {
+            bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0);
+        }
+    }
+    CHECK(bench.hand.state == HPAC_STATE_ARMED && !bench.hand.starting);
+    /* each servo gets the time for its way from where it was commanded to: it may not have opened after all */
+    CHECK(bench.now_us - armed_us >= 6u * (60000u + 100u * (uint32_t)half[0] / 5u));
+}
+
 /* One servo away from rest is enough: arming waits until it is there, too. */
 static void arming_brings_each_servo_to_rest(void)
 {
@@ -92,6 +128,7 @@ static void arming_brings_each_servo_to_rest(void)
         bench_t bench;
         memory.pose[i] = 500000;
         bench_start(&bench);
+        hold_unpowered(&bench);
         hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_SOFTWARE, 2, &memory);
         bench_run(&bench, 1);
         CHECK(bench_send(&bench, HPAC_HELLO, 0, NULL, 0) == -1);
@@ -400,6 +437,21 @@ static void the_estop_input_holds_off_clear(void)
     CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
 }
 
+/* A config fault stays one, and is not told again at every call while the button is pressed. */
+static void a_pressed_button_repeats_no_config_fault(void)
+{
+    bench_t bench;
+    bench_start(&bench);
+    bench.config.servo[2].rate_urad_s = 0;
+    hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_POWER_ON, 1, NULL);
+    bench_run(&bench, 10);
+    memset(bench.answer_types, 0, sizeof bench.answer_types);
+    hpac_hand_inputs(&bench.hand, true, 0);
+    bench_run(&bench, 1000);
+    CHECK(bench.hand.fault == HPAC_FAULT_CONFIG && bench_silent(&bench));
+    CHECK(bench.answer_types[HPAC_FAULT] == 0u);
+}
+
 /* What cannot be computed with is found before it is computed with, even where it does not show yet. */
 static void an_unsound_motion_is_a_fault(void)
 {
@@ -419,15 +471,15 @@ static void an_unsound_motion_is_a_fault(void)
             } else if (kind == 4) {
                 ramp->minimum_jerk = true;
                 ramp->duration_us = ramp->elapsed_us = DURATION_MAX_US + (uint32_t)beyond;
-            } else if (kind == 5) { /* linear ones may take as long as they like */
-                ramp->duration_us = ramp->elapsed_us = DURATION_MAX_US + 1u;
+            } else if (kind == 5) { /* linear ones too */
+                ramp->duration_us = ramp->elapsed_us = DURATION_MAX_US + (uint32_t)beyond;
             } else {
                 bench.hand.fault = beyond != 0 ? HPAC_FAULT_OVERLOAD : HPAC_FAULT_NONE;
             }
             bench_run(&bench, 1);
-            CHECK((bench.hand.fault == HPAC_FAULT_INTERNAL) == (beyond != 0 && kind != 5));
-            CHECK(beyond == 0 || kind == 5 || bench.fault_servo == HPAC_NO_SERVO);
-            CHECK(bench_silent(&bench) == (beyond != 0 && kind != 5));
+            CHECK((bench.hand.fault == HPAC_FAULT_INTERNAL) == (beyond != 0));
+            CHECK(beyond == 0 || bench.fault_servo == HPAC_NO_SERVO);
+            CHECK(bench_silent(&bench) == (beyond != 0));
         }
     }
 }
@@ -470,6 +522,26 @@ static void hold_ends_in_a_relax(void)
     CHECK(bench_silent(&bench) && !hpac_hand_powered(&bench.hand) && bench.hand.fault == HPAC_FAULT_WATCHDOG);
 }
 
+/* The grip is off after seconds of the clock, not after steps of at most 20 ms: on a board that calls every 100 ms too. */
+static void safe_actions_end_in_seconds_however_rarely_the_board_calls(void)
+{
+    static const int16_t far_end[HPAC_SERVOS] = { 13000, 13500, 13000, 13100, 13000, 15000 };
+    for (int hold = 0; hold < 2; hold++) {
+        bench_t bench;
+        bench_armed(&bench, hold != 0 ? HPAC_ACTION_HOLD : HPAC_ACTION_RELAX);
+        bench_move(&bench, 0, 400, far_end);
+        bench_run(&bench, BENCH_WATCHDOG_MS);
+        uint64_t fault_us = bench.now_us;
+        CHECK(bench.hand.fault == HPAC_FAULT_WATCHDOG && !bench_silent(&bench));
+        while (!bench_silent(&bench) && bench.now_us < fault_us + 60000000u) {
+            bench.now_us += 100000u;
+            bench_feed(&bench, NULL, 0);
+        }
+        uint32_t most_us = hpac_motion_relax_max_us(&bench.hand) + (hold != 0 ? 1000u * HPAC_HOLD_MAX_MS : 0u);
+        CHECK(bench.now_us - fault_us <= most_us + 200000u); /* a late call is late by up to itself */
+    }
+}
+
 /* Should a bit flip, a safe action outside of a fault ends no pulses. */
 static void safe_actions_belong_to_faults(void)
 {
@@ -482,16 +554,19 @@ static void safe_actions_belong_to_faults(void)
 
 void test_states(void)
 {
+    safe_actions_end_in_seconds_however_rarely_the_board_calls();
     safe_actions_belong_to_faults();
     memory_is_taken_up_within_bounds();
     the_estop_input_holds_off_clear();
     an_unsound_motion_is_a_fault();
+    a_pressed_button_repeats_no_config_fault();
     a_jump_inside_the_table_is_a_fault_of_its_servo();
     an_output_that_fails_is_a_fault();
     hold_ends_in_a_relax();
     nothing_moves_before_the_handshake();
     arming_is_checked_and_staggered();
-    arming_takes_up_the_last_pose_and_goes_to_rest_slowly();
+    arming_takes_up_the_last_pose_of_servos_that_hold_and_goes_to_rest_slowly();
+    a_closed_hand_that_was_stopped_does_not_close_again();
     arming_brings_each_servo_to_rest();
     the_first_pulse_comes_no_microsecond_early();
     the_time_to_a_first_pulse_is_exact();

@@ -129,6 +129,7 @@ class Oracle:
     Args:
         hand: parameters of the hand.
         period_us: period of the board's ticks, which is also the tolerance in time [µs].
+        holds_unpowered: whether its servos keep their angles without pulses.
 
     Attributes:
         complaints: the first hundred violations, in order.
@@ -137,7 +138,10 @@ class Oracle:
         session: nonce of the last HELLO that opens a session; 0 before the first.
     """
 
-    def __init__(self, hand: Hand = HPAC, period_us: int = 1000) -> None:
+    def __init__(
+        self, hand: Hand = HPAC, period_us: int = 1000, holds_unpowered: bool = False
+    ) -> None:
+        self._holds = holds_unpowered
         self._low = [round(x * 1e4) / 1e4 for x in hand.servo_min]
         self._high = [round(x * 1e4) / 1e4 for x in hand.servo_max]
         self._centre = [(low + high) / 2 for low, high in zip(self._low, self._high, strict=True)]
@@ -351,14 +355,15 @@ class Oracle:
         for i in new:
             # Pulses stop at the tick at which the relaxing servo is at rest, so the last output is
             # one tick older.
+            stands = self._pose[i] if self._holds else self._rest[i]
             if (
-                abs(angles[i] - self._pose[i])
+                abs(angles[i] - stands)
                 > RELAX_SHARE * self._rate[i] * 2e-6 * self._period_us + ROUNDING
             ):
                 self._complain(
                     "start",
                     now_us,
-                    f"{SERVOS[i]} starts at {angles[i]:.4f} rad, was last at {self._pose[i]:.4f} rad",
+                    f"{SERVOS[i]} starts at {angles[i]:.4f} rad, stands at {stands:.4f} rad",
                 )
         self._started_us = now_us
 

@@ -16,11 +16,14 @@
 
 static adc_oneshot_unit_handle_t adc;
 
-void board_quiet(void) /* the level first: the pin never drives the switch on, not for a moment */
+void board_output(int pin, uint32_t level)
 {
-    ESP_ERROR_CHECK(gpio_set_level(SUPPLY_SWITCH_PIN, 0));
-    ESP_ERROR_CHECK(gpio_set_direction(SUPPLY_SWITCH_PIN, GPIO_MODE_OUTPUT));
+    const gpio_config_t output = { .pin_bit_mask = 1ull << (pin & 63), .mode = GPIO_MODE_OUTPUT };
+    ESP_ERROR_CHECK(gpio_set_level((gpio_num_t)pin, level)); /* first: it never drives another one, not for a moment */
+    ESP_ERROR_CHECK(gpio_config(&output));
 }
+
+void board_quiet(void) { board_output(SUPPLY_SWITCH_PIN, 0); }
 
 static void start_port(void)
 {

@@ -6,6 +6,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* Make a pin an output at this level, which it has from its first moment on. It may have woken up as something else: pins 4
+ * to 7 of a C3 are JTAG's until gpio_config() selects their GPIO function, which gpio_set_direction() does not. */
+void board_output(int pin, uint32_t level);
+
 /* Servo supply off, before anything else is done. */
 void board_quiet(void);
 

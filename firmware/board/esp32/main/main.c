@@ -16,7 +16,7 @@
 #define AFTER_PERIOD_US 200 /* widths are written this long after a period has started, far from its end */
 
 #define TABLE(...) HPAC_SERVO_TABLE(__VA_ARGS__)
-static const hpac_config_t config = { .servo = TABLE(SERVO_TRIMS_NS, SERVO_DIRECTIONS) };
+static const hpac_config_t config = { .servo = TABLE(SERVOS_HOLD_UNPOWERED, SERVO_TRIMS_NS, SERVO_DIRECTIONS) };
 
 /* Survives every reset but power-on, when it is noise. */
 typedef struct {

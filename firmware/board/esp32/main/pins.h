@@ -76,6 +76,12 @@
 #define PCA9685_OE_PIN 7
 #endif
 
+/* What a servo does without pulses: 0, the springs open it, so that its first pulse is at rest and can pinch nothing; 1, it
+ * keeps its angle, so that its first pulse is at its last commanded one. docs/first_hour.md has the step that decides it. */
+#ifndef SERVOS_HOLD_UNPOWERED
+#define SERVOS_HOLD_UNPOWERED 0
+#endif
+
 /* Zero trims [ns], added to every pulse, and directions, -1 for a servo mounted the other way round. */
 #ifndef SERVO_TRIMS_NS
 #define SERVO_TRIMS_NS 0, 0, 0, 0, 0, 0

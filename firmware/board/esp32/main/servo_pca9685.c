@@ -8,6 +8,7 @@
 
 #include <string.h>
 
+#include "board.h"
 #include "driver/gpio.h"
 #include "driver/i2c_master.h"
 #include "esp_err.h"
@@ -37,8 +38,7 @@ static void enable(bool on) { ESP_ERROR_CHECK(gpio_set_level(PCA9685_OE_PIN, on 
 
 void servo_output_quiet(void)
 {
-    enable(false);
-    ESP_ERROR_CHECK(gpio_set_direction(PCA9685_OE_PIN, GPIO_MODE_OUTPUT));
+    board_output(PCA9685_OE_PIN, 1);
 }
 
 /* Write registers from the first on, and read them back. */

@@ -6,7 +6,7 @@
 
 #if !SERVOS_ON_PCA9685
 
-#include "driver/gpio.h"
+#include "board.h"
 #include "driver/ledc.h"
 #include "esp_err.h"
 #include "esp_timer.h"
@@ -44,8 +44,7 @@ uint32_t servo_output_step_ns(void) { return (uint32_t)((HPAC_PULSE_PERIOD_NS >>
 void servo_output_quiet(void)
 {
     for (int i = 0; i < HPAC_SERVOS; i++) {
-        ESP_ERROR_CHECK(gpio_set_level(pins[i], 0));
-        ESP_ERROR_CHECK(gpio_set_direction(pins[i], GPIO_MODE_OUTPUT));
+        board_output(pins[i], 0);
     }
 }
 

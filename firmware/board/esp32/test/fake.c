@@ -38,6 +38,7 @@ void fake_boot(esp_reset_reason_t reset, void (*every_ms)(int ms), int ms)
     fake.adc_raw = 4095 * 6000 / SUPPLY_FULL_SCALE_MV;
     for (int pin = 0; pin < 64; pin++) {
         bool grounded = pin == ESTOP_PIN || (SERVOS_ON_PCA9685 && pin == PCA9685_OE_PIN);
+        fake.of_gpio[pin] = STUB_TARGET != 13 || pin < 4 || pin > 7; /* the C3 wakes up with JTAG on 4 to 7 */
         fake.level[pin] = !grounded; /* an output's register holds what does most harm; the button is closed to ground */
     }
     fake.tx_pin = fake.rx_pin = fake.adc_channel = -1;
@@ -146,7 +147,7 @@ esp_err_t gpio_set_level(gpio_num_t pin, uint32_t level)
 
 esp_err_t gpio_set_direction(gpio_num_t pin, gpio_mode_t mode)
 {
-    fake.output[pin] = mode == GPIO_MODE_OUTPUT;
+    fake.output[pin] = mode == GPIO_MODE_OUTPUT && fake.of_gpio[pin];
     fake.glitches |= fake.output[pin] && fake.level[pin] != 0u ? 1ull << pin : 0u;
     return ESP_OK;
 }
@@ -155,6 +156,8 @@ esp_err_t gpio_config(const gpio_config_t *config)
 {
     for (int pin = 0; pin < 64; pin++) {
         if ((config->pin_bit_mask >> pin & 1u) != 0u) {
+            fake.of_gpio[pin] = true; /* it alone selects the function in the IO MUX */
+            gpio_set_direction(pin, config->mode);
             fake.input[pin] = config->mode == GPIO_MODE_INPUT;
             fake.pulled_up[pin] = config->pull_up_en == GPIO_PULLUP_ENABLE && config->pull_down_en == GPIO_PULLDOWN_DISABLE;
         }
