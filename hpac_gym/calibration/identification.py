@@ -43,9 +43,9 @@ DRIVE_SPREAD = 2.0
 """Standard deviation of the drive stretch relative to the design's: no servo stiffness is
 published; 8 N·m/rad adds twice it.
 """
-ZERO_SPREAD = np.deg2rad(1.0)
-"""Standard deviation of a servo's zero [rad]: a spline tooth is some 15°, trimmed to about one
-degree.
+ZERO_SPREAD = np.deg2rad(12.0)
+"""Standard deviation of a servo's zero [rad]: a tooth of a horn's spline with 25 teeth is 14.4°,
+and slack adds to it.
 """
 LEAST_POINTS = 8
 """Least number of sampling points for a fit of a digit."""

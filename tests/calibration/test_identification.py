@@ -81,6 +81,15 @@ def test_zeros_are_found_in_a_flexion(hidden, found):
         )
 
 
+def test_a_horn_one_tooth_off_is_found():
+    """A tooth of the spline is 14.4°; with a prior of 1° the fit would end at its bound of 4°."""
+    built = Built(HPAC, (Metal(servo_zero=np.deg2rad(-14.4)),) * 5)
+    found = identify(metal_sweeps([built], 3, servos=("index_mcp",))[0])
+    assert np.degrees(found.hand.calibration.servo_zero[1]) == pytest.approx(-14.4, abs=0.2)
+    error = np.abs(settled_joints_from_servo(SERVO, found.hand) - truth_of(built))
+    assert np.degrees(error[:, INDEX].max()) < 0.1
+
+
 def summarised(hands: list[HiddenHand]) -> dict:
     return rows_of((*COLUMNS, *COVERAGE), {"hands": hands})["hands"]
 
