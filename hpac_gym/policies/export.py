@@ -17,7 +17,7 @@ import numpy as np
 from hpac_gym.errors import PolicyError
 from hpac_gym.output import replacing, writable_folder
 from hpac_gym.policies.closure import Closures
-from hpac_gym.policies.made_for import misfit
+from hpac_gym.policies.made_for import require_fit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
 
@@ -175,13 +175,13 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
             raise ValueError(f"control_steps is {repeat}, and must be at least 1")
         if (inputs := [entry.name for entry in session.get_inputs()]) != ["observation"]:
             raise ValueError(f"the inputs of its model are {', '.join(inputs)}, not observation")
-        differs = misfit(told["env_id"], made, env)
+        require_fit(f"exported policy '{folder}'", told["env_id"], made, env)
+    except PolicyError:
+        raise
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(
             f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}"
         ) from None
-    if differs is not None:
-        raise PolicyError(f"exported policy '{folder}' {differs}")
 
     def decide(observation: np.ndarray) -> np.ndarray:
         return session.run(None, {"observation": np.asarray(observation, np.float32)[None]})[0][0]

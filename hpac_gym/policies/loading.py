@@ -11,7 +11,7 @@ from gymnasium.spaces import Box, Dict, Space
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.export import read_card, read_onnx
-from hpac_gym.policies.made_for import misfit
+from hpac_gym.policies.made_for import require_fit
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
 
@@ -71,13 +71,15 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
     policy = read_policy(name)
     env_id = env.spec.id
     try:
-        told = misfit(policy.about["env_id"], policy.about.get("made_for", {}), env)
+        require_fit(
+            f"policy file '{name}'", policy.about["env_id"], policy.about.get("made_for", {}), env
+        )
     except (TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, PolicyError):
+            raise
         raise PolicyError(
             f"policy file '{name}' is damaged: made_for is not readable: {error}"
         ) from None
-    if told is not None:
-        raise PolicyError(f"policy file '{name}' {told}")
     if (observed := vector_size(env.observation_space)) is None:
         raise PolicyError(
             f"policy file '{name}' takes a vector, {env_id} observes {env.observation_space}"

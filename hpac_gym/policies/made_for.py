@@ -5,11 +5,13 @@ environment.
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
 
+from hpac_gym.errors import PolicyError
 from hpac_gym.model import HPAC, SERVOS, hand_to_toml
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -53,8 +55,9 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
     if there is none.
 
     Missing entries are not compared. The task's configuration is recorded but not compared, since a
-    policy may be evaluated on other ranges than it was trained on."""
-    for name in ("control_hz", "action", "hand_sha256"):
+    policy may be evaluated on other ranges than it was trained on; nor is the hand, since a policy
+    acts in synergies, which mean the same on every hand: see `other_hand`."""
+    for name in ("control_hz", "action"):
         if name in file and name in here and file[name] != here[name]:
             return f"{name} was {file[name]}, and is {here[name]}"
     if "observation" not in file or "observation" not in here:
@@ -70,6 +73,16 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
     return None
 
 
+def other_hand(file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
+    """A remark that a policy was made with the model of another hand; None if it was not."""
+    made_with = file.get("hand_sha256")
+    hand = getattr(env.unwrapped, "hand", HPAC)
+    if made_with in (None, _digest(hand_to_toml(hand))):
+        return None
+    was = "the nominal hand" if made_with == _digest(hand_to_toml(HPAC)) else "another hand"
+    return f"was made with {was}, and acts here with the model of '{hand.name}'"
+
+
 def misfit(env_id: str, file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
     """Why a policy made for the environment `env_id`, described by `file`, does not fit another
     one; None if it does.
@@ -80,6 +93,24 @@ def misfit(env_id: str, file: Mapping[str, Any], env: gymnasium.Env) -> str | No
         return f"was trained on {env_id}, not on {env.spec.id}"
     differs = difference(file, made_for(env))
     return differs and f"does not fit {env.spec.id}: {differs}"
+
+
+def require_fit(what: str, env_id: str, file: Mapping[str, Any], env: gymnasium.Env) -> None:
+    """Refuse a policy that was made for another interface; warn of one made with another hand.
+
+    Args:
+        what: the policy in the message, such as "policy file 'policy.zip'".
+        env_id: id of the environment that it was made for.
+        file: its `made_for`.
+        env: the environment in which it is to act.
+
+    Raises:
+        PolicyError: It was made for another environment, rate, action or observation.
+    """
+    if told := misfit(env_id, file, env):
+        raise PolicyError(f"{what} {told}")
+    if remark := other_hand(file, env):
+        warnings.warn(f"{what} {remark}", stacklevel=3)
 
 
 def _told(entry: list[Any] | None) -> str:

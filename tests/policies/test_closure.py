@@ -127,11 +127,10 @@ def test_an_environment_differs_from_itself_in_nothing(described):
     ("change", "told"),
     [
         ({"control_hz": 50}, "control_hz was 50, and is 20"),
-        ({"hand_sha256": "0"}, "hand_sha256 was 0"),
         ({"action": ["index_mcp"]}, "action was"),
     ],
 )
-def test_a_file_for_another_rate_hand_or_layout_is_told_by_its_difference(described, change, told):
+def test_a_file_for_another_rate_or_layout_is_told_by_its_difference(described, change, told):
     assert difference(described | change, described).startswith(told)
 
 

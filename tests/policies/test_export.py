@@ -14,6 +14,7 @@ from hpac_gym.evaluation import evaluate
 from hpac_gym.model import HPAC
 from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, read_policy, write_policy
 from hpac_gym.policies.export import export, read_onnx
+from hpac_gym.policies.loading import load_policy
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.policies.policy_file import SHIPPED
 from tests.options import called
@@ -146,12 +147,15 @@ def test_a_policy_of_a_goal_environment_is_exported_with_its_goals(policy, tmp_p
     )
 
 
-def test_it_is_refused_where_layout_or_hand_differ(folder, env):
+def test_another_hand_is_a_remark_and_another_layout_a_refusal(folder, env):
     other = gymnasium.make(
         "HPAC-Grasp-v0", engine="mujoco", hand=changed_hand(HPAC, np.full(5, 0.9))
     )
-    with pytest.raises(PolicyError, match="does not fit HPAC-Grasp-v0: hand_sha256 was"):
-        read_onnx(folder, other)
+    for load in (lambda: read_onnx(folder, other), lambda: load_policy("grasp", other)):
+        with pytest.warns(UserWarning, match="was made with the nominal hand, and acts here with"):
+            policy = load()
+        policy.reset(0)
+        assert policy.act(other.reset(seed=0)[0]).shape == (6,)
     other.close()
     card = json.loads((folder / "card.json").read_text())
     (folder / "card.json").write_text(json.dumps(card | {"control_hz": 50}))
