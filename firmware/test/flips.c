@@ -88,7 +88,9 @@ static void try_bit(const bench_t *before, size_t bit, figures_t *figures)
 }
 
 /* After the scene's own moment [ms]: through the watchdog's time and whatever follows it. */
-static const uint32_t moments[] = { 0, 1, 2, 3, 5, 7, 20, 50, 66, 67, 68, 70, 75, 90, 150, 300, 700, 1500, 2500, 3400 };
+#define FAULT_MS (BENCH_WATCHDOG_MS - 333) /* from the middle of a move to the fault of the watchdog */
+static const uint32_t moments[] = { 0, 1, 2, 3, 5, 20, 60, FAULT_MS - 1, FAULT_MS, FAULT_MS + 1, FAULT_MS + 2, FAULT_MS + 3,
+                                    FAULT_MS + 5, FAULT_MS + 7, FAULT_MS + 20, 300, 700, 1500, 2500, 3400 };
 
 int main(int count, char **arguments)
 {
