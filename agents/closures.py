@@ -58,9 +58,8 @@ WEAK = (0.5, 1.0)
 of the friction cone).
 """
 SURE = 0.7  # predicted success above which a trial may be rejected
-BELOW_ONE = (
-    1.0 - 2.0**-24
-)  # largest number below 1 in single precision: a tanh may round to 1, which has no density
+# Largest number below 1 in single precision: a tanh may round to 1, which has no density.
+BELOW_ONE = 1.0 - 2.0**-24
 MOST = 0.98  # bound of the first decisions about a script, where the actor's tanh can imitate them
 UNSEEN = 1e9  # scale of an entry that the networks do not see
 SCALES = ("mean", "scale", "mean_came_to", "scale_came_to")
@@ -437,9 +436,8 @@ class Learner:
         seen = seen[0, : recipe.actor_batch_size]
         decisions, log_density = self.actor(seen[:, : self._deployed])
         success = self._success(seen, decisions)
-        success = success.mean(0) - recipe.doubt * success.std(
-            0, correction=0
-        )  # pessimistic where the critics disagree
+        # Pessimistic where the critics disagree.
+        success = success.mean(0) - recipe.doubt * success.std(0, correction=0)
         weight = self.log_weight.exp()
         self.entropy = -log_density.mean().item() / decisions.shape[1]
         self._descend("actor", (weight.detach() * log_density - success).mean())

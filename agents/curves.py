@@ -205,9 +205,10 @@ def draw(path: Path, curve: dict[str, np.ndarray], results: dict[str, Any] | Non
     """Draw the success in training over trials, with the held-out results of every policy, and all
     Wilson 95 % intervals.
     """
+    # Imported here, since a command that only parses its arguments does not need it.
     from matplotlib.figure import (
         Figure,
-    )  # imported here, since a command that only parses its arguments does not need it
+    )
     from matplotlib.ticker import MaxNLocator
 
     figure = Figure(figsize=(8, 4.5), layout="constrained")

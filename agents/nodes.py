@@ -1,6 +1,5 @@
-"""Complete runs on the nodes of a Ray cluster, one per seed: ``python -m agents.nodes grasp --seeds 5
---out runs/sweep``.
-"""
+"""Complete runs on the nodes of a Ray cluster, one per seed: ``python -m agents.nodes grasp --seeds
+5 --out runs/sweep``."""
 
 from __future__ import annotations
 
@@ -91,9 +90,8 @@ def main(argv: list[str] | None = None) -> int:
             f"{folder} was done before, with {saved_trials(folder):,} of {recipe.episodes:,} trials"
         )
     ray = connected()
-    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(
-        train_seed
-    )  # a process per run
+    # A process per run.
+    task = ray.remote(num_cpus=1, scheduling_strategy="SPREAD", max_calls=1)(train_seed)
     run_id = uuid4().hex
     limit = 60 * args.time_limit
     running = {

@@ -292,9 +292,8 @@ def main(argv: list[str] | None = None) -> int:
             env = stack.enter_context(
                 make_env(env_id, transmit=lambda command: wire.transmit(command), **options)
             )
-            policy = load_policy(
-                args.policy, env
-            )  # errors are raised before an earlier log is replaced
+            # Errors are raised before an earlier log is replaced.
+            policy = load_policy(args.policy, env)
             hand = (
                 None
                 if args.port

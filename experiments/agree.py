@@ -1,5 +1,5 @@
-"""`python -m experiments.agree`: the same episodes on several engines and bodies, and how often their outcomes
-agree.
+"""`python -m experiments.agree`: the same episodes on several engines and bodies, and how often
+their outcomes agree.
 
 The floor is the best agreement that can be expected: an engine compared with itself, with the
 object displaced imperceptibly. Contact amplifies every difference, so single episodes diverge long

@@ -104,9 +104,8 @@ class Rig:
         measured = []
 
         def rest() -> None:
-            sim.reset(
-                rest_pose(SERVOS[swept])
-            )  # reset against its stops, which friction would prevent it from reaching
+            # Reset against its stops, which friction would prevent it from reaching.
+            sim.reset(rest_pose(SERVOS[swept]))
             record(self.protocol.rest, REST)
 
         def record(seconds: float, phase: int, point: int = -1) -> None:
@@ -123,10 +122,11 @@ class Rig:
             sim.command(target + zero, moving)
             record(moving, phase)
             record(self.protocol.hold, phase, point)
+            # So that the point's samples are symmetric about the middle of the hold.
             labels[-1] = (
                 phase,
                 -1,
-            )  # so that the point's samples are symmetric about the middle of the hold
+            )
 
         angles = np.linspace(HPAC.servo_min[swept], HPAC.servo_max[swept], self.protocol.points)
         rest()

@@ -1,6 +1,5 @@
-"""``python -m experiments.study``: accuracy of the compensation on hands with tolerances, and the paper's future
-work.
-"""
+"""``python -m experiments.study``: accuracy of the compensation on hands with tolerances, and the
+paper's future work."""
 
 from __future__ import annotations
 

@@ -154,9 +154,8 @@ def track(
     settings = replace(
         rig.settings, tendon_friction=reference.tendon_friction, servo=servo_settings
     )
-    world = replace(
-        rig.world, collisions=False
-    )  # all five digits move at once; thumb and index would collide
+    # All five digits move at once; thumb and index would collide.
+    world = replace(rig.world, collisions=False)
     period = 1 / CONTROL_HZ
     steps = int(np.ceil((WARM_UP + PERIODS) / rate_hz * CONTROL_HZ))
     noise = rng.normal(0.0, rig.camera.noise, (steps * SAMPLES, len(JOINTS)))

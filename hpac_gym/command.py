@@ -1,7 +1,7 @@
 """The base of every command: its parser, argument types, errors in one line, and exit statuses.
 
-It imports nothing but the standard library and the errors of this package, since every command waits for it.
-"""
+It imports nothing but the standard library and the errors of this package, since every command
+waits for it."""
 
 from __future__ import annotations
 

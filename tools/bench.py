@@ -1,5 +1,5 @@
-"""Speed of the model and of the command line: ``python -m tools.bench``. ``python -m tools.env_bench`` measures
-the environments.
+"""Speed of the model and of the command line: ``python -m tools.bench``. ``python -m
+tools.env_bench`` measures the environments.
 
 Every figure is compared with a bare one of the same run: the same map without checks and names, or
 an interpreter's own start."""

@@ -1,5 +1,5 @@
-"""``python -m tools.env_bench``: the speed of the environments on both engines, compared with environments of
-other libraries.
+"""``python -m tools.env_bench``: the speed of the environments on both engines, compared with
+environments of other libraries.
 
 All figures are for a hand that holds a can, at 20 commands per second. A rate is per second of CPU
 time, which reduces the effect of other load on the machine, and is the median over rounds in which

@@ -255,9 +255,8 @@ def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
 def setup_of(thing: RestingObject, pose: RestingPose) -> SceneSetup:
     """Setup with the object at rest behind the wrist, away from the hand, on a board or a post."""
     rotation = matrix_from_quaternion(pose.quaternion)
-    side = (
-        pose.height / np.abs(rotation[2]).sum()
-    )  # half-side of a cube whose centre is as high as the object's origin
+    # Half-side of a cube whose centre is as high as the object's origin.
+    side = pose.height / np.abs(rotation[2]).sum()
     spec = ObjectSpec("box", (side, side, side), thing.model.mass, thing.friction, thing.model)
     place = SceneSetup(None).hand_rotation.T @ (_PLACE - HAND_POSITION)
     support = POST if thing.stand else Support((0.15, 0.15))

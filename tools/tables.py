@@ -216,9 +216,8 @@ def scale_table() -> str:
 
 
 def result_tables() -> str:
-    """Every results file as printed by ``python -m hpac_gym.evaluation.benchmark --check``, with the command
-    that produced it.
-    """
+    """Every results file as printed by ``python -m hpac_gym.evaluation.benchmark --check``, with
+    the command that produced it."""
     files = [benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))]
     return "\n\n".join(f"{benchmark.table(results)}\n\n`{results['command']}`" for results in files)
 

@@ -98,9 +98,8 @@ def mutants_of(source: Path) -> list[Mutant]:
     body = re.sub(
         r"/\*.*?\*/|^#.*?(?<!\\)$|\"[^\"\n]*\"", lambda m: " " * len(m[0]), code, flags=re.M | re.S
     )
-    body = re.sub(
-        r"\[(?:16|256)\] = \{.*?\};", lambda m: " " * len(m[0]), body, flags=re.S
-    )  # tables of a CRC
+    # Tables of a CRC.
+    body = re.sub(r"\[(?:16|256)\] = \{.*?\};", lambda m: " " * len(m[0]), body, flags=re.S)
     found = []
     for m in _STATEMENT.finditer(body):
         if not _DECLARATION.match(m[1].strip()) and m[1].count("(") == m[1].count(")"):

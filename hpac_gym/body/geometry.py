@@ -102,9 +102,8 @@ class Geometry:
     """Synergies that bring the thumb pad onto a finger's pad, by finger, 6 values each [rad]."""
 
     def __hash__(self) -> int:
-        return hash(
-            tuple(digit.pad for digit in self.digits)
-        )  # hashing all fields would take fifty times as long
+        # Hashing all fields would take fifty times as long.
+        return hash(tuple(digit.pad for digit in self.digits))
 
     @property
     def phalanges(self) -> tuple[Phalanx, ...]:

@@ -52,9 +52,8 @@ class Hull:
         [m⁵].
         """
         corners = self.vertices[self.faces]
-        sixfold = np.linalg.det(
-            corners
-        )  # six times the volume of the tetrahedron between a face and the origin
+        # Six times the volume of the tetrahedron between a face and the origin.
+        sixfold = np.linalg.det(corners)
         total = corners.sum(axis=1)
         volume = sixfold.sum() / 6
         centre = (sixfold[:, None] * total).sum(axis=0) / 24 / volume
@@ -316,11 +315,12 @@ def _ring(solid: Mapping[str, Any], center: Array, axis: Array) -> Iterator[Soli
     for start, end in itertools.pairwise(corners):
         chord = end - start
         turn = rotation_about((0, 0, 1), math.atan2(chord[1], chord[0]))
+        # So that the outer edges meet.
         size = (
             float(np.linalg.norm(chord)) * outer / middle,
             wall,
             solid["length"],
-        )  # so that the outer edges meet
+        )
         yield Solid(
             "box", solid["mass"] / staves, size, center + axis @ ((start + end) / 2), axis @ turn
         )

@@ -137,9 +137,8 @@ def _wiggle(options: argparse.Namespace) -> int:
             print(f"servo {index + 1} of {len(SERVOS)}: {name} flexes and returns", flush=True)
             target = rest.copy()
             target[index] += options.angle
-            duration = max(
-                _WIGGLE_TIME, 2 * move_duration(rest, target, hand)
-            )  # minimum jerk peaks at 1.875 times the mean
+            # Minimum jerk peaks at 1.875 times the mean.
+            duration = max(_WIGGLE_TIME, 2 * move_duration(rest, target, hand))
             for pose in (target, rest):
                 link.move(ServoCommand(pose, duration), minimum_jerk=True)
                 link.wait()

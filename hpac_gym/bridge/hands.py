@@ -153,9 +153,8 @@ def load_library() -> ctypes.CDLL:
     Raises:
         FirmwareMissing: The library has not been built.
     """
-    library = ctypes.PyDLL(
-        str(firmware_file("libhpac.so"))
-    )  # holds the GIL, so that only one thread is in the core
+    # Holds the GIL, so that only one thread is in the core.
+    library = ctypes.PyDLL(str(firmware_file("libhpac.so")))
     pointer = ctypes.c_void_p
     size = ctypes.c_size_t
     u64 = ctypes.c_uint64

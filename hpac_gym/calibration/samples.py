@@ -188,7 +188,6 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
         if start < len(rate):
             limit = min(limit, angles[start])
     kept = samples.servo <= limit + 1e-6
-    stops = {
-        name: found[name] for name, start in starts.items() if start == min(starts.values())
-    }  # this one holds the others
+    # This one holds the others.
+    stops = {name: found[name] for name, start in starts.items() if start == min(starts.values())}
     return replace(samples.only(np.flatnonzero(kept)), stops=stops, at_stops=int((~kept).sum()))

@@ -124,9 +124,8 @@ class Episodes:
         self._losses: list[np.random.Generator | None] = [None] * num_worlds
         self._last_action = np.zeros((num_worlds, len(SERVOS)))
         self._predicted = np.zeros((num_worlds, len(JOINTS)))
-        self._start_of = lru_cache(maxsize=16)(
-            partial(_start_of, options.hand)
-        )  # most tasks begin with the same posture
+        # Most tasks begin with the same posture.
+        self._start_of = lru_cache(maxsize=16)(partial(_start_of, options.hand))
         self._rotation = np.zeros((num_worlds, 3, 3))
         self._down = np.zeros((num_worlds, 3))
         self.now: Moment | None = None
@@ -286,10 +285,11 @@ class Episodes:
         self._last_action = np.array(actions, dtype=float)  # the caller may reuse its array
         self._predicted = elastic_joints_from_servo(self._servo, self.options.hand)
         self._look(state, change, range(len(self.setups)))
+        # A step's reward belongs to the phase in which it began.
         self.now.phase, after = (
             phase,
             self.now.phase,
-        )  # a step's reward belongs to the phase in which it began
+        )
         self.terms = {term.name: term.value(self.now) for term in self.task.reward_terms}
         reward = (
             sum(self.terms.values())

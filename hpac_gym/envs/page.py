@@ -96,9 +96,8 @@ class _Handler(BaseHTTPRequestHandler):
 def png(picture: NDArray[np.uint8]) -> bytes:
     """PNG file of an image, shape (height, width, 3), compressed for speed rather than size."""
     height, width, _ = picture.shape
-    rows = np.concatenate(
-        [np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1
-    )  # a row begins with its filter
+    # A row begins with its filter.
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return (

@@ -332,9 +332,8 @@ def table(results: Results) -> str:
     columns = ("split", "success [%]", "runs [%]", "failures by phase [%]", "holding force [N]")
     rows = []
     for row in results["summary"]:
-        cells = [
-            cell for cell in results["cells"] if cell["split"] == row["split"]
-        ]  # empty for the row of all splits
+        # Empty for the row of all splits.
+        cells = [cell for cell in results["cells"] if cell["split"] == row["split"]]
         low, high = cells[0]["interval_95"] if len(cells) == 1 else row["interval_95"]
         interval = f" [{100 * low:.1f}, {100 * high:.1f}]" if cells or results["budget"] else ""
         runs = ", ".join(f"{100 * cell['successes'] / results['episodes']:.1f}" for cell in cells)

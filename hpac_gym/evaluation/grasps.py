@@ -203,10 +203,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from hpac_gym.evaluation.pictures import (
-        portrait,
-        write_pictures,
-    )  # imported here so that the command's help needs no Pillow
+    # Imported here so that the command's help needs no Pillow.
+    from hpac_gym.evaluation.pictures import portrait, write_pictures
 
     variant = options.variant or NOMINAL
     names = list(dict.fromkeys(options.grasps or GRASPS))

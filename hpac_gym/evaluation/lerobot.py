@@ -60,9 +60,8 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
     about = made_for(env)
     task = env.spec.id
     env.close()
-    seen_names = [
-        f"{name}.{label}" for name, label, *_ in about["observation"]
-    ]  # of the deploy vector
+    # Of the deploy vector.
+    seen_names = [f"{name}.{label}" for name, label, *_ in about["observation"]]
     features = {
         "observation.state": {
             "dtype": "float32",
@@ -90,9 +89,8 @@ def to_lerobot(recorded: MinariDataset, folder: Path) -> None:
     seeds = [one["seed"] for one in recorded.storage.get_episode_metadata(recorded.episode_indices)]
     try:
         with ExitStack() as files:
-            files.callback(
-                dataset.finalize
-            )  # closes its files; a full disk may show itself only then
+            # Closes its files; a full disk may show itself only then.
+            files.callback(dataset.finalize)
             for seed, episode in zip(
                 progress(seeds, "episodes"), recorded.iterate_episodes(), strict=True
             ):

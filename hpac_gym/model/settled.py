@@ -140,9 +140,8 @@ def settled_digit(
     guide_sum = digit.d1**2 + digit.d2**2
     guide_product = 2 * digit.d1 * digit.d2
     rest_chord = digit.rest_chord
-    slack_below = max(
-        -statics.load_offset / statics.load_slope, 0.0
-    )  # below this angle friction alone holds the spring
+    # Below this angle friction alone holds the spring.
+    slack_below = max(-statics.load_offset / statics.load_slope, 0.0)
     stretch = np.zeros_like(horn)
     root = np.zeros_like(horn)
     for _ in range(_ITERATIONS):

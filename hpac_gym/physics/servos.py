@@ -40,9 +40,8 @@ class Servos:
         self._reach = np.zeros((num_worlds, 1))
         self._dead_band = np.zeros((num_worlds, 1))
         self._late = np.zeros(num_worlds, dtype=int)
-        self._past = np.zeros(
-            (num_worlds, 0, len(SERVOS))
-        )  # the latest ramp positions, as many as the largest lag in steps
+        # The latest ramp positions, as many as the largest lag in steps.
+        self._past = np.zeros((num_worlds, 0, len(SERVOS)))
 
     def reset(
         self,

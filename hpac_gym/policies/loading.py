@@ -20,10 +20,10 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     """Load a policy for this environment.
 
     Args:
-        name: ``random``, ``scripted``, a shipped policy such as ``grasp``, a policy file, the folder of an exported policy, or
-            ``module:function``, which takes the environment and returns a policy;
-            ``module:function:text`` passes it the text as well, for example the path of a weights
-            file.
+        name: ``random``, ``scripted``, a shipped policy such as ``grasp``, a policy file, the
+            folder of an exported policy, or ``module:function``, which takes the environment and
+            returns a policy; ``module:function:text`` passes it the text as well, for example the
+            path of a weights file.
         env: the environment in which the policy acts.
 
     Raises:

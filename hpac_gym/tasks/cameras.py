@@ -47,9 +47,8 @@ class ObjectCamera:
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
         self._position = np.zeros((num_worlds, 1))
         self._angle = np.zeros((num_worlds, 1))
-        self._shown = np.zeros(
-            (2, num_worlds, 1)
-        )  # whether the object has a visible axis, and a visible side
+        # Whether the object has a visible axis, and a visible side.
+        self._shown = np.zeros((2, num_worlds, 1))
         self._half_extents = np.zeros((num_worlds, 3))
         self._draw = np.zeros((num_worlds, 6))
 

@@ -435,9 +435,8 @@ class GraspAny(Task):
         grip = self.grip
         ran = self._phase
         grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
-        self._phase = phase_at(
-            state.time + dt / 2, (*config.ends[:-1], np.inf)
-        )  # phase of the next step
+        # Phase of the next step.
+        self._phase = phase_at(state.time + dt / 2, (*config.ends[:-1], np.inf))
         begins = self._phase != ran
         grip.settle(begins & (self._phase == SHAKE))
         held = grip.holds

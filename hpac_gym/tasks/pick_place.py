@@ -314,9 +314,8 @@ class PickPlace(Task):
         config = self.config
         touched = state.touching.any(axis=1)
         self.grip.follow(state.object_pos, touched, state.supported, dt)
-        away = state.object_pos + self._offset(
-            state
-        )  # along the hand's axes, from the hand's initial position
+        # Along the hand's axes, from the hand's initial position.
+        away = state.object_pos + self._offset(state)
         close = self.timetable.ends[1]
         lowered = self.timetable.ends[4]
         closing = state.time < close - dt / 2

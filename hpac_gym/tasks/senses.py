@@ -212,9 +212,8 @@ class Senses:
         1; unused rows are zero.
         """
         facing, clear, points = self._sight(state, np.arange(len(self._eye)), _SPREAD)
-        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][
-            :, None
-        ]  # one error for all points
+        # One error for all points.
+        shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][:, None]
         seen = facing & clear
         found = np.zeros((len(points), POINTS, 4), np.float32)
         order = np.argsort(~seen, axis=1, kind="stable")[:, :POINTS]

@@ -19,18 +19,19 @@ from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 from hpac_gym.policies.policy_file import SHIPPED
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:jax.core.pytype_aval_mappings"
-)  # of TensorFlow Probability, on import
+# Of TensorFlow Probability, on import.
+pytestmark = pytest.mark.filterwarnings("ignore:jax.core.pytype_aval_mappings")
+# Faster.
 os.environ.setdefault(
     "XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-)  # faster
+)
 GRASP = "HPAC-Grasp-v0"
 FEW_UPDATES = {"learning_starts": 8, "gradient_steps": 1, "batch_size": 16}
+# One compilation.
 FEW = {
     "ppo": {"n_steps": 8, "batch_size": 16, "n_epochs": 1},
     "sbx-crossq": FEW_UPDATES | {"policy_delay": 1},
-}  # one compilation
+}
 
 
 def small(name: str) -> race.Contender:

@@ -295,9 +295,8 @@ def test_a_urdf_is_read_with_its_fixed_joints_its_meshes_and_its_masses(ell, dec
     assert model.mass == pytest.approx(0.12)
     assert {solid.kind for solid in model.solids} == {"cylinder", "hull"}
     low, high = model.bounds
-    np.testing.assert_allclose(
-        high - low, (0.03, 0.04, 0.14), atol=1e-5
-    )  # the L is turned: 20 mm deep along -x, 30 along y
+    # The L is turned: 20 mm deep along -x, 30 along y.
+    np.testing.assert_allclose(high - low, (0.03, 0.04, 0.14), atol=1e-5)
     assert own_object(
         ell.parent / "mallet.urdf", mass=0.3, scale=0.5, folder=decomposed
     ).model.size[2] == pytest.approx(0.07)
@@ -370,9 +369,8 @@ def test_a_dictionary_makes_the_same_environment_and_survives_json_and_a_spec_su
         wanted = env.reset(seed=3)[0]
     with gymnasium.make(again) as env:
         np.testing.assert_array_equal(env.reset(seed=3)[0], wanted)
-    spec = pickle.loads(
-        pickle.dumps(own_object(**given))
-    )  # on PyBullet a vector environment sends it to its processes
+    # On PyBullet a vector environment sends it to its processes.
+    spec = pickle.loads(pickle.dumps(own_object(**given)))
     vector = gymnasium.make_vec("HPAC-Grasp-v0", num_envs=2, object=spec, engine="mujoco")
     np.testing.assert_array_equal(vector.reset(seed=[3, 4])[0][0], wanted)
     vector.close()

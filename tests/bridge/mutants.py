@@ -265,9 +265,8 @@ class Judge:
 def _run_tests(watch: Watch, words: tuple[str, ...]) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     os.dup2(1, 2)
-    resource.setrlimit(
-        resource.RLIMIT_AS, (4 << 30, 4 << 30)
-    )  # a loop without end must not take all of the memory
+    # A loop without end must not take all of the memory.
+    resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
     faulthandler.dump_traceback_later(60, exit=True)
     options = ["-x", *(f"-pno:{name}" for name in ("cacheprovider", "faulthandler", "xdist"))]
     if pytest.main([*options, *words], plugins=[watch]) == 0:

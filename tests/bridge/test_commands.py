@@ -76,9 +76,8 @@ def test_wiggle_takes_its_time(angle, move, monkeypatch):
         link.clear()
     begun = hand.now_us
     assert run("wiggle", "--port", "virtual", "--servo", "index_mcp", "--angle", angle) == 0
-    assert (hand.now_us - begun) * 1e-6 == pytest.approx(
-        0.4 + 2 * (move + 0.2), abs=0.15
-    )  # after the start from rest
+    # After the start from rest.
+    assert (hand.now_us - begun) * 1e-6 == pytest.approx(0.4 + 2 * (move + 0.2), abs=0.15)
 
 
 def test_wiggle_refuses_an_angle_past_the_limits():

@@ -288,9 +288,8 @@ def test_every_check_is_failed_by_a_wrong_device(rule):
         device.transport = kind(PERIOD_US).connect()
         assert not device.run(rule)
         found.add(device.checks[-1])
-    helpers = (
-        suite.__file__ if rule != "MOVE arrives; minimum jerk" else ""
-    )  # that one needs all of `Device`'s
+    # That one needs all of `Device`'s.
+    helpers = suite.__file__ if rule != "MOVE arrives; minimum jerk" else ""
     checks = [
         check
         for check in dict.fromkeys(honest(rule).checks)

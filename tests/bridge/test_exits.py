@@ -135,9 +135,8 @@ def check_ctrl_c(lines):
 
 
 def test_ctrl_c_at_any_line_and_again_leaves_no_pulses(short_arming):
-    _, last = (
-        session_with_ctrl_c(0)[1] for _ in range(2)
-    )  # the first session runs lines whose results are kept
+    # The first session runs lines whose results are kept.
+    _, last = (session_with_ctrl_c(0)[1] for _ in range(2))
     anywhere = np.random.default_rng(1).choice(np.arange(1, last - 400), 60, replace=False).tolist()
     check_ctrl_c(anywhere + list(range(last - 400, last, 4)))
 
@@ -230,9 +229,8 @@ def run_against(board, body, *signals, whole=None):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     assert process.stdout.readline().strip() == "armed"
-    process.send_signal(
-        signal.SIGSTOP
-    )  # so that all the signals find it in the session, however busy the machine is
+    # So that all the signals find it in the session, however busy the machine is.
+    process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, process.pid, os.WSTOPPED)
     for number in signals:
         process.send_signal(number)
@@ -380,9 +378,8 @@ def test_a_killed_program_leaves_the_hand_safe_within_the_watchdog_time(host_boa
     move = "link.move(ServoCommand([0.5] * 6, 10.0))"
     whole = f"link.connect(); link.arm(Action.detach); {move}; print('armed', flush=True); link.sleep(60)"
     assert run_against(host_board, "", signal.SIGKILL, whole=whole)[0] == -signal.SIGKILL
-    wait_for(
-        lambda: not host_board.pulses().any(), 20
-    )  # the hand's watchdog of 0.4 s, and a busy machine
+    # The hand's watchdog of 0.4 s, and a busy machine.
+    wait_for(lambda: not host_board.pulses().any(), 20)
     with HandLink(host_board.connect) as link:
         with pytest.raises(FaultError, match="watchdog"):
             link.arm()

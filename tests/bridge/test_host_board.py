@@ -36,9 +36,8 @@ def test_streamed_commands_are_acknowledged_and_the_pulses_decode_to_them(host_b
             link.move(command)
             link.wait()
             np.testing.assert_allclose(servo_from_pulses(host_board.pulses()), servo, atol=2e-4)
-        assert (
-            link.statistics.acked == link.statistics.sent - link.statistics.retried
-        )  # a busy machine repeats frames
+        # A busy machine repeats frames.
+        assert link.statistics.acked == link.statistics.sent - link.statistics.retried
         assert link.statistics.rejected == 0
 
 

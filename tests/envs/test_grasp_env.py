@@ -101,9 +101,8 @@ def test_the_wrist_path_shakes_in_six_directions_and_its_velocity_never_jumps():
     times = np.arange(0, table.ends[-1] + dt, dt)
     offsets = wrist_table(table, tuple(times.tolist()))
     accelerations = np.diff(offsets, 2, axis=0) / dt**2
-    assert (
-        15.0 < np.abs(accelerations).max() < 25.0
-    )  # [m/s²]; a jump of 0.4 m/s would be one of 400
+    # [m/s²]; a jump of 0.4 m/s would be one of 400.
+    assert 15.0 < np.abs(accelerations).max() < 25.0
     shake_begin = table.ends[1]
     shake_end = table.ends[2]
     shaking = offsets[(times > shake_begin) & (times < shake_end)] - [0, 0, table.lift_height]

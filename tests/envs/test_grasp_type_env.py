@@ -202,9 +202,8 @@ def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monk
         infos, _ = run(env, Other(env), seed=0)
     assert infos[-1]["is_success"]
     times = env.unwrapped.task.timetable.ends
-    assert (
-        len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3
-    )  # the last one is of the grasp's quality
+    # The last one is of the grasp's quality.
+    assert len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3
 
 
 class Behaviour:

@@ -91,9 +91,8 @@ def held_by(env, seed: int) -> tuple[set[str], float]:
     """
     played = steps(env, scripted_closure(env.unwrapped.task), seed=seed)
     rows = [(env.unwrapped.phase, env.unwrapped.state) for _ in played]
-    begun = [
-        (phase, state) for (phase, _), (_, state) in pairwise(rows)
-    ]  # a step belongs to the phase in which it began
+    # A step belongs to the phase in which it began.
+    begun = [(phase, state) for (phase, _), (_, state) in pairwise(rows)]
     last = [state.touching[0] for phase, state in begun if phase == "place"]
     carried = [state.contact_force.sum() for phase, state in begun if phase in ("shake", "place")]
     often = np.mean(last, axis=0) >= 0.5 if last else np.zeros(len(PARTS), dtype=bool)

@@ -36,9 +36,8 @@ def test_the_deployed_vector_holds_what_its_table_says():
         extents = np.array(EASY.object.half_extents) / LENGTH_UNIT
         np.testing.assert_allclose(part(observation, TERMS, "object_pos"), place, atol=1e-4)
         np.testing.assert_allclose(part(observation, TERMS, "object_size"), extents, atol=1e-6)
-        np.testing.assert_allclose(
-            part(observation, TERMS, "object_up"), [0, 1, 0], atol=1e-6
-        )  # the hand's y axis points up
+        # The hand's y axis points up.
+        np.testing.assert_allclose(part(observation, TERMS, "object_up"), [0, 1, 0], atol=1e-6)
         np.testing.assert_allclose(part(observation, TERMS, "down"), [0, -1, 0], atol=1e-6)
         np.testing.assert_array_equal(part(observation, TERMS, "object_side"), 0)
         np.testing.assert_array_equal(part(observation, TERMS, "object_shape"), [1, 0, 0])

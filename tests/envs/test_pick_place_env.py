@@ -83,9 +83,8 @@ def test_success_is_an_object_that_stands_alone_at_its_target(scripted):
         if infos[-1]["is_success"]:
             assert infos[-1]["contact_force"] == 0.0
             assert state.on_target[0]
-            centre = (
-                state.object_pos[0] + setup.hand_rotation.T @ state.palm_offset[0]
-            )  # in the hand frame at the start
+            # In the hand frame at the start.
+            centre = state.object_pos[0] + setup.hand_rotation.T @ state.palm_offset[0]
             assert np.linalg.norm((centre - setup.target)[[0, 2]]) < PickPlaceConfig().tolerance
             assert centre[1] == pytest.approx(setup.target[1], abs=2e-3)
 

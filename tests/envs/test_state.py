@@ -56,9 +56,8 @@ def test_the_same_actions_from_a_saved_state_give_the_same_steps_to_the_bit(
     env = gymnasium.make(name, engine=engine, **options).unwrapped
     rng = np.random.default_rng(3)
     actions = closing(steps, rng)
-    more = (
-        env.action_space.shape[0] - 6
-    )  # the wrist's place, which is chosen once more after the first state
+    # The wrist's place, which is chosen once more after the first state.
+    more = env.action_space.shape[0] - 6
     place = np.full(more, 0.5) if more < 6 else wrist_choice(GRASP_TYPES[options["types"]].start)
     actions = np.concatenate([actions, np.tile(place, (steps, 1))], axis=1).astype(np.float32)
     env.reset(seed=5)

@@ -145,9 +145,8 @@ def test_everything_is_as_in_gymnasiums_own_over_the_ends_of_whole_episodes(engi
         make(engine=engine, reward=reward, autoreset_mode=mode) for make in (ours, gymnasiums)
     )
     assert_same(mine.reset(seed=[3, None, 8])[0][[0, 2]], its.reset(seed=[3, None, 8])[0][[0, 2]])
-    higher = replace(
-        EASY, position=EASY.position + np.array([0.0, 0.0, 0.006])
-    )  # so that MuJoCo's hand keeps it too
+    # So that MuJoCo's hand keeps it too.
+    higher = replace(EASY, position=EASY.position + np.array([0.0, 0.0, 0.006]))
     start = {"setup": higher}
     assert_same(mine.reset(seed=[3, 4, 8], options=start), its.reset(seed=[3, 4, 8], options=start))
     outcomes = set()

@@ -89,9 +89,8 @@ def test_a_closure_goes_from_open_to_its_goal_and_stays():
     assert (np.diff(actions, axis=0) >= 0).all()
     np.testing.assert_allclose(actions[-1], closure.goal, atol=1e-6)
     np.testing.assert_allclose(actions[:, 5], 0.5)
-    np.testing.assert_allclose(
-        actions[3, :2], [-1.0, -1 + 0.4 * 1.4], atol=1e-6
-    )  # the thumb waits for four steps
+    # The thumb waits for four steps.
+    np.testing.assert_allclose(actions[3, :2], [-1.0, -1 + 0.4 * 1.4], atol=1e-6)
 
 
 def test_the_scale_is_0_at_the_floor_and_1_at_the_ceiling():

@@ -163,9 +163,8 @@ def test_ctrl_c_ends_it_and_its_workers(seconds, tmp_path):
         ),  # a shell's background job ignores it
     )
     children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
-    wait_for(
-        lambda: len(children.read_text().split()) >= 3
-    )  # two workers, and the tracker of their resources
+    # Two workers, and the tracker of their resources.
+    wait_for(lambda: len(children.read_text().split()) >= 3)
     workers = children.read_text().split()
     time.sleep(seconds)
     os.killpg(command.pid, signal.SIGINT)

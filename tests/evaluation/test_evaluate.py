@@ -155,9 +155,8 @@ def test_the_workers_of_a_killed_evaluation_end(tmp_path):
     )
     children = Path(f"/proc/{command.pid}/task/{command.pid}/children")
     try:
-        wait_for(
-            lambda: len(children.read_text().split()) >= 3
-        )  # two workers, and the tracker of their resources
+        # Two workers, and the tracker of their resources.
+        wait_for(lambda: len(children.read_text().split()) >= 3)
         workers = children.read_text().split()
         time.sleep(0.5)
     finally:

@@ -66,12 +66,10 @@ def test_paired_difference_equals_agresti_and_mins_formula():
 
 
 def test_interquartile_mean_leaves_out_a_quarter_at_each_end():
-    assert interquartile_mean([[0.9], [0.1], [0.5], [0.6], [0.4]]) == pytest.approx(
-        0.5
-    )  # of five runs the middle three
-    assert interquartile_mean([[0.0, 0.2], [0.4, 9.0]]) == pytest.approx(
-        0.3
-    )  # of all four scores the middle two
+    # Of five runs the middle three.
+    assert interquartile_mean([[0.9], [0.1], [0.5], [0.6], [0.4]]) == pytest.approx(0.5)
+    # Of all four scores the middle two.
+    assert interquartile_mean([[0.0, 0.2], [0.4, 9.0]]) == pytest.approx(0.3)
     assert interquartile_mean([[[1.0]], [[2.0]]]).tolist() == [1.0, 2.0]
 
 

@@ -1,6 +1,5 @@
-"""`python -m experiments.agree`: which episodes it compares, and why PyBullet loses round objects that MuJoCo
-holds.
-"""
+"""`python -m experiments.agree`: which episodes it compares, and why PyBullet loses round objects
+that MuJoCo holds."""
 
 import json
 

@@ -302,7 +302,6 @@ def test_trials_of_a_record_become_rows_joint_by_joint():
     for joint in joints.values():
         assert joint.flexion.shape == joint.extension.shape == (2, len(joint.servo))
         assert (np.diff(joint.servo) > 0).all()
-        assert joint.flexion == pytest.approx(
-            joint.extension, abs=0.03
-        )  # the drift is not taken out
+        # The drift is not taken out.
+        assert joint.flexion == pytest.approx(joint.extension, abs=0.03)
         assert (joint.flexion[0] != joint.flexion[1]).any()

@@ -71,7 +71,9 @@ def test_the_index_dip_shows_its_printed_figures(of_index):
 
 @pytest.mark.slow
 def test_the_reference_files_seed_shows_every_printed_figure():
-    """The seed is one of those that show them; `python -m experiments.study seeds` tells how many other seeds do."""
+    """The seed is one of those that show them; `python -m experiments.study seeds` tells how
+    many other seeds do.
+    """
     whole = evaluate(command.simulate(REFERENCE, command.EVALUATION_STREAM))
     assert met(whole) == dict.fromkeys(PRINTED, True)
 

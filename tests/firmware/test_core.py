@@ -64,9 +64,10 @@ def test_the_core_reads_a_move_as_python_wrote_it(seq, duration_ms, servo):
             ask(hand, Frame("heartbeat", 5, 0, SESSION))
             while hand.run(min(duration_ms * 1e-3, 0.4)):
                 pass
+        # A tie, rounded.
         np.testing.assert_allclose(
             hand.pulses(), pulses_from_servo(np.array(servo) * 1e-4), rtol=0, atol=1
-        )  # a tie, rounded
+        )
     elif ack.fields["reason"] == Reason.angle:
         assert ack.fields["servo"] in outside
     else:

@@ -205,9 +205,8 @@ def test_velocity_and_spin_are_the_rates_of_place_and_rotation(name):
 @pytest.mark.parametrize("model", [None, "hexagonal_screwdriver", "scissors"])
 def test_a_push_at_the_centre_of_mass_accelerates_by_force_over_mass_and_turns_nothing(name, model):
     """Without weight, in the air: pushed all the time, in the first half of it, and not at all."""
-    spec = ObjectSpec(
-        "box", (0.12, 0.12, 0.12), 0.2, 0.8, model
-    )  # larger than the named ones, whose post is that far below
+    # Larger than the named ones, whose post is that far below.
+    spec = ObjectSpec("box", (0.12, 0.12, 0.12), 0.2, 0.8, model)
     start = SceneSetup(spec, np.array([0.4, 0.4, 0.4]), 0.3)
     engine = make_engine(name, 3, WorldSettings(gravity=0.0))
     steps = 24
@@ -253,9 +252,8 @@ def test_no_push_and_a_push_of_nothing_are_the_same_bits(name):
         first, zero, pushed, last = (getattr(state, field.name) for state in found)
         np.testing.assert_array_equal(first, zero, err_msg=field.name)
         np.testing.assert_array_equal(first, last, err_msg=field.name)
-        np.testing.assert_array_equal(
-            first[[1, 3]], pushed[[1, 3]], err_msg=field.name
-        )  # what cannot move
+        # What cannot move.
+        np.testing.assert_array_equal(first[[1, 3]], pushed[[1, 3]], err_msg=field.name)
     assert (np.abs(found[0].object_pos - found[2].object_pos).max(axis=1) > 1e-3).tolist() == [
         True,
         False,
@@ -278,9 +276,8 @@ def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
         next((part for part in PARTS if link.startswith(part)), None) for link in contacts.link
     ]
     force = [contacts.force[[part == name for part in parts]].sum() for name in PARTS]
-    np.testing.assert_allclose(
-        state.contact_force[0], force, rtol=1e-3
-    )  # an engine may compute its contacts anew
+    # An engine may compute its contacts anew.
+    np.testing.assert_allclose(state.contact_force[0], force, rtol=1e-3)
     assert (state.contact_force[0][~state.touching[0]] == 0.0).all()
     assert state.touching[0].sum() >= 3
     np.testing.assert_allclose(np.linalg.norm(contacts.normal, axis=1), 1.0)

@@ -163,9 +163,8 @@ def test_pybullet_loads_the_links_of_a_hand(variant):
             parent = next(
                 link for link in variant.geometry.phalanges if link.link == phalanx.parent
             )
-            assert frame[2] == pytest.approx(
-                parent.length - parent.capsule.end[2] / 2, rel=1e-6
-            )  # from the parent's middle
+            # From the parent's middle.
+            assert frame[2] == pytest.approx(parent.length - parent.capsule.end[2] / 2, rel=1e-6)
     engine.close()
 
 
@@ -187,9 +186,8 @@ def test_free_space_keeps_to_equations_12_and_13_of_the_hand_itself(engine, body
     assert manifold < 1e-3
     assert command < 0.4  # the drives are softer than the nominal one's
     assert speed < 0.05
-    assert (
-        np.abs(HPAC.elastic_ratio - variant.hand.elastic_ratio).max() > 4e-3
-    )  # another hand's law would be seen
+    # Another hand's law would be seen.
+    assert np.abs(HPAC.elastic_ratio - variant.hand.elastic_ratio).max() > 4e-3
 
 
 @engines

@@ -184,9 +184,8 @@ def test_a_hand_starts_at_rest_on_its_manifold():
     np.testing.assert_allclose(state.object_pos[0], PLACE, atol=1e-15)
     assert not state.joint_vel.any()
     assert not state.tension.any()
-    assert (
-        not state.supported.any()
-    )  # contacts are those of the last physics step, and there was none
+    # Contacts are those of the last physics step, and there was none.
+    assert not state.supported.any()
 
 
 def test_objects_stand_still_on_their_supports():

@@ -91,9 +91,8 @@ def test_points_of_a_surface_lie_on_it_and_are_spread_evenly(kind):
         np.testing.assert_allclose(np.linalg.norm(core, axis=1), half[0])
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert ((own * normals).sum(axis=1) > 0).all()
-    np.testing.assert_allclose(
-        normals.mean(axis=0), 0.0, atol=0.05
-    )  # a closed surface's normals cancel out
+    # A closed surface's normals cancel out.
+    np.testing.assert_allclose(normals.mean(axis=0), 0.0, atol=0.05)
 
 
 def test_no_point_of_a_surface_is_inside_another_solid():

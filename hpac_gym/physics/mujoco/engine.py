@@ -211,9 +211,8 @@ class MuJoCoEngine(Engine):
             name = model.body(other).name
             if name != "palm" and not name.endswith("_link"):
                 continue
-            into = (
-                1.0 if bodies[1] == item else -1.0
-            )  # the normal points from the first geom to the second
+            # The normal points from the first geom to the second.
+            into = 1.0 if bodies[1] == item else -1.0
             mujoco.mj_contactForce(model, data, index, wrench)
             points.append(contact.pos + into * contact.frame[:3] * contact.dist / 2)
             normals.append(into * contact.frame[:3])

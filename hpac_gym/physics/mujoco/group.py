@@ -156,9 +156,8 @@ class Group:
             self.batch.bind("sensordata") if self.model.nsensor else np.zeros((num_worlds, 0))
         )
         self.lead = np.zeros((num_worlds, len(SERVOS)))
-        self.warnings = self.batch.warning[
-            :, :, 1
-        ]  # column 1 counts each warning; column 0 is its last subject
+        # Column 1 counts each warning; column 0 is its last subject.
+        self.warnings = self.batch.warning[:, :, 1]
         self.warned = self.warnings.copy()
         self._hands: list[tuple[Hand, HandSettings, Geometry] | None] = [None] * num_worlds
         self._options = (settings, visuals)
@@ -319,9 +318,8 @@ class Group:
             forces[:, :, self.at.object_body, :3] = push
             control = np.concatenate([control, forces.reshape(n, steps, -1)], axis=2)
         handler = mujoco.get_mju_user_warning()
-        mujoco.set_mju_user_warning(
-            lambda text: None
-        )  # without a handler MuJoCo writes a log file to the working directory
+        # Without a handler MuJoCo writes a log file to the working directory.
+        mujoco.set_mju_user_warning(lambda text: None)
         try:
             self.batch.rollout(
                 steps, control, columns, record=(), ids=None if isinstance(rows, slice) else rows

@@ -60,9 +60,8 @@ class PyBulletEngine(Engine):
         self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
         self._setups: list[SceneSetup | None] = [None] * num_worlds
         self._time = np.zeros(num_worlds)
-        self._past: list[list[tuple[Array, ...]]] = [
-            [] for _ in range(num_worlds)
-        ]  # tables of each world's episode so far
+        # Tables of each world's episode so far.
+        self._past: list[list[tuple[Array, ...]]] = [[] for _ in range(num_worlds)]
 
     def require(self, settings: HandSettings) -> None:
         """As `Engine.require`; inertia at the servos' hubs is not supported."""

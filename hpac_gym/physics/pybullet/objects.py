@@ -123,9 +123,8 @@ class SimObject:
         """
         if self._fixed:
             return
-        centre, _ = pybullet.getBasePositionAndOrientation(
-            self.body, self._client
-        )  # of mass, whatever the object's frame is
+        # Of mass, whatever the object's frame is.
+        centre, _ = pybullet.getBasePositionAndOrientation(self.body, self._client)
         pybullet.applyExternalForce(
             self.body, -1, force, centre, pybullet.WORLD_FRAME, physicsClientId=self._client
         )
