@@ -280,6 +280,36 @@ static void a_low_supply_keeps_the_hand_from_arming_and_stops_it(void)
     CHECK(bench.hand.fault == HPAC_FAULT_SUPPLY && bench_silent(&bench) && !hpac_hand_powered(&bench.hand));
 }
 
+/* Each servo's own heat slows its own moves, and no other's. */
+static void a_hot_servo_alone_is_slowed(void)
+{
+    for (unsigned hot = 0; hot < HPAC_SERVOS; hot++) {
+        for (unsigned moved = 0; moved < HPAC_SERVOS; moved++) {
+            int16_t target[HPAC_SERVOS] = { 0 };
+            bench_t bench;
+            bench_armed(&bench, HPAC_ACTION_HOLD);
+            bench.hand.heat[hot] = HPAC_HEAT_LIMIT / 100u * 95u;
+            target[moved] = 12000;
+            CHECK(bench_move(&bench, 0, 400, target) == (moved == hot ? HPAC_REASON_HOT : HPAC_REASON_OK));
+            CHECK(moved != hot || bench.servo == hot);
+        }
+    }
+}
+
+/* A hold grips: it heats the servos, and ends where they are too hot. */
+static void overload_ends_a_hold(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench_run(&bench, BENCH_WATCHDOG_MS + 100);
+    CHECK(bench.hand.fault == HPAC_FAULT_WATCHDOG && bench_all_pulses(&bench));
+    bench.hand.heat[2] = HPAC_HEAT_LIMIT + HPAC_HEAT_LIMIT / 100u;
+    bench_run(&bench, 2);
+    CHECK(bench.hand.fault == HPAC_FAULT_OVERLOAD && bench.fault_servo == 2u);
+    bench_run(&bench, 4000);
+    CHECK(bench_silent(&bench));
+}
+
 static void heat_does_not_depend_on_how_often_the_board_ticks(void)
 {
     bench_t often;
@@ -304,6 +334,8 @@ void test_servo_and_load(void)
     the_first_servo_at_its_limit_is_told_once();
     heat_steps_are_counted();
     each_hot_servo_keeps_the_hand_from_arming();
+    a_hot_servo_alone_is_slowed();
+    overload_ends_a_hold();
     a_low_supply_keeps_the_hand_from_arming_and_stops_it();
     pulses_follow_the_table();
     unusable_tables_are_found();

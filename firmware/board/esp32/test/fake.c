@@ -140,6 +140,7 @@ esp_err_t esp_task_wdt_reset(void)
 
 esp_err_t gpio_set_level(gpio_num_t pin, uint32_t level)
 {
+    fake.enabled_blind = fake.enabled_blind || (SERVOS_ON_PCA9685 && pin == PCA9685_OE_PIN && level == 0u && fake.i2c_failed);
     fake.level_us[pin] = fake.level[pin] != level ? fake.now_us : fake.level_us[pin];
     fake.level[pin] = level;
     return fine(level <= 1u);
@@ -324,7 +325,8 @@ static esp_err_t transfer(int timeout_ms)
 {
     fine(timeout_ms > 0 && timeout_ms <= 5); /* three attempts within a period */
     fake.writes++;
-    if (fake.i2c_faults > 0) {
+    fake.i2c_failed = fake.i2c_faults > 0;
+    if (fake.i2c_failed) {
         fake.i2c_faults--;
         fake.now_us += 1000 * timeout_ms;
         return ESP_FAIL;

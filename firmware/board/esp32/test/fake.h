@@ -29,6 +29,7 @@ typedef struct {
     int errors; /* failed ESP_ERROR_CHECKs, and calls that the real chip would refuse or that would wait */
     uint32_t level[64];
     int64_t level_us[64]; /* when it last changed */
+    bool i2c_failed, enabled_blind; /* the bus failed last; the PCA9685's outputs were enabled after that */
     bool of_gpio[64], output[64], pulled_up[64], input[64];
     uint64_t glitches;  /* pins that drove a high level the moment they became outputs */
     int tx_pin, rx_pin; /* of UART0; -1: not routed, deaf */

@@ -415,6 +415,13 @@ static void chip_loses_its_supply(int ms)
     CHECK(ms != 3100 || abs((int)(angle_at_pin(3) - target[3] * 100)) <= (int)(half_a_step_urad() + 2.0));
 }
 
+static void its_divider_alone_turns(int ms)
+{
+    open_session(ms);
+    fake.i2c[0xfe] = ms == 2900 ? 0x1e : fake.i2c[0xfe];
+    CHECK(ms != 3100 || fake.i2c[0xfe] == 121);
+}
+
 static void chip_falls_asleep(int ms)
 {
     open_session(ms);
@@ -434,6 +441,8 @@ static void clock_stays_wrong(int ms) /* a divider that cannot be set: every pul
 static void the_bus_and_its_faults(void)
 {
     fake_boot(ESP_RST_POWERON, bus_dies, 2900);
+    CHECK(!fake.enabled_blind);
+    fake_boot(ESP_RST_POWERON, its_divider_alone_turns, 3110);
     fake_boot(ESP_RST_POWERON, an_estop_does_not_wait_for_the_bus, 2900);
     for (bus_failures = 3; bus_failures < 5; bus_failures++) {
         fake_boot(ESP_RST_POWERON, bus_fails_for_so_long, 2900);
