@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from hpac_gym.bridge.hands import BUILD_VARIABLE
+from hpac_gym.bridge.errors import FrameError
+from hpac_gym.bridge.frame import decode
+from hpac_gym.bridge.hands import BUILD_VARIABLE, VirtualHand
 from tests.options import called
 from tools.evidence import safety, sessions
 
@@ -173,3 +175,26 @@ def test_safety_tries_ten_million_frames_twenty_times_ten_thousand_sessions_unle
     )
     with pytest.raises(SystemExit):
         parser.parse_args(["--sessions", "0"])
+
+
+class Deaf(VirtualHand):
+    """Hears everything but CLEAR and ESTOP, so that every link ends with a warning."""
+
+    def receive(self, data):
+        pieces = [piece for piece in data.split(b"\0") if piece]
+        heard = [piece for piece in pieces if not _ends(piece)]
+        super().receive(b"".join(b"\0" + piece + b"\0" for piece in heard))
+
+
+def _ends(piece):
+    try:
+        return decode(piece).name in ("clear", "estop")
+    except FrameError:
+        return False
+
+
+def test_a_hand_that_stays_powered_counts_even_if_its_user_was_told():
+    """The headline claim counts hands, not warnings."""
+    found = sessions.run_sessions(30, seed=3, kind=Deaf)
+    assert found.powered > 2
+    assert found.untold == 0

@@ -24,9 +24,9 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
-from hpac_gym.bridge.frame import FrameSplitter, decode
+from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
-from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK
+from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK, MESSAGES
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.model import ServoCommand
 
@@ -95,6 +95,61 @@ def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overhear
     names = [frame.name for _, frame in overheard.frames[before:]]
     words = [name for name in names if name != "status"]
     assert words[:10] == (["clear"] * 3 + ["estop"] * 2) * 2
+
+
+def test_signs_of_life_are_timed_from_their_sending_not_from_their_answers(virtual_hand):
+    """A slow answer must not make the next one late: the hand counts from what it heard."""
+
+    class Slow(Overheard):
+        """Its answers to heartbeats take 60 ms."""
+
+        asked = False
+
+        def write(self, data):
+            super().write(data)
+            self.asked = self.frames[-1][1].name == "heartbeat"
+
+        def read(self, timeout):
+            late = super().read(0.0)
+            while self.asked and self.now() < self.frames[-1][0] + 0.06:
+                late += super().read(0.06)
+            self.asked = False
+            return late or super().read(timeout)
+
+    slow = Slow(virtual_hand)
+    with HandLink(lambda: slow, timeout=0.2) as link:
+        link.arm(watchdog=0.4)
+        link.sleep(3.0)
+        said = slow.of("heartbeat")[-15:]
+        np.testing.assert_allclose(gaps(said), 0.1, atol=0.002)
+
+
+def test_an_ack_of_another_message_is_no_answer(virtual_hand):
+    class Confused(VirtualTransport):
+        """Answers a heartbeat with the right number and the wrong message."""
+
+        def write(self, data):
+            frame = decode(data[1:-1])
+            if frame.name != "heartbeat" or not self.confused:
+                super().write(data)
+                return
+            fields = {"acked": MESSAGES["move"].code, "reason": 0, "servo": 255, "state": 2}
+            self._reply = encode(Frame("ack", frame.seq, 0, fields))
+
+        _reply = b""
+        confused = False
+
+        def read(self, timeout):
+            reply = self._reply
+            self._reply = b""
+            return reply or super().read(timeout)
+
+    confused = Confused(virtual_hand)
+    with HandLink(lambda: confused) as link:
+        link.arm()
+        confused.confused = True
+        with pytest.raises(LinkTimeout, match="no answer to heartbeat"):
+            link.heartbeat()
 
 
 @pytest.mark.parametrize("watchdog", [0.1, 0.4, 2.0])
