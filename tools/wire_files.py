@@ -119,8 +119,6 @@ def wire_tables(hand: Hand, rows: Vectors) -> str:
     lines = [
         *_message_rows("message", MESSAGES),
         "",
-        *_message_rows("planned", protocol.PLANNED),
-        "",
     ]
     for name, values in protocol.DESCRIPTION["enum"].items():
         lines += [f"| {name} | code | meaning |", "| --- | --- | --- |"]
@@ -251,11 +249,6 @@ def vectors(hand: Hand = HPAC) -> Vectors:
         ("longer than any frame", "overrun", _sealed(move + bytes(range(1, 64)))),
         ("payload one byte short", "length", _sealed(move[:-1])),
         ("unknown type", "type", _sealed(bytes([move[0], 0x70]) + move[2:])),
-        (
-            "a planned LOAD",
-            "type",
-            _sealed(move[:1] + bytes([protocol.PLANNED["load"].code]) + move[2:5] + b"\x64\0"),
-        ),
         ("unknown flag", "flags", _sealed(move[:4] + b"\x80" + move[5:])),
         ("another session", "session", _sealed(other_session)),
         ("a MOVE of version 3", "version", _sealed(bytes([3]) + move[1:])),

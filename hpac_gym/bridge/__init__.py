@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from hpac_gym.bridge.errors import (
         BridgeError,
+        ClippedWarning,
         FaultError,
         FirmwareMissing,
         FrameError,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from hpac_gym.bridge.reports import HandInfo, HandStatus
     from hpac_gym.bridge.transport import (
         SerialTransport,
-        SocketTransport,
         Transport,
         open_transport,
     )
@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "errors": (
         "BridgeError",
+        "ClippedWarning",
         "FaultError",
         "FirmwareMissing",
         "FrameError",
@@ -81,7 +82,6 @@ _HOMES = {
     ),
     "transport": (
         "SerialTransport",
-        "SocketTransport",
         "Transport",
         "open_transport",
     ),
@@ -91,6 +91,7 @@ _HOMES = {
 __all__ = [
     "Action",
     "BridgeError",
+    "ClippedWarning",
     "Fault",
     "FaultError",
     "FirmwareMissing",
@@ -107,7 +108,6 @@ __all__ = [
     "RejectedError",
     "Reset",
     "SerialTransport",
-    "SocketTransport",
     "State",
     "StoppedError",
     "Transport",

@@ -26,7 +26,8 @@ _FAULT_STEPS = {
     "brownout": "the supply sagged: give the servos one of their own, 5 to 6 V, 6 A or more, ground in common; then hpac clear",
     "crash": "the firmware crashed or hung: report what came before; then hpac clear",
     "supply": "the servo supply fell too low: 5 to 6 V and 6 A or more are needed; then hpac clear",
-    "config": "pins.h has a trim or direction that takes a pulse out of 0.5 to 2.5 ms: correct it and flash",
+    "config": "pins.h has a trim beyond ±32,767 ns, or a trim or direction that takes a pulse out of "
+    "0.5 to 2.5 ms: correct it and flash",
     "overload": "a servo was held closed too long: let it cool for a minute, then hpac clear",
 }
 
@@ -177,7 +178,7 @@ def _judge(
             _FAULT_STEPS.get(status.fault, "hpac clear"),
         )
     try:
-        info.check_limits(hand)
+        info.table_of(hand)
     except HandshakeError as error:
         limits, _, advice = str(error).partition(": ")
         return Finding(name, False, f"{what}; {limits}", advice)

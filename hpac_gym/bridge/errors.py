@@ -84,3 +84,7 @@ def tell(warning: Warning) -> None:
         warnings.warn(warning, stacklevel=3)
     except Warning:
         print(f"{type(warning).__name__}: {warning}", file=sys.stderr)
+
+
+class ClippedWarning(UserWarning):
+    """A servo angle leaves the range that the board was flashed with, and is clipped to it."""

@@ -7,6 +7,7 @@ No call blocks indefinitely.
 from __future__ import annotations
 
 import math
+import warnings
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,6 +20,7 @@ import numpy as np
 from hpac_gym.bridge.connection import Connection, Turns
 from hpac_gym.bridge.errors import (
     BridgeError,
+    ClippedWarning,
     FrameError,
     HandshakeError,
     LinkTimeout,
@@ -39,6 +41,7 @@ from hpac_gym.bridge.protocol import (
 from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand
+from hpac_gym.model.checks import Array
 
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
@@ -96,6 +99,8 @@ class Line:
         interrupts.install()
         self._port = port
         self._hand = hand
+        self._table = hand
+        self._told_clipped = False
         self._patience = {"timeout": timeout, "attempts": attempts}
         self._handshake_timeout = handshake_timeout
         self._log = log
@@ -239,7 +244,9 @@ class HandLink(Line):
     Args:
         port: name of a port (see `open_transport`), or a function that opens a transport, such as
             `VirtualHand.connect`.
-        hand: the hand with whose limits the firmware must have been built.
+        hand: the hand that is commanded, for which the firmware must have been built; a calibrated
+            hand is also commanded on a board with the nominal table, within whose range its
+            commands are clipped (`ClippedWarning`).
         timeout: time-out of one answer [s].
         attempts: number of times that a frame is sent before `LinkTimeout`.
         handshake_timeout: time-out of HELLO [s]; boards that reset when the port opens need 1 to 2
@@ -273,8 +280,9 @@ class HandLink(Line):
             LinkTimeout: No answer, or not all servos got pulses.
         """
         connection = self._connected()
-        connection.info.check_limits(self._hand)
-        connection.known.limits = servo_limits(self._hand)
+        connection.raise_unasked("arm refused")  # a bad table is a fault before it is another table
+        self._table = connection.info.table_of(self._hand)
+        connection.known.limits = servo_limits(self._table)
         watchdog_ms = milliseconds("watchdog", watchdog)
         fields = {
             "limits_hash": self.info.limits_hash,
@@ -321,7 +329,7 @@ class HandLink(Line):
             LinkTimeout, PortError: No answer; the port is gone.
         """
         duration_ms = milliseconds("duration", command.duration, lambda ms: math.ceil(ms - 1e-6))
-        steps = np.rint(np.asarray(command.servo) / ANGLE_UNIT).astype(int)
+        steps = np.rint(self._within_table(command.servo) / ANGLE_UNIT).astype(int)
         if np.abs(steps).max() > _STEP_MAX:
             worst = max(command.servo, key=abs)
             raise FrameError(
@@ -339,6 +347,26 @@ class HandLink(Line):
             connection.exchange.listen(0)
             connection.raise_unasked("move")
         connection.busy_until = self._now() + duration_ms * 1e-3
+
+    def _within_table(self, servo: Array) -> Array:
+        """Servo angles, shape (6,) [rad]; on a board that was flashed for the nominal hand, those
+        of another hand are clipped to its range, and the first that is clipped is told.
+        """
+        table = self._table
+        if table is self._hand:
+            return np.asarray(servo)
+        clipped = np.clip(servo, table.servo_min, table.servo_max)
+        beyond = np.abs(clipped - servo) > ANGLE_UNIT / 2
+        if beyond.any() and not self._told_clipped:
+            self._told_clipped = True
+            worst = int(np.argmax(np.abs(clipped - servo)))
+            warnings.warn(
+                f"servo {SERVOS[worst]}: {servo[worst]:.4f} rad is clipped to {clipped[worst]:.4f} rad, the bound of the "
+                f"board, which was flashed for '{table.name}' and not for '{self._hand.name}'",
+                ClippedWarning,
+                stacklevel=4,
+            )
+        return clipped
 
     @turn
     def wait(self) -> HandStatus:

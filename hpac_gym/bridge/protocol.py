@@ -95,24 +95,17 @@ PULSE: dict[str, int] = DESCRIPTION["pulse"]
 LOAD: dict[str, int] = DESCRIPTION["load"]
 
 
-def _messages(table: str) -> dict[str, Message]:
-    return {
-        entry["name"]: Message(
-            entry["name"],
-            entry["code"],
-            entry["from"] == "host",
-            entry["meaning"],
-            _read_fields(entry["fields"]),
-        )
-        for entry in DESCRIPTION[table]
-    }
-
-
-MESSAGES = _messages("message")
+MESSAGES = {
+    entry["name"]: Message(
+        entry["name"],
+        entry["code"],
+        entry["from"] == "host",
+        entry["meaning"],
+        _read_fields(entry["fields"]),
+    )
+    for entry in DESCRIPTION["message"]
+}
 """All messages by name."""
-
-PLANNED = _messages("planned")
-"""Messages that no firmware implements yet; their codes are reserved."""
 
 MESSAGE_BY_CODE = {message.code: message for message in MESSAGES.values()}
 

@@ -12,7 +12,8 @@ from hpac_gym.bridge.errors import FaultError, HandshakeError, RejectedError
 from hpac_gym.bridge.frame import Frame
 from hpac_gym.bridge.limits import ServoLimits, limits_hash
 from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, Fault, Reason, Reset, State, name_of
-from hpac_gym.model import SERVOS, Hand
+from hpac_gym.model import HPAC, SERVOS, Hand
+from hpac_gym.model.maps import is_calibrated
 
 COUNTERS = (
     "accepted",
@@ -63,18 +64,24 @@ class HandInfo:
             reversed_mask=fields["reversed"],
         )
 
-    def check_limits(self, hand: Hand) -> None:
-        """Compare the firmware's limits with those of a hand.
+    def table_of(self, hand: Hand) -> Hand:
+        """The hand whose servo table the board has: `hand`, or for a calibrated one the nominal,
+        within whose range it can be commanded at the same speed.
 
         Raises:
-            HandshakeError: They differ; the message states how to make the firmware match.
+            HandshakeError: It has the table of another hand; the message states how to make the
+                firmware match.
         """
+        as_fast = np.array_equal(hand.servo_rate_limit, HPAC.servo_rate_limit)
+        nominal = (HPAC,) if is_calibrated(hand) and as_fast else ()
+        for built_for in (hand, *nominal):
+            if self.limits_hash == limits_hash(built_for, self.trim_ns, self.reversed_mask):
+                return built_for
         wanted = limits_hash(hand, self.trim_ns, self.reversed_mask)
-        if self.limits_hash != wanted:
-            raise HandshakeError(
-                f"the firmware's servo limits {self.limits_hash:08x} are not this hand's {wanted:08x}: name the hand that it was "
-                "built for (--hand FILE), or build and flash it for this one (python -m tools.generate --hand FILE)"
-            )
+        raise HandshakeError(
+            f"the firmware's servo limits {self.limits_hash:08x} are not this hand's {wanted:08x}: name the hand that it was "
+            "built for (--hand FILE), or build and flash it for this one (python -m tools.generate --hand FILE)"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,7 +229,11 @@ class KnownState:
         self, what: str, reason: str = Reason.state.name, servo: str | None = None
     ) -> FaultError:
         """The error for a latched fault."""
-        advice = "" if what.startswith("clear ") else "; `hpac clear` or HandLink.clear() leaves it"
+        advice = "; `hpac clear` or HandLink.clear() leaves it"
+        if self.fault == Fault.config.name:
+            advice = "; `hpac doctor` says what to correct"
+        elif what.startswith("clear "):
+            advice = ""
         return FaultError(
             f"the hand is in fault ({self.fault}): {what}{advice}",
             reason,

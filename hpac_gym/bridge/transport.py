@@ -1,5 +1,5 @@
-"""Byte transports: a serial port or pseudo-terminal, or a TCP socket. The in-process transport is
-in `hands`.
+"""The byte transport of a serial port, pseudo-terminal or TCP socket. The in-process one is in
+`hands`.
 
 A transport also owns the clock, so that a link to a virtual hand runs in virtual time without
 sleeping."""
@@ -17,6 +17,7 @@ from hpac_gym.bridge.errors import PortError
 from hpac_gym.bridge.protocol import CONSTANTS
 
 READ_SIZE = 4096
+"""Bytes that end a read though more may wait."""
 _MISSED_MAX = 50
 _MISSED_WAIT = 1e-3
 """Reads in a row that may find no bytes though there were some, and the time between them [s]."""
@@ -49,7 +50,8 @@ class SerialTransport(Transport):
     loader.
 
     Args:
-        port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, or any URL that pyserial takes.
+        port: `/dev/ttyUSB0`, `COM3`, the path of a pseudo-terminal, `socket://HOST:PORT`, or any
+            URL that pyserial takes.
         write_timeout: a port that accepts no bytes for this long is considered gone [s].
         lock: refuse, and be refused by, other programs.
 
@@ -75,6 +77,10 @@ class SerialTransport(Transport):
             self._serial.rts = False
             self._serial.exclusive = lock
             self._serial.open()
+            if raw := getattr(
+                self._serial, "_socket", None
+            ):  # a stop must not wait for the ACK of a move
+                raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if lock:  # otherwise they are the other program's bytes too
                 self._serial.reset_input_buffer()
         except (OSError, ValueError) as error:
@@ -84,8 +90,10 @@ class SerialTransport(Transport):
         try:
             if self._serial.timeout != timeout:
                 self._serial.timeout = timeout
-            first = self._serial.read(1)
-            data = first + self._serial.read(self._serial.in_waiting) if first else b""
+            data = self._serial.read(1)
+            # A socket tells only whether bytes wait, so this takes them one by one.
+            while data and len(data) < READ_SIZE and (waiting := self._serial.in_waiting):
+                data += self._serial.read(waiting)
         except (OSError, TypeError) as error:  # TypeError: raised by pyserial if it was closed
             if "multiple access" not in str(error) or self._missed > _MISSED_MAX:
                 raise PortError(f"{self.port} has gone: {error}") from error
@@ -118,57 +126,10 @@ def _open_advice(port: str, error: Exception) -> str:
     return f"{port} cannot be opened: {text}"
 
 
-class SocketTransport(Transport):
-    """A TCP connection, for an emulated board or a serial-to-network bridge.
-
-    Raises:
-        PortError: The connection is refused or times out.
-    """
-
-    def __init__(self, host: str, port: int, timeout: float = 1.0) -> None:
-        self._name = f"socket://{host}:{port}"
-        try:
-            self._socket = socket.create_connection((host, port), timeout)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        except OSError as error:
-            raise PortError(f"{self._name} cannot be opened: {error}") from error
-        self._write_timeout = timeout
-
-    def read(self, timeout: float) -> bytes:
-        try:
-            self._socket.settimeout(max(timeout, 1e-6))  # 0 would mean non-blocking mode
-            data = self._socket.recv(READ_SIZE)
-        except TimeoutError:
-            return b""
-        except OSError as error:
-            raise PortError(f"{self._name} has gone: {error}") from error
-        if not data:
-            raise PortError(f"{self._name} has gone: closed by the other end")
-        return data
-
-    def write(self, data: bytes) -> None:
-        try:
-            self._socket.settimeout(self._write_timeout)
-            self._socket.sendall(data)
-        except OSError as error:
-            raise PortError(f"{self._name} takes no bytes: {error}") from error
-
-    def close(self) -> None:
-        self._socket.close()
-
-
 def open_transport(port: str | Callable[[], Transport], lock: bool = True) -> Transport:
-    """Open a port: `socket://HOST:PORT`, the name of a serial port, or a function that opens a
-    transport.
+    """Open a port by its name, see `SerialTransport`, or by a function that opens a transport.
 
     Raises:
         PortError: The name is malformed, or the port cannot be opened.
     """
-    if not isinstance(port, str):
-        return port()
-    if not port.startswith("socket://"):
-        return SerialTransport(port, lock=lock)
-    host, _, number = port.removeprefix("socket://").rpartition(":")
-    if not host or not number.isdecimal():
-        raise PortError(f"{port}: write socket://HOST:PORT")
-    return SocketTransport(host, int(number))
+    return SerialTransport(port, lock=lock) if isinstance(port, str) else port()

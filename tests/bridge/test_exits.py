@@ -40,6 +40,7 @@ from hpac_gym.bridge.frame import Frame, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.model import ServoCommand
 from tests.processes import wait_for
+from tools.evidence import user_programs
 
 ROOT = Path(__file__).parents[2]
 BRIDGE = str(Path(hpac_gym.bridge.__file__).parent)
@@ -654,3 +655,12 @@ def test_another_programs_hello_ends_this_session_by_name(virtual_hand, armed):
     virtual_hand.receive(encode(Frame("hello", 1, 0, {"nonce": 77})))
     with pytest.raises(BridgeError, match="another program"):
         armed.heartbeat()
+
+
+def test_programs_of_users_leave_no_hand_on_and_no_port_locked_and_a_lost_one_is_found_out():
+    """A few of the 300 that `python -m tools.evidence.user_programs` draws."""
+    verdicts = user_programs.run_programs(6, seed=2)
+    assert [verdict.left for verdict in verdicts] == [""] * 6, verdicts
+    assert all("armed" in verdict.output or verdict.program.signals for verdict in verdicts)
+    (lost,) = user_programs.run_programs(1, seed=2, control=True)
+    assert lost.left == "on"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from hpac_gym.bridge import (
     Action,
+    ClippedWarning,
     FaultError,
     FrameError,
     HandLink,
@@ -24,9 +26,24 @@ from hpac_gym.bridge import (
     servo_from_pulses,
 )
 from hpac_gym.bridge.frame import Frame, encode
-from hpac_gym.bridge.hands import VirtualTransport
+from hpac_gym.bridge.hands import (
+    VirtualTransport,
+    default_config,
+)
+from hpac_gym.bridge.limits import (
+    limits_hash,
+)
 from hpac_gym.errors import HpacError
-from hpac_gym.model import HPAC, SERVOS, ServoCommand, move_duration, stream_command
+from hpac_gym.model import (
+    HPAC,
+    SERVOS,
+    ServoCommand,
+    move_duration,
+    stream_command,
+)
+from hpac_gym.model.parameters import (
+    Calibration,
+)
 from tests.bridge.devices import Device, of_another_version, refusing
 from tools.evidence.sessions import BadTransport
 
@@ -376,3 +393,50 @@ def test_minimum_jerk_arrives_at_rest_and_on_time(virtual_hand, armed):
     armed.sleep(duration / 2)
     np.testing.assert_allclose(armed.status().servo, POSE / 2, atol=0.02)
     np.testing.assert_allclose(armed.wait().servo, POSE, atol=1e-4)
+
+
+@pytest.fixture
+def calibrated_hand():
+    """A hand whose file has zeros, and a servo range other than the nominal one."""
+    zeros = Calibration(servo_zero=(0.01,) * len(SERVOS))
+    thumb = dataclasses.replace(
+        HPAC.digits["thumb"], servo_radius=HPAC.digits["thumb"].servo_radius * 0.98
+    )
+    return dataclasses.replace(
+        HPAC, name="mine", digits=HPAC.digits | {"thumb": thumb}, calibration=zeros
+    )
+
+
+def test_a_calibrated_hand_is_commanded_within_the_nominal_table_and_says_what_is_clipped(
+    virtual_hand, calibrated_hand
+):
+    assert limits_hash(calibrated_hand) != limits_hash(HPAC)
+    assert calibrated_hand.servo_max[0] > HPAC.servo_max[0]
+    with HandLink(virtual_hand.connect, hand=calibrated_hand) as link:
+        link.arm()
+        with pytest.warns(ClippedWarning, match=r"thumb_mp: 1\.\d+ rad is clipped to 1\.3566 rad"):
+            link.move(ServoCommand(calibrated_hand.servo_max, 2.0))
+        link.wait()
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # told once
+            link.move(ServoCommand(calibrated_hand.servo_max, 2.0))
+        link.wait()
+        servo = servo_from_pulses(virtual_hand.pulses())
+    np.testing.assert_allclose(
+        servo, np.minimum(calibrated_hand.servo_max, HPAC.servo_max), atol=2e-4
+    )
+
+
+def test_a_calibrated_hand_that_is_slower_than_the_board_is_refused(virtual_hand, calibrated_hand):
+    slower = dataclasses.replace(calibrated_hand, rate_limit=HPAC.rate_limit / 2)
+    with HandLink(virtual_hand.connect, hand=slower) as link:
+        with pytest.raises(HandshakeError, match="limits"):
+            link.arm()
+
+
+def test_a_trim_that_its_field_cannot_tell_is_a_config_fault_before_it_is_another_table():
+    config = default_config()
+    config[2].trim_ns = 40_000
+    with VirtualHand(config=config) as hand, HandLink(hand.connect) as link:
+        with pytest.raises(FaultError, match=r"in fault \(config\): arm refused; `hpac doctor`"):
+            link.arm()

@@ -62,11 +62,3 @@ def test_fields_follow_each_other_without_gaps(message):
 def test_codes_tell_host_from_hand():
     assert all((message.code < 0x80) == message.from_host for message in protocol.MESSAGES.values())
     assert len(protocol.MESSAGE_BY_CODE) == len(protocol.MESSAGES)
-
-
-@pytest.mark.parametrize("planned", protocol.PLANNED.values(), ids=lambda m: m.name)
-def test_a_planned_message_takes_no_code_and_fits_a_frame(planned):
-    assert planned.code not in protocol.MESSAGE_BY_CODE
-    assert planned.name not in protocol.MESSAGES
-    assert (planned.code < 0x80) == planned.from_host
-    assert protocol.HEADER_LENGTH + planned.length + protocol.CRC_LENGTH <= protocol.FRAME_MAX
