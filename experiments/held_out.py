@@ -1,0 +1,94 @@
+"""Files that `hpac calibrate` makes of the held-out hands' own simulated sweeps: ``python -m
+experiments.held_out``.
+
+A hand whose record is refused, the one with a dead finger, has no file."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from experiments.populations import POINTS
+from experiments.rig import Rig
+from hpac_gym.body.hands import HandVariant, hand_set
+from hpac_gym.calibration.calibrate import named
+from hpac_gym.calibration.identification import identify
+from hpac_gym.calibration.judging import judged
+from hpac_gym.calibration.record import RecordError
+from hpac_gym.command import run_module
+from hpac_gym.model import HPAC, Hand, hand_to_toml
+from hpac_gym.model.checks import Array
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.model.settled import settled_joints_from_servo
+from hpac_gym.output import write_text
+from hpac_gym.physics.stand import HAND
+from hpac_gym.progress import progress
+
+OUT = Path("hpac_gym/body/data/calibrated")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument(
+        "--out", type=Path, default=OUT, metavar="DIR", help="folder of the files (%(default)s)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Sweep and calibrate every held-out hand, and print the error of its file."""
+    for number, variant in enumerate(progress(hand_set("test"), "held-out hands")):
+        try:
+            hand = calibrated(variant, number)
+        except RecordError as error:
+            print(f"{variant.name}: no file, {error}")
+            continue
+        write_text(arguments.out / f"{variant.name}.toml", hand_to_toml(hand))
+        errors = file_error_deg(hand, variant)
+        print(
+            f"{variant.name}: mean error {errors.max():.3f}° at the worst joint, "
+            f"{file_error_deg(HPAC, variant).max():.1f}° for the nominal hand"
+        )
+    return 0
+
+
+def calibrated(variant: HandVariant, seed: int) -> Hand:
+    """The hand that `hpac calibrate` makes of one sweep in the default engine.
+
+    The simulated hand is that of the environments, on the stand; the seed is the camera's. At rest
+    the joints are against their stops, whatever the servos' zeros.
+
+    Raises:
+        RecordError: The record is refused.
+    """
+    settings = replace(HAND, slack=variant.slack, strength=variant.strength)
+    rig = Rig(variant.hand, settings, servo_zero=variant.servo_zero)
+    record = rig.sweep(np.random.default_rng(seed))
+    judged(record, HPAC)
+    hand = named(identify(record), HPAC, f"the sweep of {variant.name} by experiments.held_out")
+    return replace(hand, name=f"H-PAC {variant.name}, calibrated")
+
+
+def truth(variant: HandVariant) -> Hand:
+    """The numbers that a perfect calibration would find: slack and, in flexion, the dead band turn
+    the horn like a zero.
+    """
+    hub = [digit.servo_radius for digit in variant.hand.digits.values()]
+    zero = np.array(variant.servo_zero) - HAND.servo.dead_band
+    zero[:-1] -= np.divide(variant.slack, hub)
+    return replace(variant.hand, calibration=replace(Calibration(), servo_zero=tuple(zero)))
+
+
+def file_error_deg(hand: Hand, variant: HandVariant) -> Array:
+    """Mean absolute error of a hand's model over the servos' range, by joint [°]."""
+    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, POINTS)
+    off = settled_joints_from_servo(servo, hand) - settled_joints_from_servo(servo, truth(variant))
+    return np.degrees(np.abs(off)).mean(axis=0)
+
+
+if __name__ == "__main__":
+    sys.exit(run_module("experiments.held_out", __doc__, add_arguments))

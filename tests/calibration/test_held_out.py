@@ -1,0 +1,28 @@
+"""The files of the held-out hands are what the command makes, and near the simulated hands."""
+
+import pytest
+
+from experiments.held_out import OUT, calibrated, file_error_deg
+from hpac_gym.body.hands import hand_set
+from hpac_gym.calibration.record import RecordError
+from hpac_gym.model import HPAC, hand_to_toml, load_hand
+
+HANDS = {variant.name: variant for variant in hand_set("test")}
+DEAD = "test_03"
+
+
+def test_seven_of_eight_hands_have_a_file_within_a_tenth_of_a_degree():
+    """The nominal hand is up to 22° off; the hand with a dead finger has no file."""
+    assert {path.stem for path in OUT.glob("*.toml")} == HANDS.keys() - {DEAD}
+    for name in HANDS.keys() - {DEAD}:
+        assert file_error_deg(load_hand(OUT / f"{name}.toml"), HANDS[name]).max() < 0.1
+        assert file_error_deg(HPAC, HANDS[name]).max() > 10
+
+
+@pytest.mark.slow
+@pytest.mark.pybullet
+def test_the_command_makes_these_files_again_and_refuses_a_dead_finger():
+    text = hand_to_toml(calibrated(HANDS["test_00"], 0))
+    assert text == (OUT / "test_00.toml").read_text(encoding="utf-8")
+    with pytest.raises(RecordError, match="pinky_dip turns 0.00 of the design's travel"):
+        calibrated(HANDS[DEAD], 3)
