@@ -15,22 +15,24 @@ import numpy as np
 from gymnasium import Space, spaces
 from numpy.typing import NDArray
 
-from hpac_gym.envs.options import Options
+from hpac_gym.envs.models import model_of
+from hpac_gym.envs.options import CALIBRATED, Options
 from hpac_gym.envs.page import Page
 from hpac_gym.envs.randomization import changed_setup, stream
 from hpac_gym.errors import EpisodeError, ParameterError, WorkspaceError
 from hpac_gym.model import (
+    HPAC,
     JOINTS,
     SERVOS,
     Hand,
     ServoCommand,
     action_from_synergy,
     elastic_joints_from_servo,
-    servo_from_action,
     servo_from_synergy,
     streamed_servo,
 )
 from hpac_gym.model.checks import Array, as_bounded_array
+from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import (
     HAND_POSITION,
     PhysicsError,
@@ -88,6 +90,10 @@ class Episodes:
             raise ParameterError(
                 f"obs {options.obs!r} is not one of {', '.join(kinds)}, which this task has"
             )
+        if options.model == CALIBRATED and task.hands != "test":
+            raise ParameterError(
+                f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"
+            )
         self.task = task
         self.options = options
         self._transmit = transmit
@@ -124,8 +130,11 @@ class Episodes:
         self._losses: list[np.random.Generator | None] = [None] * num_worlds
         self._last_action = np.zeros((num_worlds, len(SERVOS)))
         self._predicted = np.zeros((num_worlds, len(JOINTS)))
+        model = options.model
+        self._map = CommandMap(model if isinstance(model, Hand) else HPAC, num_worlds)
+        self._flexing = np.ones((num_worlds, len(SERVOS)), dtype=bool)
         # Most tasks begin with the same posture.
-        self._start_of = lru_cache(maxsize=16)(partial(_start_of, options.hand))
+        self._start_of = lru_cache(maxsize=16)(partial(_start_of, self._map.bounds))
         self._rotation = np.zeros((num_worlds, 3, 3))
         self._down = np.zeros((num_worlds, 3))
         self.now: Moment | None = None
@@ -177,6 +186,9 @@ class Episodes:
             setup_rng, camera_rng = generator.spawn(2)
             drawn = self.randomizations[world].draw(setup_rng)
             setup = given or self.task.setup(setup_rng, options.hand)
+            if given is None and any(zero := options.hand.calibration.servo_zero):
+                zero = tuple(np.add(setup.hand_settings.servo_zero, zero).tolist())
+                setup = replace(setup, hand_settings=replace(setup.hand_settings, servo_zero=zero))
             if inertia and (given is None or setup.hand_settings == _NO_CHOICE):
                 setup = replace(setup, hand_settings=replace(setup.hand_settings, **inertia))
             setups.append(changed_setup(setup, drawn))
@@ -212,6 +224,15 @@ class Episodes:
             start = self._start_of(*setup.synergy.tolist())
             self._servo[world], self._predicted[world], self._last_action[world] = start
         index = np.asarray(worlds)
+        self._flexing[index] = True
+        if isinstance(self.options.model, str):
+            self._map.take(
+                worlds, [model_of(self.options.model, self.setups[world]) for world in worlds]
+            )
+        if self._map.inverts_files:
+            synergy = np.stack([setup.synergy for setup in setups])
+            self._servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
+            self._predicted[index] = self._map.joints_from_servo(self._servo, self._flexing)[index]
         self._down[index] = -self._rotation[index, 2]
         self._arrived[index] = self._servo[index]
 
@@ -238,7 +259,10 @@ class Episodes:
         actions = every[:, : len(SERVOS)]
         choices = every[:, len(SERVOS) :]
         try:
-            target = servo_from_action(actions, self.options.hand)
+            if self._map.inverts_files:
+                change = actions - self._last_action
+                self._flexing = np.where(change == 0, self._flexing, change > 0)
+            target = self._map.servo_from_action(actions, self._flexing)
             if self.task.wrist_actions:
                 one = np.ones(len(self.task.wrist_actions))
                 as_bounded_array(
@@ -257,7 +281,7 @@ class Episodes:
             raise WorkspaceError(
                 f"{error}; wrap in gymnasium.wrappers.ClipAction, which clips it"
             ) from None
-        self._servo = streamed_servo(self._servo, target, self.dt, self.options.hand)
+        self._servo = streamed_servo(self._servo, target, self.dt, self._map.bounds)
         self._arrive()
         self.simulation.command(self._arrived, self.dt)
         row = np.minimum(
@@ -283,7 +307,7 @@ class Episodes:
             self.outcome[list(failed)] = FAILURE
         change = np.asarray(actions, dtype=float) - self._last_action
         self._last_action = np.array(actions, dtype=float)  # the caller may reuse its array
-        self._predicted = elastic_joints_from_servo(self._servo, self.options.hand)
+        self._predicted = self._map.joints_from_servo(self._servo, self._flexing)
         self._look(state, change, range(len(self.setups)))
         # A step's reward belongs to the phase in which it began.
         self.now.phase, after = (
@@ -317,7 +341,7 @@ class Episodes:
         """
         self.now = Moment(
             state,
-            self._servo,
+            self._map.shown_servo(self._servo, self._predicted),
             self._predicted,
             self._down,
             self.task.phase(state.time),
@@ -495,7 +519,7 @@ def _changing(owner: Any) -> Iterator[tuple[Any, str]]:
         if generators or arrays or isinstance(value, np.ndarray | float | int):
             yield owner, name
         elif (
-            name not in ("engine", "_page")
+            name not in ("engine", "_page", "_map")
             and type(value).__module__.startswith("hpac_gym.")
             and hasattr(value, "__dict__")
         ):

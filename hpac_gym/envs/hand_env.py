@@ -54,6 +54,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._transmit = transmit
         chosen = checked_options(render_mode=render_mode, **options)
         self.hand = chosen.hand
+        self.model = chosen.model
         self.obs = chosen.obs
         self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit)
         self.observation_space = self._episodes.observation_space

@@ -26,6 +26,7 @@ from hpac_gym.tasks.grasp_types import GRASP_TYPES, OBJECTS, TYPE_SPLITS
 from hpac_gym.tasks.grasp_types import WRISTS as TYPE_WRISTS
 from hpac_gym.tasks.task import Task
 
+MODELS = EXACT, CALIBRATED = "hand", "calibrated"
 RENDER_MODES = ["human", "rgb_array"]
 GRASP, GRASP_ANY_V0, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
     "HPAC-Grasp-v0",
@@ -137,8 +138,17 @@ OPTIONS = (
         "hand",
         (),
         HPAC,
-        "the hand's parameters; `HPAC` is the hand of the paper, `hpac_gym.model.HPAC`, and a hand file is "
-        "what `hpac calibrate` writes",
+        "the hand that is simulated, with the servo zeros of its file; `HPAC` is the hand of the paper, "
+        "`hpac_gym.model.HPAC`",
+        others="`hpac_gym.model.Hand`, path of a hand file",
+    ),
+    Option(
+        "model",
+        MODELS,
+        HPAC,
+        "the hand with which commands and observations are computed: a hand file is what `hpac calibrate` "
+        "writes, and its commands invert it; *hand* knows the numbers of the simulated hand exactly; "
+        '*calibrated*, for `hands="test"`, has for each held-out hand the file of its own simulated sweep',
         others="`hpac_gym.model.Hand`, path of a hand file",
     ),
     Option(
@@ -233,6 +243,8 @@ class Options:
     """Validated options of an environment; see `OPTIONS`."""
 
     hand: Hand
+    model: Hand | str
+    """A model, or one of `MODELS`: a model for every episode's hand."""
     obs: str
     reward: str
     randomization: Randomization
@@ -246,6 +258,7 @@ class Options:
 
 def checked_options(
     hand: Hand | str | PathLike[str] = HPAC,
+    model: Hand | str | PathLike[str] = HPAC,
     obs: str = "deploy",
     reward: str = "dense",
     randomize: Randomization | Mapping | str | None = None,
@@ -274,12 +287,13 @@ def checked_options(
         )
         if not (isinstance(value, str | None) and value in known):
             raise ParameterError(f"{name} {value!r} is not one of {', '.join(map(str, known))}")
-    if not isinstance(hand, Hand | str | PathLike):
-        raise ParameterError(f"hand {hand!r} is neither a Hand nor the path of a hand file")
+    for name, value in (("hand", hand), ("model", model)):
+        if not isinstance(value, Hand | str | PathLike):
+            raise ParameterError(f"{name} {value!r} is neither a Hand nor the path of a hand file")
     noise = settings_from(CameraNoise(), noise, "noise")
-    known = hand if isinstance(hand, Hand) else load_hand(hand)
     return Options(
-        known,
+        hand if isinstance(hand, Hand) else load_hand(hand),
+        model if isinstance(model, Hand) or model in MODELS else load_hand(model),
         obs,
         reward,
         randomization(randomize),

@@ -23,6 +23,7 @@ ATTRIBUTES = (
     "action_space",
     "dt",
     "hand",
+    "model",
     "obs",
     "observation_space",
     "randomization",
@@ -79,6 +80,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.metadata = self.metadata | {"autoreset_mode": self._mode}
         chosen = checked_options(render_mode=render_mode, **options)
         self.hand = chosen.hand
+        self.model = chosen.model
         self.obs = chosen.obs
         self._episodes = Episodes(task, num_envs, chosen)
         self.dt = self._episodes.dt

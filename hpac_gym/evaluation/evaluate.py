@@ -46,6 +46,8 @@ OPTIONS = {
     "randomize": "nominal, hand, link or full",
     "objects": "HPAC-GraspAny-v1: train, test or real; HPAC-GraspType-v0: train or test",
     "hands": "HPAC-GraspAny-v1: nominal, train or test",
+    "hand": "the file of the hand that is simulated",
+    "model": "what commands are computed with: a hand file, hand or calibrated",
     "types": "HPAC-GraspType-v0: all, train, test or the name of a type",
 }
 """Options of the environment that the command offers, and their values."""

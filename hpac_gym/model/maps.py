@@ -20,7 +20,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.command import servo_from_action, synergy_from_action
 from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
-from hpac_gym.model.joints import JOINT_INDEX, SERVOS
+from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
 from hpac_gym.model.parameters import Calibration, Hand, unchecked_servo_from_synergy
 from hpac_gym.model.settled import (
     EXTENSION,
@@ -30,6 +30,7 @@ from hpac_gym.model.settled import (
 )
 
 POINTS = 513
+_KNOWN_MAX = 256  # hands whose tables are kept
 """Points of a table; the interpolation is within 2e-6 rad of the exact map."""
 _DIRECTIONS = (FLEXION, EXTENSION)
 
@@ -66,29 +67,39 @@ class CommandMap:
         self.hands = [hand] * count
         self._board = table
         self._known: dict[int, tuple[Hand, _Tables]] = {}
-        self._tables: list[_Tables] | None = None
+        """Tables by the id of the hand, which is kept beside them, so that no other gets its id."""
+        self._inverts = False
         if is_calibrated(hand):
             self.take(range(count), [hand] * count)
 
     @property
+    def bounds(self) -> Hand:
+        """The hand whose servo range and rate limit bound the commands."""
+        return self._board if self._inverts else self.hands[0]
+
+    @property
     def inverts_files(self) -> bool:
         """Whether commands come from the inverse of hand files instead of Eq. (15)."""
-        return self._tables is not None
+        return self._inverts
 
     def take(self, places: Sequence[int], hands: Sequence[Hand]) -> None:
         """Give some of the n places other models, all of them calibrated or not; those that differ
         from each other are commanded by the inverse of their files.
         """
+        if not self._inverts:
+            places, hands = range(len(self.hands)), _placed(self.hands, places, hands)
+            self._servo = np.empty((len(self.hands), 2, len(SERVOS), POINTS))
+            self._joint_pos = np.empty((len(self.hands), 2, len(JOINTS), POINTS))
+            self._inverts = True
+        if len(self._known) > _KNOWN_MAX:
+            self._known = {}
         for place, hand in zip(places, hands, strict=True):
             self.hands[place] = hand
-            if id(hand) not in self._known:  # the hand is kept beside its tables, and so is its id
+            if id(hand) not in self._known:
                 self._known[id(hand)] = hand, _tables(hand, self._board)
-        tables = [
-            self._known.get(id(hand)) or (hand, _tables(hand, self._board)) for hand in self.hands
-        ]
-        self._tables = [found for _, found in tables]
-        self._servo = np.stack([found.servo for found in self._tables])
-        self._joint_pos = np.stack([found.joint_pos for found in self._tables])
+            _, found = self._known[id(hand)]
+            self._servo[place] = found.servo
+            self._joint_pos[place] = found.joint_pos
 
     def servo_from_action(self, action: ArrayLike, flexing: Array) -> Array:
         """Servo angles for actions.
@@ -103,21 +114,23 @@ class CommandMap:
         Raises:
             ShapeError, WorkspaceError: As `hpac_gym.model.servo_from_action`.
         """
-        if self._tables is None:
+        if not self._inverts:
             return servo_from_action(action, self.hands[0])
         return self.servo_from_synergy(synergy_from_action(action, self._board), flexing)
 
-    def servo_from_synergy(self, synergy: Array, flexing: Array) -> Array:
-        """Servo angles for synergies within Table I, shape (n, 6) [rad]."""
-        if self._tables is None:
+    def servo_from_synergy(
+        self, synergy: Array, flexing: Array, places: Sequence[int] | slice = slice(None)
+    ) -> Array:
+        """Servo angles for synergies within Table I at some places, shape (k, 6) [rad]."""
+        if not self._inverts:
             return unchecked_servo_from_synergy(np.asarray(synergy, dtype=float), self.hands[0])
         board = self._board
         share = (synergy - board.synergy_min) / (board.synergy_max - board.synergy_min)
-        return _interpolated(self._servo, share, flexing, _SERVO_OF_SERVO)
+        return _interpolated(self._servo[places], share, flexing, _SERVO_OF_SERVO)
 
     def joints_from_servo(self, servo: Array, flexing: Array) -> Array:
         """Joint angles that the models predict for servo angles, shape (n, 6) → (n, 15) [rad]."""
-        if self._tables is None:
+        if not self._inverts:
             return elastic_joints_from_servo(servo, self.hands[0])
         share = (servo - self._board.servo_min) / (self._board.servo_max - self._board.servo_min)
         return _interpolated(self._joint_pos, share, flexing, self._board.servo_of_joint)
@@ -130,7 +143,7 @@ class CommandMap:
             servo: commanded angles, shape (n, 6) [rad].
             predicted: `joints_from_servo` of them, shape (n, 15) [rad].
         """
-        if self._tables is None:
+        if not self._inverts:
             return servo
         synergy = np.clip(predicted[:, _ROOTS], self._board.synergy_min, self._board.synergy_max)
         return unchecked_servo_from_synergy(synergy, self._board)
@@ -138,6 +151,13 @@ class CommandMap:
 
 _SERVO_OF_SERVO = np.arange(len(SERVOS))
 _ROOTS = [JOINT_INDEX[name] for name in SERVOS]
+
+
+def _placed(hands: list[Hand], places: Sequence[int], others: Sequence[Hand]) -> list[Hand]:
+    placed = list(hands)
+    for place, hand in zip(places, others, strict=True):
+        placed[place] = hand
+    return placed
 
 
 def _tables(hand: Hand, board: Hand) -> _Tables:

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 
 from hpac_gym.errors import PolicyError
-from hpac_gym.model import HPAC, SERVOS, hand_to_toml
+from hpac_gym.model import HPAC, SERVOS, Hand, hand_to_toml
 from hpac_gym.tasks.task import CONTROL_HZ
 
 
@@ -40,12 +40,11 @@ def made_for(env: gymnasium.Env) -> dict[str, Any]:
         for name, term in named
         for label in term.labels
     ]
-    hand = getattr(env.unwrapped, "hand", HPAC)
     return {
         "observation": entries,
         "action": list(SERVOS),
         "control_hz": CONTROL_HZ,
-        "hand_sha256": _digest(hand_to_toml(hand)),
+        "hand_sha256": _digest(hand_to_toml(_model(env))),
         "task_sha256": _digest(f"{type(task).__name__} {task.config!r}"),
     }
 
@@ -76,7 +75,7 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
 def other_hand(file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
     """A remark that a policy was made with the model of another hand; None if it was not."""
     made_with = file.get("hand_sha256")
-    hand = getattr(env.unwrapped, "hand", HPAC)
+    hand = _model(env)
     if made_with in (None, _digest(hand_to_toml(hand))):
         return None
     was = "the nominal hand" if made_with == _digest(hand_to_toml(HPAC)) else "another hand"
@@ -111,6 +110,12 @@ def require_fit(what: str, env_id: str, file: Mapping[str, Any], env: gymnasium.
         raise PolicyError(f"{what} {told}")
     if remark := other_hand(file, env):
         warnings.warn(f"{what} {remark}", stacklevel=3)
+
+
+def _model(env: gymnasium.Env) -> Hand:
+    """The model of an environment; the nominal one where every episode has its own."""
+    model = getattr(env.unwrapped, "model", HPAC)
+    return model if isinstance(model, Hand) else HPAC
 
 
 def _told(entry: list[Any] | None) -> str:

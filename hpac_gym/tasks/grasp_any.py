@@ -187,6 +187,7 @@ class GraspAny(Task):
         ):
             if given not in known:
                 raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
+        self.hands = hands
         self._hands = () if hands == "nominal" else hand_set(hands)
         self.config = config
         preshape = open_hand(config.thumb_preshape)

@@ -56,6 +56,9 @@ class Task(Protocol):
     the wrist.
     """
 
+    hands: str = "nominal"
+    """Set from which an episode's hand is drawn; "nominal" draws none."""
+
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera | MarkerCamera:
         """Allocate the state of n worlds; returns their camera."""
         ...

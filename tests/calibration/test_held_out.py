@@ -24,5 +24,5 @@ def test_seven_of_eight_hands_have_a_file_within_a_tenth_of_a_degree():
 def test_the_command_makes_these_files_again_and_refuses_a_dead_finger():
     text = hand_to_toml(calibrated(HANDS["test_00"], 0))
     assert text == (OUT / "test_00.toml").read_text(encoding="utf-8")
-    with pytest.raises(RecordError, match="pinky_dip turns 0.00 of the design's travel"):
+    with pytest.raises(RecordError, match=r"pinky_dip turns 0\.00 of the design's travel"):
         calibrated(HANDS[DEAD], 3)

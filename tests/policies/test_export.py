@@ -149,7 +149,7 @@ def test_a_policy_of_a_goal_environment_is_exported_with_its_goals(policy, tmp_p
 
 def test_another_hand_is_a_remark_and_another_layout_a_refusal(folder, env):
     other = gymnasium.make(
-        "HPAC-Grasp-v0", engine="mujoco", hand=changed_hand(HPAC, np.full(5, 0.9))
+        "HPAC-Grasp-v0", engine="mujoco", model=changed_hand(HPAC, np.full(5, 0.9))
     )
     for load in (lambda: read_onnx(folder, other), lambda: load_policy("grasp", other)):
         with pytest.warns(UserWarning, match="was made with the nominal hand, and acts here with"):

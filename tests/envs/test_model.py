@@ -1,0 +1,144 @@
+"""`hand` is simulated, `model` is what commands and observations are computed with."""
+
+import warnings
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, hand_to_toml
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.policies.loading import load_policy
+
+ROOTS = [JOINT_INDEX[name] for name in SERVOS]
+SLACK = {"slack": (1.5e-3, 1.5e-3), "tendon_stiffness": (0.8, 0.8)}
+
+
+def posture_error(**options):
+    """Mean distance of the driven joints from the synergy that a constant action asks for [°]."""
+    with gymnasium.make("HPAC-Posture-v1", engine="mujoco", randomize=SLACK, **options) as env:
+        env.reset(seed=0)
+        for _ in range(40):
+            env.step(np.full(6, -0.2, np.float32))
+        synergy = HPAC.synergy_min + 0.4 * (HPAC.synergy_max - HPAC.synergy_min)
+        return float(np.degrees(np.abs(env.unwrapped.state.joint_pos[0, ROOTS] - synergy).mean()))
+
+
+def test_a_model_that_knows_the_hand_takes_it_where_the_action_says_and_the_nominal_one_does_not():
+    assert posture_error() > 3.0
+    assert posture_error(model="hand") < 0.6
+
+
+def test_the_nominal_model_is_the_default_whatever_hand_is_simulated():
+    heavy = replace(HPAC, cmc_stiffness=1.1 * HPAC.cmc_stiffness)
+    with (
+        gymnasium.make("HPAC-Grasp-v0", engine="mujoco", hand=heavy) as env,
+        gymnasium.make("HPAC-Grasp-v0", engine="mujoco") as nominal,
+    ):
+        assert (env.unwrapped.hand, env.unwrapped.model) == (heavy, HPAC)
+        action = np.full(6, 0.3, np.float32)
+        for either in (env, nominal):
+            either.reset(seed=1)
+            either.step(action)
+        np.testing.assert_array_equal(env.unwrapped.command.servo, nominal.unwrapped.command.servo)
+
+
+@pytest.fixture
+def calibrated(tmp_path):
+    """Path of a hand file with zeros."""
+    path = tmp_path / "mine.toml"
+    zeros = Calibration(servo_zero=(0.05, -0.04, 0.03, -0.02, 0.05, 0.0))
+    path.write_text(hand_to_toml(replace(HPAC, name="mine", calibration=zeros)))
+    return path
+
+
+def test_commands_invert_the_file_and_a_policy_sees_the_same_numbers_as_on_the_nominal_hand(
+    calibrated,
+):
+    action = np.full(6, -0.2, np.float32)
+    with (
+        gymnasium.make("HPAC-Grasp-v0", engine="mujoco", model=calibrated) as env,
+        gymnasium.make("HPAC-Grasp-v0", engine="mujoco") as nominal,
+    ):
+        for either in (env, nominal):
+            either.reset(seed=1)
+            for _ in range(20):
+                seen, *_ = either.step(action)
+        commanded = env.unwrapped.command.servo
+        assert np.abs(commanded - nominal.unwrapped.command.servo).max() > 0.03
+        shown = seen[env.unwrapped.slices["servo"]]
+        other = nominal.unwrapped.episodes.observe()[0][nominal.unwrapped.slices["servo"]]
+        np.testing.assert_allclose(shown, other, atol=5e-3)
+
+
+def test_a_shipped_policy_takes_a_calibrated_hand_and_says_so_in_one_remark(calibrated):
+    with gymnasium.make("HPAC-Grasp-v0", engine="mujoco", model=calibrated) as env:
+        with pytest.warns(
+            UserWarning, match="made with the nominal hand, and acts here with the model of 'mine'"
+        ):
+            policy = load_policy("grasp", env)
+        policy.reset(0)
+        assert policy.act(env.reset(seed=0)[0]).shape == (6,)
+    with gymnasium.make("HPAC-Grasp-v0", engine="mujoco", hand=calibrated) as env:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # another simulated hand is nothing to a policy
+            load_policy("grasp", env)
+
+
+@pytest.mark.parametrize("model", ["calibrated", "hand"])
+def test_a_batch_of_held_out_hands_is_commanded_like_single_ones_to_the_bit(model):
+    options = {"engine": "mujoco", "hands": "test", "objects": "real", "model": model}
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (6, 3, 6)).astype(np.float32)
+    batch = gymnasium.make_vec("HPAC-GraspAny-v1", 3, autoreset_mode="Disabled", **options)
+    seen, _ = batch.reset(seed=[5, 6, 7])
+    many = [seen] + [batch.step(action)[0] for action in actions]
+    batch.close()
+    with gymnasium.make("HPAC-GraspAny-v1", **options) as env:
+        for world in range(3):
+            one = [env.reset(seed=5 + world)[0]] + [
+                env.step(action[world])[0] for action in actions
+            ]
+            np.testing.assert_array_equal([seen[world] for seen in many], one)
+
+
+def test_a_state_can_be_restored_with_a_model_of_the_episodes_hand():
+    with gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", hands="test", model="hand") as env:
+        env.reset(seed=3)
+        state = env.unwrapped.save_state()
+        actions = np.random.default_rng(1).uniform(-1, 1, (5, 6)).astype(np.float32)
+        first = [env.step(action)[0] for action in actions]
+        env.unwrapped.restore_state(state)
+        np.testing.assert_array_equal(first, [env.unwrapped.step(action)[0] for action in actions])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"model": 3}, "model 3 is neither a Hand nor the path of a hand file"),
+        ({"model": "no_such.toml"}, "no_such.toml"),
+        ({"model": "calibrated"}, "it needs hands='test', not 'nominal'"),
+    ],
+)
+def test_a_wrong_model_is_refused_in_one_line(options, says):
+    with pytest.raises((ParameterError, OSError), match=says):
+        gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", **options)
+
+
+def test_the_zeros_of_a_hand_file_are_simulated_and_the_same_file_as_a_model_takes_them_out():
+    zeros = Calibration(servo_zero=(-0.12,) * 5 + (0.0,))
+    off = replace(HPAC, name="a tooth off", calibration=zeros)
+
+    def reached(**options):
+        with gymnasium.make("HPAC-Posture-v1", engine="mujoco", randomize=None, **options) as env:
+            env.reset(seed=0)
+            for _ in range(40):
+                env.step(np.full(6, -0.2, np.float32))
+            return np.degrees(env.unwrapped.state.joint_pos[0, ROOTS])
+
+    nominal = reached(model="hand")
+    assert np.abs(reached(hand=off) - nominal)[:5].min() > 1.5
+    assert np.abs(reached(hand=off, model=off) - nominal).max() < 0.1
+    assert np.abs(reached(hand=off, model="hand") - nominal).max() < 0.1
