@@ -272,6 +272,8 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--engine", help="pybullet or mujoco (default: the environment's own)")
     parser.add_argument("--body", help="twin or light (default: the environment's own)")
+    parser.add_argument("--hand", metavar="TOML", help="the hand that is simulated")
+    parser.add_argument("--model", metavar="TOML", help="the hand that commands are computed with")
     hands = parser.add_mutually_exclusive_group()
     hands.add_argument(
         "--virtual", action="store_true", help="firmware in this process, on a virtual clock"
@@ -284,7 +286,9 @@ def main(argv: list[str] | None = None) -> int:
     writable_folder(args.out)
     env_id = env_id_of(args.policy)
     options = {
-        name: getattr(args, name) for name in ("engine", "body") if getattr(args, name) is not None
+        name: getattr(args, name)
+        for name in ("engine", "body", "hand", "model")
+        if getattr(args, name) is not None
     }
     report = Report(args.policy, env_id, args.seed_start)
     try:

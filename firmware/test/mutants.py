@@ -7,11 +7,11 @@ from there: a mutant that was noticed is not tried again while its source stays 
 is. `--sample N` draws N of them. `--controls` tries the named faults below alone, in seconds: the
 negative controls of the tests themselves.
 
-Rules: delete a statement, flip a comparison, exchange `&&` and `||`, add one to a constant, swap
-    two arguments. A mutant
-that compiles to the same object code is no mutant. The judges run in turn, the quickest first,
-until one notices: the unit tests, the hostile host, the flipped bits (core) or the chips that are
-not there (port); and once more with sanitizers."""
+Rules: delete a statement, flip a comparison, exchange `&&` and `||`, delete one operand of them,
+replace an index by 0, add one to a constant, swap two arguments. A mutant that compiles to the same
+object code is no mutant. The judges run in turn, the quickest first, until one notices: the unit
+tests, the hostile host, the flipped bits (core) or the chips that are not there (port); and once
+more with sanitizers."""
 
 from __future__ import annotations
 
@@ -89,7 +89,40 @@ _LOGIC = re.compile(r"(&&|\|\|)")
 _CONSTANT = re.compile(
     r"(?<![\w.#%\[])(\d+u?l?l?|HPAC_[A-Z_]+(?:MS|US|MV|URAD|URAD_S|PERMILLE|MAX|MIN|SERVO|SERVOS|LENGTH|NS))(?![\w.(])"
 )
+_PARAMETER = re.compile(r"\b\w+_t \*?\w+$")
+_INDEX = re.compile(r"\[((?!0[u]?\])[^\[\]\n]+)\](?! = \{)")
 _CALL = re.compile(r"\b([a-z_]\w*)\(((?:[^(),]|\([^()]*\))+), ((?:[^(),]|\([^()]*\))+)([,)])")
+
+
+def _operands(body: str, start: int, end: int) -> list[tuple[int, int]]:
+    """Spans whose deletion leaves one operand of the `&&` or `||` at `start` to `end`: the operator
+    with the operand before it, and with the one after it.
+    """
+    left = _edge(body, start - 1, -1, "([{,;?:=")
+    right = _edge(body, end, 1, ")]},;?:")
+    return [(left, end), (start, right)]
+
+
+def _edge(body: str, at: int, step: int, stops: str) -> int:
+    """Where an operand ends: at a bracket that it lies in, a stop, or another `&&` or `||`."""
+    depth = 0
+    while 0 < at < len(body) - 1:
+        here = body[at]
+        pair = body[at : at + 2]
+        if depth == 0 and (pair in ("&&", "||") or body[at - 1 : at + 1] in ("&&", "||")):
+            break
+        if here in "([{" if step > 0 else here in ")]}":
+            depth += 1
+        elif (
+            depth == 0 and here in stops and pair not in ("==", "!=") and body[at - 1] not in "=!<>"
+        ):
+            break
+        elif here in ")]}" if step > 0 else here in "([{":
+            depth -= 1
+        elif depth == 0 and step < 0 and re.match(r"\breturn\b", body[at - 5 : at + 1]):
+            break
+        at += step
+    return at if step > 0 else at + 1
 
 
 def mutants_of(source: Path) -> list[Mutant]:
@@ -126,6 +159,14 @@ def mutants_of(source: Path) -> list[Mutant]:
         Mutant(source, "constant", m.start(1), m.end(1), f"({m[1]} + 1)")
         for m in _CONSTANT.finditer(body)
     ]
+    found += [
+        Mutant(source, "indexed", m.start(1), m.end(1), "0")
+        for m in _INDEX.finditer(body)
+        if not _PARAMETER.search(body[: m.start()])
+    ]
+    for m in _LOGIC.finditer(body):
+        for start, end in _operands(body, m.start(), m.end()):
+            found.append(Mutant(source, "operand", start, end, ""))
     for m in _CALL.finditer(body):
         first = code[m.start(2) : m.end(2)]
         second = code[m.start(3) : m.end(3)]
@@ -264,15 +305,13 @@ class Workshop:
             *VARIANTS.get(variant, ()),
             *includes,
             "-c",
-            path,
+            "-xc",
+            "-",  # so that the object does not tell the file's name
             "-o",
             target,
         ]
-        return (
-            target
-            if subprocess.run(command, capture_output=True, check=False).returncode == 0
-            else None
-        )
+        done = subprocess.run(command, input=path.read_bytes(), capture_output=True, check=False)
+        return target if done.returncode == 0 else None
 
     def notices(self, judge: str, mutated: Path, instead_of: Path, name: str) -> bool:
         """Whether a judge fails, crashes or hangs with one object put in another one's place."""

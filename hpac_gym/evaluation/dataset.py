@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 PASSED_ON = ("engine", "body", "obs", "reward", "randomize")
 """Options of the environment that the command offers, with their named values."""
+HANDS = ("hand", "model")
+"""Options of the environment that take a hand file."""
 CHUNK = 100  # episodes per write
 EPISODE_BYTES = 50_000
 """Disk space for an episode beside its observations, generously [byte]."""
@@ -60,6 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             choices=names,
             help="option of the environment (default: the environment's)",
         )
+    for name in HANDS:
+        parser.add_argument(f"--{name}", metavar="TOML", help="as of `hpac evaluate`")
     parser.add_argument(
         "-n",
         "--episodes",
@@ -88,7 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _record(args: argparse.Namespace) -> int:
-    options = {name: getattr(args, name) for name in PASSED_ON if getattr(args, name) is not None}
+    options = {
+        name: getattr(args, name)
+        for name in (*PASSED_ON, *HANDS)
+        if getattr(args, name) is not None
+    }
     what = {"seed_start": args.seed_start, "options": options}
     if args.format == "minari":
         told = _told(record(args.policy, args.env, args.episodes, args.out, **what))
