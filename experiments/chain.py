@@ -1,0 +1,271 @@
+"""What a model buys: named grasps on hands that differ, commanded with four models: ``python -m
+experiments.chain``.
+
+Every hand is swept once in simulation and calibrated by `hpac calibrate`'s own functions. Then the
+scripted closure runs the same episodes with each model. The truth is simulated: slack counts as a
+zero of the servo, the geometry of all hands is the nominal one, and camera and friction are those of
+`experiments.reference`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+
+from experiments.held_out import truth as held_out_truth
+from experiments.populations import geometry, varied_hand
+from experiments.rig import Rig
+from hpac_gym.body.hands import hand_set
+from hpac_gym.calibration.identification import identify
+from hpac_gym.calibration.judging import judged
+from hpac_gym.calibration.record import RecordError
+from hpac_gym.command import run_module, whole_number
+from hpac_gym.envs import GRASPS
+from hpac_gym.envs.models import FILES
+from hpac_gym.evaluation.grasps import run_trial
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import paired_difference, success_counts
+from hpac_gym.evaluation.workers import shared
+from hpac_gym.model import HPAC, SERVOS, Hand, joints_from_synergy, load_hand
+from hpac_gym.model.maps import CommandMap
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.model.settled import settled_joints_from_servo
+from hpac_gym.output import markdown, writable_file, write_text
+from hpac_gym.physics.stand import HAND
+from hpac_gym.policies.loading import load_policy
+from hpac_gym.progress import progress
+
+SEED = 33_000
+"""First seed of the hands; no other experiment uses it."""
+TYPES = (
+    "tip_pinch",
+    "three_finger_pinch",
+    "lateral_pinch",
+    "precision_box",
+    "rod",
+    "large_cylinder",
+)
+"""Grasps from the most to the least precise."""
+ENGINES = ("mujoco", "pybullet")
+MODELS = ("nominal map", "Eq. (15) with the file", "file inverted", "known exactly")
+WORKSHOP = {**geometry(0.01), "drive_stiffness": 0.05, "tendon_stiffness": 0.05}
+"""Relative standard deviations of a hand from a workshop (chosen)."""
+WORKSHOP_ZERO = np.radians(0.5)
+"""Standard deviation of a servo's zero after setting it by eye (chosen) [rad]."""
+SLACK = 1e-3
+"""Most slack of a driving tendon, drawn uniformly (chosen) [m]."""
+OUT = Path("docs/results/chain.json")
+
+Hands = list[tuple[Hand, Hand]]
+"""True hands and the files that were made of their sweeps."""
+
+
+def nominal_hand(_: int) -> Hand:
+    """The paper's hand."""
+    return HPAC
+
+
+def workshop_hand(seed: int) -> Hand:
+    """A hand with the tolerances of a workshop."""
+    rng = np.random.default_rng([SEED, seed])
+    zero = WORKSHOP_ZERO * rng.standard_normal(len(SERVOS))
+    hand = varied_hand(HPAC, WORKSHOP, rng)
+    return replace(hand, name=f"workshop {seed}", calibration=Calibration(tuple(zero.tolist())))
+
+
+def slack_hand(seed: int) -> Hand:
+    """A workshop's hand whose driving tendons have slack."""
+    hand = workshop_hand(seed)
+    slack = np.random.default_rng([SEED, seed, 1]).uniform(0.0, SLACK, len(hand.digits))
+    hub = [digit.servo_radius for digit in hand.digits.values()]
+    zero = np.array(hand.calibration.servo_zero)
+    zero[:-1] -= slack / hub
+    return replace(hand, name=f"slack {seed}", calibration=Calibration(tuple(zero.tolist())))
+
+
+HELD_OUT = [variant for variant in hand_set("test") if (FILES / f"{variant.name}.toml").exists()]
+
+
+def held_out_hand(seed: int) -> Hand:
+    """The tendons of one of the seven held-out hands that can be calibrated."""
+    return held_out_truth(HELD_OUT[seed % len(HELD_OUT)])
+
+
+POPULATIONS = {
+    "nominal hand": nominal_hand,
+    "workshop": workshop_hand,
+    "workshop, slack": slack_hand,
+    "held-out hands": held_out_hand,
+}
+
+
+def calibrated(population: str, seed: int) -> tuple[Hand, Hand]:
+    """A true hand and the file of one simulated sweep of it.
+
+    Raises:
+        RecordError: `hpac calibrate` refuses the record.
+    """
+    hand = POPULATIONS[population](seed)
+    if population == "held-out hands":
+        return hand, load_hand(FILES / f"{HELD_OUT[seed % len(HELD_OUT)].name}.toml")
+    zero = hand.calibration.servo_zero
+    rig = Rig(replace(hand, calibration=Calibration()), HAND, servo_zero=zero)
+    record = rig.sweep(np.random.default_rng([SEED, seed, 2]))
+    judged(record, HPAC)
+    return hand, identify(record).hand
+
+
+def models(hand: Hand, file: Hand) -> dict[str, Hand]:
+    """The four models of a hand, by the names of `MODELS`."""
+    # The stops that a record shows do not bound the synergies that a closure asks for.
+    papers = replace(file, calibration=Calibration(), workspace=HPAC.workspace)
+    return dict(zip(MODELS, (HPAC, papers, file, hand), strict=True))
+
+
+def posture_error_deg(hand: Hand, model: Hand, synergy: Sequence[float]) -> float:
+    """Mean distance of the finger joints from the nominal hand's posture at a synergy, in free
+    space [°].
+    """
+    flexing = np.ones((1, len(SERVOS)), dtype=bool)
+    servo = CommandMap(model).servo_from_synergy(np.array([synergy]), flexing)
+    servo = np.clip(servo, HPAC.servo_min, HPAC.servo_max)
+    off = settled_joints_from_servo(servo, hand) - joints_from_synergy(np.array([synergy]), HPAC)
+    return float(np.degrees(np.abs(off)).mean())
+
+
+def trials(
+    engine: str, population: str, seed: int, hand: Hand, file: Hand, grasps: Sequence[str]
+) -> list[tuple[str, str, str, str, int, bool, float]]:
+    """One episode of every grasp with every model on one hand."""
+    rows = []
+    for name, model in models(hand, file).items():
+        for grasp in grasps:
+            with gymnasium.make(
+                "hpac_gym:HPAC-Grasp-v0", grasp=grasp, engine=engine, hand=hand, model=model
+            ) as env:
+                policy = load_policy("scripted", env)
+                held = run_trial(env, policy, HELD_OUT_SEED + seed).success
+            error = posture_error_deg(hand, model, GRASPS[grasp].closed)
+            rows.append((engine, population, grasp, name, seed, held, error))
+    return rows
+
+
+def summary(rows: Sequence[tuple]) -> list[dict]:
+    """Success with its interval, difference to the nominal map, and posture error, for every engine,
+    population, group of grasps and model.
+    """
+    cells = []
+    groups = {"all": TYPES, **{grasp: (grasp,) for grasp in TYPES}}
+    for engine in ENGINES:
+        for population in POPULATIONS:
+            for group, grasps in groups.items():
+                known = {
+                    (model, grasp, seed): (held, error)
+                    for at, of, grasp, model, seed, held, error in rows
+                    if at == engine and of == population and grasp in grasps
+                }
+                for model in MODELS:
+                    mine = [(key, value) for key, value in known.items() if key[0] == model]
+                    if not mine:
+                        continue
+                    more = [held - known[MODELS[0], *key[1:]][0] for key, (held, _) in mine]
+                    gain, *interval = paired_difference(more.count(1), more.count(-1), len(more))
+                    cells.append(
+                        {
+                            "engine": engine,
+                            "hands": population,
+                            "grasp": group,
+                            "model": model,
+                            **success_counts(sum(held for _, (held, _) in mine), len(mine)),
+                            "gain": gain,
+                            "gain_95": interval,
+                            "posture_error_deg": float(np.mean([error for _, (_, error) in mine])),
+                        }
+                    )
+    return cells
+
+
+def cell_table(cells: Sequence[Mapping], engine: str, group: str = "all") -> str:
+    """One engine's cells as a table: populations by models."""
+    rows = []
+    for population in POPULATIONS:
+        row = [population]
+        for model in MODELS:
+            cell = next(
+                cell
+                for cell in cells
+                if (cell["engine"], cell["hands"], cell["grasp"], cell["model"])
+                == (engine, population, group, model)
+            )
+            low, high = cell["interval_95"]
+            row.append(
+                f"{cell['success_rate']:.0%} [{100 * low:.0f}, {100 * high:.0f}], {cell['posture_error_deg']:.1f}°"
+            )
+        rows.append(tuple(row))
+    return markdown(("hands", *MODELS), rows)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("--hands", type=whole_number(1), default=42, help="hands of each kind")
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Calibrate the hands, run the grasps, print a table an engine, write the cells."""
+    writable_file(arguments.out)
+    wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
+    hands: dict[tuple[str, int], tuple[Hand, Hand]] = {}
+    refused: list[str] = []
+    bar = progress(wanted, "calibrating")
+    for (kind, seed), pair in zip(bar, shared(_calibrated, wanted, arguments.workers), strict=True):
+        if pair is None:
+            refused.append(f"{kind} {seed}")
+        else:
+            hands[kind, seed] = pair
+    jobs = [
+        (engine, kind, seed, hand, file, (grasp,))
+        for engine in ENGINES
+        for (kind, seed), (hand, file) in hands.items()
+        for grasp in TYPES
+    ]
+    rows = []
+    bar = progress(jobs, "grasping")
+    for _, found in zip(bar, shared(trials, jobs, arguments.workers), strict=True):
+        rows += found
+    cells = summary(rows)
+    text = json.dumps(
+        {
+            "command": f"python -m experiments.chain --hands {arguments.hands}",
+            "refused": refused,
+            "cells": cells,
+        },
+        indent=1,
+    )
+    write_text(arguments.out, text + "\n")
+    for engine in ENGINES:
+        print(f"{engine}\n\n{cell_table(cells, engine)}\n")
+        for grasp in TYPES:
+            print(f"{engine}, {grasp}\n\n{cell_table(cells, engine, grasp)}\n")
+    print(f"refused: {', '.join(refused) or 'none'}; written to {arguments.out}")
+    return 0
+
+
+def _calibrated(population: str, seed: int) -> tuple[Hand, Hand] | None:
+    try:
+        return calibrated(population, seed)
+    except RecordError:
+        return None
+
+
+if __name__ == "__main__":
+    sys.exit(run_module("experiments.chain", __doc__, add_arguments))
