@@ -197,9 +197,16 @@ class Connection:
         """Send a message and require that the hand executes it.
 
         Raises:
-            RejectedError: The hand refuses it. LinkTimeout, PortError: no answer; the port is gone.
+            RejectedError: The hand refuses it. FaultError: no answer, and the hand has been stopped.
+            LinkTimeout, PortError: no answer; the port is gone.
         """
-        answer = self.exchange.request(name, fields, flags, self._timeout, self._attempts)
+        try:
+            answer = self.exchange.request(name, fields, flags, self._timeout, self._attempts)
+        except LinkTimeout:  # another program's `hpac estop` may have read the answers
+            self._ask_status()
+            if self.known.in_fault and self.known.fault != Fault.watchdog.name:
+                raise self.known.fault_error(f"{name} was not answered") from None
+            raise
         if answer.name == "ack" and answer.fields["reason"] != Reason.ok:
             raise self._refusal(name, fields or {}, answer)
         self._statistics.acked += 1
@@ -225,8 +232,11 @@ class Connection:
     def learn_fault(self) -> None:
         """Request the kind of a fault whose FAULT frame was lost."""
         if self.known.in_fault and self.known.fault == Fault.none.name:
-            with suppress(BridgeError):
-                self.exchange.request("status", {"period_ms": 0}, 0, self._timeout, self._attempts)
+            self._ask_status()
+
+    def _ask_status(self) -> None:
+        with suppress(LinkTimeout, PortError):
+            self.exchange.request("status", {"period_ms": 0}, 0, self._timeout, self._attempts)
 
     @interrupts.closing
     def end(self, error: BaseException | None = None) -> None:

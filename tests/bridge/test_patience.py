@@ -11,6 +11,7 @@ import pytest
 
 from hpac_gym.bridge import (
     Action,
+    FaultError,
     HandLink,
     HandshakeError,
     LinkTimeout,
@@ -79,12 +80,14 @@ def test_a_handshake_is_tried_every_tenth_of_a_second_for_three(virtual_hand):
 def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overheard):
     talking.arm()
     overheard.deaf = True
+    before = len(overheard.of("status"))
     with pytest.raises(LinkTimeout, match=r"no answer to heartbeat: 3 times, 0.1 s each"):
         talking.heartbeat()
     said = overheard.of("heartbeat")[-3:]
     np.testing.assert_allclose(gaps(said), 0.1, atol=0.002)
     assert len({frame.seq for _, frame in said}) == 1
-    assert (talking.statistics.retried, talking.statistics.timeouts) == (2, 1)
+    assert len(overheard.of("status")) == before + 3
+    assert (talking.statistics.retried, talking.statistics.timeouts) == (4, 2)
     before = len(overheard.frames)
     transport = talking._connection.exchange.transport
     begun = transport.now()
@@ -95,6 +98,26 @@ def test_a_frame_is_sent_three_times_a_tenth_of_a_second_apart(talking, overhear
     names = [frame.name for _, frame in overheard.frames[before:]]
     words = [name for name in names if name != "status"]
     assert words[:10] == (["clear"] * 3 + ["estop"] * 2) * 2
+
+
+def test_a_stop_whose_sender_reads_the_answers_is_told_as_a_stop(virtual_hand):
+    """Two programs read one port: `hpac estop` may get all the answers for a while."""
+
+    class Robbed(Overheard):
+        robbed = False
+
+        def read(self, timeout):
+            data = super().read(timeout)
+            self.robbed = self.robbed and self.frames[-1][1].name != "status"
+            return b"" if self.robbed else data
+
+    robbed = Robbed(virtual_hand)
+    with HandLink(lambda: robbed) as link:
+        link.arm()
+        robbed.robbed = True
+        VirtualTransport.write(robbed, encode(Frame("estop", 7, 0, {})))
+        with pytest.raises(FaultError, match=r"in fault \(estop\): heartbeat was not answered"):
+            link.heartbeat()
 
 
 def test_signs_of_life_are_timed_from_their_sending_not_from_their_answers(virtual_hand):
