@@ -63,7 +63,7 @@ void hpac_hand_output_failed(hpac_hand_t *hand) { hpac_state_fault(hand, HPAC_FA
 
 bool hpac_hand_powered(const hpac_hand_t *hand)
 {
-    return hand->state == HPAC_STATE_ARMED || (hand->state == HPAC_STATE_FAULT && hand->attached != 0u);
+    return hand->state == HPAC_STATE_ARMED || hand->attached != 0u;
 }
 
 void hpac_hand_tick(hpac_hand_t *hand, const hpac_config_t *config, uint64_t now_us, uint32_t pulses[HPAC_SERVOS])

@@ -150,9 +150,8 @@ void hpac_motion_place(hpac_hand_t *hand, unsigned servo)
 {
     const hpac_servo_t *limits = limits_of(hand, servo);
     if (limits->holds_unpowered == 0) {
-        hand->ramp.from[servo] = limits->rest_urad;
-        hand->ramp.to[servo] = limits->rest_urad;
         hand->pose[servo] = limits->rest_urad;
+        hpac_ramp_rest(&hand->ramp, hand->pose);
     }
 }
 

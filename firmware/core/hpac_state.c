@@ -74,9 +74,7 @@ void hpac_state_fault(hpac_hand_t *hand, hpac_fault_t fault, unsigned servo)
     } else {
         hpac_motion_stop(hand);
     }
-    if (hand->attached == 0u || action == HPAC_ACTION_DETACH) {
-        detach(hand);
-    } else if (action == HPAC_ACTION_RELAX) {
+    if (action == HPAC_ACTION_RELAX) {
         relax(hand);
     } else if (action == HPAC_ACTION_HOLD) {
         hand->holding = true;

@@ -252,6 +252,13 @@ CONTROLS = [  # name, file, text, replacement, the judge that must notice
         "",
         "flips",
     ),
+    (
+        "flipped bit: a hold without end",
+        "state",
+        " && hand->safe_until_us <= hand->now_us + longest_us",
+        "",
+        "flips",
+    ),
     ("flipped bit: state not looked at", "state", "if (!sound(hand)) {", "if (false) {", "flips"),
     (
         "flipped bit: clock not looked at",

@@ -39,6 +39,13 @@ static void receiver_names_the_damage(void)
     CHECK(last_result(wire, length) == HPAC_RX_OVERRUN);
     length = bench_frame(wire, HPAC_VERSION + 1u, HPAC_HEARTBEAT, 3, 0, NULL, 0);
     CHECK(last_result(wire, length) == HPAC_RX_VERSION);
+    for (uint8_t beyond = 0; beyond < 2; beyond++) { /* should a bit flip, nothing beyond the buffer is read */
+        hpac_rx_t rx;
+        hpac_rx_init(&rx);
+        memset(rx.frame, 1, sizeof rx.frame);
+        rx.received = (uint8_t)(HPAC_COBS_MAX + beyond);
+        CHECK((hpac_rx_push(&rx, 0) == HPAC_RX_OVERRUN) == (beyond != 0));
+    }
 }
 
 static void every_single_bit_error_is_found(void)

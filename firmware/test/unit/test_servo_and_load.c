@@ -118,6 +118,16 @@ static void an_unusable_table_never_gets_pulses(void)
     CHECK(bench.hand.fault == HPAC_FAULT_CONFIG && bench_silent(&bench));
     bench_run(&bench, 10);
     CHECK(bench.hand.fault == HPAC_FAULT_CONFIG);
+    bench.hand.attached = 4; /* should a bit flip */
+    bench_run(&bench, 1);
+    CHECK(bench_silent(&bench));
+    bench_start(&bench);
+    bench.config.servo[3].max_urad = -1; /* nothing is computed with such a table, and its fault is told once */
+    hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_POWER_ON, 1, NULL);
+    bench_run(&bench, 1);
+    memset(bench.answer_types, 0, sizeof bench.answer_types);
+    bench_run(&bench, 10);
+    CHECK(bench.hand.fault == HPAC_FAULT_CONFIG && bench.answer_types[HPAC_FAULT] == 0u);
 }
 
 static void heat_rises_to_the_square_of_the_effort(void)
@@ -253,6 +263,9 @@ static void each_hot_servo_keeps_the_hand_from_arming(void)
         bench.hand.heat[i] = HPAC_HEAT_LIMIT / 100u * 90u;
         CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_HOT && bench.servo == i);
         CHECK(bench.hand.state == HPAC_STATE_IDLE);
+        bench_armed(&bench, HPAC_ACTION_HOLD); /* one that grips may change its action and go on */
+        bench.hand.heat[i] = HPAC_HEAT_LIMIT / 100u * 90u;
+        CHECK(bench_arm(&bench, HPAC_ACTION_RELAX, 0) == HPAC_REASON_OK);
     }
 }
 

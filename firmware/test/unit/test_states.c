@@ -35,6 +35,7 @@ static void arming_is_checked_and_staggered(void)
     CHECK(bench_arm(&bench, HPAC_ACTION_DETACH + 1u, 0) == HPAC_REASON_ACTION);
     CHECK(bench.hand.state == HPAC_STATE_IDLE);
     CHECK(bench_arm(&bench, HPAC_ACTION_HOLD, 0) == HPAC_REASON_OK);
+    CHECK(hpac_hand_powered(&bench.hand) && bench_silent(&bench)); /* the supply comes before the first pulse */
     for (int i = 0; i < HPAC_SERVOS; i++) { /* after power-on each may have its whole range to go */
         uint32_t ms = HPAC_START_SETTLE_MS + ((uint32_t)bench.config.servo[i].max_urad + 4999u) / (HPAC_START_SPEED_URAD_S / 1000);
         bench_run(&bench, i == 0 ? HPAC_POWER_ON_MS : 1);
@@ -398,6 +399,21 @@ static void memory_is_taken_up_within_bounds(void)
     bench_armed(&bench, HPAC_ACTION_HOLD);
     bench_move(&bench, 0, 300, half);
     bench_run(&bench, 300);
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) { /* each its own */
+        hpac_memory_t own;
+        bench_t other = bench;
+        other.hand.heat[i] = 2u * HPAC_HEAT_LIMIT;
+        other.hand.pose[i] = 7;
+        hpac_hand_remember(&other.hand, &own);
+        for (unsigned k = 0; k < HPAC_SERVOS; k++) {
+            CHECK((own.heat[k] == 2u * HPAC_HEAT_LIMIT) == (k == i) && (own.pose[k] == 7) == (k == i));
+        }
+        own.heat[i]++;
+        hpac_hand_init(&other.hand, &bench.config, HPAC_RESET_SOFTWARE, 2, &own);
+        for (unsigned k = 0; k < HPAC_SERVOS; k++) {
+            CHECK(other.hand.heat[k] == (k == i ? 2u * HPAC_HEAT_LIMIT : own.heat[k]));
+        }
+    }
     hpac_hand_remember(&bench.hand, &memory);
     hpac_hand_init(&bench.hand, &bench.config, HPAC_RESET_SOFTWARE, 2, &memory);
     for (int i = 0; i < HPAC_SERVOS; i++) {
@@ -484,6 +500,54 @@ static void an_unsound_motion_is_a_fault(void)
     }
 }
 
+/* A target outside of the table is found before the way to it leads there. */
+static void a_wrong_target_is_found_at_once(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    CHECK(bench_move(&bench, 0, 1000, half) == HPAC_REASON_OK);
+    bench_run(&bench, 1);
+    bench.hand.ramp.to[2] = bench.config.servo[2].max_urad + 1;
+    bench_run(&bench, 1);
+    CHECK(bench.hand.fault == HPAC_FAULT_INTERNAL && bench_silent(&bench));
+}
+
+/* Rounding at a limit is cut off; a motion that leaves the table by more is a fault, not a limit to stand at. */
+static void an_overshoot_inside_is_a_fault(void)
+{
+    for (int low = 0; low < 2; low++) {
+        static const int16_t near_the_ends[2][HPAC_SERVOS] = { { 13400, 500, 500, 500, 500, 500 }, { 100, 500, 500, 500, 500, 500 } };
+        bench_t bench;
+        bench_armed(&bench, HPAC_ACTION_HOLD);
+        CHECK(bench_move(&bench, 0, 500, near_the_ends[low]) == HPAC_REASON_OK);
+        bench_run(&bench, 480);
+        bench_send(&bench, HPAC_HEARTBEAT, 0, NULL, 0);
+        bench_run(&bench, 100);
+        CHECK(bench_move(&bench, HPAC_FLAG_MINIMUM_JERK, 400, near_the_ends[low]) == HPAC_REASON_OK);
+        bench.hand.ramp.from_speed[0] = low != 0 ? -3900000 : 3900000;
+        bench_run(&bench, 100);
+        CHECK(bench.hand.fault == HPAC_FAULT_INTERNAL && bench_silent(&bench));
+    }
+}
+
+/* A state that denies itself is a fault at the next call. */
+static void a_fault_without_its_state_is_a_fault(void)
+{
+    bench_t bench;
+    bench_idle(&bench);
+    bench.hand.fault = HPAC_FAULT_WATCHDOG;
+    bench_run(&bench, 1);
+    CHECK(bench.hand.state == HPAC_STATE_FAULT && bench.hand.fault == HPAC_FAULT_INTERNAL);
+    bench_idle(&bench);
+    bench.hand.state = HPAC_STATE_FAULT;
+    bench_run(&bench, 1);
+    CHECK(bench.hand.fault == HPAC_FAULT_INTERNAL);
+    bench_idle(&bench);
+    bench.hand.starting = true; /* outside of ARMED nothing starts */
+    bench_run(&bench, 5);
+    CHECK(bench_silent(&bench) && bench.hand.attached == 0u);
+}
+
 static void a_jump_inside_the_table_is_a_fault_of_its_servo(void)
 {
     for (unsigned i = 0; i < HPAC_SERVOS; i++) {
@@ -542,6 +606,42 @@ static void safe_actions_end_in_seconds_however_rarely_the_board_calls(void)
     }
 }
 
+/* The longest way of the slowest servo, down or up, at a quarter of its rate. */
+static void a_relax_lasts_as_long_as_its_longest_way(void)
+{
+    for (unsigned i = 0; i < HPAC_SERVOS; i++) {
+        for (int up = 0; up < 2; up++) {
+            bench_t bench;
+            bench_start(&bench);
+            hpac_servo_t *servo = &bench.config.servo[i];
+            servo->rate_urad_s = 100000;
+            servo->rest_urad = up != 0 ? 900000 : 100000;
+            int64_t way = up != 0 ? servo->rest_urad - servo->min_urad : servo->max_urad - servo->rest_urad;
+            CHECK(hpac_motion_relax_max_us(&bench.hand) == (uint32_t)(way * 1000000 * 1000 / (100000 * HPAC_RELAX_PERMILLE)));
+        }
+    }
+}
+
+/* Once a safe action is over, a flipped bit does not bring it back. */
+static void a_safe_action_that_is_over_stays_over(void)
+{
+    bench_t bench;
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench_run(&bench, BENCH_WATCHDOG_MS + 100);
+    CHECK(bench.hand.holding && bench_all_pulses(&bench));
+    bench_send(&bench, HPAC_ESTOP, 0, NULL, 0);
+    bench.hand.attached = 1;
+    bench_run(&bench, 1);
+    CHECK(bench_silent(&bench) && bench.hand.fault == HPAC_FAULT_INTERNAL);
+    bench_armed(&bench, HPAC_ACTION_HOLD);
+    bench_move(&bench, 0, 300, half);
+    bench_run(&bench, BENCH_WATCHDOG_MS + HPAC_HOLD_MAX_MS + 100);
+    CHECK(bench.hand.relaxing && bench_all_pulses(&bench));
+    bench.hand.relaxing = false;
+    bench_run(&bench, 1);
+    CHECK(bench_silent(&bench) && bench.hand.fault == HPAC_FAULT_INTERNAL);
+}
+
 /* Should a bit flip, a safe action outside of a fault ends no pulses. */
 static void safe_actions_belong_to_faults(void)
 {
@@ -556,9 +656,14 @@ void test_states(void)
 {
     safe_actions_end_in_seconds_however_rarely_the_board_calls();
     safe_actions_belong_to_faults();
+    a_relax_lasts_as_long_as_its_longest_way();
+    a_safe_action_that_is_over_stays_over();
     memory_is_taken_up_within_bounds();
     the_estop_input_holds_off_clear();
     an_unsound_motion_is_a_fault();
+    a_wrong_target_is_found_at_once();
+    an_overshoot_inside_is_a_fault();
+    a_fault_without_its_state_is_a_fault();
     a_pressed_button_repeats_no_config_fault();
     a_jump_inside_the_table_is_a_fault_of_its_servo();
     an_output_that_fails_is_a_fault();
