@@ -42,7 +42,7 @@ def version_of(idf: Path) -> tuple[int, int]:
     major, minor = (
         int(re.search(rf"IDF_VERSION_{part} (\d+)", text)[1]) for part in ("MAJOR", "MINOR")
     )
-    if not OLDEST <= (major, minor):
+    if not (major, minor) >= OLDEST:
         sys.exit(
             f"ESP-IDF {major}.{minor} in '{idf}': the port needs {OLDEST[0]}.{OLDEST[1]} or later"
         )
