@@ -18,6 +18,7 @@ from pathlib import Path
 
 import gymnasium
 import numpy as np
+from matplotlib.figure import Figure
 
 from experiments.held_out import truth as held_out_truth
 from experiments.populations import geometry, varied_hand
@@ -33,6 +34,7 @@ from hpac_gym.evaluation.grasps import run_trial
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
+from hpac_gym.figures import save
 from hpac_gym.model import HPAC, SERVOS, Hand, joints_from_synergy, load_hand
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.model.parameters import Calibration
@@ -62,6 +64,8 @@ WORKSHOP_ZERO = np.radians(0.5)
 SLACK = 1e-3
 """Most slack of a driving tendon, drawn uniformly (chosen) [m]."""
 OUT = Path("docs/results/chain.json")
+COLOURS = ("#999999", "#e69f00", "#0072b2", "#56b4e9")
+"""Of the models: told apart by colour-blind people too."""
 
 Hands = list[tuple[Hand, Hand]]
 """True hands and the files that were made of their sweeps."""
@@ -212,16 +216,48 @@ def cell_table(cells: Sequence[Mapping], engine: str, group: str = "all") -> str
     return markdown(("hands", *MODELS), rows)
 
 
+def draw(cells: Sequence[Mapping], path: Path) -> None:
+    """Success of all grasps with its interval, and posture error below, one column an engine."""
+    figure = Figure(figsize=(11, 5.6), layout="constrained")
+    axes = figure.subplots(2, len(ENGINES), sharex=True, sharey="row", height_ratios=(3, 2))
+    for column, engine in enumerate(ENGINES):
+        upper, lower = axes[:, column]
+        for order, (model, colour) in enumerate(zip(MODELS, COLOURS, strict=True)):
+            mine = [
+                cell
+                for cell in cells
+                if (cell["engine"], cell["grasp"], cell["model"]) == (engine, "all", model)
+            ]
+            at = np.arange(len(mine)) + 0.2 * (order - 1.5)
+            share = np.array([cell["success_rate"] for cell in mine])
+            bounds = np.array([cell["interval_95"] for cell in mine]).T
+            reach = np.clip([share - bounds[0], bounds[1] - share], 0, None)
+            upper.bar(at, 100 * share, 0.18, color=colour, label=model)
+            upper.errorbar(at, 100 * share, 100 * reach, fmt="none", ecolor="black", capsize=2)
+            lower.bar(at, [cell["posture_error_deg"] for cell in mine], 0.18, color=colour)
+        upper.set_title({"mujoco": "MuJoCo", "pybullet": "PyBullet"}[engine])
+        lower.set_xticks(range(len(POPULATIONS)), list(POPULATIONS))
+    axes[0, 0].set_ylabel("grasps held [%]")
+    axes[1, 0].set_ylabel("posture error [°]")
+    axes[0, 0].set_ylim(0, 104)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    save(figure, path)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("--hands", type=whole_number(1), default=42, help="hands of each kind")
     parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    parser.add_argument("--draw", type=Path, metavar="PNG", help="only draw the cells of --out")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Calibrate the hands, run the grasps, print a table an engine, write the cells."""
+    """Calibrate the hands, run the grasps, print a table an engine, write the cells; or draw them."""
+    if arguments.draw:
+        draw(json.loads(arguments.out.read_text())["cells"], arguments.draw)
+        return 0
     writable_file(arguments.out)
     wanted = [(kind, seed) for kind in POPULATIONS for seed in range(arguments.hands)]
     hands: dict[tuple[str, int], tuple[Hand, Hand]] = {}
