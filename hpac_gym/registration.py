@@ -14,13 +14,6 @@ def register_all() -> None:
         max_episode_steps=65,  # episodes terminate after 64 steps, so the limit never truncates one
     )
     register(
-        id="HPAC-GraspAny-v0",
-        entry_point="hpac_gym.envs:grasp_any",
-        vector_entry_point="hpac_gym.envs:grasp_any_vector",
-        max_episode_steps=145,
-        kwargs={"clear": False},
-    )
-    register(
         id="HPAC-GraspAny-v1",
         entry_point="hpac_gym.envs:grasp_any",
         vector_entry_point="hpac_gym.envs:grasp_any_vector",
@@ -39,15 +32,9 @@ def register_all() -> None:
         max_episode_steps=111,
     )
     register(
-        id="HPAC-Posture-v0",
-        entry_point="hpac_gym.envs:PostureEnv",
-        vector_entry_point="hpac_gym.envs:posture_v0_vector",
-        max_episode_steps=40,
-    )
-    register(
         id="HPAC-Posture-v1",
         entry_point="hpac_gym.envs:PostureEnv",
         vector_entry_point="hpac_gym.envs:posture_vector",
         max_episode_steps=40,
-        kwargs={"reachable": True, "randomize": "hand"},
+        kwargs={"randomize": "hand"},
     )

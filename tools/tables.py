@@ -253,7 +253,7 @@ PAGES: dict[str, Makers] = {
     "environments/grasp_any.md": task_tables(GRASP_ANY, GraspAny()),
     "environments/grasp_type.md": task_tables(GRASP_TYPE, GraspByType()),
     "environments/pick_place.md": task_tables(PICK_PLACE, PickPlace()),
-    "environments/posture.md": task_tables(POSTURE, Posture(reachable=True)),
+    "environments/posture.md": task_tables(POSTURE, Posture()),
     "benchmark.md": {"results": result_tables},
     "grasps.md": {"objects": object_table, **TYPE_TABLES},
 }

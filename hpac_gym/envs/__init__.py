@@ -20,7 +20,6 @@ from hpac_gym.envs.options import (
     GRASP_TYPE,
     PICK_PLACE,
     POSTURE,
-    POSTURE_V0,
     check_num_envs,
 )
 from hpac_gym.envs.randomization import Randomization
@@ -149,13 +148,12 @@ def grasp_any_task(
     wrist: str = "script",
     hands: str = "nominal",
     config: GraspAnyConfig | Mapping | None = None,
-    clear: bool = True,
 ) -> Task:
     """The task of `HPAC-GraspAny-v1`; `config` and errors as for `grasp_task`, the others as for
     `GraspAny`.
     """
     return _fitting(
-        GraspAny(objects, wrist, hands, settings_from(GraspAnyConfig(), config, "config"), clear),
+        GraspAny(objects, wrist, hands, settings_from(GraspAnyConfig(), config, "config")),
         GRASP_ANY,
     )
 
@@ -220,5 +218,4 @@ grasp, grasp_vector = _entry_points(GRASP, grasp_task)
 grasp_any, grasp_any_vector = _entry_points(GRASP_ANY, grasp_any_task)
 grasp_type, grasp_type_vector = _entry_points(GRASP_TYPE, grasp_type_task)
 pick_place, pick_place_vector = _entry_points(PICK_PLACE, pick_place_task)
-_, posture_v0_vector = _entry_points(POSTURE_V0, posture_task)
 _, posture_vector = _entry_points(POSTURE, posture_task)

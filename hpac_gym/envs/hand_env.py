@@ -236,12 +236,11 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._running = False
 
 
-def posture_task(config: PostureConfig | Mapping | None = None, reachable: bool = False) -> Posture:
-    """The task of `HPAC-Posture-v0`, and with `reachable` that of v1.
+def posture_task(config: PostureConfig | Mapping | None = None) -> Posture:
+    """The task of `HPAC-Posture-v1`.
 
     Args:
         config: settings of the task, or a mapping of its fields; None is the default.
-        reachable: as for `Posture`.
 
     Raises:
         ParameterError: Invalid config, or one with another duration, which the time limit
@@ -252,7 +251,7 @@ def posture_task(config: PostureConfig | Mapping | None = None, reachable: bool 
         raise ParameterError(
             f"config duration = {chosen.duration} s: give gymnasium.make(..., max_episode_steps=) instead"
         )
-    return Posture(chosen, reachable)
+    return Posture(chosen)
 
 
 class PostureEnv(HandEnv):
@@ -261,14 +260,11 @@ class PostureEnv(HandEnv):
 
     Args:
         config: as for `posture_task`.
-        reachable: as for `Posture`.
         options: those of `HandEnv`.
     """
 
-    def __init__(
-        self, config: PostureConfig | Mapping | None = None, reachable: bool = False, **options: Any
-    ) -> None:
-        super().__init__(posture_task(config, reachable), **options)
+    def __init__(self, config: PostureConfig | Mapping | None = None, **options: Any) -> None:
+        super().__init__(posture_task(config), **options)
 
     def compute_reward(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any

@@ -28,16 +28,13 @@ from hpac_gym.tasks.task import Task
 
 MODELS = EXACT, CALIBRATED = "hand", "calibrated"
 RENDER_MODES = ["human", "rgb_array"]
-GRASP, GRASP_ANY_V0, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE = IDS = (
+GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE = IDS = (
     "HPAC-Grasp-v0",
-    "HPAC-GraspAny-v0",
     "HPAC-GraspAny-v1",
     "HPAC-GraspType-v0",
     "HPAC-PickPlace-v0",
-    "HPAC-Posture-v0",
     "HPAC-Posture-v1",
 )
-_ANY = GRASP_ANY_V0, GRASP_ANY
 _SETUP_ARRAYS = {
     "position": 3,
     "synergy": 6,
@@ -82,7 +79,7 @@ OPTIONS = (
         SPLITS,
         "train",
         "split from which objects are drawn; the other two must not be used in training",
-        ids=_ANY,
+        ids=(GRASP_ANY,),
     ),
     Option(
         "hands",
@@ -90,7 +87,7 @@ OPTIONS = (
         "nominal",
         "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
         "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
-        ids=_ANY,
+        ids=(GRASP_ANY,),
     ),
     Option(
         "wrist",
@@ -98,7 +95,7 @@ OPTIONS = (
         "script",
         "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
         "episode move it, by four numbers more",
-        ids=_ANY,
+        ids=(GRASP_ANY,),
     ),
     Option(
         "types",
@@ -157,7 +154,7 @@ OPTIONS = (
         "deploy",
         "observation: that of the real hand; with terms known only in "
         "simulation, for a critic; or with an image",
-        ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE_V0, POSTURE),
+        ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE),
     ),
     Option(
         "obs",
@@ -166,7 +163,7 @@ OPTIONS = (
         "observation: that of a hand and a "
         "camera; with the servos' feedback, with visible points of the object's surface, with terms known only in simulation, "
         "or with an image",
-        ids=_ANY,
+        ids=(GRASP_ANY,),
     ),
     Option(
         "reward", ("dense", "sparse"), "dense", "sum of the task's reward terms, or success only"
@@ -183,7 +180,7 @@ OPTIONS = (
         )
         for default, ids in (
             ("hand", (POSTURE,)),
-            (None, (GRASP, *_ANY, GRASP_TYPE, PICK_PLACE, POSTURE_V0)),
+            (None, (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE)),
         )
     ),
     Option(
@@ -194,7 +191,7 @@ OPTIONS = (
         "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
         + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
         others="`hpac_gym.envs.CameraNoise`, dictionary of its fields",
-        ids=(GRASP, *_ANY, GRASP_TYPE, PICK_PLACE),
+        ids=(GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE),
     ),
     *(
         Option(
@@ -207,10 +204,9 @@ OPTIONS = (
         )
         for env_id, kind in (
             (GRASP, "GraspConfig"),
-            *((name, "GraspAnyConfig") for name in _ANY),
+            (GRASP_ANY, "GraspAnyConfig"),
             (GRASP_TYPE, "GraspTypeConfig"),
             (PICK_PLACE, "PickPlaceConfig"),
-            (POSTURE_V0, "PostureConfig"),
             (POSTURE, "PostureConfig"),
         )
     ),

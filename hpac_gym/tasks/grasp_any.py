@@ -162,8 +162,6 @@ class GraspAny(Task):
         hands: "nominal" keeps the given hand; "train" and "test" draw one from that set of hands,
             without telling the policy.
         config: sampling ranges, success criteria and reward weights.
-        clear: place the wrist so that the drawn hand starts clear of everything; if False, for the
-            nominal hand, as in v0.
 
     Raises:
         ParameterError: Unknown split, wrist or set of hands.
@@ -178,7 +176,6 @@ class GraspAny(Task):
         wrist: str = "script",
         hands: str = "nominal",
         config: GraspAnyConfig = GraspAnyConfig(),
-        clear: bool = True,
     ) -> None:
         for name, given, known in (
             ("objects", objects, SPLITS),
@@ -192,9 +189,7 @@ class GraspAny(Task):
         self.config = config
         preshape = open_hand(config.thumb_preshape)
         self._reach = {
-            variant.geometry: placing.reach_of(variant, preshape)
-            for variant in self._hands
-            if clear
+            variant.geometry: placing.reach_of(variant, preshape) for variant in self._hands
         }
         poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in object_set(objects))
         self.objects = tuple(replace(entry, poses=kept) for entry, kept in poses if kept)

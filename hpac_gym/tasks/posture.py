@@ -69,7 +69,6 @@ class Posture(Task):
 
     Args:
         config: duration and tolerance.
-        reachable: leave out goals in which another digit blocks the thumb.
     """
 
     phases = ("move",)
@@ -87,10 +86,9 @@ class Posture(Task):
         ),
     )
 
-    def __init__(self, config: PostureConfig = PostureConfig(), reachable: bool = False) -> None:
+    def __init__(self, config: PostureConfig = PostureConfig()) -> None:
         self.config = config
         self.duration = config.duration
-        self.reachable = reachable
         self.reward_terms = (
             RewardTerm(
                 "error",
@@ -117,7 +115,7 @@ class Posture(Task):
         """Draw one episode: the open hand, and a goal.
 
         Half of the goals move the thumb freely and half the fingers, since they can block each
-        other. With `reachable`, goals in which the index finger blocks the thumb are redrawn."""
+        other. Goals in which the index finger blocks the thumb are redrawn."""
         highest = hand.synergy_max.copy()
         mp = SERVO_INDEX["thumb_mp"]
         cmc = SERVO_INDEX["thumb_cmc"]
@@ -128,11 +126,7 @@ class Posture(Task):
         else:
             highest[[mp, cmc]] = FREE_FINGERS_THUMB
         synergy = rng.uniform(hand.synergy_min, highest)
-        while (
-            self.reachable
-            and synergy[mp] > BLOCKED_MP
-            and BLOCKED_CMC[0] < synergy[cmc] < BLOCKED_CMC[1]
-        ):
+        while synergy[mp] > BLOCKED_MP and BLOCKED_CMC[0] < synergy[cmc] < BLOCKED_CMC[1]:
             synergy = rng.uniform(hand.synergy_min, highest)
         return SceneSetup(None, hand=hand, goal=joints_from_synergy(synergy, hand))
 

@@ -41,11 +41,9 @@ from hpac_gym.envs import GRASPS, scripted_closure
 from hpac_gym.envs.options import (
     GRASP,
     GRASP_ANY,
-    GRASP_ANY_V0,
     GRASP_TYPE,
     PICK_PLACE,
     POSTURE,
-    POSTURE_V0,
 )
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, SERVOS, action_from_synergy
@@ -327,7 +325,6 @@ USUAL = {
     GRASP: closing(),
     GRASP_ANY: closing(),
     PICK_PLACE: closing(12, 74),
-    POSTURE_V0: apart,
     POSTURE: apart,
 }
 PRIVILEGED = {"obs": "privileged"}
@@ -372,7 +369,7 @@ CASES = (
     *(Case(name, {"obs": "image"}, policy) for name, policy in USUAL.items()),
     *(
         Case(name, {"reward": "sparse"}, policy, range(2))
-        for name, policy in (USUAL | {POSTURE_V0: reaching, POSTURE: reaching}).items()
+        for name, policy in (USUAL | {POSTURE: reaching}).items()
     ),
     *(
         Case(name, {"randomize": preset} | PRIVILEGED, policy, range(2))
@@ -380,11 +377,7 @@ CASES = (
         for preset in PRESETS
     ),
     *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in USUAL),
-    Case(GRASP_ANY_V0, {}, closing(), range(4)),
-    *(
-        Case(name, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(3))
-        for name in (GRASP_ANY_V0, GRASP_ANY)
-    ),
+    Case(GRASP_ANY, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(3)),
     *(
         Case(GRASP_TYPE, PLACED_BY_SCRIPT | options, own, range(2))
         for options in (
@@ -411,7 +404,8 @@ CASES = (
         for variant in grasp.held_out
     ),
     Case(PICK_PLACE, PRIVILEGED, clenched, about="jams", reset={"setup": heavy()}),
-    Case(POSTURE_V0, PRIVILEGED, flicked, about="flicked"),
+    Case(POSTURE, PRIVILEGED, flicked, about="flicked"),
+    Case(POSTURE, {"reward": "sparse", "randomize": "nominal"}, reaching, range(2)),
     *(
         Case(name, PRIVILEGED, closing(), about=about, story=story)
         for name, stories in STORIES.items()
@@ -548,7 +542,6 @@ BATCHES = {
     "HPAC-GraspType-v0": (Case(GRASP_TYPE, {}, own, range(6)),),
     "HPAC-GraspType-v0 on MuJoCo": (Case(GRASP_TYPE, {"engine": "mujoco"}, own, range(10)),),
     "HPAC-PickPlace-v0": (Case(PICK_PLACE, {}, closing(12, 74), range(20)),),
-    "HPAC-Posture-v0": (Case(POSTURE_V0, {}, reaching, range(20)),),
     "HPAC-Posture-v1": (Case(POSTURE, {"randomize": "nominal"}, reaching, range(20)),),
     "named grasps": tuple(Case(GRASP, {"grasp": name}, closing(0)) for name in GRASPS),
 }

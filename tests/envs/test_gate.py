@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from hpac_gym.envs.options import GRASP, GRASP_TYPE, IDS, POSTURE, POSTURE_V0
+from hpac_gym.envs.options import GRASP, GRASP_TYPE, IDS, POSTURE
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
@@ -196,7 +196,7 @@ def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
     as much as rounding.
     """
     assert not changed(case, disturbance=1e-9)
-    if case.id not in (POSTURE_V0, POSTURE) and "randomize" not in case.options:
+    if case.id != POSTURE and "randomize" not in case.options:
         assert not changed(case, randomize=Randomization(object_position=(1e-12, 1e-12)))
 
 
@@ -213,14 +213,14 @@ def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
         ("HPAC-Grasp-v0/privileged/slips", "tasks.grip.MAX_SLIP", 0.022),
         ("HPAC-PickPlace-v0/privileged/placed", "tasks.grip._MISSED_STEPS", 2),
         ("HPAC-PickPlace-v0/privileged/jams", "physics.pybullet.hand.WRIST_EFFORT", 150.0),
-        ("HPAC-Posture-v0/nominal/privileged", "tasks.terms.FORCE_UNIT", 10.1),
-        ("HPAC-Posture-v0/image", "envs.episodes.IMAGE_SIZE", 83),
+        ("HPAC-Posture-v1/nominal/privileged", "tasks.terms.FORCE_UNIT", 10.1),
+        ("HPAC-Posture-v1/image", "envs.episodes.IMAGE_SIZE", 83),
         (
-            "HPAC-Posture-v0/sparse",
+            "HPAC-Posture-v1/sparse/nominal",
             "tasks.posture.PostureConfig.__init__.__defaults__",
             (PostureConfig().duration, 0.06),
         ),
-        ("HPAC-Posture-v0/privileged/flicked", "physics.pybullet.hand.MAX_JOINT_SPEED", 25.0),
+        ("HPAC-Posture-v1/privileged/flicked", "physics.pybullet.hand.MAX_JOINT_SPEED", 25.0),
     ],
 )
 def test_a_small_change_of_a_number_changes_the_fingerprint(monkeypatch, name, number, value):
@@ -460,7 +460,7 @@ def test_info_can_be_logged(name, env):
     assert isinstance(info["is_success"], bool)
 
 
-@pytest.mark.parametrize("name", [name for name in IDS if name not in (POSTURE_V0, POSTURE)])
+@pytest.mark.parametrize("name", [name for name in IDS if name != POSTURE])
 def test_the_reward_is_the_sum_of_its_named_terms(name, env):
     env.reset(seed=4)
     rng = np.random.default_rng(0)

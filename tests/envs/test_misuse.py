@@ -26,7 +26,6 @@ from hpac_gym.envs.options import (
     IDS,
     OPTIONS,
     POSTURE,
-    POSTURE_V0,
     checked_options,
 )
 from hpac_gym.envs.randomization import Randomization
@@ -295,7 +294,7 @@ PRESET = r"randomize must be a preset \(nominal, .*; got "
             "config radius, mass: an object of one's own has its own size, mass and friction",
         ),
         (
-            POSTURE_V0,
+            POSTURE,
             {"config": {"duration": 3.0}},
             r"config duration = 3.0 s: give .*max_episode_steps",
         ),
@@ -354,9 +353,9 @@ TIMES = {"timetable": {"close_time": 1.0}, "weights": {"success": 3.0}}
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("HPAC-Posture-v0", {"randomize": RANGES}),
-        ("HPAC-Posture-v0", {"randomize": {"servo_lag": [0, 0.1]}}),
-        ("HPAC-Posture-v0", {"randomize": {}, "config": PostureConfig(tolerance=0.02)}),
+        ("HPAC-Posture-v1", {"randomize": RANGES}),
+        ("HPAC-Posture-v1", {"randomize": {"servo_lag": [0, 0.1]}}),
+        ("HPAC-Posture-v1", {"randomize": {}, "config": PostureConfig(tolerance=0.02)}),
         ("HPAC-Grasp-v0", {"noise": CameraNoise(0.0, 0.01, 0.0), "randomize": "full"}),
         (
             "HPAC-Grasp-v0",
@@ -419,11 +418,11 @@ def test_what_is_given_counts():
         ("HPAC-Grasp-v0", 64),
         ("HPAC-GraspType-v0", 64),
         ("HPAC-PickPlace-v0", 110),
-        ("HPAC-Posture-v0", 40),
+        ("HPAC-Posture-v1", 40),
     ],
 )
 def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itself(name, length):
-    with TimeAwareObservation(gymnasium.make(name), flatten=name != "HPAC-Posture-v0") as env:
+    with TimeAwareObservation(gymnasium.make(name), flatten=name != "HPAC-Posture-v1") as env:
         env.reset(seed=1)
     longest = 0
     with gymnasium.make(name) as env:
@@ -432,7 +431,7 @@ def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itsel
             *returned, (_, _, terminated, truncated, _) = steps(
                 env, scripted_closure(env.unwrapped.task), seed=seed
             )
-            assert terminated != truncated == (name == "HPAC-Posture-v0")
+            assert terminated != truncated == (name == "HPAC-Posture-v1")
             longest = max(longest, len(returned))
             seed = seed + 1
     assert longest == length

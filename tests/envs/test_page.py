@@ -56,7 +56,7 @@ def test_a_browser_sees_each_step_while_the_hand_moves_in_real_time(engine, monk
 
 
 def test_a_browser_that_leaves_ends_nothing_and_a_vector_shows_its_first_environment(capsys):
-    envs = gymnasium.make_vec("HPAC-Posture-v0", num_envs=2, engine="mujoco", render_mode="human")
+    envs = gymnasium.make_vec("HPAC-Posture-v1", num_envs=2, engine="mujoco", render_mode="human")
     envs.reset(seed=0)
     (address,) = re.findall(r"http://\S+", capsys.readouterr().err)
     BROWSER.open(address + "stream").close()

@@ -14,7 +14,7 @@ from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import ParameterError
 
 GRASP = "HPAC-Grasp-v0"
-POSTURE = "HPAC-Posture-v0"
+POSTURE = "HPAC-Posture-v1"
 
 
 def pair(name: str, num_envs: int = 3, **options) -> tuple[HandVecEnv, DummyVecEnv]:

@@ -13,7 +13,7 @@ from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 
 GRASP = "HPAC-Grasp-v0"
 PICK_PLACE = "HPAC-PickPlace-v0"
-POSTURE = "HPAC-Posture-v0"
+POSTURE = "HPAC-Posture-v1"
 
 
 def closing(steps: int, rng: np.random.Generator) -> np.ndarray:
@@ -112,7 +112,7 @@ def test_an_episode_that_is_over_goes_on_from_a_state_before_its_end():
 
 
 def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire():
-    env = gymnasium.make("HPAC-Posture-v0", transmit=lambda command: command).unwrapped
+    env = gymnasium.make("HPAC-Posture-v1", transmit=lambda command: command).unwrapped
     env.reset(seed=0)
     with pytest.raises(EpisodeError, match="transmit"):
         env.save_state()

@@ -30,7 +30,7 @@ from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY
 from tests.processes import wait_for
 
-TASKS = {GRASP: Grasp, PICK_PLACE: PickPlace, POSTURE: partial(Posture, reachable=True)}
+TASKS = {GRASP: Grasp, PICK_PLACE: PickPlace, POSTURE: Posture}
 CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53], np.float32)
 """Where the scripted closure ends."""
 

@@ -13,7 +13,7 @@ def test_the_command_draws_a_row_an_episode_and_a_picture_a_time(tmp_path, capsy
     assert (
         main(
             [
-                "HPAC-Posture-v0",
+                "HPAC-Posture-v1",
                 "--seeds",
                 "7",
                 "9",
@@ -43,7 +43,7 @@ def test_no_time_within_the_episodes_is_one_line_and_no_picture(tmp_path, capsys
 
 
 def test_going_straight_to_a_goal_of_the_fingers_reaches_it():
-    with gymnasium.make("HPAC-Posture-v0") as env:
+    with gymnasium.make("HPAC-Posture-v1", randomize="nominal") as env:
         policy = StraightToGoal()
         truncated = False
         (observation, _) = env.reset(seed=7)
