@@ -63,7 +63,7 @@ WORKSHOP_ZERO = np.radians(0.5)
 """Standard deviation of a servo's zero after setting it by eye (chosen) [rad]."""
 SLACK = 1e-3
 """Most slack of a driving tendon, drawn uniformly (chosen) [m]."""
-OUT = Path("docs/results/chain.json")
+OUT = Path("docs/results/experiments/chain.json")
 COLOURS = ("#999999", "#e69f00", "#0072b2", "#56b4e9")
 """Of the models: told apart by colour-blind people too."""
 
