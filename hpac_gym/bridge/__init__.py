@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from hpac_gym.bridge.link import HandLink
     from hpac_gym.bridge.protocol import Action, Fault, Reason, Reset, State
     from hpac_gym.bridge.reports import HandInfo, HandStatus
+    from hpac_gym.bridge.stream import Stream, StreamCounts
     from hpac_gym.bridge.transport import (
         SerialTransport,
         Transport,
@@ -80,6 +81,7 @@ _HOMES = {
         "HandInfo",
         "HandStatus",
     ),
+    "stream": ("Stream", "StreamCounts"),
     "transport": (
         "SerialTransport",
         "Transport",
@@ -110,6 +112,8 @@ __all__ = [
     "SerialTransport",
     "State",
     "StoppedError",
+    "Stream",
+    "StreamCounts",
     "Transport",
     "UnconfirmedWarning",
     "VirtualHand",

@@ -141,6 +141,8 @@ class Exchange:
         refused: the latest refused message that was sent without waiting for an answer, and its
             refusal; or None.
         host_frames: number of received frames of host message types, which indicate an echo.
+        on_ack: called with every message that was sent without waiting, and its ACK; None keeps the
+            latest refusal in `refused` instead.
     """
 
     def __init__(
@@ -157,6 +159,7 @@ class Exchange:
         self.sent: dict[str, int] = dict.fromkeys(MESSAGES, 0)
         self.refused: tuple[Frame, Frame] | None = None
         self.host_frames = 0
+        self.on_ack: Callable[[Frame, Frame], None] | None = None
         self._statistics = statistics
         self._known = known
         self._check = check
@@ -201,8 +204,8 @@ class Exchange:
 
     def send(
         self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None = None, flags: int = 0
-    ) -> None:
-        """Send a message without waiting for an answer.
+    ) -> int:
+        """Send a message without waiting for an answer; returns its number.
 
         Raises:
             PortError: The port is gone.
@@ -210,6 +213,7 @@ class Exchange:
         frame = self._frame(name, fields, flags)
         self._unacknowledged.append(frame)
         self._write(frame)
+        return frame.seq
 
     def listen(self, seconds: float) -> None:
         """Receive frames from the hand for `seconds`.
@@ -273,11 +277,12 @@ class Exchange:
             round_trip = self.transport.now() - waiting.sent_at
             if not waiting.repeated:
                 self._statistics.round_trips.append(round_trip)
-        elif frame.name == "ack" and frame.fields["reason"] != Reason.ok:
-            self.refused = next(
-                ((sent, frame) for sent in self._unacknowledged if sent.seq == frame.seq),
-                self.refused,
-            )
+        elif frame.name == "ack":
+            sent = next((sent for sent in self._unacknowledged if sent.seq == frame.seq), None)
+            if sent is not None and self.on_ack is not None:
+                self.on_ack(sent, frame)
+            elif sent is not None and frame.fields["reason"] != Reason.ok:
+                self.refused = sent, frame
         self._known.take_in(frame, answered)
         self._record("received", encoded, frame, round_trip)
 

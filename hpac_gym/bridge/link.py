@@ -27,7 +27,7 @@ from hpac_gym.bridge.errors import (
     PortError,
     StoppedError,
 )
-from hpac_gym.bridge.exchange import LinkStatistics, WireLog
+from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.limits import servo_limits
 from hpac_gym.bridge.protocol import (
@@ -39,6 +39,7 @@ from hpac_gym.bridge.protocol import (
     State,
 )
 from hpac_gym.bridge.reports import HandInfo, HandStatus
+from hpac_gym.bridge.stream import MARGIN, Stream
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand
 from hpac_gym.model.checks import Array
@@ -329,7 +330,7 @@ class HandLink(Line):
             LinkTimeout, PortError: No answer; the port is gone.
         """
         duration_ms = milliseconds("duration", command.duration, lambda ms: math.ceil(ms - 1e-6))
-        steps = np.rint(self._within_table(command.servo) / ANGLE_UNIT).astype(int)
+        steps = np.rint(self.within_table(command.servo) / ANGLE_UNIT).astype(int)
         if np.abs(steps).max() > _STEP_MAX:
             worst = max(command.servo, key=abs)
             raise FrameError(
@@ -348,7 +349,20 @@ class HandLink(Line):
             connection.raise_unasked("move")
         connection.busy_until = self._now() + duration_ms * 1e-3
 
-    def _within_table(self, servo: Array) -> Array:
+    def stream(self, period: float = 0.05, margin: float = MARGIN) -> Stream:
+        """Begin to stream commands at a fixed rate; see `Stream`. The hand is armed and at rest.
+
+        Args:
+            period: time between two commands, 0.02 to 1 [s].
+            margin: share of the rate limit that commands use, 0…1: the rest is for frames that
+                arrive early.
+
+        Raises:
+            FrameError: `period` or `margin` is out of bounds.
+        """
+        return Stream(self, period, margin)
+
+    def within_table(self, servo: Array) -> Array:
         """Servo angles, shape (6,) [rad]; on a board that was flashed for the nominal hand, those
         of another hand are clipped to its range, and the first that is clipped is told.
         """
@@ -367,6 +381,32 @@ class HandLink(Line):
                 stacklevel=4,
             )
         return clipped
+
+    @property
+    def exchange(self) -> Exchange:
+        """The exchange of frames of the present connection."""
+        return self._connected().exchange
+
+    @property
+    def rate_limit(self) -> Array:
+        """Rate limit of the servos by the board's table, shape (6,) [rad/s]."""
+        return self._table.servo_rate_limit
+
+    @turn
+    def send_unanswered(self, name: str, fields: dict) -> int:
+        """Send a message that feeds the watchdog without waiting for its answer; returns its
+        number.
+        """
+        connection = self._connected()
+        connection.fed_at = self._now()
+        return connection.exchange.send(name, fields)
+
+    @turn
+    def listen(self, seconds: float, what: str) -> None:
+        """Receive for `seconds` without heartbeats, and raise the fault that the hand reports."""
+        connection = self._connected()
+        connection.exchange.listen(seconds)
+        connection.raise_unasked(what)
 
     @turn
     def wait(self) -> HandStatus:

@@ -1,0 +1,223 @@
+"""Streams: no command is refused, whatever is lost, late or slow on the way."""
+
+import numpy as np
+import pytest
+
+from hpac_gym.bridge import (
+    FaultError,
+    FrameError,
+    HandLink,
+    LinkTimeout,
+    RejectedError,
+    VirtualHand,
+    servo_from_pulses,
+)
+from hpac_gym.bridge.frame import Frame, encode
+from hpac_gym.bridge.hands import VirtualTransport
+from hpac_gym.errors import ShapeError
+from hpac_gym.model import HPAC
+
+
+class Bad(VirtualTransport):
+    """Once `armed`, loses frames in both directions, delivers the host's late by up to `jitter` and
+    the hand's by `latency`.
+    """
+
+    def __init__(self, hand, loss=0.0, jitter=0.0, latency=0.0, seed=0):
+        super().__init__(hand)
+        self.loss = loss
+        self.jitter = jitter
+        self.latency = latency
+        self.rng = np.random.default_rng(seed)
+        self.out = []
+        self.back = []
+        self.armed = False
+
+    def write(self, data):
+        if not self.armed or self.rng.random() >= self.loss:
+            self.out.append((self.now() + self.armed * self.rng.uniform(0, self.jitter), data))
+
+    def read(self, timeout):
+        until = self.now() + timeout
+        while True:
+            while self.out and self.out[0][0] <= self.now():
+                super().write(self.out.pop(0)[1])
+            if self.back and self.back[0][0] <= self.now():
+                return self.back.pop(0)[1]
+            if self.now() >= until:
+                return b""
+            due = min([until, *(at for at, _ in (*self.out[:1], *self.back[:1]))])
+            data = super().read(max(due - self.now(), 1e-6))
+            if data and (not self.armed or self.rng.random() >= self.loss):
+                self.back.append((self.now() + self.armed * self.latency, data))
+
+
+def targets(count, seed=1):
+    """Targets to which the whole range is run through again and again."""
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        if i % 16 == 0:
+            target = rng.uniform(HPAC.servo_min, HPAC.servo_max)
+        yield target
+
+
+def streamed(count=400, margin=0.9, **bad):
+    hand = VirtualHand()
+    made = []
+
+    def connect():
+        made.append(Bad(hand, **bad))
+        return made[-1]
+
+    with HandLink(connect) as link:
+        link.arm(watchdog=0.5)
+        stream = link.stream(margin=margin)
+        made[-1].armed = True
+        for target in targets(count):
+            sent = stream.send(target)
+        link.listen(0.2, "end")
+        reached = servo_from_pulses(hand.pulses())
+        made[-1].armed = False
+    return stream.counts, sent, reached
+
+
+def test_every_command_is_acknowledged_and_the_last_one_reached():
+    counts, sent, reached = streamed()
+    assert (counts.sent, counts.acknowledged) == (400, 400)
+    assert (counts.refused, counts.lost, counts.late, counts.skipped) == (0, 0, 0, 0)
+    np.testing.assert_allclose(reached, sent, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"loss": 0.05},
+        {"loss": 0.3},
+        {"jitter": 0.002},
+        {"latency": 0.016},
+        {"latency": 0.12},
+        {"loss": 0.05, "jitter": 0.002, "latency": 0.016},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("seed", range(3))
+def test_no_command_is_refused_over_a_bad_link(bad, seed):
+    counts, _, _ = streamed(seed=seed, **bad)
+    assert (counts.sent, counts.refused) == (400, 0)
+    assert (counts.lost > 0) == ("loss" in bad)
+
+
+def test_without_a_margin_early_commands_are_refused():
+    counts, _, _ = streamed(margin=1.0, jitter=0.01)
+    assert counts.refused > 0
+
+
+def test_a_stream_that_continues_from_what_it_sent_is_refused_after_one_loss(virtual_hand):
+    """The control: the hand refuses what is further than its rate allows."""
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        write = link.exchange.transport.write
+        for count in range(8):
+            link.exchange.transport.write = (lambda data: None) if count == 3 else write
+            stream.send(HPAC.servo_max)
+            if count == 3:  # believes that it arrived
+                stream._poses = {0: list(stream._poses.values())[-1]}
+        assert stream.counts.refused > 0
+
+
+def test_a_target_is_approached_at_the_rate_that_is_left(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        steps = [stream.send(HPAC.servo_max) for _ in range(3)]
+    np.testing.assert_allclose(np.diff(steps, axis=0), 0.9 * 2.0 * 0.05, atol=1e-4)
+    assert stream.counts.limited == 3
+
+
+def test_a_busy_program_skips_periods_and_sends_no_burst(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        stream.send(HPAC.servo_max)
+        link.sleep(0.23)
+        for _ in range(4):
+            stream.send(HPAC.servo_max)
+    assert (stream.counts.skipped, stream.counts.late, stream.counts.refused) == (3, 1, 0)
+
+
+def test_a_hot_hand_slows_down_and_goes_on(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        speeds = []
+        servo = np.zeros(6)
+        for i in range(12_000):  # ten minutes
+            before = servo
+            servo = stream.send(HPAC.servo_max if i // 40 % 3 else HPAC.servo_min)
+            speeds.append(np.abs(servo - before).max() / stream.period)
+        assert link.state == "armed"
+        assert link.last_status.rate_share < 1.0
+    assert max(speeds[:400]) == pytest.approx(1.8, abs=0.01)
+    assert max(speeds[-400:]) < 1.7
+    assert (stream.counts.refused, stream.counts.lost) == (0, 0)
+
+
+def test_an_estop_ends_it(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        stream.send(HPAC.servo_max)
+        link.exchange.transport.write(encode(Frame("estop", 7, 0, {})))
+        with pytest.raises(FaultError, match="estop"):
+            for _ in range(3):
+                stream.send(HPAC.servo_max)
+
+
+def test_a_hand_that_was_taken_over_ends_it(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        stream.send(HPAC.servo_max)
+        link.exchange.transport.write(encode(Frame("hello", 7, 0, {"nonce": 5})))
+        with pytest.raises(RejectedError, match="another program"):
+            for _ in range(3):
+                stream.send(HPAC.servo_max)
+
+
+def test_a_deaf_hand_ends_it_after_a_second(virtual_hand):
+    with pytest.warns(UserWarning, match="has not confirmed"):
+        with HandLink(virtual_hand.connect) as link:
+            link.arm(watchdog=2.0)
+            stream = link.stream()
+            link.exchange.transport.write = lambda data: None
+            with pytest.raises(LinkTimeout, match="no answer to a streamed move for 1 s"):
+                for _ in range(40):
+                    stream.send(HPAC.servo_max)
+    assert 15 < stream.counts.sent < 25
+
+
+def test_wrong_values_are_refused_before_anything_is_sent(virtual_hand):
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        for wrong in (np.full(6, np.nan), np.zeros(5)):
+            with pytest.raises(ShapeError, match="target"):
+                stream.send(wrong)
+        for wrong in ({"period": 0.01}, {"margin": 0.0}, {"margin": np.nan}):
+            with pytest.raises(FrameError, match="allowed"):
+                link.stream(**wrong)
+        assert stream.counts.sent == 0
+
+
+def test_moves_are_answered_again_after_a_stream(virtual_hand):
+    from hpac_gym.model import ServoCommand
+
+    with HandLink(virtual_hand.connect) as link:
+        link.arm()
+        stream = link.stream()
+        stream.send(np.full(6, 0.05))
+        link.sleep(0.1)
+        stream.close()
+        with pytest.raises(RejectedError, match="rad"):
+            link.move(ServoCommand(HPAC.servo_max, 0.05))
