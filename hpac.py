@@ -54,6 +54,11 @@ COMMANDS = (
         "hpac_gym.bridge.commands:add_conform",
     ),
     Command(
+        "deploy",
+        "run a trained policy on a hand; --dry-run tells what it would do",
+        "hpac_gym.deploy.commands:add_arguments",
+    ),
+    Command(
         "doctor",
         "find hands, report faults and the first remedy; moves nothing",
         "hpac_gym.bridge.commands:add_doctor",

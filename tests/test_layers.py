@@ -28,6 +28,7 @@ ROOMS = {
     "tasks": {"numpy", "scipy", "gymnasium"},
     "envs": {"numpy", "gymnasium", "stable_baselines3"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime"},
+    "deploy": {"numpy", "gymnasium"},
     "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
     "posture": {"numpy", "matplotlib"},
     "hpac_gym": set(),

@@ -90,6 +90,7 @@ class Stream:
         self._exchange.on_ack = self._answered
         self._due = self._heard_at = self._exchange.transport.now()
         self._sent_at = -np.inf
+        self._waited = False
 
     def send(self, target: ArrayLike) -> Array:
         """Wait for the next period, and send the command that leads towards a target.
@@ -107,7 +108,9 @@ class Stream:
             LinkTimeout, PortError: No answer to any command for a second; the port is gone.
         """
         target = self._link.within_table(as_finite_vector(target, len(SERVOS), "target"))
-        self._wait()
+        if not self._waited:
+            self.wait()
+        self._waited = False
         if (status := self._link.last_status) is not self._status:
             self._status = status
             self._share = status.rate_share
@@ -135,7 +138,11 @@ class Stream:
         self._exchange.on_ack = None
         self._link.status()
 
-    def _wait(self) -> None:
+    def wait(self) -> None:
+        """Wait for the time of the next command, which the next `send` then does not wait for: for
+        programs that look at the world as late as they can. Errors as of `send`.
+        """
+        self._waited = True
         now = self._exchange.transport.now
         self._link.listen(max(self._due - now(), 0.0), "move")
         if now() - self._heard_at > PATIENCE:

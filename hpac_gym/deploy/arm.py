@@ -1,0 +1,131 @@
+"""The arm that carries the hand: it is told what to do, and tells when it is ready.
+
+A task's wrist stands, lifts and shakes by a table. On a hand a person, or another program, does it."""
+
+from __future__ import annotations
+
+import json
+import socket
+import sys
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from hpac_gym.deploy.errors import DeployError
+
+PACKET = "hpac_arm"
+"""Name of the version field of both packets, one a datagram: told is ``{"hpac_arm": 1, "phase":
+"lift", "time": 1.2, "offset": [x, y, z]}``, with the wrist's offset from its start along the world's
+axes [m]; answered to the first one is ``{"hpac_arm": 1, "ready": true}``.
+"""
+VERSION = 1
+
+
+class Arm(Protocol):
+    """Carries the hand."""
+
+    def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
+        """Return when the hand is where it shall close; `wait` keeps it alive for some seconds."""
+        ...
+
+    def tell(self, told: dict[str, Any]) -> None:
+        """Take note of a phase that begins, or of a new offset of the wrist; never waits."""
+        ...
+
+    def close(self) -> None:
+        """Let go what the arm holds."""
+
+
+class Nobody:
+    """Nobody carries the hand, or a table does by its own clock: it is ready at once."""
+
+    def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
+        """Return at once."""
+
+    def tell(self, told: dict[str, Any]) -> None:
+        """Nothing to do."""
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
+class Person:
+    """A person with the Enter key, to whom every phase is told."""
+
+    def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
+        """Wait for Enter."""
+        import select
+
+        print("the object is seen; Enter: the hand stands there, close", file=sys.stderr, flush=True)
+        while not select.select([sys.stdin], [], [], 0)[0]:
+            wait(0.05)
+        if not sys.stdin.readline():
+            raise DeployError("nobody can press Enter: standard input is closed")
+
+    def tell(self, told: dict[str, Any]) -> None:
+        """Print a phase."""
+        if "phase" in told:
+            print(f"\narm: {told['phase']}", file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
+class Remote:
+    """A program that moves an arm, told by UDP; see `PACKET`.
+
+    Raises:
+        DeployError: The address is none.
+    """
+
+    def __init__(self, host: str, port: int, patience: float = 60.0) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        self._patience = patience
+        try:
+            self._socket.connect((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise DeployError(f"arm at {host}:{port}: {error}") from None
+
+    def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
+        """Ask until the arm answers that it is ready.
+
+        Raises:
+            DeployError: It does not within a minute.
+        """
+        for _ in range(round(self._patience / 0.1)):
+            self.tell(told)
+            wait(0.1)
+            try:
+                answer = json.loads(self._socket.recv(4096))
+                if answer[PACKET] == VERSION and answer["ready"] is True:
+                    return
+            except (OSError, ValueError, KeyError, TypeError):
+                continue
+        raise DeployError(f"the arm did not say that it is ready within {self._patience:g} s")
+
+    def tell(self, told: dict[str, Any]) -> None:
+        """Send a packet; that nobody listens is noticed by `ready` alone."""
+        try:
+            self._socket.send(json.dumps({PACKET: VERSION, **told}).encode())
+        except OSError:
+            return
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def arm_of(text: str) -> Arm:
+    """The arm of an ``--arm``: ``none``, ``enter``, or ``udp:HOST:PORT``.
+
+    Raises:
+        DeployError: It is none of them.
+    """
+    if text in ("none", "enter"):
+        return {"none": Nobody, "enter": Person}[text]()
+    kind, _, address = text.partition(":")
+    host, _, port = address.rpartition(":")
+    if kind != "udp" or not host or not port.isdigit():
+        raise DeployError(f"--arm '{text}' is not none, enter or udp:HOST:PORT")
+    return Remote(host, int(port))

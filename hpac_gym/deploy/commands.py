@@ -1,0 +1,170 @@
+"""``hpac deploy``: a trained policy on a hand.
+
+The object's pose comes from a source, the arm is told when each phase begins, and every step goes
+into a log. Ctrl-C opens the hand slowly and disarms it."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.bridge import HandLink, WireLog
+from hpac_gym.bridge.commands import PORT_HELP, connector
+from hpac_gym.deploy.arm import arm_of
+from hpac_gym.deploy.episode import AVERAGED, LOG_VERSION, OLDEST, Log, run_episode
+from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.observer import Observer
+from hpac_gym.deploy.poses import averaged, source_of
+from hpac_gym.model import HPAC, SERVOS, load_hand
+from hpac_gym.policies.loading import about, load_policy
+from hpac_gym.policies.policy_file import policy_path
+
+MASS = 0.1
+FRICTION = 0.8
+"""Of an object on a hand, which no observation contains (chosen) [kg, 1]."""
+SIZES = {"cylinder": ("radius", "half height"), "sphere": ("radius",), "box": ("x", "y", "z")}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac deploy`."""
+    parser.add_argument("policy", help="a shipped policy such as grasp, a policy file, or scripted")
+    parser.add_argument("--port", help=f"{PORT_HELP}; without one only --dry-run is possible")
+    parser.add_argument(
+        "--object",
+        required=True,
+        metavar="SHAPE:M,M",
+        help="what the camera knows of the object: cylinder:RADIUS,HALF_HEIGHT, sphere:RADIUS or box:HALF,HALF,HALF [m]",
+    )
+    parser.add_argument(
+        "--pose",
+        required=True,
+        metavar="SOURCE",
+        help="where it is, in the hand's frame: X,Y,Z[,QX,QY,QZ,QW] [m], a .csv, or udp:PORT",
+    )
+    parser.add_argument("--arm", default="none", help="none, enter (a person) or udp:HOST:PORT")
+    parser.add_argument("--env", help="environment of a policy without a file (HPAC-Grasp-v0)")
+    parser.add_argument("--grasp", help="named grasp or type, for the tasks that have them")
+    parser.add_argument("--hand", metavar="FILE", help="hand file, as `hpac calibrate` writes it")
+    parser.add_argument(
+        "--average", type=float, default=AVERAGED, metavar="S", help="the first pose's mean [s]"
+    )
+    parser.add_argument(
+        "--oldest", type=float, default=OLDEST, metavar="S", help="age limit of a pose [s]"
+    )
+    parser.add_argument("--hold", type=float, default=2.0, metavar="S", help="before it opens [s]")
+    parser.add_argument("--log", type=Path, default=Path("runs/deploy.jsonl"), help="JSON lines")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print observation and first command; move nothing"
+    )
+    parser.set_defaults(run=run)
+
+
+def object_of(text: str) -> ObjectSpec:
+    """The object of an ``--object``.
+
+    Raises:
+        DeployError: It is none.
+    """
+    shape, _, sizes = text.partition(":")
+    try:
+        half = [float(size) for size in sizes.split(",")]
+        if len(half) != len(SIZES[shape]):
+            raise ValueError
+        x, y, z = {1: half * 3, 2: [half[0], *half], 3: half}[len(half)]
+        return ObjectSpec(shape, (x, y, z), MASS, FRICTION)
+    except (KeyError, ValueError) as error:
+        forms = ", ".join(f"{name}:{','.join(parts)}" for name, parts in SIZES.items())
+        raise DeployError(f"--object '{text}' is not one of {forms}, in m {error or ''}") from None
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run one episode, or only tell what would be done."""
+    env_id = about(options.policy).get("env_id") or options.env or "HPAC-Grasp-v0"
+    hand = load_hand(options.hand) if options.hand else HPAC
+    observer = Observer(env_id, object_of(options.object), hand, options.grasp)
+    policy = load_policy(options.policy, observer)
+    with ExitStack() as stack:
+        source = source_of(options.pose)
+        stack.callback(source.close)
+        if options.dry_run:
+            _dry_run(options, observer, policy, source)
+            return 0
+        if options.port is None:
+            raise DeployError("--port is missing: name one, or --dry-run")
+        arm = arm_of(options.arm)
+        stack.callback(arm.close)
+        log = stack.enter_context(Log(options.log))
+        log.write(hpac_deploy=LOG_VERSION, **_head(options, observer))
+        wire = stack.enter_context(WireLog(options.log.with_suffix(".wire.jsonl")))
+        port = connector(options.port, stack)
+        link = stack.enter_context(HandLink(port, hand=hand, log=wire))
+        print(f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand")
+        counts = run_episode(
+            link,
+            observer,
+            policy,
+            source,
+            arm,
+            log,
+            hold=options.hold,
+            seconds=options.average,
+            oldest=options.oldest,
+            live=_live if sys.stderr.isatty() else lambda _: None,
+        )
+    print(
+        f"done: {counts.sent} commands, {counts.acknowledged} acknowledged, {counts.late} late, "
+        f"{counts.lost} lost, {counts.refused} refused; log in {options.log}"
+    )
+    return 0
+
+
+def _head(options: argparse.Namespace, observer: Observer) -> dict[str, Any]:
+    """The first line of a log: what it takes to play it again."""
+    path = policy_path(options.policy)
+    return {
+        "began": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "policy": options.policy,
+        "policy_sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
+        "env_id": observer.spec.id,
+        "grasp": options.grasp,
+        "object": options.object,
+        "hand": observer.model.name,
+        "port": options.port,
+        "servos": SERVOS,
+        "terms": [[term.name, *term.labels] for term in observer.task.terms],
+        "start": observer.servo,
+    }
+
+
+def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, source: Any) -> None:
+    """Print every entry of the first observation with name and unit, and the first command."""
+    pose = averaged(source, options.average, options.oldest)
+    observation = observer.see(pose)
+    for name, label, value, unit in observer.entries(observation):
+        print(f"{name:<14} {label:<18} {value:9.4f}  {unit}")
+    policy.reset(0)
+    action = policy.act(observation)
+    target = observer.command(action)
+    print(f"\n{'servo':<14} {'start [rad]':>12} {'first command [rad]':>20}")
+    for row in zip(SERVOS, observer.servo, target, strict=True):
+        print("{:<14} {:12.4f} {:20.4f}".format(*row))
+    if observer.task.wrist_actions:
+        told = zip(observer.task.wrist_actions, action[len(SERVOS) :], strict=True)
+        print("the policy places the wrist: " + ", ".join(f"{name} {value:+.2f}" for name, value in told))
+    print("dry run: nothing was sent")
+
+
+def _live(now: dict[str, Any]) -> None:
+    """One line that is written over and over."""
+    counts = now["counts"]
+    text = (
+        f"{now['t']:5.2f} s  {now['phase']:<8} heat {now['heat']:4.0%}  late {counts.late}  "
+        f"lost {counts.lost}  refused {counts.refused}  worst delay {1e3 * counts.worst_delay:.1f} ms"
+    )
+    print(f"\r{text:<90}", end="", file=sys.stderr, flush=True)

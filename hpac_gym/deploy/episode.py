@@ -1,0 +1,221 @@
+"""One episode of a policy on a hand: gently in, one command a period, gently out, everything in a log.
+
+Whatever happens, the hand opens slowly and is disarmed before anything else is done."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TextIO
+
+import numpy as np
+
+from hpac_gym.bridge import BridgeError, HandLink, StreamCounts
+from hpac_gym.bridge.errors import FaultError
+from hpac_gym.deploy.arm import Arm
+from hpac_gym.deploy.errors import DeployError, PoseError
+from hpac_gym.deploy.observer import Observer, Pose
+from hpac_gym.deploy.poses import Source, averaged
+from hpac_gym.model import SERVOS, ServoCommand, move_duration
+from hpac_gym.model.checks import Array
+from hpac_gym.output import OutputError
+from hpac_gym.policies import Policy
+from hpac_gym.tasks.task import CONTROL_HZ
+
+GENTLE = 0.25
+"""Share of the rate limit at which a hand goes to its start posture and opens."""
+WATCHDOG = 0.5
+"""Longest silence before the hand relaxes by itself [s]."""
+AVERAGED = 0.5
+"""Time over which the first pose is averaged [s]."""
+OLDEST = 0.5
+"""Greatest age of a pose while the hand closes [s]."""
+LOG_VERSION = 1
+
+Live = Callable[[dict[str, Any]], None]
+
+
+class Log:
+    """One JSON object a line, in the file as soon as it is written: complete after ``kill -9``.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._file: TextIO | None = None
+        if path is not None:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = path.open("w", encoding="utf-8", buffering=1)
+            except OSError as error:
+                raise OutputError(f"cannot write '{path}': {error.strerror}") from None
+
+    def write(self, **line: Any) -> None:
+        """Write a line.
+
+        Raises:
+            OutputError: The disk is full.
+        """
+        if self._file is None:
+            return
+        try:
+            self._file.write(json.dumps(line, default=_plain) + "\n")
+        except OSError as error:
+            raise OutputError(f"cannot write '{self._path}': {error.strerror}") from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(OSError):
+            if self._file is not None:
+                self._file.close()
+
+
+def run_episode(
+    link: HandLink,
+    observer: Observer,
+    policy: Policy,
+    source: Source,
+    arm: Arm,
+    log: Log,
+    *,
+    hold: float = 2.0,
+    seconds: float = AVERAGED,
+    oldest: float = OLDEST,
+    patience: float = 5.0,
+    live: Live = lambda _: None,
+) -> StreamCounts:
+    """Run one episode on a connected hand; afterwards it is open and without pulses.
+
+    Args:
+        link: connected, not armed.
+        observer: the task on this hand.
+        policy: loaded for `observer`.
+        source: poses of the object.
+        arm: carries the hand.
+        log: gets every step.
+        hold: time for which the hand holds after the last step, before it opens [s].
+        seconds: time over which the first pose is averaged [s].
+        oldest: greatest age of a pose while the hand closes [s].
+        patience: longest wait for the first pose [s].
+        live: called with every step's figures.
+
+    Raises:
+        PoseError: No pose, or the object was lost while the hand closed.
+        DeployError: The policy gives no action.
+        OutputError: The log cannot be written.
+        BridgeError: The hand refuses, is stopped, or does not answer.
+        KeyboardInterrupt: Ctrl-C, after the hand has opened.
+    """
+    link.arm(watchdog=WATCHDOG)
+    counts = StreamCounts()
+    try:
+        clock = link.exchange.transport.now
+        pose = averaged(source, seconds, oldest, patience, link.sleep, clock)
+        observer.start()
+        policy.reset(0)
+        _go(link, np.asarray(observer.servo))
+        arm.ready(link.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
+        stream = link.stream(1 / CONTROL_HZ)
+        counts = stream.counts
+        begun = clock()
+        phase = ""
+        closing = observer.phase()
+        for step in range(observer.steps):
+            stream.wait()
+            if step:
+                pose = _pose_now(source, pose, oldest, observer.phase() == closing)
+            if observer.phase() != phase:
+                phase = observer.phase()
+                arm.tell(_told(observer, phase))
+            observation = observer.see(pose)
+            action = _action(policy, observer, observation)
+            target = observer.command(action)
+            servo = stream.send(target)
+            observer.sent(servo)
+            figures = {"step": step, "t": clock() - begun, "phase": phase}
+            log.write(
+                **figures,
+                position=pose.position,
+                quaternion=pose.quaternion,
+                observation=observation,
+                action=action,
+                target=target,
+                sent=servo,
+                hand=link.last_status.servo,
+            )
+            live(figures | {"heat": float(link.last_status.heat.max()), "counts": counts})
+        stream.wait()
+        stream.close()
+        link.sleep(hold)
+        _open(link)
+        log.write(end="done", **asdict(counts))
+    except BaseException as error:
+        with suppress(BridgeError):
+            if not isinstance(error, FaultError):
+                _open(link)
+        with suppress(BridgeError):
+            link.clear() if link.state == "armed" else None
+        with suppress(OutputError):
+            log.write(end=f"{type(error).__name__}: {error}", **asdict(counts))
+        raise
+    link.clear()
+    return counts
+
+
+def _told(observer: Observer, phase: str) -> dict[str, Any]:
+    return {
+        "phase": phase,
+        "time": observer.step / CONTROL_HZ,
+        "offset": observer.wrist_offset().tolist(),
+    }
+
+
+def _pose_now(source: Source, last: Pose, oldest: float, closing: bool) -> Pose:
+    """The latest pose; once the hand has closed, fingers and arm hide the object."""
+    found = source.latest()
+    if found is None or found[1] > oldest:
+        if closing:
+            age = "gone" if found is None else f"{found[1]:.2g} s old, allowed {oldest:g} s"
+            raise PoseError(f"the object's pose is {age}: given up, the hand opens")
+        return last
+    return found[0]
+
+
+def _action(policy: Policy, observer: Observer, observation: Array) -> Array:
+    action = np.asarray(policy.act(observation), dtype=float)
+    shape = observer.action_space.shape
+    if action.shape != shape or not np.isfinite(action).all():
+        raise DeployError(f"the policy's action must be {shape[0]} numbers, not {action.tolist()}")
+    return np.clip(action, -1.0, 1.0)
+
+
+def _go(link: HandLink, servo: Array) -> None:
+    """Move slowly to some angles."""
+    least = move_duration(link.status().servo, servo)
+    link.move(ServoCommand(servo, least / GENTLE + 0.05))
+    link.wait()
+
+
+def _open(link: HandLink) -> None:
+    """Open slowly, from wherever the hand is."""
+    link.exchange.on_ack = None
+    link.exchange.refused = None
+    if link.status().state == "armed":
+        _go(link, np.zeros(len(SERVOS)))
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else str(value)

@@ -1,0 +1,183 @@
+"""The observation and the commands of a task on a real hand: from the same tables of terms as in the
+simulation, without an engine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.deploy.errors import DeployError
+from hpac_gym.envs import grasp_any_task, grasp_task, grasp_type_task, pick_place_task
+from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
+from hpac_gym.model import HPAC, SERVOS, Hand, action_from_synergy
+from hpac_gym.model.checks import Array
+from hpac_gym.model.maps import CommandMap
+from hpac_gym.physics.engine import SceneSetup, SceneState, matrix_from_quaternion
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.task import CONTROL_HZ, Task
+from hpac_gym.tasks.terms import Layout, Moment
+
+TASKS = {
+    GRASP: grasp_task,
+    GRASP_ANY: grasp_any_task,
+    GRASP_TYPE: grasp_type_task,
+    PICK_PLACE: pick_place_task,
+}
+"""Tasks that a hand can do with a camera that sees an object."""
+
+
+UPRIGHT = (-0.5, -0.5, -0.5, 0.5)
+"""An object that stands upright, in the frame of a hand in its default orientation, xyzw."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where an object is seen, in the frame of the hand before the arm moves."""
+
+    position: Array
+    """Its centre, shape (3,) [m]."""
+    quaternion: tuple[float, float, float, float] = UPRIGHT
+    """Rotation from the object's axes to the hand's, xyzw."""
+
+
+class Observer:
+    """A task on a hand, as a policy meets it: it has what `load_policy` reads of an environment.
+
+    Args:
+        env_id: id of the environment that the policy was trained on.
+        object: the object as the camera knows it; its mass and friction are never observed.
+        model: the hand with which commands and observations are computed.
+        grasp: name of the grasp or type, for the tasks that have one.
+        table: hand whose servo table the board was flashed with.
+
+    Raises:
+        DeployError: The task needs more than a camera that sees an object.
+
+    Attributes:
+        task: the task.
+        setup: the episode: object, start posture, orientation of the hand.
+        servo: the last commanded angles, shape (6,) [rad].
+        steps: number of control steps of an episode.
+    """
+
+    def __init__(
+        self,
+        env_id: str,
+        object: ObjectSpec,
+        model: Hand = HPAC,
+        grasp: str | None = None,
+        table: Hand = HPAC,
+    ) -> None:
+        name = env_id.rpartition(":")[2]
+        if name not in TASKS:
+            raise DeployError(
+                f"{name} cannot be deployed: a hand with a camera can do {', '.join(TASKS)}"
+            )
+        options: dict[str, Any] = {}
+        if grasp is not None:
+            if name not in (GRASP, GRASP_TYPE):
+                raise DeployError(f"{name} has no grasps by name, such as {grasp!r}")
+            options = {"grasp" if name == GRASP else "types": grasp}
+        self.task: Task = TASKS[name](**options)
+        self.spec = gymnasium.spec(name)
+        self.model = model
+        self.unwrapped = self
+        self._map = CommandMap(model, 1, table)
+        self._layout = Layout(self.task.terms, 1)
+        self.observation_space = self._layout.space
+        size = len(SERVOS) + len(self.task.wrist_actions)
+        self.action_space = Box(-1.0, 1.0, (size,), np.float32)
+        self.steps = round(self.task.duration * CONTROL_HZ)
+        drawn = self.task.setup(np.random.default_rng(0), HPAC)
+        self.setup: SceneSetup = replace(drawn, object=object)
+        self.task.prepare(1, CameraNoise())
+        self._times = tuple((np.arange(self.steps + 1) / CONTROL_HZ).tolist())
+        self.start()
+
+    def start(self) -> None:
+        """Begin an episode: the hand stands in the task's start posture."""
+        self.task.start([0], [self.setup])
+        self._layout.start([0], [self.setup])
+        synergy = self.setup.synergy[None]
+        self._flexing = np.ones((1, len(SERVOS)), dtype=bool)
+        self.servo = self._map.servo_from_synergy(synergy, self._flexing)[0]
+        self._last_action = action_from_synergy(self.setup.synergy, self._map.bounds)[None]
+        self._wrist = self.task.wrist_path(self.setup, self._times)
+        self.step = 0
+
+    def phase(self) -> str:
+        """Name of the phase that is running or begins."""
+        return self.task.phases[int(self.task.phase(self._time())[0])]
+
+    def wrist_offset(self) -> Array:
+        """Where the task wants the wrist now: its offset from the start, along the world's axes,
+        shape (3,) [m].
+        """
+        return self._wrist[min(self.step, self.steps)]
+
+    def see(self, pose: Pose) -> NDArray[np.float32]:
+        """The observation for a pose of the object, shape (size,)."""
+        rotation = matrix_from_quaternion(pose.quaternion)
+        shape = self.setup.object.shape
+        state = SceneState.empty(1)
+        state.time = self._time()
+        state.palm_offset[0] = self.wrist_offset()
+        predicted = self._map.joints_from_servo(self.servo[None], self._flexing)
+        seen = {
+            "position": np.asarray(pose.position)[None],
+            "up": rotation[None, :, 2] * (shape != "sphere"),
+            "side": rotation[None, :, 0] * (shape == "box"),
+            "half_extents": np.array([self.setup.object.half_extents]),
+            "visible": np.ones(1),
+        }
+        return self._layout.see(
+            Moment(
+                state,
+                self._map.shown_servo(self.servo[None], predicted),
+                predicted,
+                -self.setup.hand_rotation[None, 2],
+                self.task.phase(state.time),
+                self._last_action,
+                np.zeros((1, len(SERVOS))),
+                seen,
+            )
+        )[0]
+
+    def command(self, action: Array) -> Array:
+        """Servo angles for an action, shape (6,) [rad]. The first action of a task that places the
+        wrist also changes `setup`.
+
+        Raises:
+            ShapeError, WorkspaceError: Another shape, NaN, or an action that leaves −1…1.
+        """
+        action = np.asarray(action, dtype=float)
+        ours = action[None, : len(SERVOS)]
+        change = ours - self._last_action
+        self._flexing = np.where(change == 0, self._flexing, change > 0)
+        target = self._map.servo_from_action(ours, self._flexing)[0]
+        if self.task.wrist_actions and self.step == 0:
+            self.setup = self.task.chosen(self.setup, action)
+        self._last_action = ours
+        return target
+
+    def sent(self, servo: Array) -> None:
+        """Take note of the angles that the hand was sent; the next step begins."""
+        self.servo = np.asarray(servo, dtype=float)
+        self.step += 1
+
+    def entries(self, observation: Array) -> list[tuple[str, str, float, str]]:
+        """Every entry of an observation: term, label, value, unit."""
+        rows = [(term.name, label, term.unit) for term in self.task.terms for label in term.labels]
+        return [
+            (name, label, float(value), unit)
+            for (name, label, unit), value in zip(rows, observation, strict=True)
+        ]
+
+    def _time(self) -> Array:
+        return np.array([self.step / CONTROL_HZ])

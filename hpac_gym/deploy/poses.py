@@ -1,0 +1,236 @@
+"""Sources of the object's pose: fixed, a file, packets from another program.
+
+All of them give poses in the frame of the hand, as `hpac_gym.deploy.observer.Pose` has it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import socket
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from time import monotonic, sleep
+from typing import Protocol
+
+import numpy as np
+
+from hpac_gym.deploy.errors import PoseError
+from hpac_gym.deploy.observer import UPRIGHT, Pose
+
+PACKET = "hpac_pose"
+"""Name of the version field of a packet: ``{"hpac_pose": 1, "position": [x, y, z], "quaternion":
+[x, y, z, w]}``, in m, in UTF-8, one a datagram; without a quaternion the object stands upright.
+"""
+VERSION = 1
+FURTHEST = 1.0
+"""No object that a hand can hold is seen further from it [m]."""
+COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
+
+class Source(Protocol):
+    """Where poses come from."""
+
+    def latest(self) -> tuple[Pose, float] | None:
+        """The latest pose and its age [s]; None before the first. Never waits."""
+        ...
+
+    def close(self) -> None:
+        """Let go what the source holds."""
+
+
+def pose_of(numbers: Sequence[float], where: str) -> Pose:
+    """The pose of three numbers, x, y, z [m], or of seven, with a quaternion xyzw.
+
+    Raises:
+        PoseError: Another count, NaN, a place beyond `FURTHEST`, or no unit quaternion.
+    """
+    values = np.asarray(numbers, dtype=float)
+    if values.shape not in ((3,), (7,)) or not np.isfinite(values).all():
+        raise PoseError(f"{where}: {list(numbers)} is not x, y, z [m], or these and qx, qy, qz, qw")
+    if (far := float(np.linalg.norm(values[:3]))) > FURTHEST:
+        raise PoseError(
+            f"{where}: the object is {far:.3g} m from the hand, allowed {FURTHEST} m; is it in mm?"
+        )
+    if len(values) == 3:
+        return Pose(values)
+    if abs(length := float(np.linalg.norm(values[3:]))) < 0.9 or length > 1.1:
+        raise PoseError(f"{where}: the quaternion's length is {length:.3g}, it must be 1")
+    return Pose(values[:3], tuple((values[3:] / length).tolist()))
+
+
+class Fixed:
+    """One pose for ever."""
+
+    def __init__(self, pose: Pose) -> None:
+        self._pose = pose
+
+    def latest(self) -> tuple[Pose, float]:
+        """As `Source.latest`."""
+        return self._pose, 0.0
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
+class Recorded:
+    """Poses from a file with the columns `COLUMNS`, the last four optional, played from now on; the
+    last one ages.
+
+    Raises:
+        PoseError: The file cannot be read, or a row is no pose or goes back in time.
+    """
+
+    def __init__(self, path: Path, clock: Callable[[], float] = monotonic) -> None:
+        try:
+            rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "not UTF-8 text"
+            raise PoseError(f"poses {path}: {reason}") from None
+        self._times: list[float] = []
+        self._poses: list[Pose] = []
+        for number, row in enumerate(rows, 2):
+            where = f"poses {path}, row {number}"
+            try:
+                numbers = [float(row[name]) for name in COLUMNS if row.get(name)]
+            except ValueError as error:
+                raise PoseError(f"{where}: {error}") from None
+            if len(numbers) not in (4, 8):
+                raise PoseError(f"{where}: the columns are {', '.join(COLUMNS)}")
+            if self._times and numbers[0] <= self._times[-1]:
+                raise PoseError(
+                    f"{where}: {numbers[0]:g} s does not follow {self._times[-1]:g} s"
+                )
+            self._times.append(numbers[0])
+            self._poses.append(pose_of(numbers[1:], where))
+        if not rows:
+            raise PoseError(f"poses {path}: no rows")
+        self._clock = clock
+        self._began = clock() - self._times[0]
+
+    def latest(self) -> tuple[Pose, float]:
+        """As `Source.latest`."""
+        now = self._clock() - self._began
+        place = max(int(np.searchsorted(self._times, now, side="right")) - 1, 0)
+        return self._poses[place], max(now - self._times[place], 0.0)
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
+class Packets:
+    """Poses that another program sends by UDP to a port of this computer; see `PACKET`.
+
+    Raises:
+        PoseError: The port cannot be opened.
+
+    Attributes:
+        refused: number of packets that were no pose.
+        fault: what was wrong with the last one of them.
+    """
+
+    def __init__(self, port: int, clock: Callable[[], float] = monotonic) -> None:
+        self._clock = clock
+        self._latest: tuple[Pose, float] | None = None
+        self.refused = 0
+        self.fault = ""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(("127.0.0.1", port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise PoseError(f"UDP port {port}: {error}") from None
+        self.port = self._socket.getsockname()[1]
+
+    def latest(self) -> tuple[Pose, float] | None:
+        """As `Source.latest`."""
+        while True:
+            try:
+                data = self._socket.recv(4096)
+            except BlockingIOError:
+                break
+            try:
+                packet = json.loads(data)
+                if packet[PACKET] != VERSION:
+                    raise PoseError(f"{PACKET} {packet[PACKET]!r}, this program reads {VERSION}")
+                numbers = [*packet["position"], *packet.get("quaternion", UPRIGHT)]
+                self._latest = pose_of(numbers, "packet"), self._clock()
+            except (ValueError, KeyError, TypeError, PoseError) as error:
+                self.refused += 1
+                self.fault = f"{error}"
+        if self._latest is None:
+            return None
+        pose, at = self._latest
+        return pose, self._clock() - at
+
+    def close(self) -> None:
+        """Close the port."""
+        self._socket.close()
+
+
+def source_of(text: str) -> Source:
+    """The source of a ``--pose``: ``X,Y,Z[,QX,QY,QZ,QW]``, ``udp:PORT``, or a CSV file.
+
+    Raises:
+        PoseError: It is none of them.
+    """
+    kind, _, rest = text.partition(":")
+    if kind == "udp" and rest.isdigit():
+        return Packets(int(rest))
+    if text.endswith(".csv"):
+        return Recorded(Path(text))
+    try:
+        return Fixed(pose_of([float(part) for part in text.split(",")], "--pose"))
+    except ValueError as error:
+        if isinstance(error, PoseError):
+            raise
+        raise PoseError(
+            f"--pose '{text}' is not x,y,z in m, with or without a quaternion, nor udp:PORT, nor a .csv"
+        ) from None
+
+
+def averaged(
+    source: Source,
+    seconds: float,
+    oldest: float,
+    patience: float = 5.0,
+    pause: Callable[[float], None] = sleep,
+    clock: Callable[[], float] = monotonic,
+) -> Pose:
+    """The mean of the poses of some time: policies that look once look here.
+
+    Args:
+        source: where poses come from.
+        seconds: time over which is averaged, after the first pose [s].
+        oldest: greatest age of a pose [s].
+        patience: longest wait for the first one [s].
+        pause: waits for some seconds, and keeps the hand alive meanwhile.
+        clock: the time [s].
+
+    Raises:
+        PoseError: No pose came, or the object was lost.
+    """
+    begun = clock()
+    while (found := source.latest()) is None:
+        if clock() - begun > patience:
+            fault = getattr(source, "fault", "")
+            raise PoseError(
+                f"no pose of the object within {patience:g} s" + (f"; last packet: {fault}" if fault else "")
+            )
+        pause(0.02)
+    poses: list[Pose] = []
+    until = clock() + seconds
+    while True:
+        found = source.latest()
+        if found is not None and found[1] <= oldest and not any(found[0] is pose for pose in poses):
+            poses.append(found[0])
+        if clock() >= until:
+            break
+        pause(0.02)
+    if not poses:
+        raise PoseError(f"the object's pose is {found[1]:.2g} s old, allowed {oldest:g} s")
+    quaternions = np.array([pose.quaternion for pose in poses])
+    # The mean rotation is the first eigenvector of the sum of the outer products.
+    _, vectors = np.linalg.eigh(quaternions.T @ quaternions)
+    mean = vectors[:, -1] * np.sign(vectors[:, -1] @ quaternions[0])
+    return Pose(np.mean([pose.position for pose in poses], axis=0), tuple(mean.tolist()))
