@@ -11,6 +11,7 @@ import json
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,9 @@ class Link(VirtualTransport):
         super().__init__(hand)
         self.bad = False
         self._rng = rng
-        self._loss, self._jitter, self._latency = loss, jitter, latency
+        self._loss = loss
+        self._jitter = jitter
+        self._latency = latency
         self._out: list[tuple[float, bytes]] = []
         self._back: list[tuple[float, bytes]] = []
 
@@ -156,7 +159,7 @@ def through_the_wire(
     body = Body(env, seed)
     hand = VirtualHand(on_pulses=body.on_pulses)
     observer = Observer(env_id, body.seen_object)
-    observer.setup = replace_object(body)
+    observer.setup = replace(body.setup, object=body.seen_object)
     policy = load_policy(policy_name, observer)
     made = Link(hand, np.random.default_rng([seed, 8]), **wrong)
     counts = StreamCounts()
@@ -174,13 +177,6 @@ def through_the_wire(
         except (DeployError, BridgeError):
             made.bad = False
     return body.outcome == SUCCESS, counts
-
-
-def replace_object(body: Body) -> Any:
-    """The setup of the environment's episode, with the object as it is seen."""
-    from dataclasses import replace
-
-    return replace(body.setup, object=body.seen_object)
 
 
 def in_the_environment(env: HandEnv, policy_name: str, seed: int) -> bool:

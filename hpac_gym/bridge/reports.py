@@ -106,8 +106,11 @@ class HandStatus:
     supply: float
     """Voltage of the servo supply [V]; NaN if the board does not measure it."""
     last_seq: int
+    """Number of the last MOVE that the hand has accepted."""
     counters: dict[str, int]
     """Counts since boot, by the names of `COUNTERS`."""
+    number: int = 0
+    """Number of the request that it answers; 0 if it is periodic."""
 
     @classmethod
     def from_frame(cls, frame: Frame) -> HandStatus:
@@ -125,6 +128,7 @@ class HandStatus:
             supply=fields["supply_mv"] * 1e-3 or math.nan,
             last_seq=fields["last_seq"],
             counters={name: fields[name] for name in COUNTERS},
+            number=frame.seq,
         )
 
 

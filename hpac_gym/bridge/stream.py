@@ -3,24 +3,24 @@
 A hand refuses a MOVE that is further from its pose than its rate limit allows. After a lost frame a
 stream that continues from the pose it *sent* is therefore refused for ever. This one continues from
 the poses that the hand may *have*: the last one that it acknowledged, and all that were sent since.
-A command stays within reach of each of them, so none is refused, whichever arrived."""
+A command stays within reach of each of them, so none is refused, whichever arrived. Every command is
+followed by a request of STATUS, whose answer says which one the hand has, even if its ACK was lost."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.bridge.errors import FrameError, LinkTimeout
+from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.frame import Frame
 from hpac_gym.bridge.protocol import ANGLE_UNIT, Reason
+from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array, as_finite_vector
-
-if TYPE_CHECKING:
-    from hpac_gym.bridge.link import HandLink
 
 MARGIN = 0.9
 """Share of the rate limit that a stream uses: at 20 Hz a frame may come 5 ms early."""
@@ -29,7 +29,6 @@ LATE = 0.002
 PATIENCE = 1.0
 """Longest time without an answer to any command [s]; the hand's own watchdog acts before."""
 _PERIODS = (0.02, 1.0)
-_STATUS_PERIOD = 0.25
 _SLOWER = 0.8
 """Share of its speed that a stream keeps after a refusal for heat, until the next STATUS."""
 
@@ -41,7 +40,7 @@ class StreamCounts:
     sent: int = 0
     acknowledged: int = 0
     lost: int = 0
-    """Commands without an answer although a later one was answered."""
+    """Commands that were lost, or all answers to them."""
     late: int = 0
     """Commands sent more than `LATE` after their time."""
     skipped: int = 0
@@ -53,6 +52,19 @@ class StreamCounts:
     """Commands that did not reach their target within the period."""
     worst_delay: float = 0.0
     """Longest time after its own at which a command was sent [s]."""
+
+
+class Link(Protocol):
+    """What a stream needs of a `HandLink`."""
+
+    exchange: Exchange
+    last_status: HandStatus
+    rate_limit: Array
+
+    def status(self) -> HandStatus: ...
+    def within_table(self, servo: Array) -> Array: ...
+    def send_unanswered(self, name: str, fields: dict) -> int: ...
+    def listen(self, seconds: float, what: str) -> None: ...
 
 
 class Stream:
@@ -72,7 +84,7 @@ class Stream:
         period: time between two commands [s].
     """
 
-    def __init__(self, link: HandLink, period: float, margin: float) -> None:
+    def __init__(self, link: Link, period: float, margin: float) -> None:
         if not _PERIODS[0] <= period <= _PERIODS[1]:
             raise FrameError(f"period = {period} s, allowed {_PERIODS[0]} to {_PERIODS[1]} s")
         if not 0 < margin <= 1:
@@ -81,11 +93,13 @@ class Stream:
         self.counts = StreamCounts()
         self._link = link
         self._margin = margin
-        servo = link.status(_STATUS_PERIOD).servo
+        servo = link.status().servo
         # The poses that the hand may have, by the number of the command that led there.
         self._poses: dict[int, Array] = {0: servo}
         self._share = link.last_status.rate_share
         self._status = link.last_status
+        # The last command before a request of STATUS, by the request's number.
+        self._asked: dict[int, int] = {}
         self._exchange = link.exchange
         self._exchange.on_ack = self._answered
         self._due = self._heard_at = self._exchange.transport.now()
@@ -111,9 +125,6 @@ class Stream:
         if not self._waited:
             self.wait()
         self._waited = False
-        if (status := self._link.last_status) is not self._status:
-            self._status = status
-            self._share = status.rate_share
         poses = np.stack(list(self._poses.values()))
         # What is left of the last ramp has to be gone through, too.
         since = min(self._exchange.transport.now() - self._sent_at, self.period)
@@ -127,6 +138,7 @@ class Stream:
         fields = {"duration_ms": round(1e3 * self.period), "servo": tuple(steps.tolist())}
         number = self._link.send_unanswered("move", fields)
         self._poses[number] = servo
+        self._asked[self._exchange.send("status", {"period_ms": 0})] = number
         self._sent_at = self._exchange.transport.now()
         self.counts.sent += 1
         return servo
@@ -147,6 +159,9 @@ class Stream:
         self._link.listen(max(self._due - now(), 0.0), "move")
         if now() - self._heard_at > PATIENCE:
             raise LinkTimeout(f"no answer to a streamed move for {PATIENCE:g} s")
+        if (status := self._link.last_status) is not self._status:
+            self._status = status
+            self._told(status)
         delay = now() - self._due
         self.counts.worst_delay = max(self.counts.worst_delay, delay)
         self.counts.late += delay > LATE
@@ -154,6 +169,26 @@ class Stream:
             self.counts.skipped += missed
             self._due += missed * self.period
         self._due += self.period
+
+    def _told(self, status: HandStatus) -> None:
+        """Take note of a STATUS: the hand has one of the commands that came before its request, and
+        none of the others.
+        """
+        self._share = status.rate_share
+        last = self._asked.pop(status.number, None)
+        if last in self._poses:
+            first = next(iter(self._poses))
+            self._heard_at = self._exchange.transport.now()
+            self._has(status.last_seq if status.last_seq in self._poses else first, last)
+
+    def _has(self, accepted: int, last: int) -> None:
+        """The hand has the pose of one command, and no other one of those up to `last`."""
+        first, *others = list(self._poses)
+        gone = [first, *others[: others.index(last) + 1]] if last != first else [first]
+        for number in gone:
+            if number != accepted:
+                self.counts.lost += number != first
+                del self._poses[number]
 
     def _answered(self, sent: Frame, ack: Frame) -> None:
         """Take note of an answer: the hand has this pose now, or does not."""
@@ -164,11 +199,7 @@ class Stream:
             self._exchange.refused = sent, ack
         if ack.fields["reason"] == Reason.ok:
             self.counts.acknowledged += 1
-            numbers = list(self._poses)
-            before = numbers[: numbers.index(sent.seq)]
-            self.counts.lost += len(before) - 1  # the first one is the pose that was known
-            for number in before:
-                del self._poses[number]
+            self._has(sent.seq, sent.seq)
             return
         del self._poses[sent.seq]
         self.counts.refused += 1

@@ -55,7 +55,9 @@ class Person:
         """Wait for Enter."""
         import select
 
-        print("the object is seen; Enter: the hand stands there, close", file=sys.stderr, flush=True)
+        print(
+            "the object is seen; Enter: the hand stands there, close", file=sys.stderr, flush=True
+        )
         while not select.select([sys.stdin], [], [], 0)[0]:
             wait(0.05)
         if not sys.stdin.readline():

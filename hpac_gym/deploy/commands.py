@@ -104,7 +104,9 @@ def run(options: argparse.Namespace) -> int:
         wire = stack.enter_context(WireLog(options.log.with_suffix(".wire.jsonl")))
         port = connector(options.port, stack)
         link = stack.enter_context(HandLink(port, hand=hand, log=wire))
-        print(f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand")
+        print(
+            f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
+        )
         counts = run_episode(
             link,
             observer,
@@ -156,7 +158,10 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
         print("{:<14} {:12.4f} {:20.4f}".format(*row))
     if observer.task.wrist_actions:
         told = zip(observer.task.wrist_actions, action[len(SERVOS) :], strict=True)
-        print("the policy places the wrist: " + ", ".join(f"{name} {value:+.2f}" for name, value in told))
+        print(
+            "the policy places the wrist: "
+            + ", ".join(f"{name} {value:+.2f}" for name, value in told)
+        )
     print("dry run: nothing was sent")
 
 

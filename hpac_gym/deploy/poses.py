@@ -97,9 +97,7 @@ class Recorded:
             if len(numbers) not in (4, 8):
                 raise PoseError(f"{where}: the columns are {', '.join(COLUMNS)}")
             if self._times and numbers[0] <= self._times[-1]:
-                raise PoseError(
-                    f"{where}: {numbers[0]:g} s does not follow {self._times[-1]:g} s"
-                )
+                raise PoseError(f"{where}: {numbers[0]:g} s does not follow {self._times[-1]:g} s")
             self._times.append(numbers[0])
             self._poses.append(pose_of(numbers[1:], where))
         if not rows:
@@ -215,7 +213,8 @@ def averaged(
         if clock() - begun > patience:
             fault = getattr(source, "fault", "")
             raise PoseError(
-                f"no pose of the object within {patience:g} s" + (f"; last packet: {fault}" if fault else "")
+                f"no pose of the object within {patience:g} s"
+                + (f"; last packet: {fault}" if fault else "")
             )
         pause(0.02)
     poses: list[Pose] = []

@@ -15,7 +15,7 @@ from hpac_gym.bridge import (
 from hpac_gym.bridge.frame import Frame, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.errors import ShapeError
-from hpac_gym.model import HPAC
+from hpac_gym.model import HPAC, ServoCommand
 
 
 class Bad(VirtualTransport):
@@ -59,6 +59,12 @@ def targets(count, seed=1):
         if i % 16 == 0:
             target = rng.uniform(HPAC.servo_min, HPAC.servo_max)
         yield target
+
+
+def close(stream, count):
+    """Send some commands towards the closed hand."""
+    for _ in range(count):
+        stream.send(HPAC.servo_max)
 
 
 def streamed(count=400, margin=0.9, **bad):
@@ -170,8 +176,7 @@ def test_an_estop_ends_it(virtual_hand):
         stream.send(HPAC.servo_max)
         link.exchange.transport.write(encode(Frame("estop", 7, 0, {})))
         with pytest.raises(FaultError, match="estop"):
-            for _ in range(3):
-                stream.send(HPAC.servo_max)
+            close(stream, 3)
 
 
 def test_a_hand_that_was_taken_over_ends_it(virtual_hand):
@@ -181,19 +186,19 @@ def test_a_hand_that_was_taken_over_ends_it(virtual_hand):
         stream.send(HPAC.servo_max)
         link.exchange.transport.write(encode(Frame("hello", 7, 0, {"nonce": 5})))
         with pytest.raises(RejectedError, match="another program"):
-            for _ in range(3):
-                stream.send(HPAC.servo_max)
+            close(stream, 3)
 
 
 def test_a_deaf_hand_ends_it_after_a_second(virtual_hand):
+    link = HandLink(virtual_hand.connect)
+    link.connect()
+    link.arm(watchdog=2.0)
+    stream = link.stream()
+    link.exchange.transport.write = lambda data: None
+    with pytest.raises(LinkTimeout, match="no answer to a streamed move for 1 s"):
+        close(stream, 40)
     with pytest.warns(UserWarning, match="has not confirmed"):
-        with HandLink(virtual_hand.connect) as link:
-            link.arm(watchdog=2.0)
-            stream = link.stream()
-            link.exchange.transport.write = lambda data: None
-            with pytest.raises(LinkTimeout, match="no answer to a streamed move for 1 s"):
-                for _ in range(40):
-                    stream.send(HPAC.servo_max)
+        link.close()
     assert 15 < stream.counts.sent < 25
 
 
@@ -211,8 +216,6 @@ def test_wrong_values_are_refused_before_anything_is_sent(virtual_hand):
 
 
 def test_moves_are_answered_again_after_a_stream(virtual_hand):
-    from hpac_gym.model import ServoCommand
-
     with HandLink(virtual_hand.connect) as link:
         link.arm()
         stream = link.stream()
