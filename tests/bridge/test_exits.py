@@ -37,6 +37,7 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, decode, encode
+from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.model import ServoCommand
 from tests.processes import wait_for
@@ -288,6 +289,13 @@ child.join()
 """
 IN_A_TASK = """
 import asyncio
+
+
+@pytest.fixture(autouse=True)
+def no_signal_before():
+    """A signal of another test, less than a second ago, would make this one's a repetition."""
+    interrupts.begin()
+
 
 async def drive():
     with HandLink(sys.argv[1]) as link:
