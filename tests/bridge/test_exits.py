@@ -37,8 +37,8 @@ from hpac_gym.bridge import (
 )
 from hpac_gym.bridge.errors import LogWarning
 from hpac_gym.bridge.frame import Frame, decode, encode
-from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.hands import VirtualTransport
+from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.model import ServoCommand
 from tests.processes import wait_for
 from tools.evidence import user_programs
@@ -46,6 +46,12 @@ from tools.evidence import user_programs
 ROOT = Path(__file__).parents[2]
 BRIDGE = str(Path(hpac_gym.bridge.__file__).parent)
 POSE = ServoCommand(np.full(6, 0.4), 0.5)
+
+
+@pytest.fixture(autouse=True)
+def no_signal_before():
+    """A signal of another test, less than a second ago, would make this one's a repetition."""
+    interrupts.begin()
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -289,13 +295,6 @@ child.join()
 """
 IN_A_TASK = """
 import asyncio
-
-
-@pytest.fixture(autouse=True)
-def no_signal_before():
-    """A signal of another test, less than a second ago, would make this one's a repetition."""
-    interrupts.begin()
-
 
 async def drive():
     with HandLink(sys.argv[1]) as link:
