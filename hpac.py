@@ -98,6 +98,12 @@ COMMANDS = (
         "data",
     ),
     Command(
+        "show",
+        "watch a trained policy grasp, in the browser",
+        "hpac_gym.show:add_arguments",
+        "video",
+    ),
+    Command(
         "sweep",
         "the figures of the paper's experiment, of a record of a real hand",
         "hpac_gym.calibration.sweep:add_arguments",

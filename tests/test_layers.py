@@ -31,6 +31,7 @@ ROOMS = {
     "deploy": {"numpy", "gymnasium"},
     "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
     "posture": {"numpy", "matplotlib"},
+    "show": {"numpy", "imageio"},
     "hpac_gym": set(),
     "hpac": set(),
 }

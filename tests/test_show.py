@@ -1,0 +1,55 @@
+"""`hpac show`: a policy in the browser or in a film."""
+
+import subprocess
+import sys
+import urllib.request
+
+import pytest
+
+import hpac
+
+
+def test_a_trained_policy_is_shown_on_a_page():
+    words = ["show", "--episodes", "1", "--no-browser", "--seed", "3000000"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "hpac", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        address = running.stderr.readline().split()[-1]
+        with urllib.request.urlopen(f"{address}stream", timeout=30) as stream:
+            assert b"image/png" in stream.read(200)
+        said, complaints = running.communicate(timeout=60)
+    finally:
+        running.kill()
+    assert (running.returncode, complaints) == (0, "")
+    assert said == "grasp on hpac_gym:HPAC-Grasp-v0: 1 of 1 succeeded\n"
+
+
+def test_a_film_is_written(tmp_path, capsys):
+    import imageio.v2 as imageio
+
+    path = tmp_path / "film.gif"
+    assert hpac.main(["show", "--grasp", "rod", "--episodes", "1", "--record", str(path)]) == 0
+    assert f"written: {path}" in capsys.readouterr().out
+    assert len(imageio.mimread(path, memtest=False)) > 40
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--record", "film.doc"], "--record 'film.doc' must end in .gif or .mp4"),
+        (["--policy", "none.zip"], "no policy file 'none.zip'"),
+        (["--grasp", "none"], "no grasp 'none'"),
+        (["--env", "CartPole-v1"], "no environment 'CartPole-v1'"),
+        (["--record", "/proc/none/film.gif"], "/proc/none"),
+    ],
+)
+def test_wrong_words_are_one_line(words, says, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert hpac.main(["show", "--episodes", "1", *words]) == 2
+    said = capsys.readouterr().err
+    assert says in said
+    assert len(said.splitlines()) == 1
