@@ -148,8 +148,10 @@ class Link(VirtualTransport):
                 return b""
             due = min([until, *(at for at, _ in (*self._out[:1], *self._back[:1]))])
             data = super().read(max(due - self.now(), 1e-6))
-            if data and self._arrives():
-                self._back.append((self.now() + self.bad * self._latency, data))
+            for frame in filter(None, data.split(b"\0")):
+                if self._arrives():
+                    at = self.now() + self.bad * self._latency
+                    self._back.append((at, b"\0" + frame + b"\0"))
 
 
 def through_the_wire(

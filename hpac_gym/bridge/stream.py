@@ -102,9 +102,9 @@ class Stream:
         self._asked: dict[int, int] = {}
         self._exchange = link.exchange
         self._exchange.on_ack = self._answered
-        self._due = self._heard_at = self._exchange.transport.now()
         self._sent_at = -np.inf
         self._waited = False
+        self.begin()
 
     def send(self, target: ArrayLike) -> Array:
         """Wait for the next period, and send the command that leads towards a target.
@@ -142,6 +142,12 @@ class Stream:
         self._sent_at = self._exchange.transport.now()
         self.counts.sent += 1
         return servo
+
+    def begin(self) -> None:
+        """The first command is due now: for programs that wait, with `HandLink.sleep`, between the
+        making of a stream and its first command.
+        """
+        self._due = self._heard_at = self._exchange.transport.now()
 
     def close(self) -> None:
         """End the stream: later moves of the link are answered as usual. A stream that is not

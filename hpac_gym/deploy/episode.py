@@ -127,9 +127,10 @@ def run_episode(
         observer.start()
         policy.reset(0)
         _go(link, np.asarray(observer.servo))
-        arm.ready(link.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
         stream = link.stream(1 / CONTROL_HZ)
         counts = stream.counts
+        arm.ready(link.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
+        stream.begin()
         begun = clock()
         phase = ""
         closing = observer.phase()
