@@ -6,6 +6,7 @@ hand."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -222,6 +223,23 @@ def result_tables() -> str:
     return "\n\n".join(f"{benchmark.table(results)}\n\n`{results['command']}`" for results in files)
 
 
+def deployed_table() -> str:
+    """The cells of `experiments.deployed`."""
+    file = DOCS / "results" / "experiments" / "deployed.json"
+    rows = []
+    for cell in json.loads(file.read_text(encoding="utf-8"))["cells"]:
+        shares = []
+        for where in ("environment", "wire"):
+            low, high = (100 * bound for bound in cell[where]["interval_95"])
+            shares.append(f"{cell[where]['success_rate']:.1%} [{low:.1f}, {high:.1f}]")
+        low, high = (100 * bound for bound in cell["difference_95"])
+        gain = f"{100 * cell['difference']:+.1f} [{low:+.1f}, {high:+.1f}]"
+        refused = f"{cell['refused']:,} of {cell['moves']:,}"
+        rows.append((cell["link"], *shares, gain, f"{cell['same_outcome']:.0%}", refused))
+    head = ("link", "environment", "wire", "points", "same outcome", "refused commands")
+    return markdown(head, rows)
+
+
 Makers = dict[str, Callable[[], str]]
 
 
@@ -255,6 +273,7 @@ PAGES: dict[str, Makers] = {
     "environments/pick_place.md": task_tables(PICK_PLACE, PickPlace()),
     "environments/posture.md": task_tables(POSTURE, Posture()),
     "benchmark.md": {"results": result_tables},
+    "deploy.md": {"deployed": deployed_table},
     "grasps.md": {"objects": object_table, **TYPE_TABLES},
 }
 """Tables of every page in `DOCS`, by name."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 
@@ -18,12 +19,13 @@ from hpac_gym.calibration.identification import (
     SPREAD,
     DigitFit,
     Identification,
+    doubts,
     held_out_rows,
     identify,
 )
 from hpac_gym.calibration.judging import judged
-from hpac_gym.calibration.record import read_sweep
-from hpac_gym.calibration.samples import DigitSamples
+from hpac_gym.calibration.record import Sweep, read_sweep
+from hpac_gym.calibration.samples import DigitSamples, digit_samples
 from hpac_gym.figures import GREEN, GREY, RED, label, save
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, hand_to_toml, load_hand
 from hpac_gym.model.checks import Array
@@ -31,6 +33,10 @@ from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 from hpac_gym.output import markdown, write_text
 
 OUT = Path("runs/calibrate/hand.toml")
+SAME_SWEEP = (
+    "at the held-out points of the same sweep (an error of camera or servos that lasts all along is not in it: --check "
+    "a second sweep)"
+)
 _IDENTIFIED = (
     "d2",
     "alpha_deg",
@@ -50,6 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="sweep.csv",
         help="the record; columns of unmeasured joints may be absent",
+    )
+    parser.add_argument(
+        "--check",
+        type=Path,
+        metavar="sweep2.csv",
+        help="a second sweep, set up anew, on which the file is judged",
     )
     parser.add_argument(
         "--out",
@@ -86,15 +98,21 @@ def run(arguments: argparse.Namespace) -> int:
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record, allow_missing=True)
     remarks = judged(record, base)
+    second = None
+    if arguments.check:
+        second = read_sweep(arguments.check, allow_missing=True)
+        judged(second, base)
     found = identify(
         record, base, arguments.spread, arguments.radii_known, hold_out=True, shown=True
     )
+    remarks += doubts(found, base)
     write_text(arguments.out, hand_to_toml(named(found, base, arguments.record.name)))
     written = load_hand(arguments.out)
-    errors = file_errors(found, written)
+    errors = file_errors(found, written) if second is None else check_errors(second, written, base)
     folder = arguments.out.with_name(f"{arguments.out.stem}-report")
     result = summary(found, base, errors, remarks)
-    text = report(found, base, errors, remarks)
+    judged_on = f"in the independent sweep {arguments.check.name}" if second else SAME_SWEEP
+    text = report(found, base, errors, remarks, judged_on)
     write_text(folder / "report.md", text)
     write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
     caption = f"{written.name}, {arguments.record.name}; points, every {HELD_OUT_EVERY}th held out"
@@ -130,12 +148,17 @@ class FileError:
     points: int
 
 
-def residuals(found: Identification, hand: Hand) -> dict[str, tuple[DigitSamples, Array]]:
-    """Measured minus predicted angles by joint: the digit's samples and the residuals (k,)
-    [rad].
+def residuals(
+    by_servo: Mapping[int, DigitSamples], hand: Hand
+) -> dict[str, tuple[DigitSamples, Array]]:
+    """Measured minus predicted angles by joint: the digit's samples and the residuals (k,) [rad].
+
+    Args:
+        by_servo: the samples of every swept servo, by its index.
+        hand: the hand that predicts.
     """
     table = {}
-    for column, samples in found.samples.items():
+    for column, samples in by_servo.items():
         servo = np.zeros((len(samples.servo), len(SERVOS)))
         predicted = np.empty((len(samples.servo), len(JOINTS)))
         servo[:, column] = samples.servo
@@ -153,14 +176,36 @@ def residuals(found: Identification, hand: Hand) -> dict[str, tuple[DigitSamples
 
 def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
     """Errors at the held-out points, by joint."""
-    table = {}
-    for name, (samples, rest) in residuals(found, written).items():
-        rows = held_out_rows(samples) & ~np.isnan(rest)
-        if rows.any():
-            off = np.degrees(np.abs(rest[rows]))
-            noise = np.degrees(samples.noise[samples.joints.index(name)])
-            table[name] = FileError(*map(float, (off.mean(), off.max(), noise)), int(rows.sum()))
-    return table
+    return {
+        name: error
+        for name, (samples, rest) in residuals(found.samples, written).items()
+        if (error := _error(name, samples, rest, held_out_rows(samples)))
+    }
+
+
+def check_errors(second: Sweep, written: Hand, base: Hand) -> dict[str, FileError]:
+    """Errors at all the points of an independent sweep, by joint."""
+    by_servo = {}
+    for servo, name in enumerate(SERVOS):
+        root = name.partition("_")[0]
+        joints = ("thumb_cmc",) if name == "thumb_cmc" else base.digits[root].joints
+        if samples := digit_samples(second, servo, joints, base):
+            by_servo[servo] = samples
+    return {
+        name: error
+        for name, (samples, rest) in residuals(by_servo, written).items()
+        if (error := _error(name, samples, rest, np.ones(len(rest), dtype=bool)))
+    }
+
+
+def _error(name: str, samples: DigitSamples, rest: Array, rows: np.ndarray) -> FileError | None:
+    """The error of one joint at some points; None without any."""
+    rows = rows & ~np.isnan(rest)
+    if not rows.any():
+        return None
+    off = np.degrees(np.abs(rest[rows]))
+    noise = np.degrees(samples.noise[samples.joints.index(name)])
+    return FileError(*map(float, (off.mean(), off.max(), noise)), int(rows.sum()))
 
 
 # The report -----------------------------------------------------------------------------
@@ -195,9 +240,13 @@ def summary(
 
 
 def report(
-    found: Identification, base: Hand, errors: dict[str, FileError], remarks: list[str]
+    found: Identification,
+    base: Hand,
+    errors: dict[str, FileError],
+    remarks: list[str],
+    judged_on: str = SAME_SWEEP,
 ) -> str:
-    """The report as Markdown."""
+    """The report as Markdown; `judged_on` says where the errors were found."""
     worst = max(errors.values(), key=lambda error: error.mean_abs_deg, default=None)
     lines = [f"# Calibration about {base.name}", ""]
     if worst:
@@ -208,7 +257,7 @@ def report(
             for name, error in errors.items()
         }
         lines += [
-            f"The error of the written file at the held-out points is {mean:.3f}° on average and "
+            f"The error of the written file {judged_on} is {mean:.3f}° on average and "
             f"{worst.mean_abs_deg:.3f}° at the worst joint.",
             "",
             markdown(("joint", *told), [(label(name), *row) for name, row in cells.items()]),
@@ -226,7 +275,7 @@ def report(
         low, middle, high = np.degrees([zero.low, zero.value, zero.high])
         lines += [f"Zero {middle:.2f}°, 95 % interval {low:.2f}° … {high:.2f}°.", ""]
     lines += [f"{name} keeps the design's parameters: {why}." for name, why in found.kept.items()]
-    lines += [f"Remark: {remark}." for remark in remarks]
+    lines += [f"Remark: {remark}{'' if remark.endswith('?') else '.'}" for remark in remarks]
     return "\n".join(lines) + "\n"
 
 
@@ -268,7 +317,7 @@ def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
     """
     figure = Figure(figsize=(13, 9), layout="constrained")
     axes = list(figure.subplots(3, 5).flat)
-    designed, table = (residuals(found, hand) for hand in (base, written))
+    designed, table = (residuals(found.samples, hand) for hand in (base, written))
     for axis, (name, (samples, rest)) in zip(axes, table.items(), strict=False):
         angle = np.degrees(samples.servo)
         out = held_out_rows(samples)

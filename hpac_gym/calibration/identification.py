@@ -51,6 +51,14 @@ LEAST_POINTS = 8
 """Least number of sampling points for a fit of a digit."""
 LEAST_RANGE = 0.3
 """Least swept share of the servo's range for a fit of a digit."""
+MISFIT = 2.0
+"""Scatter about the fit, relative to that of the samples, above which the model is in doubt."""
+MOST_MISFIT = 10.0
+"""The same, above which a record is refused."""
+UNUSUAL = 1.5
+"""Distance from the design, in standard deviations of the prior, above which a number is told."""
+CMC_UNUSUAL = 0.05
+"""Relative deviation of g_CMC above which it is told: the joint is driven without a tendon."""
 WORST_FIT = np.deg2rad(1.0)
 """A residual of this size [rad] means that the model does not describe the hand."""
 HELD_OUT_EVERY = 4
@@ -80,6 +88,8 @@ class Estimate:
     high: float
     told: float
     """Share of the prior's uncertainty removed by the data, 0…1."""
+    away: float = 0.0
+    """Distance from the design, in standard deviations of the prior."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +186,38 @@ def identify(
     except IdentificationError as error:
         kept["thumb_cmc"] = str(error)
     return Identification(_identified_hand(base, fits, cmc), fits, kept, cmc, cmc_samples)
+
+
+def doubts(found: Identification, base: Hand) -> list[str]:
+    """Remarks on what an identification does not explain, or explains by unusual numbers.
+
+    Raises:
+        IdentificationError: A digit's points scatter so much about the fit that the record is not
+            one of a hand of this kind.
+    """
+    remarks = []
+    for name, fit in found.fits.items():
+        scatter = f"{name}: the points scatter {fit.misfit:.1f} times as much about the fit as their samples say"
+        if fit.misfit > MOST_MISFIT:
+            raise IdentificationError(
+                f"{scatter}, at most {MOST_MISFIT:g} times is accepted; does a tendon slip, or a camera wobble?"
+            )
+        if fit.misfit > MISFIT:
+            remarks.append(f"{scatter}: the hand, or the camera, does what the model does not have")
+        remarks += [
+            f"{name}: {item.name} = {item.value:.4g} ({item.formula}) is {item.away:.1f} standard deviations from the design; "
+            "are the servo's angles in radians, and at their own points?"
+            for item in fit.estimates
+            if item.away > UNUSUAL and "friction" not in item.name
+        ]
+    if found.cmc:
+        gain = found.cmc[0].value
+        if abs(gain / base.cmc_gain - 1) > CMC_UNUSUAL:
+            remarks.append(
+                f"g_CMC = {gain:.3f} is {gain / base.cmc_gain - 1:+.0%} off the design's {base.cmc_gain:.3f}, and no tendon is "
+                "between: are the servo's angles in radians?"
+            )
+    return remarks
 
 
 def held_out_rows(samples: DigitSamples) -> np.ndarray:
@@ -411,9 +453,10 @@ def _estimates(prior: _Prior, solution: Array, covariance: Array) -> tuple[Estim
     told = 1 - np.minimum(deviation / prior.sigma, 1.0)
     ends = (np.clip(solution + k * deviation, prior.lower, prior.upper) for k in (0.0, -1.96, 1.96))
     value, low, high = map(prior.values, ends)
+    away = np.abs(solution - prior.centre) / prior.sigma
     return tuple(
         Estimate(item.name, item.formula, *map(float, numbers))
-        for item, *numbers in zip(prior.known, value, low, high, told, strict=True)
+        for item, *numbers in zip(prior.known, value, low, high, told, away, strict=True)
     )
 
 

@@ -75,7 +75,12 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
                 else ""
             )
             faults.append(f"{where}: servo {SERVOS[swept]} moves {travel[swept]:.2f} rad{instead}")
-        elif len(np.unique(segment.point[flexed])) >= 3:
+        elif len(np.unique(segment.point[flexed])) < 3:
+            faults.append(
+                f"{where}: column point numbers {len(np.unique(segment.point[flexed]))} points while servo {SERVOS[swept]} moves "
+                f"{travel[swept]:.2f} rad; each place where it stands needs a number of its own, at least 3"
+            )
+        else:
             found = _judged_joints(without_drift(segment), flexed, swept, base)
             faults += found[0]
             remarks += found[1]

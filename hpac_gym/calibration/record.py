@@ -135,7 +135,7 @@ def read_sweep(path: str | os.PathLike[str], allow_missing: bool = False) -> Swe
     """
     path = Path(path)
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except OSError as error:
         raise RecordError(f"sweep {path}: {error.strerror}") from None
     except UnicodeDecodeError:
