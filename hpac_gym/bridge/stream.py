@@ -131,8 +131,12 @@ class Stream:
         reach = self._margin * self._share * since * self._link.rate_limit
         low = poses.max(axis=0) - reach
         high = poses.min(axis=0) + reach
-        within = np.where(low > high, (low + high) / 2, np.clip(target, low, high))
-        steps = np.rint(within / ANGLE_UNIT).astype(int)
+        # All six arrive together, as in every move: the way is shortened, not bent.
+        start = np.where(low > high, (low + high) / 2, np.clip(poses[-1], low, high))
+        way = target - start
+        room = np.where(way > 0, high - start, start - low).clip(min=0.0)
+        share = min(1.0, *(room / np.maximum(np.abs(way), 1e-12)))
+        steps = np.rint((start + share * way) / ANGLE_UNIT).astype(int)
         servo = steps * ANGLE_UNIT
         self.counts.limited += bool((np.abs(servo - target) > ANGLE_UNIT).any())
         fields = {"duration_ms": round(1e3 * self.period), "servo": tuple(steps.tolist())}
