@@ -98,6 +98,12 @@ COMMANDS = (
         "data",
     ),
     Command(
+        "replay",
+        "the log of a deployment beside a simulation of the same actions",
+        "hpac_gym.deploy.replay:add_arguments",
+        "study",
+    ),
+    Command(
         "show",
         "watch a trained policy grasp, in the browser",
         "hpac_gym.show:add_arguments",

@@ -428,3 +428,62 @@ def test_an_object_in_another_place_than_it_is_seen_is_not_held():
                 run_episode(link, observer, policy, wrong, body, Log(None), seconds=0.1, hold=0.1)
             held += body.outcome == 1
     assert held <= 4
+
+
+# --- a log beside a simulation
+
+
+@pytest.fixture
+def log(tmp_path, capsys):
+    path = tmp_path / "log.jsonl"
+    assert told(capsys, *WORDS, "--port", "virtual", "--log", str(path))[0] == 0
+    return path
+
+
+def replayed(capsys, *words):
+    status = hpac.main(["replay", *map(str, words)])
+    return status, capsys.readouterr()
+
+
+def test_a_log_is_played_beside_a_simulation(log, capsys):
+    picture = log.with_suffix(".png")
+    status, said = replayed(capsys, log, "--out", picture)
+    assert (status, said.err) == (0, "")
+    lines = said.out.splitlines()
+    assert lines[0] == "grasp on virtual, 64 steps, ended: done"
+    assert float(lines[1].split()[3]) < 0.15  # a tenth of the speed is left for early frames
+    assert "the simulation: success" in lines[3]
+    assert picture.stat().st_size > 10_000
+
+
+def test_an_object_that_moved_is_told(log, capsys):
+    rows = [json.loads(line) for line in log.read_text().splitlines()]
+    for row in rows[10:-1]:
+        row["position"][1] += 0.05
+    log.write_text("\n".join(map(json.dumps, rows)))
+    assert "apart from 0.4" in replayed(capsys, log)[1].out
+
+
+def test_a_log_that_was_cut_short_is_read(log, capsys):
+    text = log.read_text()
+    log.write_text(text[: len(text) // 2])
+    status, said = replayed(capsys, log)
+    assert status == 0
+    assert "ended: cut short" in said.out
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "line 1 must be that of `hpac deploy`, version 1"),
+        ('{"hpac_deploy": 1}\n', "it has no steps"),
+        ('{"hpac_deploy": 1}\nx\n{}\n', "line 2: not JSON"),
+    ],
+)
+def test_what_is_no_log_is_one_line(tmp_path, capsys, text, says):
+    path = tmp_path / "log.jsonl"
+    path.write_text(text)
+    status, said = replayed(capsys, path)
+    assert status == 2
+    assert says in said.err
+    assert len(said.err.splitlines()) == 1

@@ -1,0 +1,153 @@
+"""``hpac replay``: the log of a deployment beside a simulation of the same actions, and where they part."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpac_gym.deploy.commands import object_of
+from hpac_gym.deploy.episode import LOG_VERSION
+from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.observer import Observer
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.figures import save
+from hpac_gym.model import SERVOS
+from hpac_gym.model.checks import Array
+
+APART_M = 0.01
+"""Distance from which on the object is told to be elsewhere than simulated [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A deployment and its simulation, one row a step."""
+
+    time: Array
+    """Shape (n,) [s]."""
+    sent: Array
+    """Commands that the hand was sent, shape (n, 6) [rad]."""
+    hand: Array
+    """Angles that the hand last reported, shape (n, 6) [rad]."""
+    seen: Array
+    """Where the object was seen, in the hand's frame, shape (n, 3) [m]."""
+    commanded: Array
+    """Commands of the simulation, shape (n, 6) [rad]."""
+    simulated: Array
+    """Where the object is in the simulation, shape (n, 3) [m]."""
+    outcome: str
+    """How the simulation's episode ended."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac replay`."""
+    parser.add_argument("log", type=Path, help="log of `hpac deploy`")
+    parser.add_argument("--out", type=Path, metavar="PNG", help="a picture of both courses")
+    parser.add_argument("--engine", default="mujoco", help="mujoco or pybullet (%(default)s)")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Simulate the actions of a log, and tell where the two part."""
+    head, steps, end = read_log(options.log)
+    course = simulated(head, steps, options.engine)
+    print(f"{head['policy']} on {head['port']}, {len(steps)} steps, ended: {end}")
+    apart = np.abs(course.sent - course.commanded)
+    step, servo = np.unravel_index(int(apart.argmax()), apart.shape)
+    print(
+        f"commands: at most {apart[step, servo]:.3f} rad from the simulation's, {SERVOS[servo]} at {course.time[step]:.2f} s"
+    )
+    distance = np.linalg.norm(course.seen - course.simulated, axis=1)
+    beyond = np.flatnonzero(distance > APART_M)
+    where = f"apart from {course.time[beyond[0]]:.2f} s on" if beyond.size else "together"
+    print(f"object: at most {1e3 * distance.max():.0f} mm from the simulated one, {where}")
+    print(f"the simulation: {course.outcome}")
+    if options.out:
+        save(figure_of(course), options.out)
+        print(f"written: {options.out}")
+    return 0
+
+
+def read_log(path: Path) -> tuple[dict[str, Any], list[dict[str, Any]], str]:
+    """First line, steps and end of a log; a last line that was cut short is left out.
+
+    Raises:
+        DeployError: It cannot be read, or is no log of a deployment.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise DeployError(f"log {path}: {reason}") from None
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            if number < len(lines):
+                raise DeployError(f"log {path}, line {number}: not JSON") from None
+    version = rows[0].get("hpac_deploy") if rows and isinstance(rows[0], dict) else None
+    if version != LOG_VERSION:
+        raise DeployError(
+            f"log {path}: line 1 must be that of `hpac deploy`, version {LOG_VERSION}"
+        )
+    steps = [row for row in rows[1:] if "step" in row]
+    if not steps:
+        raise DeployError(f"log {path}: it has no steps")
+    end = next((row["end"] for row in rows[1:] if "end" in row), "cut short")
+    return rows[0], steps, end
+
+
+def simulated(head: dict[str, Any], steps: list[dict[str, Any]], engine: str) -> Course:
+    """The same actions on a simulated hand, whose object stands where it was seen first."""
+    observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"])
+    place = np.array(steps[0]["position"])
+    setup = replace(observer.setup, position=place)
+    commanded, found = [], []
+    outcome = "running"
+    with make_env(head["env_id"], engine=engine) as env:
+        env.reset(seed=0, options={"setup": setup})
+        bare = env.unwrapped
+        over = False
+        for row in steps:
+            found.append(bare.state.object_pos[0].copy())
+            if not over:
+                _, _, over, _, info = env.step(np.array(row["action"], dtype=np.float32))
+                outcome = info["outcome"]
+            commanded.append(bare.command.servo.copy())
+    told = {
+        name: np.array([row[name] for row in steps]) for name in ("t", "sent", "hand", "position")
+    }
+    return Course(
+        told["t"],
+        told["sent"],
+        told["hand"],
+        told["position"],
+        np.array(commanded),
+        np.array(found),
+        outcome,
+    )
+
+
+def figure_of(course: Course) -> Any:
+    """Commands above, the object below; the simulation is dashed."""
+    from matplotlib.figure import Figure  # an extra
+
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for i, name in enumerate(SERVOS):
+        (line,) = upper.plot(course.time, course.sent[:, i], label=name)
+        upper.plot(course.time, course.commanded[:, i], "--", color=line.get_color())
+    for i, axis in enumerate("xyz"):
+        (line,) = lower.plot(course.time, 1e3 * course.seen[:, i], label=f"{axis}, seen")
+        lower.plot(course.time, 1e3 * course.simulated[:, i], "--", color=line.get_color())
+    upper.set_ylabel("command [rad], simulated dashed")
+    lower.set_ylabel("object in the hand's frame [mm]")
+    lower.set_xlabel("time [s]")
+    upper.legend(fontsize=8, ncols=2)
+    lower.legend(fontsize=8)
+    return figure
