@@ -1,6 +1,7 @@
 """The wheel: from it alone a clean environment makes the task, and the agents stay out of it."""
 
 import json
+import os
 import subprocess
 import sys
 import sysconfig
@@ -85,8 +86,14 @@ def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     assets = {
         f"hpac_gym/{p.relative_to(ROOT)}" for p in (ROOT / "assets").rglob("*") if p.is_file()
     }
+    firmware = {
+        f"hpac_gym/firmware/{p.relative_to(ROOT / 'firmware')}"
+        for folder in ("core", "board/host")
+        for p in (ROOT / "firmware" / folder).iterdir()
+    }
     assert assets
-    assert source | assets <= packed
+    assert firmware
+    assert source | assets | firmware <= packed
 
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
@@ -135,6 +142,28 @@ except HpacError as error:
 def test_model_bridge_and_policy_file_need_neither_scipy_nor_an_engine(module):
     script = f"import sys, {module}; print(*{{'scipy', 'pybullet', 'mujoco', 'torch'}} & set(sys.modules))"
     assert run(sys.executable, "-c", script, cwd=ROOT).strip() == ""
+
+
+@pytest.mark.parametrize("port", ["virtual", "host"])
+def test_the_wheel_compiles_its_firmware_at_first_use_and_says_when_it_cannot(
+    port, clean_python, tmp_path
+):
+    command = [clean_python.with_name("hpac"), "clear", "--port", port]
+    # Empty where set: a checkout's build, another compiler, a path to the checkout.
+    names = ("HPAC_FIRMWARE_BUILD", "CC", "PYTHONPATH")
+    clean = os.environ | dict.fromkeys(names, "") | {"XDG_CACHE_HOME": str(tmp_path)}
+    assert "state idle" in run(*command, cwd=tmp_path, env=clean)
+    assert [path.name for path in tmp_path.glob("hpac_gym/firmware/*/*")] != []
+    without = subprocess.run(
+        [*map(str, command)],
+        env=clean | {"CC": "none"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert without.returncode == 2
+    assert "there is no C compiler 'none'" in without.stderr
+    assert len(without.stderr.splitlines()) == 1
 
 
 def test_the_command_of_the_wheel_tells_its_usage(clean_python, tmp_path):

@@ -75,7 +75,7 @@ class LogWarning(UserWarning):
 
 
 class FirmwareMissing(BridgeError, FileNotFoundError):
-    """The host build of the firmware is missing. `make firmware` builds it."""
+    """The firmware for this computer is not built, and cannot be compiled."""
 
 
 def tell(warning: Warning) -> None:

@@ -21,7 +21,8 @@ from shutil import rmtree
 
 import numpy as np
 
-from hpac_gym.bridge.errors import FirmwareMissing, PortError
+from hpac_gym.bridge.errors import PortError
+from hpac_gym.bridge.firmware import firmware_file
 from hpac_gym.bridge.limits import ServoLimits, servo_limits
 from hpac_gym.bridge.protocol import Reset
 from hpac_gym.bridge.transport import SerialTransport, Transport
@@ -30,24 +31,6 @@ from hpac_gym.model import SERVOS, Hand
 _START_TIMEOUT = 5.0
 _END_TIMEOUT = 1.0
 _Pulses = ctypes.c_uint32 * len(SERVOS)
-
-BUILD_VARIABLE = "HPAC_FIRMWARE_BUILD"
-"""Environment variable for another build folder, for programs that run outside a checkout."""
-
-
-def firmware_file(name: str) -> Path:
-    """Path of a file of the host build: `hpac_host`, `hpac_driver` or `libhpac.so`.
-
-    Raises:
-        FirmwareMissing: The file has not been built.
-    """
-    checkout = Path(__file__).parents[2] / "firmware" / "build"
-    path = Path(os.environ.get(BUILD_VARIABLE, checkout)) / name
-    if not path.exists():
-        raise FirmwareMissing(
-            f"{path} is missing: run `make firmware` in a checkout, or set {BUILD_VARIABLE}"
-        )
-    return path
 
 
 class HostBoard:
@@ -151,7 +134,7 @@ def load_library() -> ctypes.CDLL:
     """Load the core as a shared library with typed functions.
 
     Raises:
-        FirmwareMissing: The library has not been built.
+        FirmwareMissing: The library has not been built, and cannot be.
     """
     # Holds the GIL, so that only one thread is in the core.
     library = ctypes.PyDLL(str(firmware_file("libhpac.so")))

@@ -107,7 +107,8 @@ def simulated(head: dict[str, Any], steps: list[dict[str, Any]], engine: str) ->
     observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"])
     place = np.array(steps[0]["position"])
     setup = replace(observer.setup, position=place)
-    commanded, found = [], []
+    commanded = []
+    found = []
     outcome = "running"
     with make_env(head["env_id"], engine=engine) as env:
         env.reset(seed=0, options={"setup": setup})

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 
 from hpac_gym.bridge.errors import FrameError
+from hpac_gym.bridge.firmware import BUILD_VARIABLE
 from hpac_gym.bridge.frame import decode
-from hpac_gym.bridge.hands import BUILD_VARIABLE, VirtualHand
+from hpac_gym.bridge.hands import VirtualHand
 from tests.options import called
 from tools.evidence import safety, sessions
 

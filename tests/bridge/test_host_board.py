@@ -19,7 +19,7 @@ from hpac_gym.bridge import (
     open_transport,
     servo_from_pulses,
 )
-from hpac_gym.bridge.hands import BUILD_VARIABLE
+from hpac_gym.bridge.firmware import BUILD_VARIABLE
 from hpac_gym.model import HPAC, ServoCommand, stream_command
 from tests.processes import wait_for
 

@@ -24,7 +24,8 @@ import numpy as np
 from hpac_gym.bridge.commands import verdict
 from hpac_gym.bridge.errors import BridgeError, FaultError
 from hpac_gym.bridge.evidence import oracle as wire
-from hpac_gym.bridge.hands import HostBoard, VirtualHand, VirtualTransport, firmware_file
+from hpac_gym.bridge.firmware import firmware_file
+from hpac_gym.bridge.hands import HostBoard, VirtualHand, VirtualTransport
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Reset
 from hpac_gym.command import run_module, whole_number
