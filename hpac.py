@@ -14,7 +14,8 @@ from typing import NoReturn
 
 sys.modules.setdefault("hpac", sys.modules[__name__])  # read by hpac_gym, also for python -m hpac
 
-from hpac_gym.command import Parser, complain, run  # noqa: E402
+from hpac_gym import __version__  # noqa: E402
+from hpac_gym.command import Parser, run  # noqa: E402
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +28,6 @@ class Command:
     target: str
     """`module:function`; the function adds the command's arguments to a parser and sets its default
     `run`, which takes the parsed arguments and returns the exit status."""
-    extra: str | None = None
-    """Optional dependencies of this project that the command needs."""
 
 
 COMMANDS = (
@@ -41,7 +40,6 @@ COMMANDS = (
         "calibrate",
         "fit the hand parameters to a record of a real hand",
         "hpac_gym.calibration.calibrate:add_arguments",
-        "study",
     ),
     Command(
         "clear",
@@ -73,13 +71,11 @@ COMMANDS = (
         "export",
         "write a policy file as ONNX with a card",
         "hpac_gym.policies.export:add_arguments",
-        "onnx",
     ),
     Command(
         "grasps",
         "evaluate a policy on the sixteen named grasps",
         "hpac_gym.evaluation.grasps:add_arguments",
-        "grasps",
     ),
     Command(
         "physics",
@@ -95,25 +91,21 @@ COMMANDS = (
         "record",
         "record episodes of a policy for Minari or LeRobot",
         "hpac_gym.evaluation.dataset:add_arguments",
-        "data",
     ),
     Command(
         "replay",
         "the log of a deployment beside a simulation of the same actions",
         "hpac_gym.deploy.replay:add_arguments",
-        "study",
     ),
     Command(
         "show",
         "watch a trained policy grasp, in the browser",
         "hpac_gym.show:add_arguments",
-        "video",
     ),
     Command(
         "sweep",
         "the figures of the paper's experiment, of a record of a real hand",
         "hpac_gym.calibration.sweep:add_arguments",
-        "study",
     ),
     Command(
         "wiggle", "move one servo at a time next to its name", "hpac_gym.bridge.commands:add_wiggle"
@@ -136,19 +128,11 @@ def _main(argv: Sequence[str]) -> int:
     }
     name = next((word for word in argv if not word.startswith("-")), None)
     row = next((row for row in COMMANDS if row.name == name), None)
-    try:
-        if row is not None:
-            module, _, function = row.target.partition(":")
-            getattr(import_module(module), function)(parsers[row.name])
-        arguments = parser.parse_args(argv)
-        return arguments.run(arguments)
-    except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if row is None or row.extra is None or package in ("", "hpac_gym"):
-            raise
-        return complain(
-            f"this command needs more: pip install 'hpac_gym[{row.extra}]' (no module {package})"
-        )
+    if row is not None:
+        module, _, function = row.target.partition(":")
+        getattr(import_module(module), function)(parsers[row.name])
+    arguments = parser.parse_args(argv)
+    return arguments.run(arguments)
 
 
 class _Version(argparse.Action):
@@ -158,9 +142,7 @@ class _Version(argparse.Action):
         super().__init__(option_strings, dest, nargs=0, help="show the version and exit")
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        from importlib.metadata import version
-
-        print(f"hpac_gym {version('hpac_gym')}")
+        print(f"hpac_gym {__version__}")
         parser.exit()
 
 

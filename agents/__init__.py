@@ -5,9 +5,12 @@ policy file says about its origin."""
 
 from typing import Any
 
+from hpac_gym.command import explain_missing_extras
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.policies.made_for import made_for
+
+explain_missing_extras()
 
 POLICY = "policy.zip"  # name of the policy file in the folder of a run
 

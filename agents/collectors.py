@@ -24,6 +24,7 @@ from tqdm import tqdm
 from agents import RunError
 from agents.closures import Learner, Trials, sizes_of, worlds_of
 from agents.recipes import Recipe
+from hpac_gym.errors import install
 from hpac_gym.evaluation.environment import other_versions, versions
 from hpac_gym.evaluation.seeds import training_seed
 
@@ -54,7 +55,7 @@ def connected() -> Any:
         import ray
     except ImportError:
         raise RunError(
-            "collecting on nodes needs Ray, which is not installed: pip install 'hpac_gym[nodes]'"
+            f"collecting on nodes needs Ray, which is not installed: {install('nodes')}"
         ) from None
     try:
         ray.init(

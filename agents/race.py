@@ -27,6 +27,7 @@ from agents.recipes import add_settings, applies, check, given_settings, setting
 from hpac_gym.command import command_parser, minutes, run
 from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.errors import install
 from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
@@ -200,7 +201,7 @@ def algorithm_of(name: str) -> type[BaseAlgorithm]:
         return resolve_name(ALGORITHMS[name])
     except ModuleNotFoundError as error:
         raise RecipeError(
-            f"{name} needs {error.name}, which is not installed: pip install 'hpac_gym[train,sbx]'"
+            f"{name} needs {error.name}, which is not installed: {install('train,sbx')}"
         ) from None
 
 

@@ -5,6 +5,8 @@ Gymnasium."""
 
 import sys
 
+__version__ = "0.1.0"
+
 # The `hpac` command leaves this to the commands that make environments: Gymnasium takes some tenths
 # of a second to load, and a stop must not wait for it.
 if "hpac" not in sys.modules:

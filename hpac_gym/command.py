@@ -11,9 +11,10 @@ import os
 import sys
 import warnings
 from collections.abc import Callable
+from types import TracebackType
 from typing import NoReturn, TextIO
 
-from hpac_gym.errors import HpacError
+from hpac_gym.errors import EXTRA_OF, HpacError, install
 
 USAGE_ERROR = 2
 INTERRUPTED = 130  # exit status of a shell command ended by Ctrl-C
@@ -52,8 +53,9 @@ def whole_number(at_least: int) -> Callable[[str], int]:
 def run(command: Callable[[], int]) -> int:
     """Run a command and return its exit status.
 
-    An `HpacError` or an unwritable standard output gives one line and `USAGE_ERROR`; Ctrl-C gives
-    `INTERRUPTED`. A warning is one line too. Any other exception is a bug and keeps its traceback.
+    An `HpacError`, a missing package of an extra or an unwritable standard output gives one line
+    and `USAGE_ERROR`; Ctrl-C gives `INTERRUPTED`. A warning is one line too. Any other exception is
+    a bug and keeps its traceback.
     """
     warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
     if sys.stdout is None:
@@ -72,6 +74,8 @@ def run(command: Callable[[], int]) -> int:
     except Exception as error:
         if isinstance(error, HpacError):
             return complain(str(error))
+        if missing := missing_extra(error):
+            return complain(f"this command needs more: {missing}")
         # Errors of other files have a filename.
         if (
             isinstance(error, OSError)
@@ -81,6 +85,31 @@ def run(command: Callable[[], int]) -> int:
             _drop_output()
             return complain(f"cannot write to standard output: {error.strerror}")
         raise
+
+
+def missing_extra(error: BaseException) -> str | None:
+    """How to install the package whose absence an error tells; None for any other error."""
+    if not isinstance(error, ModuleNotFoundError):
+        return None
+    package = (error.name or "").partition(".")[0]
+    extra = EXTRA_OF.get(package)
+    return extra and f"{install(extra)} (no module {package})"
+
+
+def explain_missing_extras() -> None:
+    """Let ``python -m`` end with one line, not a traceback, where an extra is missing.
+
+    Called by the packages outside of the wheel, whose modules import their libraries when they are
+    loaded."""
+    before = sys.excepthook
+
+    def hook(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if missing := missing_extra(error):
+            complain(f"this command needs more: {missing}")
+        else:
+            before(kind, error, trace)
+
+    sys.excepthook = hook
 
 
 def complain(message: str) -> int:

@@ -3,6 +3,33 @@
 Messages contain the value, the bound and the unit, so that a command can print them unchanged.
 """
 
+EXTRA_OF = {
+    "coacd": "objects",
+    "imageio": "video",
+    "jax": "sbx",
+    "lerobot": "lerobot",
+    "matplotlib": "study",
+    "minari": "data",
+    "moviepy": "video",
+    "onnx": "onnx",
+    "onnxruntime": "onnx",
+    "PIL": "grasps",
+    "ray": "nodes",
+    "rich": "train",
+    "sb3_contrib": "train",
+    "sbx": "sbx",
+    "stable_baselines3": "train",
+    "tensorboard": "train",
+    "torch": "train",
+    "trimesh": "objects",
+}
+"""The optional dependencies of this project by package: the name of the extra that installs it."""
+
+
+def install(extra: str) -> str:
+    """The command that installs an extra, or several: the package is on no index yet."""
+    return f"pip install '.[{extra}]' in a checkout of hpac_gym"
+
 
 class HpacError(Exception):
     """Base class of every error that this library raises deliberately."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from hpac_gym.output import replacing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 RED = "#c0392b"
 GREEN = "#1e8449"
@@ -21,6 +21,22 @@ def label(joint: str) -> str:
     """Display name of a joint: ``index_dip`` → ``Index DIP``."""
     digit, _, part = joint.partition("_")
     return f"{digit.capitalize()} {part.upper()}"
+
+
+def require() -> None:
+    """Import Matplotlib, so that a command that draws at its end fails at its beginning.
+
+    Raises:
+        ModuleNotFoundError: It is not installed.
+    """
+    import matplotlib  # noqa: F401
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure [inch]; this imports Matplotlib, an extra."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def save(
@@ -37,6 +53,9 @@ def save(
     Raises:
         OutputError: A file cannot be written.
     """
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     if caption:
         figure.suptitle(caption, fontsize=9, color=GREY)
     FigureCanvasAgg(figure)

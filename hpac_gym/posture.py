@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpac_gym.figures import new_figure, require, save
 from hpac_gym.model import (
     HPAC,
     JOINTS,
@@ -22,7 +23,6 @@ from hpac_gym.model import (
     posture,
     reach,
 )
-from hpac_gym.output import OutputError
 from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
 from hpac_gym.physics.simulation import default_engine
 from hpac_gym.physics.stand import HAND, UPRIGHT, WORLD, HandOnStand
@@ -122,18 +122,10 @@ def table(item: Posture, hand: Hand = HPAC) -> str:
 
 def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     """Draw a contact sheet of postures, each reached by the simulated hand from open."""
-    try:
-        from matplotlib.figure import Figure
-
-        from hpac_gym.figures import save
-    except ModuleNotFoundError as error:
-        raise OutputError(
-            f"a drawing needs more: pip install 'hpac_gym[study]' ({error})"
-        ) from None
-
+    require()
     columns = min(SHEET_COLUMNS, len(items))
     rows = -(-len(items) // columns)
-    figure = Figure(figsize=(2.2 * columns, 2.4 * rows), layout="constrained")
+    figure = new_figure(2.2 * columns, 2.4 * rows)
     axes = np.ravel(figure.subplots(rows, columns, squeeze=False))
     for axis in axes:
         axis.set_axis_off()

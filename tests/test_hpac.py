@@ -7,16 +7,20 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
+import hpac_gym
 from hpac import COMMANDS, main
 from hpac_gym.command import INTERRUPTED, USAGE_ERROR, Parser, run, whole_number
-from hpac_gym.errors import WorkspaceError
+from hpac_gym.errors import EXTRA_OF, WorkspaceError
 
 NAMES = [command.name for command in COMMANDS]
 HEAVY = {"numpy", "scipy", "matplotlib", "gymnasium", "pybullet", "mujoco", "torch"}
+ROOT = Path(__file__).resolve().parents[1]
 FULL = Path("/dev/full")
 needs_full_device = pytest.mark.skipif(not FULL.exists(), reason="no device that is always full")
 
@@ -70,7 +74,8 @@ def test_help_lists_every_command_with_its_line():
 
 
 def test_the_version_is_that_of_the_package():
-    assert hpac("--version").stdout == "hpac_gym 0.1.0\n"
+    assert hpac("--version").stdout == f"hpac_gym {hpac_gym.__version__}\n"
+    assert metadata.version("hpac_gym") == hpac_gym.__version__
 
 
 @pytest.mark.parametrize(
@@ -194,8 +199,8 @@ import sys, hpac
 sys.modules |= {"matplotlib": None, "PIL": None}
 for words in sys.argv[1:]:
     print(hpac.main(words.split()), flush=True)
-sys.modules["hpac_gym.calibration"] = None
-hpac.main(["sweep"])
+sys.modules["hpac_gym.calibration.sweep"] = None
+hpac.main(["sweep", "--record", "x.csv"])
 """
 
 
@@ -206,19 +211,93 @@ def test_without_its_packages_a_command_says_what_it_needs():
     study = ("study", "matplotlib")
     grasps = ("grasps", "PIL")
     needs = {
-        "sweep": study,
-        "calibrate --record x.csv y": study,
+        "sweep --record x.csv": study,
+        "calibrate x.csv": study,
         "grasps -n 1": grasps,
     }
     done = python(WITHOUT_PACKAGES, *needs)
     assert done.stdout.split() == [str(USAGE_ERROR)] * len(needs)
     *told, bug = done.stderr.split("\n", len(needs))
     assert told == [
-        f"error: this command needs more: pip install 'hpac_gym[{e}]' (no module {p})"
+        f"error: this command needs more: pip install '.[{e}]' in a checkout of hpac_gym (no module {p})"
         for e, p in needs.values()
     ]
     assert bug.startswith("Traceback")
     assert "ModuleNotFoundError" in bug
+
+
+def packages_of_extras() -> dict[str, set[str]]:
+    """The distributions that each extra names, in lower case."""
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    return {
+        extra: {re.match(r"[\w-]+", line)[0].lower() for line in lines}
+        for extra, lines in extras.items()
+    }
+
+
+DISTRIBUTION = {
+    "PIL": "pillow",
+    "sb3_contrib": "sb3-contrib",
+    "sbx": "sbx-rl",
+    "stable_baselines3": "stable-baselines3",
+}
+"""Distributions that are not called like their package."""
+
+
+def test_the_extra_of_a_package_installs_it():
+    extras = packages_of_extras()
+    carried = {"jax": "sbx"}  # sbx-rl requires it
+    for package, extra in EXTRA_OF.items():
+        named = DISTRIBUTION.get(package, package)
+        assert named in extras[extra] or carried.get(package) == extra, package
+
+
+BASE_INSTALL = """
+import importlib.abc, sys
+
+class Refuse(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in refused:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+refused = set(sys.argv[1].split(","))
+sys.meta_path.insert(0, Refuse())
+import hpac
+for words in sys.argv[2:]:
+    try:
+        status = hpac.main(words.split())
+    except SystemExit as left:
+        status = left.code
+    print(f"status {status}: {words}", flush=True)
+"""
+
+
+def test_the_help_of_every_command_needs_no_extra():
+    refused = ",".join({*EXTRA_OF, "cv2", "viser"})
+    done = python(BASE_INSTALL, refused, *(f"{name} --help" for name in NAMES))
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert re.findall(r"^status (\w+): (\w+) --help", done.stdout, re.M) == [
+        ("0", name) for name in NAMES
+    ]
+    # The negative control: something of what is refused is needed elsewhere.
+    assert "pip install '.[study]'" in python(BASE_INSTALL, refused, "sweep --record x").stderr
+
+
+@pytest.mark.parametrize("module", ["agents.race", "agents.replay", "tools.film_strip"])
+def test_a_module_outside_of_the_wheel_names_its_extra_in_one_line(module):
+    script = (
+        "import runpy, sys; sys.modules |= {'torch': None, 'PIL': None, 'imageio': None}; "
+        f"runpy.run_module({module!r}, run_name='__main__')"
+    )
+    done = python(script)
+    assert done.returncode == 1
+    assert re.fullmatch(
+        r"error: this command needs more: pip install '\.\[\w+\]' in a checkout of hpac_gym "
+        r"\(no module \w+\)\n",
+        done.stderr,
+    )
 
 
 def test_the_parser_complains_in_one_line(capsys):

@@ -21,7 +21,7 @@ import numpy as np
 from hpac_gym.body.geometry import rotation_about, rotation_from_rpy
 from hpac_gym.body.object_models import Hull, ObjectModel, Solid, bounds_of
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.errors import ParameterError
+from hpac_gym.errors import ParameterError, install
 from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
 
@@ -71,8 +71,8 @@ def own_object(
 
     Raises:
         ParameterError: No such file, mesh not closed, no volume, too small or too large, an
-            inadmissible mass, friction, scale or axis, or the packages of ``pip install
-            'hpac_gym[objects]'`` are missing.
+            inadmissible mass, friction, scale or axis, or the packages of the extra
+            `objects` are missing.
         OutputError: The parts cannot be written.
     """
     path = Path(path)
@@ -175,7 +175,7 @@ def _decomposed(path: Path) -> list:
         import trimesh
     except ImportError as error:
         raise ParameterError(
-            f"own_object needs the package {error.name}: pip install 'hpac_gym[objects]'"
+            f"own_object needs the package {error.name}: {install('objects')}"
         ) from None
     try:
         mesh = trimesh.load_mesh(path)

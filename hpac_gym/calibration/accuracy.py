@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hpac_gym.calibration.processing import Points
 from hpac_gym.calibration.record import FLEXING, joints_of_servo
-from hpac_gym.figures import GREEN, GREY, RED, label
+from hpac_gym.figures import GREEN, GREY, RED, label, new_figure
 from hpac_gym.model import (
     HPAC,
     JOINTS,
@@ -22,6 +22,9 @@ from hpac_gym.model import (
     rigid_joints_from_servo,
 )
 from hpac_gym.model.checks import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 EVALUATED = tuple(name for name in JOINTS if name.endswith(("_ip", "_pip", "_dip")))
 """The paper's nine joints: the thumb's IP, and PIP and DIP of the four long fingers."""
@@ -140,7 +143,7 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
 
     The axis shows ±2° as in the paper, or more if the data needs it. Outliers beyond the axis are
     counted in the panel's title."""
-    figure = Figure(figsize=(11, 8), layout="constrained")
+    figure = new_figure(11, 8)
     axes = figure.subplots(3, 3, sharey=True).flat
     limit = residual_limit(found)
     for axis, name in zip(axes, EVALUATED, strict=True):
@@ -195,7 +198,7 @@ def mae_figure(errors: Accuracy) -> Figure:
     MP and MCP are shown with the nine joints as in the paper; the model does not compensate them,
     so their bars are equal."""
     names = list(errors.mae_deg["uncompensated"])
-    figure = Figure(figsize=(13, 4), layout="constrained")
+    figure = new_figure(13, 4)
     axis = figure.subplots()
     for shift, (kind, color, _) in zip((-0.2, 0.2), _KINDS, strict=True):
         values = [errors.mae_deg[kind][name] for name in names]

@@ -9,9 +9,9 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hpac_gym.calibration.combinations import SweptDigit, values
 from hpac_gym.calibration.identification import (
@@ -26,11 +26,14 @@ from hpac_gym.calibration.identification import (
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import Sweep, read_sweep
 from hpac_gym.calibration.samples import DigitSamples, digit_samples
-from hpac_gym.figures import GREEN, GREY, RED, label, save
+from hpac_gym.figures import GREEN, GREY, RED, label, new_figure, require, save
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, hand_to_toml, load_hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 from hpac_gym.output import markdown, write_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 OUT = Path("runs/calibrate/hand.toml")
 SAME_SWEEP = (
@@ -95,6 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Check the record, fit, write the hand file, and report the file's error at the held-out
     points.
     """
+    require()
     base = load_hand(arguments.base) if arguments.base else HPAC
     record = read_sweep(arguments.record, allow_missing=True)
     remarks = judged(record, base)
@@ -315,7 +319,7 @@ def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
     """Residuals of the points for the design and for the written file, joint by joint; held-out
     points are rings.
     """
-    figure = Figure(figsize=(13, 9), layout="constrained")
+    figure = new_figure(13, 9)
     axes = list(figure.subplots(3, 5).flat)
     designed, table = (residuals(found.samples, hand) for hand in (base, written))
     for axis, (name, (samples, rest)) in zip(axes, table.items(), strict=False):

@@ -19,7 +19,7 @@ from hpac_gym.calibration.accuracy import (
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import Sweep, read_sweep
-from hpac_gym.figures import label, save
+from hpac_gym.figures import label, require, save
 from hpac_gym.model import HPAC, Hand, load_hand
 from hpac_gym.output import markdown, write_text
 
@@ -50,6 +50,7 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read a record, evaluate it, write figures and tables."""
+    require()
     hand = load_hand(arguments.hand) if arguments.hand else HPAC
     record = read_sweep(arguments.record)
     evaluate(

@@ -15,7 +15,7 @@ from hpac_gym.deploy.episode import LOG_VERSION
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.figures import save
+from hpac_gym.figures import new_figure, require, save
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
 
@@ -53,6 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Simulate the actions of a log, and tell where the two part."""
+    if options.out:
+        require()
     head, steps, end = read_log(options.log)
     course = simulated(head, steps, options.engine)
     print(f"{head['policy']} on {head['port']}, {len(steps)} steps, ended: {end}")
@@ -136,9 +138,7 @@ def simulated(head: dict[str, Any], steps: list[dict[str, Any]], engine: str) ->
 
 def figure_of(course: Course) -> Any:
     """Commands above, the object below; the simulation is dashed."""
-    from matplotlib.figure import Figure  # an extra
-
-    figure = Figure(figsize=(9, 6), layout="constrained")
+    figure = new_figure(9, 6)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for i, name in enumerate(SERVOS):
         (line,) = upper.plot(course.time, course.sent[:, i], label=name)

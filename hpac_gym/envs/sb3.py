@@ -1,5 +1,5 @@
-"""The environments as Stable-Baselines3's `VecEnv`. Needs Stable-Baselines3: `pip install
-'hpac_gym[train]'`.
+"""The environments as Stable-Baselines3's `VecEnv`. Needs Stable-Baselines3, which the extra
+`train` installs.
 """
 
 from __future__ import annotations
@@ -11,9 +11,14 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
-from hpac_gym.errors import ParameterError
+from hpac_gym.errors import ParameterError, install
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    needs = f"HandVecEnv needs Stable-Baselines3: {install('train')}"
+    raise ModuleNotFoundError(needs, name=error.name) from None
 
 
 class HandVecEnv(VecEnv):

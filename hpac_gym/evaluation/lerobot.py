@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from hpac_gym.errors import DatasetError
+from hpac_gym.errors import DatasetError, install
 from hpac_gym.output import OutputError
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.progress import progress
@@ -38,7 +38,7 @@ def writer(env: gymnasium.Env) -> Any:
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
     except ImportError as error:
         raise DatasetError(
-            f"LeRobot's format needs Python 3.12 or newer and pip install 'hpac_gym[lerobot]': {error}"
+            f"LeRobot's format needs Python 3.12 or newer and {install('lerobot')}: {error}"
         ) from None
     return LeRobotDataset
 

@@ -20,7 +20,7 @@ SET_UPS = ("pybullet/twin", "mujoco/twin", "mujoco/light")
 """Engine and body of every supported combination."""
 _INSTEAD = {
     "pybullet": "PyBullet has wheels for CPython up to 3.11 on Linux alone; use engine='mujoco'",
-    "mujoco": "pip install 'mujoco-core==4.0.*'",
+    "mujoco": "pip install 'mujoco-core[rendering]==4.0.*'",
 }
 
 

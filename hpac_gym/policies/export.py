@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hpac_gym.errors import PolicyError
+from hpac_gym.errors import PolicyError, install
 from hpac_gym.output import replacing, writable_folder
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.made_for import require_fit
@@ -159,7 +159,7 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
         import onnxruntime
     except ImportError:
         raise PolicyError(
-            f"exported policy '{folder}' needs ONNX's runtime: pip install 'hpac_gym[onnx]'"
+            f"exported policy '{folder}' needs ONNX's runtime: {install('onnx')}"
         ) from None
     told = read_card(folder)
     try:

@@ -76,7 +76,8 @@ def test_a_node_of_other_versions_is_refused():
 def test_without_ray_one_line_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(
-        RunError, match=r"needs Ray, which is not installed: pip install 'hpac_gym\[nodes\]'"
+        RunError,
+        match=r"needs Ray, which is not installed: pip install '\.\[nodes\]' in a checkout",
     ):
         collectors.Collectors(RECIPES["grasp"], 2)
 

@@ -145,7 +145,7 @@ def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(
 ):
     monkeypatch.setitem(sys.modules, "sbx", None)
     monkeypatch.setattr(race, "CONTENDERS", {"sbx-sac": small("sbx-sac")})
-    needs = "sbx-sac needs sbx, which is not installed: pip install 'hpac_gym[train,sbx]'"
+    needs = "sbx-sac needs sbx, which is not installed: pip install '.[train,sbx]' in a checkout of hpac_gym"
     with pytest.raises(RecipeError, match=re.escape(needs)):
         race.main(["sbx-sac", "--out", str(tmp_path / "sbx-sac-0")])
     (tmp_path / "grasp-0").mkdir()

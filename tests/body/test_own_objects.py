@@ -114,7 +114,7 @@ def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(
     again = own_object(wedge, mass=0.2, scale=0.0005, up="y")
     np.testing.assert_allclose(again.model.size, (0.03, 0.06, 0.02), atol=1e-5)
     with pytest.raises(
-        ParameterError, match=r"needs the package coacd: pip install 'hpac_gym\[objects\]'"
+        ParameterError, match=r"needs the package coacd: pip install '\.\[objects\]' in a checkout"
     ):
         own_object(wedge, mass=0.1, scale=0.001, folder=tmp_path / "parts")
     monkeypatch.undo()

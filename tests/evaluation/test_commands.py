@@ -132,7 +132,7 @@ def test_a_missing_package_is_one_line_and_the_help_needs_none(tmp_path, monkeyp
     assert main(["grasps"]) == 2
     assert (
         capsys.readouterr().err
-        == "error: this command needs more: pip install 'hpac_gym[grasps]' (no module PIL)\n"
+        == "error: this command needs more: pip install '.[grasps]' in a checkout of hpac_gym (no module PIL)\n"
     )
     assert list(tmp_path.iterdir()) == []
 

@@ -135,7 +135,7 @@ def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
         ),
         (
             ["--out", "x", "--format", "lerobot"],
-            "needs Python 3.12 or newer and pip install 'hpac_gym[lerobot]': ",
+            "needs Python 3.12 or newer and pip install '.[lerobot]' in a checkout of hpac_gym: ",
         ),
     ],
 )
