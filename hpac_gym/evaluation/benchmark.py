@@ -2,7 +2,8 @@
 
 Evaluates a policy on every split of an environment, with fixed seeds, and writes a results file. A
 trained method needs five runs of one budget: ``{seed}`` in the name of its policy stands for 0 to
-4. An untrained policy has one run. An interrupted call continues after the last finished cell.
+4. An untrained policy has one run. An interrupted call continues after the last finished cell. Where PyBullet is not
+installed, its splits are left out, and the file says so.
 ``--check FILE`` reports every fault of results files or prints their tables, and for two files with
 the same environment which of them is better."""
 
@@ -11,6 +12,7 @@ import hashlib
 import json
 import math
 import sys
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from functools import cache, partial
@@ -33,6 +35,7 @@ from hpac_gym.evaluation.statistics import (
     wilson_interval,
 )
 from hpac_gym.output import markdown, writable_file, write_text
+from hpac_gym.physics.simulation import is_installed
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
@@ -140,9 +143,18 @@ def header(args: argparse.Namespace) -> Results:
         )
     seeds = list(range(RUNS if budget else 1))
     names = [args.policy.replace("{seed}", str(seed)) for seed in seeds]
-    for split in splits_of(
-        args.env
-    ):  # raises errors, such as a missing engine, before the long run
+    left_out = [
+        split
+        for split, options in splits_of(args.env).items()
+        if split not in _required(args.env) and not is_installed(options["engine"])
+    ]
+    if left_out:
+        warnings.warn(
+            f"PyBullet is not installed: the file will lack {', '.join(left_out)}", stacklevel=2
+        )
+    for split in splits_of(args.env):  # raises errors before the long run
+        if split in left_out:
+            continue
         with make_env(args.env, **_options(args.env, split, args.obs)) as env:
             for name in names:
                 load_policy(name, env)
@@ -160,7 +172,22 @@ def header(args: argparse.Namespace) -> Results:
         "episodes": args.episodes,
         "first_seed": BENCHMARK_SEED,
         "versions": versions(),
+        **({"left_out": left_out} if left_out else {}),
     }
+
+
+def _required(env_id: str) -> list[str]:
+    """The splits of an id that no results file may leave out: all but those of PyBullet, which
+    many systems cannot install."""
+    return [
+        split for split, options in splits_of(env_id).items() if options.get("engine") != "pybullet"
+    ]
+
+
+def judged_splits(results: Results) -> list[str]:
+    """The splits that a results file has, in order."""
+    left_out = results.get("left_out", [])
+    return [split for split in splits_of(results["env_id"]) if split not in left_out]
 
 
 def _options(env_id: str, split: str, obs: str) -> dict[str, str]:
@@ -206,7 +233,7 @@ def summary(results: Results) -> list[Results]:
     and for all splits.
     """
     scores = _scores(results)
-    names = [*splits_of(results["env_id"]), "all splits"]
+    names = [*judged_splits(results), "all splits"]
     tables = [*np.split(scores, scores.shape[1], axis=1), scores]
     iqm = interquartile_mean
     interval = partial(stratified_bootstrap, interquartile_mean)
@@ -216,14 +243,17 @@ def summary(results: Results) -> list[Results]:
     ]
 
 
-def _scores(results: Results) -> np.ndarray:
-    """Success rates, shape (runs, splits)."""
+def _scores(results: Results, splits: Sequence[str] | None = None) -> np.ndarray:
+    """Success rates, shape (runs, splits); of all splits that were judged by default."""
     won = {
         (cell["seed"], cell["split"]): cell["successes"] / results["episodes"]
         for cell in results["cells"]
     }
     return np.array(
-        [[won[seed, split] for split in splits_of(results["env_id"])] for seed in results["seeds"]]
+        [
+            [won[seed, split] for split in splits or judged_splits(results)]
+            for seed in results["seeds"]
+        ]
     )
 
 
@@ -233,8 +263,8 @@ def faults(results: Results) -> Iterator[str]:
         if results["schema"] != SCHEMA:
             yield f"schema is {results['schema']!r}, not {SCHEMA!r}"
             return
-        splits = splits_of(results["env_id"])
         yield from _header_faults(results)
+        splits = judged_splits(results)
         counted = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
         wanted = {(seed, split) for seed in results["seeds"] for split in splits}
         yield from (
@@ -264,6 +294,10 @@ def _header_faults(results: Results) -> Iterator[str]:
         yield f"episodes are {episodes}: a submission has at least {EPISODES:,} in each cell"
     if first != BENCHMARK_SEED:
         yield f"first_seed is {first}, not {BENCHMARK_SEED}"
+    for split in set(results.get("left_out", [])) - set(splits_of(results["env_id"])):
+        yield f"left_out names '{split}', which is no split"
+    for split in set(results.get("left_out", [])) & set(_required(results["env_id"])):
+        yield f"split '{split}' is left out: only those of PyBullet may be"
     if budget:
         low, high = results["training_seeds"]
         if low <= first + episodes - 1 and high >= first:
@@ -328,7 +362,9 @@ def table(results: Results) -> str:
     """Results as a table in Markdown: a row for each split."""
     steps = f"{results['budget']:,} steps, {RUNS} runs" if results["budget"] else "not trained"
     how = f"obs {results['obs']}, {steps}, {results['episodes']:,} episodes a cell"
-    title = f"`{results['policy']}` in {results['env_id']}, {how}"
+    left_out = results.get("left_out")
+    partial_file = f"; **partial: without {', '.join(left_out)}**" if left_out else ""
+    title = f"`{results['policy']}` in {results['env_id']}, {how}{partial_file}"
     columns = ("split", "success [%]", "runs [%]", "failures by phase [%]", "holding force [N]")
     rows = []
     for row in results["summary"]:
@@ -351,9 +387,10 @@ def table(results: Results) -> str:
 
 def comparison(first: Results, second: Results) -> str:
     """Probability that a run of the first scores higher than a run of the second, averaged over
-    splits.
+    splits that both have.
     """
-    tables = _scores(first), _scores(second)
+    splits = [split for split in judged_splits(first) if split in judged_splits(second)]
+    tables = _scores(first, splits), _scores(second, splits)
     value = float(probability_of_improvement(*tables))
     low, high = stratified_bootstrap(probability_of_improvement, *tables)
     return f"Probability that `{first['policy']}` does better than `{second['policy']}`: {value:.2f} [{low:.2f}, {high:.2f}]"
@@ -403,7 +440,7 @@ def judge_all(args: argparse.Namespace) -> Results:
                 f"'{args.out}' holds results with {name} {results.get(name)!r}, not {value!r}: name another file"
             )
     writable_file(args.out)
-    wanted = [(seed, split) for seed in head["seeds"] for split in splits_of(args.env)]
+    wanted = [(seed, split) for seed in head["seeds"] for split in judged_splits(head)]
     try:
         done = Counter((cell["seed"], cell["split"]) for cell in results["cells"])
         bad = next(_faults_of_cells(results, done, set(wanted)), None)

@@ -98,7 +98,12 @@ def _held(setup: SceneSetup, servo: Array) -> SceneSetup:
 
 def default_engine() -> str:
     """Default engine of an environment: PyBullet where it is installed, MuJoCo elsewhere."""
-    return "pybullet" if importlib.util.find_spec("pybullet") else "mujoco"
+    return "pybullet" if is_installed("pybullet") else "mujoco"
+
+
+def is_installed(engine: str) -> bool:
+    """Whether the package of an engine is installed."""
+    return importlib.util.find_spec(engine) is not None
 
 
 def make_engine(
@@ -117,7 +122,7 @@ def make_engine(
     """
     if name not in ENGINES:
         raise ParameterError(f"engine {name!r} is not one of {', '.join(ENGINES)}")
-    if importlib.util.find_spec(name) is None:
+    if not is_installed(name):
         raise ParameterError(
             f"engine {name!r} needs a package that is not installed: {_INSTEAD[name]}"
         )

@@ -127,6 +127,51 @@ def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, 
         submit(path, policy="random")
 
 
+@pytest.fixture
+def partial(tmp_path):
+    """A results file from a machine without PyBullet."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(
+            benchmark.SPLITS, TINY, {"one": {}, "two": {}, "PyBullet": {"engine": "pybullet"}}
+        )
+        patch.setattr(benchmark, "is_installed", lambda engine: engine != "pybullet")
+        env_hash.cache_clear()
+        with pytest.warns(UserWarning, match="not installed: the file will lack PyBullet"):
+            results = submit(tmp_path / "results.json", policy="random")
+        yield results
+    env_hash.cache_clear()
+
+
+def test_a_file_without_pybullet_is_valid_and_marked(partial):
+    assert not list(faults(partial))
+    assert partial["left_out"] == ["PyBullet"]
+    assert [cell["split"] for cell in partial["cells"]] == ["one", "two"]
+    assert [row["split"] for row in partial["summary"]] == ["one", "two", "all splits"]
+    assert "**partial: without PyBullet**" in table(partial).splitlines()[0]
+    whole = copy.deepcopy(partial)
+    del whole["left_out"]
+    assert "split 'PyBullet' of seed 0 is missing" in list(faults(whole))
+
+
+@pytest.mark.parametrize(
+    ("left_out", "told"),
+    [
+        (["one"], "split 'one' is left out: only those of PyBullet may be"),
+        (["three"], "left_out names 'three', which is no split"),
+        ([], "split 'PyBullet' of seed 0 is missing"),
+    ],
+)
+def test_nothing_but_pybullet_may_be_left_out(partial, left_out, told):
+    assert told in list(faults(partial | {"left_out": left_out}))
+
+
+def test_a_partial_file_is_compared_on_what_both_have(partial):
+    whole = copy.deepcopy(partial)
+    del whole["left_out"]
+    whole["cells"].append(whole["cells"][0] | {"split": "PyBullet"})
+    assert ": 0.50 [" in comparison(partial, whole)
+
+
 @pytest.mark.parametrize("cells", [None, [1], [{"seed": 0}], [{"seed": 9, "split": "nominal"}]])
 def test_a_results_file_with_other_cells_is_not_continued(tmp_path, trained, cells):
     path = tmp_path / "results.json"
