@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.object_models import ObjectModel, Solid
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.model import DIGITS, SERVOS
+from hpac_gym.model import DIGITS, JOINT_INDEX, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.physics.tendons import Drive
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.occlusion import Skeleton, covered, surface
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Term
@@ -25,6 +26,9 @@ _SPREAD = 160
 """Number of points sampled on an object's surface; less than half of them face the camera."""
 _PROBED = 48
 """Number of those points that decide whether the object is seen."""
+_ROOTS = [JOINT_INDEX[name] for name in SERVOS[: len(DIGITS)]]
+_LAW = ("servo_radius", "alpha", "squares", "product", "length", "stiffness", "limit")
+"""Fields of a `Drive` that its tension at rest depends on."""
 SEEN_SHARE = 0.7
 """Least visible fraction of the camera-facing points of a seen object; chosen: a tracker needs most
 of the outline.
@@ -41,6 +45,11 @@ class ServoSenses:
 
     stall_torque: float = 0.39
     """Stall torque at 7.4 V; XL-320's manual [N·m]."""
+    stiffness: float = 24.0
+    """Torque per angle by which a horn stays behind its command, at the horn [N·m/rad]; chosen: with
+    it two thirds of the drive's compliance are the servo's, one third the tendon's, and their sum,
+    which the physics knows, stays as it is.
+    """
     horn_step: float = np.deg2rad(300.0) / 1023
     """Resolution of the horn's angle; XL-320's manual: 1023 steps over 300° [rad]."""
     load_step: float = 1 / 128
@@ -113,7 +122,7 @@ class Senses:
         self._eye = np.zeros((num_worlds, 3))
         self._points = np.zeros((num_worlds, _SPREAD, 3))
         self._normals = np.zeros((num_worlds, _SPREAD, 3))
-        self._radius = np.zeros((num_worlds, len(DIGITS)))
+        self._drives = np.zeros((num_worlds, 7, len(DIGITS)))
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
         self._bias = np.zeros((num_worlds, len(DIGITS)))
         self._count = np.zeros(num_worlds, dtype=int)
@@ -136,7 +145,16 @@ class Senses:
         self._skeleton.fit(world, setup.geometry)
         self._points[world], self._normals[world] = self._surface(setup.object)
         self._eye[world] = self._centre + setup.hand_rotation.T @ eye_offset(self._view)
-        self._radius[world] = setup.hand.servo_radius[: len(DIGITS)]
+        settings = setup.hand_settings
+        drives = [
+            Drive.of(digit, slack, strength)
+            for digit, slack, strength in zip(
+                setup.hand.digits.values(), settings.slack, settings.strength, strict=True
+            )
+        ]
+        self._drives[world] = np.transpose(
+            [[getattr(one, name) for name in _LAW] for one in drives]
+        )
         self._bias[world] = (
             self._servos.load_bias * factor * self._rng[world].standard_normal(len(DIGITS))
         )
@@ -181,12 +199,31 @@ class Senses:
             -1, len(DIGITS)
         )
         load = (
-            state.tension[rows] * self._radius[rows] / servos.stall_torque
+            state.tension[rows] * self._drives[rows, 0] / servos.stall_torque
             + self._bias[rows]
             + servos.load_noise * noise
         )
         self._seen["load"][rows] = np.round(load / servos.load_step) * servos.load_step
-        self._seen["horn"][rows] = np.round(state.horn[rows] / servos.horn_step) * servos.horn_step
+        horn = state.horn[rows].copy()
+        horn[:, : len(DIGITS)] -= self._behind(state, rows)
+        self._seen["horn"][rows] = np.round(horn / servos.horn_step) * servos.horn_step
+
+    def _behind(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
+        """Angles by which pulling horns stay behind, shape (len(rows), 5) [rad].
+
+        At rest the tension is that of `Drive`, T = min(k s, limit) for a stretch s of a drive whose
+        servo follows its command. A servo gives way by T r / `stiffness`, and once it stalls by all
+        that the limit leaves of the stretch.
+        """
+        radius, alpha, squares, product, length, stiffness, limit = self._drives[rows].swapaxes(
+            0, 1
+        )
+        chord = np.sqrt(squares - product * np.cos(alpha - state.joint_pos[rows][:, _ROOTS]))
+        pulls = radius * state.horn[rows, : len(DIGITS)] + chord - length
+        stretch = np.maximum(pulls, 0.0)
+        tension = np.minimum(stiffness * stretch, limit)
+        stalled = stretch - tension / stiffness
+        return stalled / radius + tension * radius / self._servos.stiffness
 
     def _share(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
         """Visible fraction of the points that face the camera, shape (len(rows),)."""

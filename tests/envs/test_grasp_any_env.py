@@ -14,7 +14,7 @@ from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import BENCHMARK_SEED
-from hpac_gym.model import action_from_synergy
+from hpac_gym.model import JOINT_INDEX, SERVOS, action_from_synergy
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.tasks import placing
@@ -27,6 +27,7 @@ ID = "HPAC-GraspAny-v1"
 ENGINES = [pytest.param("pybullet", marks=pytest.mark.pybullet), "mujoco"]
 CLOSED = np.array([0.28, 1, 1, 1, 1, 0.53], np.float32)
 """Thumb opposite to the fingers, all of them closed."""
+ROOTS = [JOINT_INDEX[name] for name in SERVOS[:5]]
 
 
 def make(**options) -> gymnasium.Env:
@@ -135,6 +136,35 @@ def test_mass_and_friction_are_not_seen(obs):
         first = first["deploy"]
         second = second["deploy"]
     np.testing.assert_array_equal(first, second)
+
+
+def test_a_horn_that_stays_behind_tells_an_object_from_none():
+    """Held digits of 60 closures; the commands and the horns of ideal servos cannot tell."""
+    env = gymnasium.make_vec("HPAC-GraspAny-v1", num_envs=60, engine="mujoco", obs="load")
+    episodes = env.unwrapped.episodes
+    actions = np.random.default_rng(0).uniform(-0.3, 0.9, (60, 6))
+    found = []
+    for there in (True, False):
+        env.reset(seed=5000)
+        if not there:
+            away = [
+                replace(s, position=s.position + np.array([0, 0, 5.0])) for s in episodes.setups
+            ]
+            episodes._begin(range(60), away)
+        for _ in range(24):
+            episodes.step(actions)
+        behind = 0.1 * episodes.observe()[:, env.unwrapped.slices["horn_lag"]][:, :5]
+        state = episodes.simulation.state()
+        found.append((behind, state.joint_pos[:, ROOTS], state.horn, episodes.outcome))
+    env.close()
+    (lag, root, horn, outcome), (free_lag, free_root, free_horn, _) = found
+    # Digits that do not press on each other without an object, in episodes that still run.
+    clear = (np.abs(free_lag) < 0.02) & (outcome == 0)[:, None]
+    held = clear & (free_root - root > 0.03)
+    told = lag - free_lag > 0.01
+    assert held.sum() > 60
+    assert told[held].mean() > 0.99
+    np.testing.assert_array_equal(horn, free_horn)
 
 
 def test_a_critic_sees_mass_and_friction_by_their_names():

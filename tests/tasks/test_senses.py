@@ -178,7 +178,7 @@ def test_a_servo_tells_its_load_in_steps_now_and_then_with_its_error():
     told = []
     for step in range(4):
         state.tension[:] = 5.0 * (step + 1)
-        state.horn[:] = 0.3
+        state.horn[:] = -0.3  # slack tendons, which hold no horn back
         told.append(eyes.look(state, [0]))
     exact = 5.0 * HPAC.servo_radius[:5] / servos.stall_torque
     np.testing.assert_allclose(told[0]["load"][0], exact, atol=servos.load_step / 2)
@@ -186,8 +186,32 @@ def test_a_servo_tells_its_load_in_steps_now_and_then_with_its_error():
     np.testing.assert_allclose(told[2]["load"][0], 3 * exact, atol=servos.load_step / 2)
     steps = told[2]["load"] / servos.load_step
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
-    np.testing.assert_allclose(told[0]["horn"], 0.3, atol=servos.horn_step / 2)
+    np.testing.assert_allclose(told[0]["horn"], -0.3, atol=servos.horn_step / 2)
     wrong = [senses(setup, servos=ServoSenses(load_noise=0.0)) for _ in range(2)]
     first, second = (eyes.look(state, [0])["load"] for eyes in wrong)
     np.testing.assert_array_equal(first, second)
     assert np.abs(first[0] - 4 * exact).max() > 0.01
+
+
+def test_a_horn_stays_behind_by_its_servos_share_of_the_stretch_and_by_all_beyond_its_stall():
+    setup = ball(0.06)
+    eyes = senses(setup, servos=ServoSenses(horn_step=1e-9))
+    state = state_of(setup, OPEN)
+    digit = HPAC.digits["index"]
+    radius = digit.servo_radius
+    stall = digit.tension_limit / digit.drive_stiffness
+    for stretch, behind in (
+        (-1e-4, 0.0),  # slack
+        (0.5 * stall, 0.5 * digit.tension_limit * radius / 24.0),
+        (stall + 1e-3, digit.tension_limit * radius / 24.0 + 1e-3 / radius),
+    ):
+        eyes = senses(setup, servos=ServoSenses(horn_step=1e-9))
+        state.horn[0, 1] = stretch / radius  # the finger is held straight
+        told = eyes.look(state, [0])["horn"][0]
+        assert told[1] == pytest.approx(stretch / radius - behind, abs=1e-8)
+
+
+def test_a_servo_is_not_softer_than_its_whole_drive():
+    for digit in HPAC.digits.values():
+        whole = digit.drive_stiffness * digit.servo_radius**2
+        assert 1 / ServoSenses().stiffness < 1 / whole
