@@ -1,26 +1,27 @@
 # hpac_gym: 'make' or 'make help' lists the targets.
 
 VENV := .venv
-BIN := $(VENV)/bin
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 # The virtual environment keeps its Python until another one is named; PyBullet has wheels for 3.11 alone.
 PYTHON ?= $(or $(wildcard $(BIN)/python),python3.11)
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --constraint constraints.txt
 # One process a core, but no more than four: some tests start processes of their own.
 PYTEST_ARGS ?= --numprocesses auto --maxprocesses 4 --dist worksteal
 DEMO_ARGS ?=
+RELEASE_ARGS ?=
 
 # One name for everything that decides what set-up installs, so that set-up runs again exactly when that changes.
 SETUP_ID := $(shell { $(PYTHON) --version; cat pyproject.toml constraints.txt; grep PIP Makefile; } 2>&1 | cksum | tr ' ' '-')
 STAMP := $(VENV)/.setup-$(SETUP_ID)
 
 # Each expands to nothing, or ends make with one line and exit status 2.
-need-python = $(if $(shell $(PYTHON) -c 'import sys, venv; print((3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null | grep True),,$(error \
-	hpac_gym needs Python 3.11, 3.12 or 3.13 with venv and '$(PYTHON)' is none: install it, or name one with PYTHON=))
+need-python = $(if $(shell $(PYTHON) -c 'import sys, venv; print((3, 11) <= sys.version_info[:2] <= (3, 14))' 2>/dev/null | grep True),,$(error \
+	hpac_gym needs Python 3.11 to 3.14 with venv and '$(PYTHON)' is none: install it, or name one with PYTHON=))
 need-compiler = $(if $(shell command -v $(firstword $(CC))),,$(error \
 	no C compiler '$(firstword $(CC))' found: install one such as gcc, or name one with CC=))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup compiler firmware test test-all test-lerobot demo bench generate wheel lint size clean
+.PHONY: help setup compiler firmware test test-all test-lerobot demo bench generate docs wheel release lint size clean
 MAKEFLAGS += --no-print-directory
 # Some two hundred processes of the tests share compiled modules, even where the user has none written.
 unexport PYTHONDONTWRITEBYTECODE
@@ -38,7 +39,7 @@ $(STAMP):
 	@$(PIP) torch==2.13.0
 	@echo "Set-up: the other dependencies and the project"
 	@$(PIP) hatchling
-	@$(PIP) --no-build-isolation --editable '.[train,sbx,study,grasps,objects,video,onnx,data,nodes,test]'
+	@$(PIP) --no-build-isolation --editable '.[train,sbx,study,grasps,objects,video,onnx,data,nodes,docs,test]'
 	@rm -f $(VENV)/.setup-* && touch $@
 
 compiler:
@@ -80,6 +81,13 @@ wheel: setup ## build dist/*.whl
 	@$(BIN)/python -m pip wheel . --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist
 	@ls dist/*.whl
 
+release: compiler setup ## test, build and try a release, and tag it if all of that passed
+	@$(BIN)/python -m tools.release $(RELEASE_ARGS)
+
+docs: setup ## build the site in docs/_build/html; a warning is an error
+	@$(BIN)/python -m sphinx --fail-on-warning --keep-going -q docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
 lint: setup ## check the format and the style of the Python code
 	@$(BIN)/ruff format --check --quiet . || { echo "not formatted: run 'ruff format' ($(BIN)/ruff)"; exit 1; }
 	@$(BIN)/ruff check --quiet .
@@ -89,6 +97,6 @@ size: setup ## count files, statements and lines by folder
 	@$(BIN)/python -m tools.size
 
 clean: ## remove what was built, but neither .venv nor runs
-	@rm -rf build dist .pytest_cache .hypothesis .ruff_cache
+	@rm -rf build dist docs/_build .pytest_cache .hypothesis .ruff_cache
 	@find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	@$(MAKE) -C firmware clean

@@ -5,11 +5,16 @@ import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
+from hatchling.builders.sdist import SdistBuilder
+
+from hpac_gym import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -75,8 +80,9 @@ def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     assert {name.split("/")[0] for name in names} == {
         "hpac.py",
         "hpac_gym",
-        "hpac_gym-0.1.0.dist-info",
+        f"hpac_gym-{__version__}.dist-info",
     }
+    assert "hpac_gym/py.typed" in names
     packed = {name for name in names if name.startswith("hpac_gym/")}
     source = {
         str(p.relative_to(ROOT))
@@ -94,6 +100,57 @@ def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     assert assets
     assert firmware
     assert source | assets | firmware <= packed
+
+
+def files_of_the_checkout() -> set[str]:
+    """What belongs to the project: all files but those that .gitignore names."""
+    ignored = {line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()}
+    ignored |= {".git", ".setup"}
+    return {
+        str(path.relative_to(ROOT))
+        for path in ROOT.rglob("*")
+        if path.is_file()
+        and not any(
+            path.relative_to(ROOT).match(pattern) or parent.match(pattern)
+            for pattern in ignored
+            for parent in (path.relative_to(ROOT), *path.relative_to(ROOT).parents)
+        )
+    }
+
+
+def test_the_sdist_holds_all_that_its_tests_need(tmp_path):
+    (built,) = SdistBuilder(str(ROOT)).build(directory=str(tmp_path))
+    with tarfile.open(built) as archive:
+        packed = {name.partition("/")[2] for name in archive.getnames()}
+    files = files_of_the_checkout()
+    assert {"tools/generate.py", "examples/quickstart.ipynb", "tests/conftest.py"} <= files
+    assert sorted(files - packed) == []
+
+
+def test_the_citation_has_the_version_and_no_address():
+    told = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert told["version"] == __version__
+    assert told["cff-version"] == "1.2.0"
+    assert not {"url", "doi", "repository-code"} & told.keys(), "there is no public address yet"
+
+
+def test_public_hosting_calls_the_command_that_decides():
+    text = (ROOT / ".github" / "workflows" / "ci.yml").read_text(encoding="utf-8")
+    (job, docs) = yaml.safe_load(text)["jobs"].values()
+    assert job["strategy"]["matrix"]["python"] == ["3.11", "3.12", "3.13", "3.14"]
+    assert len(job["strategy"]["matrix"]["os"]) == 3
+    assert job["steps"][-1]["run"] == ".ci/run"
+    assert docs["steps"][-1]["run"] == "make docs"
+
+
+def test_pre_commit_runs_what_lint_runs():
+    told = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    ((hooks,),) = ([repo["hooks"]] for repo in told["repos"])
+    assert [hook["entry"].partition("/bin/")[2] for hook in hooks] == [
+        "ruff format",
+        "ruff check",
+        "python -m tools.style",
+    ]
 
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
