@@ -108,6 +108,12 @@ COMMANDS = (
         "hpac_gym.calibration.sweep:add_arguments",
     ),
     Command(
+        "tags",
+        "write the sheet of tags to print, or calibrate a camera with it",
+        "hpac_gym.camera.commands:add_arguments",
+        "camera",
+    ),
+    Command(
         "wiggle", "move one servo at a time next to its name", "hpac_gym.bridge.commands:add_wiggle"
     ),
 )

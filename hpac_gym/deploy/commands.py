@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--pose",
         required=True,
         metavar="SOURCE",
-        help="where it is, in the hand's frame: X,Y,Z[,QX,QY,QZ,QW] [m], a .csv, or udp:PORT",
+        help="where it is, in the hand's frame: X,Y,Z[,QX,QY,QZ,QW] [m], a .csv, udp:PORT, or camera:N[,FILE]",
     )
     parser.add_argument("--arm", default="none", help="none, enter (a person) or udp:HOST:PORT")
     parser.add_argument("--env", help="environment of a policy without a file (HPAC-Grasp-v0)")
@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
     observer = Observer(env_id, object_of(options.object), hand, options.grasp)
     policy = load_policy(options.policy, observer)
     with ExitStack() as stack:
-        source = source_of(options.pose)
+        source = source_of(options.pose, object_of(options.object))
         stack.callback(source.close)
         if options.dry_run:
             _dry_run(options, observer, policy, source)

@@ -1,4 +1,4 @@
-"""Sources of the object's pose: fixed, a file, packets from another program.
+"""Sources of the object's pose: fixed, a file, packets from another program, a camera.
 
 All of them give poses in the frame of the hand, as `hpac_gym.deploy.observer.Pose` has it."""
 
@@ -7,13 +7,18 @@ from __future__ import annotations
 import csv
 import json
 import socket
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic, sleep
 from typing import Protocol
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.camera.detection import Device, Frames, Lens, Watch, detect, load_lens
+from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import UPRIGHT, Pose
 
@@ -166,13 +171,56 @@ class Packets:
         self._socket.close()
 
 
-def source_of(text: str) -> Source:
-    """The source of a ``--pose``: ``X,Y,Z[,QX,QY,QZ,QW]``, ``udp:PORT``, or a CSV file.
+class Tags:
+    """Poses from the tags of ``hpac tags`` on the object and on the hand, before one camera.
+
+    Args:
+        frames: the camera.
+        lens: its numbers, which also say where the boards are.
+        top: height of the object's board above its centre, where the lens says no other [m].
+
+    Attributes:
+        fault: why the last picture shows no pose.
+    """
+
+    def __init__(
+        self, frames: Frames, lens: Lens, top: float, clock: Callable[[], float] = monotonic
+    ) -> None:
+        self._lens = lens
+        self._top = top
+        self._watch = Watch(frames, self._look, clock)
+        self.latest = self._watch.latest
+        self.close = self._watch.close
+
+    @property
+    def fault(self) -> str:
+        return self._watch.fault
+
+    def _look(self, picture: np.ndarray) -> Pose:
+        self._lens.require(picture)
+        place = object_place(detect(picture), self._lens, self._top)
+        return Pose(place.position, tuple(Rotation.from_matrix(place.rotation).as_quat().tolist()))
+
+
+def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
+    """The source of a ``--pose``: ``X,Y,Z[,QX,QY,QZ,QW]``, ``udp:PORT``, a CSV file, or
+    ``camera:N[,FILE]``.
+
+    Args:
+        text: names the source.
+        seen: the object before a camera.
 
     Raises:
-        PoseError: It is none of them.
+        PoseError: It is none of them. CameraError: The camera cannot be opened, or its file is
+            none.
     """
     kind, _, rest = text.partition(":")
+    if kind == "camera" and rest:
+        camera, _, file = rest.partition(",")
+        if not file:
+            warnings.warn(Lens.GUESSED, stacklevel=2)
+        lens = load_lens(Path(file)) if file else Lens()
+        return Tags(Device(camera, lens.size), lens, seen.half_extents[2] if seen else 0.0)
     if kind == "udp" and rest.isdigit():
         return Packets(int(rest))
     if text.endswith(".csv"):
@@ -183,7 +231,7 @@ def source_of(text: str) -> Source:
         if isinstance(error, PoseError):
             raise
         raise PoseError(
-            f"--pose '{text}' is not x,y,z in m, with or without a quaternion, nor udp:PORT, nor a .csv"
+            f"--pose '{text}' is not x,y,z in m, with or without a quaternion, nor udp:PORT, nor a .csv, nor camera:N"
         ) from None
 
 
@@ -213,8 +261,7 @@ def averaged(
         if clock() - begun > patience:
             fault = getattr(source, "fault", "")
             raise PoseError(
-                f"no pose of the object within {patience:g} s"
-                + (f"; last packet: {fault}" if fault else "")
+                f"no pose of the object within {patience:g} s" + (f": {fault}" if fault else "")
             )
         pause(0.02)
     poses: list[Pose] = []

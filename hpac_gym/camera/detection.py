@@ -1,0 +1,325 @@
+"""From a camera's picture to the corners of tags, and the camera's own numbers: focal lengths,
+centre, distortion.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from time import monotonic
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from hpac_gym.camera import CameraError, opencv
+from hpac_gym.camera.sheet import TAGS
+from hpac_gym.model.checks import Array
+
+HD = (1280, 720)
+FIELD_OF_VIEW_DEG = 65.0
+"""Horizontal field of view of a camera without a file (chosen: a usual webcam)."""
+LONGEST_WAIT = 5.0
+"""Time within which a camera gives its first picture [s]."""
+Seen = dict[int, Array]
+"""Corners of the tags in one picture, by id, in the order of `sheet.Tag.corners`, shape (4, 2)
+[pixels].
+"""
+_Result = TypeVar("_Result")
+_EDGE_PART = (0.08, 0.92)
+"""Part of an edge on which it is looked for."""
+_EDGE_POINTS = 24
+_EDGE_REACH = 2.0
+"""On either side of the first guess: less than a tag's module [pixels]."""
+_EDGE_STEP = 0.25
+_EDGE_LEAST = 0.2
+"""Share of the steepest rise below which a rise is noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A camera's numbers, in OpenCV's model: focal lengths, principal point [pixels], distortion.
+
+    Raises:
+        CameraError: A number is missing, not finite, or not positive where it must be.
+    """
+
+    size: tuple[int, int] = HD
+    """Width and height of its pictures [pixels]."""
+    focal: tuple[float, float] = (0.0, 0.0)
+    """Zero: of a camera with `FIELD_OF_VIEW_DEG`."""
+    centre: tuple[float, float] = (0.0, 0.0)
+    """Zero: the middle of the picture."""
+    distortion: tuple[float, ...] = (0.0,) * 5
+    hand_board: tuple[float, ...] | None = None
+    """Where the hand's board is in the hand's frame: x, y, z [m] and a quaternion xyzw; None is
+    `poses.HAND_BOARD`.
+    """
+    object_board: tuple[float, ...] | None = None
+    """The same of the object's board in the object's axes; None: flat on its top."""
+
+    GUESSED: ClassVar[str] = (
+        f"no file of the camera is given: a horizontal field of view of {FIELD_OF_VIEW_DEG:g}° is assumed, and no "
+        "distortion; `hpac tags --calibrate` measures them"
+    )
+
+    def __post_init__(self) -> None:
+        counts = {
+            "size": 2,
+            "focal": 2,
+            "centre": 2,
+            "distortion": 5,
+            "hand_board": 7,
+            "object_board": 7,
+        }
+        for name, count in counts.items():
+            values = getattr(self, name)
+            if values is None and name.endswith("board"):
+                continue
+            if np.shape(values) != (count,) or not np.isfinite(np.array(values, dtype=float)).all():
+                raise CameraError(f"{name} = {values} must be {count} numbers")
+            object.__setattr__(self, name, tuple(values))
+        if min(self.size) <= 0 or min(self.focal) < 0:
+            raise CameraError(f"size {self.size} and focal {self.focal} must be positive [pixels]")
+        if not any(self.focal):
+            guess = self.size[0] / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)
+            object.__setattr__(self, "focal", (guess, guess))
+        if not any(self.centre):
+            object.__setattr__(self, "centre", ((self.size[0] - 1) / 2, (self.size[1] - 1) / 2))
+
+    def require(self, picture: np.ndarray) -> None:
+        """Check that a picture is of this camera.
+
+        Raises:
+            CameraError: Its size is another one.
+        """
+        if picture.shape[1::-1] != self.size:
+            width, height = picture.shape[1::-1]
+            raise CameraError(
+                f"the camera's pictures have {width}×{height} pixels, its numbers are for "
+                f"{self.size[0]}×{self.size[1]}: calibrate it with `hpac tags --calibrate`"
+            )
+
+    @property
+    def matrix(self) -> Array:
+        """The camera's matrix, shape (3, 3)."""
+        matrix = np.diag([*self.focal, 1.0])
+        matrix[:2, 2] = self.centre
+        return matrix
+
+    def to_json(self) -> str:
+        """The text of its file."""
+        return json.dumps({"hpac_camera": 1, **asdict(self)}, indent=2) + "\n"
+
+
+def load_lens(path: Path) -> Lens:
+    """Read a camera's file, as ``hpac tags --calibrate`` writes it.
+
+    Raises:
+        CameraError: It cannot be read, or is no such file.
+    """
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+        if table.pop("hpac_camera") != 1:
+            raise CameraError("hpac_camera is not 1")
+        return Lens(**table)
+    except OSError as error:
+        raise CameraError(f"camera {path}: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, AttributeError, CameraError) as error:
+        raise CameraError(f"camera {path}: {error}") from None
+
+
+@cache
+def _detector() -> Any:
+    cv2 = opencv()
+    settings = cv2.aruco.DetectorParameters()
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    settings.relativeCornerRefinmentWinSize = 1.0
+    settings.cornerRefinementWinSize = 3
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    return cv2.aruco.ArucoDetector(family, settings)
+
+
+def detect(picture: np.ndarray) -> Seen:
+    """The sheet's tags in a picture, shape (height, width) or (height, width, 3); a tag that is
+    there twice is left out.
+    """
+    if picture.ndim == 3:
+        picture = opencv().cvtColor(picture, opencv().COLOR_BGR2GRAY)
+    corners, ids, _ = _detector().detectMarkers(picture)
+    found = [] if ids is None else ids.ravel().tolist()
+    seen = {
+        id: square.reshape(4, 2).astype(float)
+        for id, square in zip(found, corners, strict=True)
+        if id in TAGS and found.count(id) == 1
+    }
+    if not seen:
+        return {}
+    return dict(zip(seen, _on_edges(picture, np.stack(list(seen.values()))), strict=True))
+
+
+def _on_edges(picture: np.ndarray, corners: Array) -> Array:
+    """Corners where lines through the edges of their squares meet.
+
+    OpenCV's corners lie 0.2 pixels too far inside in a slightly blurred picture, and scatter by
+    0.08; those of the lines lie within 0.06.
+
+    Args:
+        picture: grey values.
+        corners: of the squares, clockwise in the picture, shape (k, 4, 2) [pixels].
+    """
+    along = np.linspace(*_EDGE_PART, _EDGE_POINTS)
+    away = np.arange(-_EDGE_REACH, _EDGE_REACH + 1e-6, _EDGE_STEP)
+    way = np.roll(corners, -1, axis=1) - corners
+    outward = np.stack([way[..., 1], -way[..., 0]], axis=-1)
+    outward /= np.linalg.norm(way, axis=-1, keepdims=True)
+    starts = corners[:, :, None] + along[:, None] * way[:, :, None]
+    places = starts[:, :, :, None] + away[:, None] * outward[:, :, None, None]
+    flat = places.reshape(-1, len(away), 2).astype(np.float32)
+    grey = opencv().remap(
+        picture.astype(np.float32), flat[..., 0], flat[..., 1], opencv().INTER_LINEAR
+    )
+    # Where it becomes brighter outwards, and by how much: the mean place is the edge.
+    rise = np.diff(grey.reshape(places.shape[:-1]), axis=-1)
+    rise = (rise - _EDGE_LEAST * rise.max(axis=-1, keepdims=True)).clip(min=0.0)
+    total = rise.sum(axis=-1)
+    middle = (away[1:] + away[:-1]) / 2
+    off = np.where(total > 0, (rise * middle).sum(axis=-1) / np.where(total > 0, total, 1.0), 0.0)
+    centred = along - 0.5  # the line of least squares through evenly spaced points
+    slope = (off * centred).sum(axis=-1) / (centred**2).sum()
+    offset = off.mean(axis=-1)
+    ends = [
+        point + (offset + side * slope)[..., None] * outward
+        for point, side in ((corners, -0.5), (corners + way, 0.5))
+    ]
+    line = ends[1] - ends[0]
+    before = np.roll(line, 1, axis=1)
+    start = np.roll(ends[0], 1, axis=1)
+    gap = ends[0] - start
+    share = _cross(gap, line) / _cross(before, line)
+    return start + share[..., None] * before
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Signed areas between vectors of the plane, shape (...) for (..., 2)."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def rays(seen: Sequence[Array] | Array, lens: Lens) -> Array:
+    """Directions of pixels from the camera, as x and y at depth 1, without distortion.
+
+    Args:
+        seen: pixels, shape (..., 2).
+        lens: the camera.
+
+    Returns:
+        Shape (..., 2).
+    """
+    pixels = np.asarray(seen, dtype=float)
+    flat = opencv().undistortPoints(
+        pixels.reshape(-1, 1, 2), lens.matrix, np.array(lens.distortion)
+    )
+    return flat.reshape(pixels.shape)
+
+
+# The camera itself ---------------------------------------------------------------
+
+
+class Frames(Protocol):
+    """Where pictures come from."""
+
+    def read(self) -> np.ndarray | None:
+        """The next picture, shape (height, width) or (height, width, 3); None: there is no more."""
+        ...
+
+    def release(self) -> None:
+        """Let the camera go."""
+        ...
+
+
+class Device:
+    """A camera by its number, or a video by its file or address, as OpenCV opens it.
+
+    Raises:
+        CameraError: It cannot be opened.
+    """
+
+    def __init__(self, name: str, size: tuple[int, int] = HD) -> None:
+        cv2 = opencv()
+        self._video = cv2.VideoCapture(int(name) if name.isdigit() else name)
+        if not self._video.isOpened():
+            raise CameraError(f"camera {name} cannot be opened")
+        if name.isdigit():
+            self._video.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+            self._video.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+
+    def read(self) -> np.ndarray | None:
+        """As `Frames.read`."""
+        came, picture = self._video.read()
+        return picture if came else None
+
+    def release(self) -> None:
+        """As `Frames.release`."""
+        self._video.release()
+
+
+class Watch(Generic[_Result]):
+    """A thread that looks at each picture, since a camera blocks; it keeps the latest result.
+
+    Args:
+        frames: the camera.
+        look: what is made of a picture; a `CameraError` that it raises is kept as `fault`.
+        clock: the time [s].
+
+    Attributes:
+        fault: why the last picture had no result; empty if it had one.
+        ended: the camera gives no more pictures.
+    """
+
+    def __init__(
+        self,
+        frames: Frames,
+        look: Callable[[np.ndarray], _Result],
+        clock: Callable[[], float] = monotonic,
+    ) -> None:
+        self.fault = ""
+        self.ended = False
+        self._frames = frames
+        self._look = look
+        self._clock = clock
+        self._latest: tuple[_Result, float] | None = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="hpac camera", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                picture = self._frames.read()
+                at = self._clock()
+                if picture is None:
+                    self.fault = "the camera gives no more pictures"
+                    break
+                try:
+                    self._latest = self._look(picture), at
+                    self.fault = ""
+                except CameraError as error:
+                    self.fault = f"{error}"
+        except Exception as error:  # of a thread, which nobody else would see
+            self.fault = f"{type(error).__name__}: {error}"
+        finally:
+            self.ended = True
+            self._frames.release()
+
+    def latest(self) -> tuple[_Result, float] | None:
+        """The latest result and its age [s]; None before the first. Never waits."""
+        latest = self._latest
+        return None if latest is None else (latest[0], self._clock() - latest[1])
+
+    def close(self) -> None:
+        """Let the camera go; at most a second if it hangs."""
+        self._stop.set()
+        self._thread.join(1.0)

@@ -1,0 +1,154 @@
+"""The printed sheet: exact to a tenth of a millimetre, every tag where the code says, its scale to be
+checked.
+"""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+import hpac
+from experiments.pictures import Piece, Pinhole
+from hpac_gym.camera import CameraError, commands
+from hpac_gym.camera.detection import HD, Lens, detect, load_lens
+from hpac_gym.camera.sheet import CHAINS, HAND, OBJECT, PAGE, STRIPS, TAGS, draw, points
+from hpac_gym.model import JOINTS, SERVOS
+from hpac_gym.output import OutputError
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory):
+    """The sheet as a picture, and its dots per mm."""
+    path = tmp_path_factory.mktemp("sheet") / "tags.png"
+    draw(path)
+    picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    return picture, picture.shape[1] / PAGE[0]
+
+
+def test_every_tag_is_printed_where_the_layout_says_and_as_large(printed):
+    picture, dots = printed
+    seen = detect(cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+    assert set(seen) == set(TAGS) == set(range(29))
+    for id, corners in seen.items():
+        x, y = (2 * corners.T + 1.0) / dots  # from the middle of a pixel to the paper's edge
+        np.testing.assert_allclose(np.stack([x, PAGE[1] - y], axis=1), TAGS[id].corners, atol=0.1)
+
+
+def test_its_ruler_is_as_long_as_it_says(printed):
+    picture, dots = printed
+    row = picture[round((PAGE[1] - 14) * dots)]
+    dark = np.flatnonzero(row < 128)
+    assert np.ptp(dark) / dots == pytest.approx(100, abs=0.1)
+
+
+def test_a_pdf_is_a_page_of_a4(tmp_path):
+    draw(tmp_path / "tags.pdf")
+    box = re.search(rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", (tmp_path / "tags.pdf").read_bytes())
+    assert np.array(box.groups(), dtype=float) / 72 * 25.4 == pytest.approx(PAGE, abs=0.01)
+
+
+def test_tags_do_not_overlap_and_lie_on_the_page():
+    for tag in TAGS.values():
+        assert (tag.corners.min(axis=0) > 10).all()
+        assert (tag.corners.max(axis=0) < np.array(PAGE) - 10).all()
+        for other in TAGS.values():
+            apart = np.abs(np.subtract(tag.centre, other.centre)).max()
+            assert tag is other or apart > (tag.size + other.size) / 2 + 2
+
+
+def test_a_strip_names_the_joints_of_its_servo():
+    assert set(CHAINS) == set(STRIPS) == set(SERVOS)
+    joints = [name for chain in CHAINS.values() for name in chain[1:]]
+    assert sorted(joints) == sorted(JOINTS)
+    assert CHAINS["index_mcp"] == ("palm", "index_mcp", "index_pip", "index_dip")
+
+
+def test_a_board_has_its_middle_at_zero_and_is_in_metres():
+    corners = np.concatenate(list(points(OBJECT).values()))
+    np.testing.assert_allclose(corners.mean(axis=0), 0, atol=1e-12)
+    np.testing.assert_allclose(np.ptp(corners, axis=0), [0.027, 0.027, 0])
+    assert points(HAND)[4][0] == pytest.approx([-0.0225, 0.0225, 0])
+
+
+def test_another_kind_of_file_is_one_line(tmp_path, capsys):
+    with pytest.raises(OutputError, match=r"must end in \.pdf, \.svg, \.png"):
+        draw(tmp_path / "tags.doc")
+    assert hpac.main(["tags", "--out", str(tmp_path / "tags.svg")]) == 0
+    assert "measure the line of 100 mm" in capsys.readouterr().out
+
+
+# --- a camera's numbers from the sheet
+
+
+class Turned:
+    """Rendered pictures of the whole sheet from different sides."""
+
+    def __init__(self, count, focal=930.0, seed=0):
+        self._rng = np.random.default_rng(seed)
+        self._left = count
+        self._focal = focal
+
+    def read(self):
+        if not self._left:
+            return None
+        self._left -= 1
+        rng = self._rng
+        place = np.array([*rng.uniform(-0.25, 0.25, 2), rng.uniform(0.35, 0.45)])
+        camera = Pinhole(
+            place, np.array([*rng.uniform(-0.03, 0.03, 2), 0.0]), np.array([1.0, 0.2, 0])
+        )
+        camera = Pinhole(camera.place, camera.target, camera.up, self._focal)
+        sheet = Piece((PAGE[0] / 2, PAGE[1] / 2), *PAGE)
+        return camera.picture([(sheet, np.zeros(3), np.eye(3)[0], np.eye(3)[1])], rng)
+
+    def release(self):
+        pass
+
+
+def test_pictures_of_the_sheet_give_the_camera(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(commands, "Device", lambda *_: Turned(40))
+    path = tmp_path / "camera.json"
+    assert hpac.main(["tags", "--calibrate", "0", "--out", str(path)]) == 0
+    assert "picture 15 of 15" in capsys.readouterr().out
+    lens = load_lens(path)
+    assert lens.focal == pytest.approx((930, 930), rel=0.005)
+    assert lens.centre == pytest.approx((639.5, 359.5), abs=5)
+    assert lens.size == HD
+
+
+def test_the_same_picture_again_calibrates_nothing():
+    class Still(Turned):
+        def read(self):
+            self._rng = np.random.default_rng(0)
+            return super().read()
+
+    with pytest.raises(CameraError, match="1 different pictures with 12 tags"):
+        commands.calibrated(Still(20))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("{", "camera .*: Expecting property name"),
+        ("[1]", "camera .*"),
+        ('{"hpac_camera": 2}', "hpac_camera is not 1"),
+        ('{"hpac_camera": 1, "focal": [1, 2, 3]}', "focal = .* must be 2 numbers"),
+        ('{"hpac_camera": 1, "focal": [-1, 1]}', "must be positive"),
+        ('{"hpac_camera": 1, "zoom": 1}', "zoom"),
+        ('{"hpac_camera": 1, "hand_board": [0, 0, 0]}', "hand_board = .* must be 7 numbers"),
+    ],
+)
+def test_a_malformed_camera_file_is_one_line(tmp_path, text, says):
+    path = tmp_path / "camera.json"
+    path.write_text(text)
+    with pytest.raises(CameraError, match=says):
+        load_lens(path)
+
+
+def test_a_camera_file_is_read_as_it_was_written(tmp_path):
+    lens = Lens(
+        (640, 480), (500.0, 501.0), (320.5, 239.0), (0.1, -0.2, 0, 0, 0), (0, 0, 0, 0, 0, 0, 1)
+    )
+    (tmp_path / "camera.json").write_text(lens.to_json())
+    assert load_lens(tmp_path / "camera.json") == lens
