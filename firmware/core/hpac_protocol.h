@@ -146,6 +146,10 @@ typedef enum {
 
 #define HPAC_NO_SERVO 255u
 
+/* What DEVICE_HELLO can tell of a trim: a table with another one is unusable. */
+#define HPAC_TRIM_MIN_NS (-32768)
+#define HPAC_TRIM_MAX_NS 32767
+
 #define HPAC_BAUD 460800
 #define HPAC_ANGLE_UNIT_URAD 100
 #define HPAC_WATCHDOG_MS 400

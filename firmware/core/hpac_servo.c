@@ -19,7 +19,7 @@ static bool admissible(int64_t ns) { return ns >= HPAC_PULSE_MIN_NS && ns <= HPA
 bool hpac_servo_usable(const hpac_servo_t *servo)
 {
     bool bounded = servo->min_urad >= -URAD_MAX && servo->max_urad <= URAD_MAX && servo->rate_urad_s <= URAD_S_MAX
-                   && servo->trim_ns >= INT16_MIN && servo->trim_ns <= INT16_MAX;
+                   && servo->trim_ns >= HPAC_TRIM_MIN_NS && servo->trim_ns <= HPAC_TRIM_MAX_NS;
     bool ordered = servo->min_urad < servo->max_urad && servo->min_urad <= servo->rest_urad
                    && servo->rest_urad <= servo->max_urad && servo->rate_urad_s > 0 && servo->ns_per_rad > 0
                    && (servo->direction == 1 || servo->direction == -1);

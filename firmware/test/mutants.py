@@ -30,7 +30,8 @@ from pathlib import Path
 from threading import Lock
 
 FIRMWARE = Path(__file__).parents[1]
-PORT = FIRMWARE / "board" / "esp32"
+BOARD = FIRMWARE / "board"
+PORT = BOARD / "esp32"
 JUDGES = {"plain": ("glance", "unit", "driver", "flips"), "sanitized": ("unit", "driver")}
 FRAMES = {"glance": "15000", "driver": "150000"}
 """A glance is the hostile host for a moment."""
@@ -279,7 +280,7 @@ class Workshop:
         self.flags = ("-std=gnu11", *flags, "-g0", "-w")
         test = FIRMWARE / "test"
         self.core = sorted((FIRMWARE / "core").glob("*.c"))
-        self.port = sorted((PORT / "main").glob("*.c"))
+        self.port = [*sorted((PORT / "main").glob("*.c")), BOARD / "loop.c"]
         hostile = [test / "oracle.c", test / "driver.c"]
         self.harness = {
             "glance": hostile,
@@ -304,7 +305,7 @@ class Workshop:
         target = self.folder / f"{name or origin.parent.name + '_' + origin.stem}{variant}.o"
         test = FIRMWARE / "test"
         folders = [FIRMWARE / "core", test, test / "unit", origin.parent]
-        folders += [PORT / "test", PORT / "test" / "stubs", PORT / "main"] if variant else []
+        folders += [BOARD, PORT / "test", PORT / "test" / "stubs", PORT / "main"] if variant else []
         includes = [f"-I{folder}" for folder in folders]
         command = [
             self.compiler,
@@ -325,7 +326,7 @@ class Workshop:
         ours = [(path, "") for path in self.core] + [
             (path, judge) for path in self.port if judge in VARIANTS
         ]
-        ours += [(path, judge if PORT in path.parents else "") for path in self.harness[judge]]
+        ours += [(path, judge if BOARD in path.parents else "") for path in self.harness[judge]]
         objects = [
             mutated if path == instead_of else self.object_of(path, variant)
             for path, variant in ours
@@ -358,7 +359,7 @@ def judge_mutant(workshops: list[Workshop], mutant: Mutant, number: int) -> str:
         source.write_text(mutant.mutated(mutant.source.read_text()))
         mutated: dict[str, Path | None] = {}
         differs = False
-        for judge in VARIANTS if PORT in mutant.source.parents else JUDGES[workshop.folder.name]:
+        for judge in VARIANTS if BOARD in mutant.source.parents else JUDGES[workshop.folder.name]:
             variant = judge if judge in VARIANTS else ""
             if variant not in mutated:
                 mutated[variant] = workshop.compile(source, mutant.source, variant, f"m{number}")

@@ -26,7 +26,7 @@ _FAULT_STEPS = {
     "brownout": "the supply sagged: give the servos one of their own, 5 to 6 V, 6 A or more, ground in common; then hpac clear",
     "crash": "the firmware crashed or hung: report what came before; then hpac clear",
     "supply": "the servo supply fell too low: 5 to 6 V and 6 A or more are needed; then hpac clear",
-    "config": "pins.h has a trim beyond ±32,767 ns, or a trim or direction that takes a pulse out of "
+    "config": "pins.h has a trim outside of −32,768 to 32,767 ns, or a trim or direction that takes a pulse out of "
     "0.5 to 2.5 ms: correct it and flash",
     "overload": "a servo was held closed too long: let it cool for a minute, then hpac clear",
 }

@@ -115,6 +115,12 @@ FRAME_MAX = HEADER_LENGTH + max(message.length for message in MESSAGES.values())
 ANGLE_UNIT = CONSTANTS["angle_unit_urad"] / 1e6
 """One step of an angle on the wire [rad]."""
 
+_TRIM_BITS = 8 * next(
+    part.size for part in MESSAGES["device_hello"].fields if part.name == "trim_ns"
+)
+TRIM_NS = (-(2 ** (_TRIM_BITS - 1)), 2 ** (_TRIM_BITS - 1) - 1)
+"""Smallest and largest zero trim that DEVICE_HELLO can tell [ns]."""
+
 NO_SERVO = 255
 """Value of the `servo` field of an ACK or FAULT that does not concern a single servo."""
 

@@ -22,9 +22,37 @@ def test_a_missing_compiler_is_one_clear_line_and_status_2(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "path", sorted((FIRMWARE / "core").glob("*.[ch]")), ids=lambda path: path.name
+    ("trim", "refused"), [(32_767, False), (32_768, True), (-32_768, False), (-32_769, True)]
 )
-def test_the_core_is_freestanding_without_heap_or_floating_point(path):
+def test_a_trim_that_the_wire_cannot_tell_is_refused_by_both_boards_with_its_bounds(trim, refused):
+    port = FIRMWARE / "board" / "esp32"
+    folders = ("test/stubs", "main", "..", "../../core")
+    command = ["cc", "-fsyntax-only", "-std=gnu11", "-DSTUB_TARGET=32"]
+    command += [
+        f"-DSERVO_TRIMS_NS=0, 0, {trim}, 0, 0, 0",
+        *(f"-I{port / folder}" for folder in folders),
+    ]
+    compiled = subprocess.run(
+        [*command, port / "main" / "main.c"], capture_output=True, text=True, check=False
+    )
+    assert (compiled.returncode != 0) == refused
+    assert ("outside of -32768 to 32767 ns" in compiled.stderr) == refused
+    host = subprocess.run(
+        [FIRMWARE / "build" / "hpac_host", "--trim", "2", str(trim), "--parent", "1"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    said = f"hpac_host: --trim 2 {trim} ns, allowed -32768 to 32767 ns\n" if refused else ""
+    assert (host.returncode, host.stderr) == (2 * refused, said)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [*sorted((FIRMWARE / "core").glob("*.[ch]")), *sorted((FIRMWARE / "board").glob("*.[ch]"))],
+    ids=lambda path: path.name,
+)
+def test_core_and_loop_are_freestanding_without_heap_or_floating_point(path):
     text = path.read_text()
     included = {line.split()[1] for line in text.splitlines() if line.startswith("#include <")}
     assert included <= {"<stdint.h>", "<stdbool.h>", "<stddef.h>"}

@@ -17,9 +17,9 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "hpac_hand.h"
+#include "loop.h"
 
-#define TICK_US 1000u
+#define TICK_MS 1
 
 typedef struct {
     const char *pulses_path;
@@ -30,6 +30,15 @@ typedef struct {
 } options_t;
 
 static volatile sig_atomic_t stopped;
+static int port = -1;
+static FILE *pulse_log;
+static uint64_t start_us;
+
+/* Answers on their way: a host that does not read stalls them, and nothing else. */
+static struct {
+    uint8_t bytes[HPAC_TX_CAPACITY];
+    size_t length;
+} pending;
 
 static void stop(int signal_number)
 {
@@ -43,6 +52,57 @@ static uint64_t clock_us(void)
     clock_gettime(CLOCK_MONOTONIC, &now);
     return (uint64_t)now.tv_sec * 1000000u + (uint64_t)now.tv_nsec / 1000u;
 }
+
+/* --- what loop.h asks for: no servo supply, no e-stop input --- */
+
+uint64_t board_clock_us(void) { return clock_us() - start_us; }
+
+size_t board_read(uint8_t *bytes, size_t capacity)
+{
+    ssize_t length = read(port, bytes, capacity);
+    return length > 0 ? (size_t)length : 0u;
+}
+
+size_t board_room(void)
+{
+    ssize_t sent = pending.length > 0u ? write(port, pending.bytes, pending.length) : 0;
+    if (sent > 0) {
+        pending.length -= (size_t)sent;
+        memmove(pending.bytes, pending.bytes + sent, pending.length);
+    }
+    return sizeof pending.bytes - pending.length;
+}
+
+void board_write(const uint8_t *bytes, size_t length)
+{
+    memcpy(pending.bytes + pending.length, bytes, length);
+    pending.length += length;
+    board_room();
+}
+
+void board_power(bool on) { (void)on; }
+
+bool board_estop_pressed(void) { return false; }
+
+uint16_t board_supply_mv(void) { return 0; }
+
+bool servo_output_write(const uint32_t pulses[HPAC_SERVOS])
+{
+    static uint32_t last[HPAC_SERVOS];
+    if (pulse_log == NULL || memcmp(pulses, last, sizeof last) == 0) {
+        return true;
+    }
+    memcpy(last, pulses, sizeof last);
+    fprintf(pulse_log, "%llu", (unsigned long long)board_clock_us());
+    for (int i = 0; i < HPAC_SERVOS; i++) {
+        fprintf(pulse_log, ",%lu", (unsigned long)pulses[i]);
+    }
+    fputc('\n', pulse_log);
+    fflush(pulse_log);
+    return true;
+}
+
+/* --- the process --- */
 
 static int fail(const char *what)
 {
@@ -73,7 +133,12 @@ static bool read_options(int count, char **arguments, options_t *options)
         } else if (strcmp(name, "--parent") == 0 && left >= 1) {
             options->parent = strtol(arguments[++i], NULL, 10);
         } else if (strcmp(name, "--trim") == 0 && left >= 2 && read_servo(arguments[i + 1], &servo)) {
-            options->config.servo[servo].trim_ns = (int32_t)strtol(arguments[i + 2], NULL, 10);
+            long trim_ns = strtol(arguments[i + 2], NULL, 10);
+            if (trim_ns < HPAC_TRIM_MIN_NS || trim_ns > HPAC_TRIM_MAX_NS) {
+                fprintf(stderr, "hpac_host: --trim %d %ld ns, allowed %d to %d ns\n", servo, trim_ns, HPAC_TRIM_MIN_NS, HPAC_TRIM_MAX_NS);
+                return false;
+            }
+            options->config.servo[servo].trim_ns = (int32_t)trim_ns;
             i += 2;
         } else if (strcmp(name, "--reverse") == 0 && left >= 1 && read_servo(arguments[i + 1], &servo)) {
             options->config.servo[servo].direction = -1;
@@ -90,11 +155,11 @@ static bool read_options(int count, char **arguments, options_t *options)
 /* Open a raw pseudo-terminal. Its far end stays open here too, so that a host may come and go. */
 static int open_port(void)
 {
-    int port = posix_openpt(O_RDWR | O_NOCTTY);
-    if (port < 0 || grantpt(port) != 0 || unlockpt(port) != 0) {
+    int near_end = posix_openpt(O_RDWR | O_NOCTTY);
+    if (near_end < 0 || grantpt(near_end) != 0 || unlockpt(near_end) != 0) {
         return -1;
     }
-    int far_end = open(ptsname(port), O_RDWR | O_NOCTTY);
+    int far_end = open(ptsname(near_end), O_RDWR | O_NOCTTY);
     struct termios settings;
     if (far_end < 0 || tcgetattr(far_end, &settings) != 0) {
         return -1;
@@ -103,81 +168,35 @@ static int open_port(void)
     settings.c_oflag = 0;
     settings.c_lflag = 0;
     settings.c_cflag = CS8 | CREAD | CLOCAL;
-    if (tcsetattr(far_end, TCSANOW, &settings) != 0 || fcntl(port, F_SETFL, O_NONBLOCK) != 0) {
+    if (tcsetattr(far_end, TCSANOW, &settings) != 0 || fcntl(near_end, F_SETFL, O_NONBLOCK) != 0) {
         return -1;
     }
-    return port;
+    return near_end;
 }
 
-static void log_pulses(FILE *log, uint64_t now_us, const uint32_t pulses[HPAC_SERVOS], uint32_t last[HPAC_SERVOS])
-{
-    if (log == NULL || memcmp(pulses, last, HPAC_SERVOS * sizeof pulses[0]) == 0) {
-        return;
-    }
-    memcpy(last, pulses, HPAC_SERVOS * sizeof pulses[0]);
-    fprintf(log, "%llu", (unsigned long long)now_us);
-    for (int i = 0; i < HPAC_SERVOS; i++) {
-        fprintf(log, ",%lu", (unsigned long)pulses[i]);
-    }
-    fputc('\n', log);
-    fflush(log);
-}
-
-typedef struct {
-    uint8_t bytes[HPAC_TX_CAPACITY];
-    size_t length;
-} pending_t;
-
-/* Send what is pending, then what the hand has to say. A host that does not read stalls this, and nothing else. */
-static void send_answers(int port, hpac_hand_t *hand, pending_t *pending)
-{
-    if (pending->length == 0u) {
-        pending->length = hpac_hand_transmit(hand, pending->bytes, sizeof pending->bytes);
-    }
-    if (pending->length == 0u) {
-        return;
-    }
-    ssize_t sent = write(port, pending->bytes, pending->length);
-    if (sent > 0) {
-        pending->length -= (size_t)sent;
-        memmove(pending->bytes, pending->bytes + sent, pending->length);
-    }
-}
-
-static void run(int port, const options_t *options, FILE *log)
+static void run(const options_t *options)
 {
     static const char boot_text[] = "ets Jul 29 2019 12:21:46\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13\r\n";
-    hpac_hand_t hand;
-    pending_t pending = { .length = 0 };
-    uint32_t pulses[HPAC_SERVOS];
-    uint32_t last[HPAC_SERVOS] = { 0 };
-    uint64_t start_us = clock_us();
-    uint64_t next_us = 0;
+    static loop_t loop;
+    loop_memory_t kept;
     hpac_memory_t at_rest = { .heat = { 0 } };
     for (int i = 0; i < HPAC_SERVOS; i++) {
         at_rest.pose[i] = options->config.servo[i].rest_urad;
     }
-    hpac_hand_init(&hand, &options->config, HPAC_RESET_POWER_ON, 1, options->cold ? NULL : &at_rest);
-    if (options->boot_text) {
-        pending.length = sizeof boot_text - 1u;
-        memcpy(pending.bytes, boot_text, pending.length);
+    start_us = clock_us();
+    loop_start(&loop, &options->config, HPAC_RESET_POWER_ON, &kept);
+    if (!options->cold) {
+        hpac_hand_init(&loop.hand, &options->config, HPAC_RESET_POWER_ON, 1, &at_rest);
     }
+    if (options->boot_text) {
+        board_write((const uint8_t *)boot_text, sizeof boot_text - 1u);
+    }
+    loop.period_us = TICK_MS * 1000u;
     while (!stopped && (options->parent == 0 || getppid() == options->parent)) {
-        uint8_t received[256];
-        uint64_t now_us = clock_us() - start_us;
         struct pollfd waiting = { .fd = port, .events = POLLIN };
-        poll(&waiting, 1, now_us < next_us ? 1 : 0);
-        ssize_t length = read(port, received, sizeof received);
-        now_us = clock_us() - start_us;
-        if (length > 0) {
-            hpac_hand_receive(&hand, &options->config, now_us, received, (size_t)length);
-        } else if (now_us < next_us) {
-            continue;
-        }
-        next_us = now_us + TICK_US;
-        hpac_hand_tick(&hand, &options->config, now_us, pulses);
-        log_pulses(log, now_us, pulses, last);
-        send_answers(port, &hand, &pending);
+        poll(&waiting, 1, TICK_MS);
+        loop.next_us = board_clock_us(); /* every change is logged, before the answer that tells of it is sent */
+        loop_once(&loop);
     }
 }
 
@@ -190,19 +209,18 @@ int main(int count, char **arguments)
     }
     signal(SIGTERM, stop);
     signal(SIGINT, stop);
-    int port = open_port();
+    port = open_port();
     if (port < 0) {
         return fail("cannot open a pseudo-terminal");
     }
-    FILE *log = NULL;
-    if (options.pulses_path != NULL && (log = fopen(options.pulses_path, "w")) == NULL) {
+    if (options.pulses_path != NULL && (pulse_log = fopen(options.pulses_path, "w")) == NULL) {
         return fail(options.pulses_path);
     }
     printf("%s\n", ptsname(port));
     fflush(stdout);
-    run(port, &options, log);
-    if (log != NULL) {
-        fclose(log);
+    run(&options);
+    if (pulse_log != NULL) {
+        fclose(pulse_log);
     }
     return 0;
 }

@@ -82,7 +82,7 @@
 #define SERVOS_HOLD_UNPOWERED 0
 #endif
 
-/* Zero trims [ns], added to every pulse, and directions, -1 for a servo mounted the other way round. */
+/* Zero trims, -32768 to 32767 [ns], added to every pulse, and directions, -1 for a servo mounted the other way round. */
 #ifndef SERVO_TRIMS_NS
 #define SERVO_TRIMS_NS 0, 0, 0, 0, 0, 0
 #endif

@@ -9,8 +9,8 @@ port() {
     printf 'esp32 port, %s: ' "$name"
     # shellcheck disable=SC2086 # flags are words
     ${CC:-cc} ${WARNINGS:--Wall} -std=gnu11 -g -fsanitize=address,undefined "$@" -I. -Istubs -I../main \
-        -I../../../core -I../../../test -o ../../../build/esp32_port \
-        ../main/*.c fake.c test_port.c ../../../test/oracle.c ../../../core/*.c -lm
+        -I../.. -I../../../core -I../../../test -o ../../../build/esp32_port \
+        ../main/*.c ../../loop.c fake.c test_port.c ../../../test/oracle.c ../../../core/*.c -lm
     ../../../build/esp32_port
 }
 pins() {

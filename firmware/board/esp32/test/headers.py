@@ -14,6 +14,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 MAIN = HERE.parent / "main"
+LOOP = HERE.parents[1] / "loop.c"
 CORE = HERE.parents[2] / "core"
 OLDEST = (5, 2)
 CHIPS = {
@@ -117,9 +118,9 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         for chip, wirings in CHIPS.items():
             Path(folder, "sdkconfig.h").write_text(sdkconfig(idf, chip))
-            paths = [Path(folder), MAIN, CORE, *folders_of(idf, chip)]
+            paths = [Path(folder), MAIN, LOOP.parent, CORE, *folders_of(idf, chip)]
             for wiring in wirings:
-                for source in sorted(MAIN.glob("*.c")):
+                for source in [*sorted(MAIN.glob("*.c")), LOOP]:
                     command = [
                         *compiler,
                         "-fsyntax-only",
@@ -134,12 +135,12 @@ def main() -> int:
                     ours = [
                         line
                         for line in done.stderr.splitlines()
-                        if "error:" in line or str(MAIN) in line
+                        if "error:" in line or str(MAIN) in line or str(LOOP) in line
                     ]
                     if done.returncode or ours:
                         wrong += 1
                         print(f"{chip} {' '.join(wiring)} {source.name}:", *ours[:5], sep="\n  ")
-    count = sum(map(len, CHIPS.values())) * len(list(MAIN.glob("*.c")))
+    count = sum(map(len, CHIPS.values())) * (len(list(MAIN.glob("*.c"))) + 1)
     print(
         f"idf-headers: ESP-IDF {version[0]}.{version[1]}, {len(CHIPS)} chips, {count} compilations, {wrong} wrong"
     )
