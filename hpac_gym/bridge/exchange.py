@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from os import PathLike
+from weakref import WeakMethod
 
 import numpy as np
 
@@ -141,8 +142,8 @@ class Exchange:
         refused: the latest refused message that was sent without waiting for an answer, and its
             refusal; or None.
         host_frames: number of received frames of host message types, which indicate an echo.
-        on_ack: called with every message that was sent without waiting, and its ACK; None keeps the
-            latest refusal in `refused` instead.
+        on_ack: weak reference to a method, called with every message that was sent without waiting,
+            and its ACK; None keeps the latest refusal in `refused` instead.
     """
 
     def __init__(
@@ -159,7 +160,7 @@ class Exchange:
         self.sent: dict[str, int] = dict.fromkeys(MESSAGES, 0)
         self.refused: tuple[Frame, Frame] | None = None
         self.host_frames = 0
-        self.on_ack: Callable[[Frame, Frame], None] | None = None
+        self.on_ack: WeakMethod[Callable[[Frame, Frame], None]] | None = None
         self._statistics = statistics
         self._known = known
         self._check = check
@@ -279,8 +280,9 @@ class Exchange:
                 self._statistics.round_trips.append(round_trip)
         elif frame.name == "ack":
             sent = next((sent for sent in self._unacknowledged if sent.seq == frame.seq), None)
-            if sent is not None and self.on_ack is not None:
-                self.on_ack(sent, frame)
+            on_ack = self.on_ack and self.on_ack()
+            if sent is not None and on_ack:
+                on_ack(sent, frame)
             elif sent is not None and frame.fields["reason"] != Reason.ok:
                 self.refused = sent, frame
         self._known.take_in(frame, answered)

@@ -4,20 +4,24 @@ wait during the release.
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from time import monotonic
+from time import monotonic, sleep
 from types import CodeType, FrameType
 from typing import Any, NoReturn
 from weakref import WeakSet
 
 _SAME_INTENT = 1.0
 """A second signal within this time of the first counts as a repetition [s]."""
+_TAKEN_WITHIN = 0.05
+"""Time in which the main thread takes a signal, unless it waits in a call of the system [s]."""
 
 
 class _Interrupts:
@@ -28,14 +32,21 @@ class _Interrupts:
     (`KeyboardInterrupt`, or `SystemExit` with 128 + its number), so that every `with` releases its
     hand. Signals that arrive while a link is being closed are delayed until it is closed. A second
     signal within a second is a repetition, and must not interrupt the clean-up that the first
-    started."""
+    started.
+
+    Python runs handlers in the main thread alone, but the system may give a signal to any thread,
+    such as one of a BLAS library: all that come while the process is stopped (Ctrl-Z). Nothing then
+    ends the main thread's wait, so a thread watches for such signals while there are links."""
 
     def __init__(self) -> None:
         self._closing: set[CodeType] = set()
         self._before: dict[int, Any] = {}
+        self._came: socket.socket | None = None
+        self._watched = False
         self.closing(type(self)._end_links)
         self.begin()
-        os.register_at_fork(after_in_child=self.begin)
+        atexit.register(self._end_links)  # at import: what a program registers later, runs before
+        os.register_at_fork(after_in_child=self._begin_in_child)
 
     def begin(self) -> None:
         """Begin without links: in a new process, which a fork may have left its parent's."""
@@ -44,6 +55,14 @@ class _Interrupts:
         self._raised_at = -_SAME_INTENT
         self._held: list[int] = []
         self._ends_with_process = False
+
+    def _begin_in_child(self) -> None:
+        """Begin in a forked child, whose signals must not wake its parent."""
+        if self._came is not None:
+            signal.set_wakeup_fd(-1)
+        self._came = None
+        self._watched = False
+        self.begin()
 
     def closing(self, function: Callable) -> Callable:
         """Mark a function during which signals are delayed."""
@@ -61,6 +80,15 @@ class _Interrupts:
             if number is not None and _is_default(handler := signal.getsignal(number)):
                 self._before[number] = handler
                 signal.signal(number, self._on_signal)
+        wake = getattr(signal, "SIGURG", None)  # without an effect of its own
+        free = wake and signal.getsignal(wake) in (signal.SIG_DFL, _wake)
+        if self._came is None and free:
+            self._came, self._wakes = socket.socketpair()
+            self._wakes.setblocking(False)
+            before = signal.set_wakeup_fd(self._wakes.fileno(), warn_on_full_buffer=False)
+            if before != -1:  # of a loop that wakes up by itself
+                signal.set_wakeup_fd(before)
+            signal.signal(wake, _wake)
 
     def link_opened(self, link: Any) -> None:
         """Take a link under protection.
@@ -78,6 +106,9 @@ class _Interrupts:
             if parent_process() is not None:
                 util.Finalize(None, self._end_links, exitpriority=100)
                 self._ends_with_process = True
+        if self._came is not None and not self._watched:
+            self._watched = True
+            threading.Thread(target=self._watch, args=(self._came,), daemon=True).start()
         self._links.add(link)
         self._mask(signal.SIG_BLOCK)
 
@@ -110,6 +141,14 @@ class _Interrupts:
                 with suppress(Exception):
                     link.end()
 
+    @staticmethod
+    def _watch(came: socket.socket) -> None:
+        """Interrupt the main thread's wait after each signal."""
+        while numbers := came.recv(4096):
+            if set(numbers) != {signal.SIGURG}:
+                sleep(_TAKEN_WITHIN)
+                signal.pthread_kill(threading.main_thread().ident, signal.SIGURG)
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if not self._links:
             signal.signal(number, self._before[number])
@@ -132,6 +171,10 @@ class _Interrupts:
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         raise SystemExit(128 + number)
+
+
+def _wake(_number: int, _frame: FrameType | None) -> None:
+    """Handle a signal that only ends a wait."""
 
 
 def _is_default(handler: Any) -> bool:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Protocol
+from weakref import WeakMethod
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,7 +102,8 @@ class Stream:
         # The last command before a request of STATUS, by the request's number.
         self._asked: dict[int, int] = {}
         self._exchange = link.exchange
-        self._exchange.on_ack = self._answered
+        # Weak: a forgotten link, which the stream holds, must end.
+        self._exchange.on_ack = WeakMethod(self._answered)
         self._sent_at = -np.inf
         self._waited = False
         self.begin()

@@ -1,9 +1,14 @@
 """Random programs of users against the firmware in real time: however one ends, its hand has no
 pulses, or the program said so, and its port is free.
 
-A program is drawn from ways to open a link, to drive the hand and to end; signals come from outside
-at a random moment. Each runs with a board of its own. `os._exit` and SIGKILL are left out: no
-program can release a hand then, and the watchdog is there for it. They are the negative control."""
+A program is drawn from ways to open a link, surroundings that it is opened in, ways to drive the
+hand and to end; signals come from outside at random moments, some while the program is stopped
+(Ctrl-Z). Each runs with a board of its own. A program that ends without a chance to release its
+hand (`os._exit`, SIGKILL, `exec`) is what the watchdog is for: it is counted apart, and its hand must
+be off once the watchdog and the safe action have run.
+
+`--control` runs the same programs with one part of the bridge's ending taken out, and must find
+some that leave something."""
 
 from __future__ import annotations
 
@@ -14,7 +19,6 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from textwrap import indent
@@ -29,17 +33,20 @@ from hpac_gym.command import run_module, whole_number
 
 SETTLED = 0.5
 """Time after a program's end at which its hand is looked at [s]."""
+WATCHDOG_TIME = 2.0 + 3.2 + SETTLED
+"""The same after an end that is left to the watchdog: its longest period, and a relax [s]."""
 PATIENCE = 30.0
-"""Time in which a program must have ended after its signal [s]."""
-SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+"""Time in which a program must have ended after its last signal [s]."""
+SIGNALS = ("SIGINT", "SIGINT", "SIGTERM", "SIGHUP")
 
 _HEAD = """
-import asyncio, code, gc, multiprocessing, os, signal, sys, threading, time
+import asyncio, atexit, code, gc, multiprocessing, os, signal, sys, threading, time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, closing
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from hpac_gym.bridge import Action, HandLink
 from hpac_gym.model import HPAC, ServoCommand
-
+{broken}
 PORT = sys.argv[1]
 
 def drive(link):
@@ -48,11 +55,14 @@ def drive(link):
     link.move(ServoCommand(0.6 * HPAC.servo_max, 0.8))
     {work}
 
+def session():
+{session}
+
 def main():
 {main}
 
 if __name__ == "__main__":
-    {end}
+    main()
 """
 
 WORKS = (
@@ -60,14 +70,24 @@ WORKS = (
     "link.wait()",
     "time.sleep({seconds})",
     "[link.status() for _ in range(40)]",
+    "stream = link.stream(); [stream.send(0.6 * HPAC.servo_max) for _ in range(20)]",
     "sum(i * i for i in range(2_000_000)); link.sleep({seconds})",
     "raise ValueError('a mistake of the user')",
     "sys.exit(3)",
     "raise KeyboardInterrupt",
+    "link.estop()",
+    "link.reconnect(); link.arm(); link.sleep({seconds})",
 )
 """What a program does with its armed hand."""
 
-MAINS = {
+UNSEEN = (
+    "os._exit(0)",
+    "os.kill(os.getpid(), signal.SIGKILL)",
+    "os.execv(sys.executable, [sys.executable, '-c', 'pass'])",
+)
+"""Ends that no program can see coming."""
+
+CLOSED = {
     "with": """
 with HandLink(PORT) as link:
     drive(link)
@@ -79,12 +99,6 @@ try:
     drive(link)
 finally:
     link.close()
-""",
-    "forgotten": """
-global link
-link = HandLink(PORT)
-link.connect()
-drive(link)
 """,
     "collected": """
 link = HandLink(PORT)
@@ -98,36 +112,33 @@ with ExitStack() as stack:
     link = stack.enter_context(HandLink(PORT))
     drive(link)
 """,
-    "worker thread": """
-def work():
+    "closing": """
+with closing(HandLink(PORT)) as link:
+    link.connect()
+    drive(link)
+""",
+    "context manager of the user": """
+@contextmanager
+def hand():
+    link = HandLink(PORT)
+    link.connect()
+    try:
+        yield link
+    finally:
+        link.close()
+with hand() as link:
+    drive(link)
+""",
+    "generator, closed": """
+def hand():
     with HandLink(PORT) as link:
         drive(link)
-thread = threading.Thread(target=work)
-thread.start()
-thread.join()
-""",
-    "daemon thread": """
-def work():
-    with HandLink(PORT) as link:
-        drive(link)
-thread = threading.Thread(target=work, daemon=True)
-thread.start()
-thread.join(2.0)
-""",
-    "thread uses main's link": """
-with HandLink(PORT) as link:
-    thread = threading.Thread(target=drive, args=(link,))
-    thread.start()
-    time.sleep(0.9)
-    {stop}
-thread.join()
-""",
-    "executor": """
-def work():
-    with HandLink(PORT) as link:
-        drive(link)
-with ThreadPoolExecutor(1) as pool:
-    pool.submit(work).result()
+        while True:
+            yield link.status()
+steps = hand()
+for _ in range(5):
+    next(steps)
+steps.close()
 """,
     "asyncio, blocking": """
 async def work():
@@ -155,16 +166,23 @@ async def both():
     await task
 asyncio.run(both())
 """,
-    "generator, closed": """
-def hand():
-    with HandLink(PORT) as link:
-        drive(link)
-        while True:
-            yield link.status()
-steps = hand()
-for _ in range(5):
-    next(steps)
-steps.close()
+    "fork, child ends": """
+with HandLink(PORT) as link:
+    drive(link)
+    if os.fork() == 0:
+        sys.exit(0)
+    os.wait()
+    link.heartbeat()
+""",
+}
+"""Ways to open a link that release the hand on their way out, by name."""
+
+KEPT = {
+    "forgotten": """
+global link
+link = HandLink(PORT)
+link.connect()
+drive(link)
 """,
     "generator, forgotten": """
 def hand():
@@ -177,51 +195,21 @@ steps = hand()
 for _ in range(5):
     next(steps)
 """,
-    "context manager of the user": """
-@contextmanager
-def hand():
-    link = HandLink(PORT)
-    link.connect()
-    try:
-        yield link
-    finally:
-        link.close()
-with hand() as link:
-    drive(link)
+    "daemon thread": """
+def work():
+    with HandLink(PORT) as link:
+        drive(link)
+thread = threading.Thread(target=work, daemon=True)
+thread.start()
+thread.join(2.0)
 """,
-    "fork, child ends": """
+    "thread uses main's link": """
 with HandLink(PORT) as link:
-    drive(link)
-    if os.fork() == 0:
-        sys.exit(0)
-    os.wait()
-    link.heartbeat()
-""",
-    "fork, child opens": """
-child = os.fork()
-if child == 0:
-    with HandLink(PORT) as link:
-        drive(link)
-    sys.exit(0)
-os.waitpid(child, 0)
-""",
-    "multiprocessing, child opens": """
-def work():
-    with HandLink(PORT) as link:
-        drive(link)
-child = multiprocessing.get_context("fork").Process(target=work)
-child.start()
-child.join()
-""",
-    "multiprocessing, global link": """
-def work():
-    global link
-    link = HandLink(PORT)
-    link.connect()
-    drive(link)
-child = multiprocessing.get_context("fork").Process(target=work)
-child.start()
-child.join()
+    thread = threading.Thread(target=drive, args=(link,))
+    thread.start()
+    time.sleep(0.9)
+    {stop}
+thread.join()
 """,
     "notebook": """
 console = code.InteractiveInterpreter(globals())
@@ -234,43 +222,105 @@ for cell in (
 ):
     console.runsource(cell)
 """,
+    "cells": """
+cells = ("link = HandLink(PORT); link.connect()", "drive(link)", "link.heartbeat()", "{stop}")
+for cell in cells:
+    try:
+        exec(cell, globals())
+    except (KeyboardInterrupt, Exception) as error:
+        print(repr(error))
+""",
     "own signal handler": """
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
 with HandLink(PORT) as link:
     drive(link)
 """,
-    "swallows errors": """
-try:
-    with HandLink(PORT) as link:
-        drive(link)
-except BaseException as error:
-    print(type(error).__name__)
-""",
 }
-"""How a program opens a link, by name."""
+"""Ways that release it at the end of the program, or of another thread."""
 
 STOPS = ("pass", "link.estop()", "link.close()", "sys.exit(1)")
-CONTROL = """
-link = HandLink(PORT)
-link.connect()
-drive(link)
-os._exit(0)
+
+AROUND = {
+    "alone": "session()",
+    "thread": """
+thread = threading.Thread(target=session)
+thread.start()
+thread.join()
+""",
+    "executor": """
+with ThreadPoolExecutor(1) as pool:
+    pool.submit(session).result()
+""",
+    "fork": """
+child = os.fork()
+if child == 0:
+    session()
+    sys.exit(0)
+os.waitpid(child, 0)
+""",
+    "multiprocessing": """
+child = multiprocessing.get_context("fork").Process(target=session)
+child.start()
+child.join()
+""",
+    "at exit": "atexit.register(session)",
+}
+"""What the link is opened in, by name."""
+
+SURVIVES = """
+try:
+    session()
+except BaseException as error:
+    print(type(error).__name__)
+gc.collect()
+with HandLink(PORT) as again:
+    print("again", again.state)
 """
-"""A program that must be found out."""
+"""A program that goes on, and needs its port again."""
+
+CONTROLS = {
+    "handlers": """
+from hpac_gym.bridge import interrupts
+for number in (signal.SIGTERM, signal.SIGHUP):
+    signal.signal(number, signal.SIG_DFL)
+interrupts.interrupts.install = lambda: None
+""",
+    "release": """
+from hpac_gym.bridge import connection
+connection.Connection._release = lambda self: ("", None)
+""",
+    "finalizer": """
+import weakref
+weakref.finalize = lambda *_: type("Never", (), {"detach": lambda self: None})()
+""",
+    "close": """
+from hpac_gym.bridge.transport import SerialTransport
+kept_open = []
+SerialTransport.close = kept_open.append
+""",
+}
+"""Parts of the ending, by name, and what takes each out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """One program and the signal that it gets from outside."""
+    """One program and the signals that it gets from outside."""
 
     kind: str
     text: str
+    unseen: bool
+    """Whether it ends without a chance to release its hand."""
     signals: tuple[str, ...]
     """Signals in their order; none for a program that is left alone."""
-    delay: float
-    """Time of the first one after the program says that it is armed, the others 0.1 s apart [s]."""
+    from_start: bool
+    """Whether the first one comes after the program's start, else after the first pulse."""
+    delays: tuple[float, ...]
+    """Time before each signal [s]."""
+    stopped: bool
+    """Whether the program is stopped (Ctrl-Z) meanwhile, and then goes on."""
     to_group: bool
     """Whether children get them too, as from a terminal."""
+    blas_threads: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,27 +334,49 @@ class Verdict:
     """Whether the program said that the hand may still have pulses."""
     output: str
 
+    def __str__(self) -> str:
+        program = self.program
+        return (
+            f"--- {self.left or 'nothing left'}: {program.kind}, {program.signals} after {program.delays} s from "
+            f"{'the start' if program.from_start else 'the first pulse'}, stopped {program.stopped}, group {program.to_group}, "
+            f"{program.blas_threads} BLAS threads\n{program.text}\n--- it said\n{self.output}"
+        )
 
-def drawn(rng: np.random.Generator, control: bool = False) -> Program:
-    """Draw one program."""
-    kind = "control" if control else str(rng.choice(list(MAINS)))
-    main = CONTROL if control else MAINS[kind]
+
+def drawn(rng: np.random.Generator, broken: str = "") -> Program:
+    """Draw one program; `broken` takes out a part of the ending."""
+    unseen = bool(rng.random() < 0.05)
+    around = "survives" if rng.random() < 0.15 else str(rng.choice(list(AROUND)))
+    ways = CLOSED if around == "survives" else CLOSED | KEPT
+    way = str(rng.choice(list(ways)))
+    if (
+        around == "executor" and "os.fork" in ways[way]
+    ):  # it keeps the child's exit as a result, and waits for ever
+        around = "thread"
     seconds = f"{rng.uniform(0.1, 1.5):.2f}"
-    work = "link.wait()" if control else str(rng.choice(WORKS)).format(seconds=seconds)
+    stop = str(rng.choice(STOPS))
+    main = SURVIVES if around == "survives" else AROUND[around]
+    # A hold would keep the hand of an unseen end on for half a minute.
     text = _HEAD.format(
-        action="hold" if control else rng.choice(["hold", "relax", "detach"]),
+        broken=broken,
+        action=rng.choice(["relax", "detach"] if unseen else ["hold", "relax", "detach"]),
         watchdog=rng.choice([0.4, 2.0]),
-        work=work,
-        main=indent(main.strip("\n").replace("{stop}", str(rng.choice(STOPS))), "    "),
-        end="main()",
+        work=rng.choice(UNSEEN if unseen else WORKS).format(seconds=seconds),
+        session=indent(ways[way].strip("\n").replace("{stop}", stop), "    "),
+        main=indent(main.strip("\n"), "    "),
     )
-    count = 0 if control else int(rng.choice([0, 1, 1, 2]))
+    signals = tuple(rng.choice(SIGNALS, rng.choice([0, 1, 1, 2, 3])).tolist())
+    gaps = 10 ** rng.uniform(-3, 0.2, len(signals))
     return Program(
-        kind,
+        f"{way}, {around}",
         text,
-        tuple(rng.choice(SIGNALS, count).tolist()),
-        float(rng.uniform(-0.5, 1.5)),
+        unseen,
+        signals,
+        bool(rng.random() < 0.3),
+        tuple(float(gap) for gap in np.round(gaps, 4)),
+        bool(rng.random() < 0.2),
         bool(rng.random() < 0.5),
+        int(rng.choice([1, 2])),
     )
 
 
@@ -317,41 +389,45 @@ def judged(program: Program) -> Verdict:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
-            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            env=os.environ | {"OPENBLAS_NUM_THREADS": str(program.blas_threads)},
         )
-        said = _signalled(process, program, board)
         try:
-            said += process.communicate(timeout=PATIENCE)[0]
+            _signal(process, program, board)
+            said = process.communicate(timeout=PATIENCE)[0]
             _wait_for_group(process.pid)
         except (subprocess.TimeoutExpired, TimeoutError):
             os.killpg(process.pid, signal.SIGKILL)
-            return Verdict(program, "running", False, said + process.communicate()[0])
-        time.sleep(SETTLED)
+            return Verdict(program, "running", False, process.communicate()[0])
         told = "UnconfirmedWarning" in said
+        time.sleep(WATCHDOG_TIME if program.unseen else SETTLED)
         left = "on" if board.pulses().any() and not told else ""
         try:
             SerialTransport(board.port).close()
         except PortError:
             left = "locked"
+        if "is used by another program" in said:
+            left = "locked"
         return Verdict(program, left, told, said)
 
 
-def _signalled(process: subprocess.Popen, program: Program, board: HostBoard) -> str:
-    """Send the program its signals; returns what it said so far."""
-    if not program.signals:
-        return ""
+def _signal(process: subprocess.Popen[str], program: Program, board: HostBoard) -> None:
+    """Send a program its signals."""
     deadline = time.monotonic() + PATIENCE
-    while process.poll() is None and time.monotonic() < deadline and not board.pulses().any():
-        time.sleep(0.01)
-    time.sleep(max(program.delay, 0.0))
-    for name in program.signals:
-        try:
-            send = os.killpg if program.to_group else os.kill
+    while program.signals and not program.from_start and not board.pulses().any():
+        if process.poll() is not None or time.monotonic() > deadline:
+            return
+        time.sleep(0.005)
+    send = os.killpg if program.to_group else os.kill
+    try:
+        if program.stopped:
+            send(process.pid, signal.SIGSTOP)
+        for name, delay in zip(program.signals, program.delays, strict=True):
+            time.sleep(delay)
             send(process.pid, getattr(signal, name))
-        except ProcessLookupError:
-            break
-        time.sleep(0.1)
-    return ""
+        if program.stopped:
+            send(process.pid, signal.SIGCONT)
+    except ProcessLookupError:
+        return
 
 
 def _wait_for_group(group: int) -> None:
@@ -365,27 +441,34 @@ def _wait_for_group(group: int) -> None:
     raise TimeoutError
 
 
-def run_programs(
-    count: int, seed: int, workers: int = 2, control: bool = False
-) -> Sequence[Verdict]:
-    """Judge `count` programs drawn from a seed."""
-    programs = [drawn(np.random.default_rng([seed, place]), control) for place in range(count)]
+def run_programs(count: int, seed: int, workers: int = 2, control: str = "") -> list[Verdict]:
+    """Judge `count` programs drawn from a seed; `control` names a part of `CONTROLS` to take out."""
+    broken = CONTROLS.get(control, "")
+    programs = [drawn(np.random.default_rng([seed, place]), broken) for place in range(count)]
     with ThreadPoolExecutor(workers) as pool:
-        bar = tqdm(total=count, desc="programs", unit="program", disable=not sys.stderr.isatty())
-        verdicts = []
-        for verdict in pool.map(judged, programs):
-            verdicts.append(verdict)
-            bar.update()
-        bar.close()
-    return verdicts
+        verdicts = pool.map(judged, programs)
+        return list(tqdm(verdicts, "programs", count, disable=not sys.stderr.isatty()))
+
+
+def summary(verdicts: list[Verdict]) -> str:
+    """One line: how many programs of what kinds, and what they left."""
+    left = Counter(verdict.left for verdict in verdicts)
+    unseen = [verdict for verdict in verdicts if verdict.program.unseen]
+    return (
+        f"{len(verdicts)} programs of {len({verdict.program.kind for verdict in verdicts})} kinds, "
+        f"{sum(bool(verdict.program.signals) for verdict in verdicts)} with signals, "
+        f"{len(unseen)} that are left to the watchdog: "
+        f"left on {left['on']}, port locked {left['locked']}, still running {left['running']}, "
+        f"told {sum(verdict.told for verdict in verdicts)}"
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("--count", type=whole_number(1), default=300, help="number of programs")
     parser.add_argument("--seed", type=whole_number(0), default=0)
-    parser.add_argument("--workers", type=whole_number(1), default=2, help="programs at a time")
-    parser.add_argument("--control", action="store_true", help="programs that leave a hand on")
+    parser.add_argument("--workers", type=whole_number(1), default=4, help="programs at a time")
+    parser.add_argument("--control", choices=CONTROLS, default="", help="part to take out")
     parser.set_defaults(run=run)
 
 
@@ -393,20 +476,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run programs, print what was left; the status is 1 if anything was."""
     verdicts = run_programs(arguments.count, arguments.seed, arguments.workers, arguments.control)
     bad = [verdict for verdict in verdicts if verdict.left]
-    for verdict in bad:
-        program = verdict.program
-        print(
-            f"--- {verdict.left}: {program.kind}, {program.signals}, {program.delay:.3f} s, "
-            f"group {program.to_group}\n{program.text}\n--- it said\n{verdict.output}"
-        )
-    kinds = Counter(verdict.program.kind for verdict in verdicts)
-    left = Counter(verdict.left for verdict in bad)
-    print(
-        f"{len(verdicts)} programs of {len(kinds)} kinds, "
-        f"{sum(bool(verdict.program.signals) for verdict in verdicts)} with signals: "
-        f"left on {left['on']}, port locked {left['locked']}, still running {left['running']}, "
-        f"told {sum(verdict.told for verdict in verdicts)}"
-    )
+    print(*bad, summary(verdicts), sep="\n")
     return 1 if bad else 0
 
 
