@@ -7,7 +7,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 
 import numpy as np
@@ -56,7 +56,11 @@ def add_doctor(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_hand(parser: argparse.ArgumentParser, run: Callable, required: bool = True) -> None:
+def _add_hand(
+    parser: argparse.ArgumentParser,
+    run: Callable[[argparse.Namespace], int],
+    required: bool = True,
+) -> None:
     """The arguments of every command that talks to a hand."""
     parser.add_argument(
         "--port",
@@ -84,7 +88,7 @@ def _hand(options: argparse.Namespace) -> Hand:
     return load_hand(options.hand) if options.hand else HPAC
 
 
-def _print_json(rows: list[object], *names: str) -> None:
+def _print_json(rows: Sequence[object], *names: str) -> None:
     """Print rows as a JSON list of objects with the named attributes."""
     print(
         json.dumps(

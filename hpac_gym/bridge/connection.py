@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import RLock, current_thread
 from time import monotonic
@@ -20,7 +20,7 @@ from hpac_gym.bridge.errors import (
     tell,
 )
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
-from hpac_gym.bridge.frame import Frame
+from hpac_gym.bridge.frame import Fields, Frame
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.protocol import VERSION, Fault, Reason, name_of
 from hpac_gym.bridge.reports import HandInfo, KnownState
@@ -76,7 +76,7 @@ class Turns:
             raise StoppedError(f"stopped by {self._stopped_by}")
 
     @contextmanager
-    def preempt(self, by: str, insist: Callable[[], None]) -> Iterator[None]:
+    def preempt(self, by: str, insist: Callable[[], object]) -> Iterator[None]:
         """Take the turn from the current call, which runs in another thread or was interrupted by a
         signal handler in this one.
 
@@ -129,7 +129,7 @@ class Connection:
         statistics: LinkStatistics,
         timeout: float,
         attempts: int,
-        log: WireLog | None,
+        log: WireLog | None = None,
     ) -> None:
         self.known = KnownState()
         self.info: HandInfo | None = None
@@ -155,8 +155,8 @@ class Connection:
         if self._owner != os.getpid():
             raise PortError(f"this link belongs to process {self._owner}: open one of your own")
 
-    def greet(self, patience: float) -> None:
-        """Send HELLO for up to `patience` [s] and read the answer.
+    def greet(self, patience: float) -> HandInfo:
+        """Send HELLO for up to `patience` [s] and return the answer.
 
         Raises:
             HandshakeError: No answer, or not from a hand of this protocol.
@@ -168,7 +168,7 @@ class Connection:
         except LinkTimeout:
             raise self._handshake_error(patience) from None
         if answer.name == "ack":
-            reason = name_of(Reason, answer.fields["reason"])
+            reason = name_of(Reason, answer.number("reason"))
             raise HandshakeError(
                 f"the device answers HELLO with an ACK ({reason}): it does not run this hand's firmware"
             )
@@ -176,6 +176,7 @@ class Connection:
         self._statistics.connections += 1
         self._statistics.acked += 1
         self.learn_fault()
+        return self.info
 
     def _handshake_error(self, patience: float) -> HandshakeError:
         heard = self.exchange.splitter
@@ -193,8 +194,8 @@ class Connection:
             f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details"
         )
 
-    def request(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
-        """Send a message and require that the hand executes it.
+    def request(self, name: str, fields: Fields | None = None, flags: int = 0) -> Frame:
+        """Send a message, require that the hand executes it, and return the answer.
 
         Raises:
             RejectedError: The hand refuses it. FaultError: no answer, and the hand has been stopped.
@@ -207,9 +208,10 @@ class Connection:
             if self.known.in_fault and self.known.fault != Fault.watchdog.name:
                 raise self.known.fault_error(f"{name} was not answered") from None
             raise
-        if answer.name == "ack" and answer.fields["reason"] != Reason.ok:
-            raise self._refusal(name, fields or {}, answer)
+        if answer.name == "ack" and answer.number("reason") != Reason.ok:
+            raise self._refusal(Frame(name, fields=fields or {}), answer)
         self._statistics.acked += 1
+        return answer
 
     def raise_unasked(self, what: str) -> None:
         """Raise a fault, or the refusal of an unacknowledged message, that the hand has reported in
@@ -218,16 +220,15 @@ class Connection:
         refused = self.exchange.refused
         self.exchange.refused = None
         if refused is not None:
-            message, answer = refused
-            raise self._refusal(message.name, message.fields, answer)
+            raise self._refusal(*refused)
         if self.known.in_fault:
             self.learn_fault()
             raise self.known.fault_error(what)
 
-    def _refusal(self, name: str, fields: Mapping, answer: Frame) -> RejectedError:
+    def _refusal(self, message: Frame, answer: Frame) -> RejectedError:
         self._statistics.rejected += 1
         self.learn_fault()
-        return self.known.refusal(name, fields, answer)
+        return self.known.refusal(message, answer)
 
     def learn_fault(self) -> None:
         """Request the kind of a fault whose FAULT frame was lost."""
@@ -301,7 +302,7 @@ class Connection:
             try:
                 if self.known.may_have_power:
                     answer = self.exchange.request(name, timeout=self._timeout, attempts=1)
-                    if answer.name == "ack" and answer.fields["reason"] == Reason.session:
+                    if answer.name == "ack" and answer.number("reason") == Reason.session:
                         return TAKEN_OVER, interrupt
                 if self.known.may_have_power:  # refused, or only HELLO: query the state
                     self.exchange.request(

@@ -113,7 +113,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
 
 
 def _refused(name: str, message: str, ack: Frame) -> Finding:
-    reason = name_of(Reason, ack.fields["reason"])
+    reason = name_of(Reason, ack.number("reason"))
     return Finding(
         name,
         False,

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import secrets
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from os import PathLike
 from weakref import WeakMethod
@@ -15,7 +15,7 @@ from weakref import WeakMethod
 import numpy as np
 
 from hpac_gym.bridge.errors import LinkTimeout, LogWarning, PortError, tell
-from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
+from hpac_gym.bridge.frame import Fields, Frame, FrameSplitter, encode
 from hpac_gym.bridge.protocol import MESSAGE_BY_CODE, MESSAGES, Reason, State, name_of
 from hpac_gym.bridge.reports import KnownState
 from hpac_gym.bridge.transport import Transport
@@ -108,10 +108,12 @@ class WireLog:
             "fields": dict(frame.fields),
         }
         if frame.name == "ack":
-            acked = MESSAGE_BY_CODE.get(frame.fields["acked"])
-            line["acked"] = acked.name if acked else f"unknown_{frame.fields['acked']}"
-            line["reason"] = name_of(Reason, frame.fields["reason"])
-            line["state"] = name_of(State, frame.fields["state"])
+            code = frame.number("acked")
+            line["acked"] = (
+                MESSAGE_BY_CODE[code].name if code in MESSAGE_BY_CODE else f"unknown_{code}"
+            )
+            line["reason"] = name_of(Reason, frame.number("reason"))
+            line["state"] = name_of(State, frame.number("state"))
         if round_trip is not None:
             line["round_trip"] = round(round_trip, 7)
         self._file.write(json.dumps(line) + "\n")
@@ -172,7 +174,7 @@ class Exchange:
     def request(
         self,
         name: str,
-        fields: Mapping[str, int | tuple[int, ...]] | None = None,
+        fields: Fields | None = None,
         flags: int = 0,
         timeout: float = 0.1,
         attempts: int = 3,
@@ -203,9 +205,7 @@ class Exchange:
         self._statistics.timeouts += 1
         raise LinkTimeout(f"no answer to {name}: {attempts} times, {timeout:g} s each")
 
-    def send(
-        self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None = None, flags: int = 0
-    ) -> int:
+    def send(self, name: str, fields: Fields | None = None, flags: int = 0) -> int:
         """Send a message without waiting for an answer; returns its number.
 
         Raises:
@@ -225,9 +225,7 @@ class Exchange:
         """
         self._receive_until(self.transport.now() + seconds, None)
 
-    def _frame(
-        self, name: str, fields: Mapping[str, int | tuple[int, ...]] | None, flags: int
-    ) -> Frame:
+    def _frame(self, name: str, fields: Fields | None, flags: int) -> Frame:
         self._seq = self._seq % _SEQ_MAX + 1  # 0 is reserved for unsolicited messages of the hand
         ours = {
             part.name: self.session
@@ -283,7 +281,7 @@ class Exchange:
             on_ack = self.on_ack and self.on_ack()
             if sent is not None and on_ack:
                 on_ack(sent, frame)
-            elif sent is not None and frame.fields["reason"] != Reason.ok:
+            elif sent is not None and frame.number("reason") != Reason.ok:
                 self.refused = sent, frame
         self._known.take_in(frame, answered)
         self._record("received", encoded, frame, round_trip)
@@ -307,5 +305,5 @@ class Exchange:
 
 def _is_answer(frame: Frame, name: str) -> bool:
     if frame.name == "ack":
-        return frame.fields["acked"] == MESSAGES[name].code
+        return frame.number("acked") == MESSAGES[name].code
     return frame.name == _ANSWERS.get(name)

@@ -27,6 +27,8 @@ from hpac_gym.bridge.protocol import (
 
 _HEADER = struct.Struct("<" + "".join(part.struct_format for part in HEADER))
 _COBS_MAX = FRAME_MAX + 1
+Fields = Mapping[str, int | tuple[int, ...]]
+"""Integers by field; a tuple for a field of several."""
 _TAIL_MAX = 4096
 
 
@@ -37,7 +39,16 @@ class Frame:
     name: str
     seq: int = 0
     flags: int = 0
-    fields: Mapping[str, int | tuple[int, ...]] = field(default_factory=dict)
+    fields: Fields = field(default_factory=dict)
+
+    def numbers(self, name: str) -> tuple[int, ...]:
+        """The integers of a field; none for a field that there is not."""
+        value = self.fields.get(name, ())
+        return tuple(value) if isinstance(value, tuple | list) else (value,)
+
+    def number(self, name: str) -> int:
+        """The integer of a field of one."""
+        return self.numbers(name)[0]
 
 
 @cache
@@ -57,13 +68,12 @@ def encode(frame: Frame, version: int = VERSION) -> bytes:
         raise FrameError(f"no message is called {frame.name!r}")
     values: list[int] = []
     for part in message.fields:
-        value = frame.fields.get(part.name)
-        value = value if part.is_array else (value,)
-        if value is None or len(value) != part.count or None in value:
+        numbers = frame.numbers(part.name)
+        if len(numbers) != part.count:
             raise FrameError(
                 f"{frame.name}.{part.name} takes {part.count} integer(s), got {frame.fields.get(part.name)}"
             )
-        values.extend(value)
+        values.extend(numbers)
     if len(frame.fields) > len(message.fields):
         raise FrameError(
             f"{frame.name} has no field {sorted(set(frame.fields) - {f.name for f in message.fields})}"

@@ -15,13 +15,18 @@ from contextlib import suppress
 from functools import partial
 from time import monotonic, sleep
 from types import CodeType, FrameType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, ParamSpec, TypeVar
 from weakref import WeakSet
 
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
 _SAME_INTENT = 1.0
 """A second signal within this time of the first counts as a repetition [s]."""
 _TAKEN_WITHIN = 0.05
 """Time in which the main thread takes a signal, unless it waits in a call of the system [s]."""
+
+_WAKE: int = getattr(signal, "SIGURG", 0)
+"""A signal without an effect of its own; 0 where there is none."""
 
 
 class _Interrupts:
@@ -64,7 +69,7 @@ class _Interrupts:
         self._watched = False
         self.begin()
 
-    def closing(self, function: Callable) -> Callable:
+    def closing(self, function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
         """Mark a function during which signals are delayed."""
         self._closing.add(function.__code__)
         return function
@@ -80,15 +85,13 @@ class _Interrupts:
             if number is not None and _is_default(handler := signal.getsignal(number)):
                 self._before[number] = handler
                 signal.signal(number, self._on_signal)
-        wake = getattr(signal, "SIGURG", None)  # without an effect of its own
-        free = wake and signal.getsignal(wake) in (signal.SIG_DFL, _wake)
-        if self._came is None and free:
+        if self._came is None and _WAKE and signal.getsignal(_WAKE) in (signal.SIG_DFL, _wake):
             self._came, self._wakes = socket.socketpair()
             self._wakes.setblocking(False)
             before = signal.set_wakeup_fd(self._wakes.fileno(), warn_on_full_buffer=False)
             if before != -1:  # of a loop that wakes up by itself
                 signal.set_wakeup_fd(before)
-            signal.signal(wake, _wake)
+            signal.signal(_WAKE, _wake)
 
     def link_opened(self, link: Any) -> None:
         """Take a link under protection.
@@ -108,7 +111,8 @@ class _Interrupts:
                 self._ends_with_process = True
         if self._came is not None and not self._watched:
             self._watched = True
-            threading.Thread(target=self._watch, args=(self._came,), daemon=True).start()
+            watcher = threading.Thread(target=_watch, args=(self._came, _WAKE), daemon=True)
+            watcher.start()
         self._links.add(link)
         self._mask(signal.SIG_BLOCK)
 
@@ -141,14 +145,6 @@ class _Interrupts:
                 with suppress(Exception):
                     link.end()
 
-    @staticmethod
-    def _watch(came: socket.socket) -> None:
-        """Interrupt the main thread's wait after each signal."""
-        while numbers := came.recv(4096):
-            if set(numbers) != {signal.SIGURG}:
-                sleep(_TAKEN_WITHIN)
-                signal.pthread_kill(threading.main_thread().ident, signal.SIGURG)
-
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if not self._links:
             signal.signal(number, self._before[number])
@@ -171,6 +167,15 @@ class _Interrupts:
         if number == signal.SIGINT:
             raise KeyboardInterrupt
         raise SystemExit(128 + number)
+
+
+def _watch(came: socket.socket, wake: int) -> None:
+    """End the main thread's wait after each signal."""
+    main = threading.main_thread().ident or 0
+    while numbers := came.recv(4096):
+        if set(numbers) != {wake}:
+            sleep(_TAKEN_WITHIN)
+            signal.pthread_kill(main, wake)
 
 
 def _wake(_number: int, _frame: FrameType | None) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import wraps
 from time import monotonic, sleep
-from typing import ParamSpec, Self, TypeVar
+from typing import Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from hpac_gym.bridge.errors import (
     StoppedError,
 )
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
+from hpac_gym.bridge.frame import Fields
 from hpac_gym.bridge.interrupts import interrupts
 from hpac_gym.bridge.limits import servo_limits
 from hpac_gym.bridge.protocol import (
@@ -46,6 +47,7 @@ from hpac_gym.model.checks import Array
 
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
+_Link = TypeVar("_Link", bound="Line")
 _ARM_POLL = 0.05
 _STEP_MAX = 0x7FFF
 _HEARTBEATS_PER_WATCHDOG = 4
@@ -62,13 +64,15 @@ def milliseconds(name: str, seconds: float, rounded: Callable[[float], int] = ro
     return rounded(seconds * 1e3)
 
 
-def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+def turn(
+    method: Callable[Concatenate[_Link, _Given], _Result],
+) -> Callable[Concatenate[_Link, _Given], _Result]:
     """Decorate a method that talks to the hand: one call at a time, only in the process that opened
     the link.
     """
 
     @wraps(method)
-    def call(self: Line, *args: object, **kwargs: object) -> _Result:
+    def call(self: _Link, /, *args: _Given.args, **kwargs: _Given.kwargs) -> _Result:
         if self._connection is not None:
             self._connection.require_owner()
         try:
@@ -76,7 +80,7 @@ def turn(method: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
                 return method(self, *args, **kwargs)
         except StoppedError:  # the status received last may be older than the e-stop
             with suppress(BridgeError), self._turns:
-                self._connection.request("status", {"period_ms": 0})
+                self._connected().request("status", {"period_ms": 0})
             raise
 
     return call
@@ -102,7 +106,8 @@ class Line:
         self._hand = hand
         self._table = hand
         self._told_clipped = False
-        self._patience = {"timeout": timeout, "attempts": attempts}
+        self._timeout = timeout
+        self._attempts = attempts
         self._handshake_timeout = handshake_timeout
         self._log = log
         self._turns = Turns()
@@ -160,18 +165,18 @@ class Line:
             open_transport(self._port),
             self._turns,
             self.statistics,
-            log=self._log,
-            **self._patience,
+            self._timeout,
+            self._attempts,
+            self._log,
         )
         self._connection = connection
         self._when_forgotten = weakref.finalize(self, connection.end)
         try:
             with self._turns:
-                connection.greet(self._handshake_timeout)
+                return connection.greet(self._handshake_timeout)
         except BaseException as error:
             self._end(error)
             raise
-        return connection.info
 
     def reconnect(self, timeout: float = 10.0) -> HandInfo:
         """Wait for the port for up to `timeout` [s, wall clock], and connect. The hand is then not
@@ -217,8 +222,8 @@ class Line:
         Raises:
             RejectedError: The period is below 10 ms.
         """
-        self._connected().request("status", {"period_ms": milliseconds("period", period)})
-        return self.last_status
+        fields = {"period_ms": milliseconds("period", period)}
+        return HandStatus.from_frame(self._connected().request("status", fields))
 
     def _connected(self) -> Connection:
         if self._connection is None or self._connection.ended:
@@ -282,22 +287,23 @@ class HandLink(Line):
         """
         connection = self._connected()
         connection.raise_unasked("arm refused")  # a bad table is a fault before it is another table
-        self._table = connection.info.table_of(self._hand)
+        if (info := connection.info) is None:
+            raise PortError("not connected")
+        self._table = info.table_of(self._hand)
         connection.known.limits = servo_limits(self._table)
-        watchdog_ms = milliseconds("watchdog", watchdog)
         fields = {
-            "limits_hash": self.info.limits_hash,
-            "watchdog_ms": watchdog_ms,
+            "limits_hash": info.limits_hash,
+            "watchdog_ms": milliseconds("watchdog", watchdog),
             "action": int(Action(action)),
         }
         self._feed("arm", fields)
         connection.watchdog = watchdog
         deadline = self._now() + CONSTANTS["start_max_ms"] * 1e-3
-        while len(self.status().attached) < len(SERVOS) or self.last_status.moving:
+        while len((status := self.status()).attached) < len(SERVOS) or status.moving:
             connection.raise_unasked("it latched while arming")
             if self._now() > deadline:
                 raise LinkTimeout(
-                    f"after {CONSTANTS['start_max_ms'] * 1e-3:g} s pulses at {self.last_status.attached} alone"
+                    f"after {CONSTANTS['start_max_ms'] * 1e-3:g} s pulses at {status.attached} alone"
                 )
             self.sleep(_ARM_POLL)
         connection.busy_until = self._now()
@@ -336,7 +342,7 @@ class HandLink(Line):
             raise FrameError(
                 f"a servo angle of {worst:g} rad, allowed ±{_STEP_MAX * ANGLE_UNIT:g} rad"
             )
-        fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
+        fields: Fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
         flags = FLAG_MINIMUM_JERK if minimum_jerk else 0
         connection = self._connected()
         if pace:
@@ -393,7 +399,7 @@ class HandLink(Line):
         return self._table.servo_rate_limit
 
     @turn
-    def send_unanswered(self, name: str, fields: dict) -> int:
+    def send_unanswered(self, name: str, fields: Fields) -> int:
         """Send a message that feeds the watchdog without waiting for its answer; returns its
         number.
         """
@@ -455,7 +461,7 @@ class HandLink(Line):
     def _now(self) -> float:
         return self._connected().exchange.transport.now()
 
-    def _feed(self, name: str, fields: dict | None = None, flags: int = 0) -> None:
+    def _feed(self, name: str, fields: Fields | None = None, flags: int = 0) -> None:
         """Send a message that feeds the hand's watchdog."""
         connection = self._connected()
         sent_at = self._now()

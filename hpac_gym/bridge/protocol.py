@@ -11,7 +11,13 @@ from dataclasses import dataclass
 from enum import IntEnum
 from importlib.resources import files
 
-_TYPE = re.compile(r"([ui])(8|16|32)(?:\[(\d+)\])?")
+from hpac_gym.bridge.codes import Action as Action
+from hpac_gym.bridge.codes import Fault as Fault
+from hpac_gym.bridge.codes import Reason as Reason
+from hpac_gym.bridge.codes import Reset as Reset
+from hpac_gym.bridge.codes import State as State
+
+_TYPE = re.compile(r"^([ui])(8|16|32)(?:\[(\d+)\])?$")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +63,7 @@ def _length(fields: tuple[Field, ...]) -> int:
 def _read_fields(pairs: list[list[str]]) -> tuple[Field, ...]:
     fields: list[Field] = []
     for name, type_name in pairs:
-        sign, bits, count = _TYPE.fullmatch(type_name).groups()
+        sign, bits, count = _TYPE.findall(type_name)[0]
         fields.append(
             Field(
                 name,
@@ -80,12 +86,6 @@ FIRMWARE_VERSION: tuple[int, int, int] = tuple(DESCRIPTION["firmware_version"])
 HEADER = _read_fields(DESCRIPTION["frame"]["header"])
 HEADER_LENGTH = _length(HEADER)
 CRC_LENGTH = 4
-
-State = IntEnum("State", DESCRIPTION["enum"]["state"])
-Reason = IntEnum("Reason", DESCRIPTION["enum"]["reason"])
-Fault = IntEnum("Fault", DESCRIPTION["enum"]["fault"])
-Action = IntEnum("Action", DESCRIPTION["enum"]["action"])
-Reset = IntEnum("Reset", DESCRIPTION["enum"]["reset"])
 
 FLAG_MINIMUM_JERK: int = DESCRIPTION["flags"]["minimum_jerk"]
 FLAG_NO_ACK: int = DESCRIPTION["flags"]["no_ack"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +25,21 @@ COUNTERS = (
     "watchdog_trips",
 )
 """Names of the firmware's counters, as in firmware/core/hpac_hand.h."""
+
+_BOUNDS = (
+    (
+        "duration_ms",
+        Reason.duration,
+        f"{CONSTANTS['move_min_ms']} to {CONSTANTS['move_max_ms']}",
+    ),
+    (
+        "watchdog_ms",
+        Reason.period,
+        f"{CONSTANTS['watchdog_min_ms']} to {CONSTANTS['watchdog_max_ms']}",
+    ),
+    ("period_ms", Reason.period, f"0 or at least {CONSTANTS['status_min_ms']}"),
+)
+"""Times of messages: field, the reason for which it is refused, what is allowed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,17 +65,17 @@ class HandInfo:
     @classmethod
     def from_frame(cls, frame: Frame) -> HandInfo:
         """Read a `device_hello`."""
-        fields = frame.fields
+        number = frame.number
         return cls(
-            firmware_version=".".join(map(str, fields["firmware_version"])),
-            limits_hash=fields["limits_hash"],
-            watchdog=fields["watchdog_ms"] * 1e-3,
-            reset=name_of(Reset, fields["reset"]),
-            boot_count=fields["boot_count"],
-            state=name_of(State, fields["state"]),
-            session=fields["session"],
-            trim_ns=fields["trim_ns"],
-            reversed_mask=fields["reversed"],
+            firmware_version=".".join(map(str, frame.numbers("firmware_version"))),
+            limits_hash=number("limits_hash"),
+            watchdog=number("watchdog_ms") * 1e-3,
+            reset=name_of(Reset, number("reset")),
+            boot_count=number("boot_count"),
+            state=name_of(State, number("state")),
+            session=number("session"),
+            trim_ns=frame.numbers("trim_ns"),
+            reversed_mask=number("reversed"),
         )
 
     def table_of(self, hand: Hand) -> Hand:
@@ -73,7 +87,7 @@ class HandInfo:
                 firmware match.
         """
         as_fast = np.array_equal(hand.servo_rate_limit, HPAC.servo_rate_limit)
-        nominal = (HPAC,) if is_calibrated(hand) and as_fast else ()
+        nominal = [HPAC] if is_calibrated(hand) and as_fast else []
         for built_for in (hand, *nominal):
             if self.limits_hash == limits_hash(built_for, self.trim_ns, self.reversed_mask):
                 return built_for
@@ -115,19 +129,20 @@ class HandStatus:
     @classmethod
     def from_frame(cls, frame: Frame) -> HandStatus:
         """Read a `device_status`."""
-        fields = frame.fields
+        number = frame.number
+        attached = number("attached")
         return cls(
-            uptime=fields["uptime_ms"] * 1e-3,
-            state=name_of(State, fields["state"]),
-            fault=name_of(Fault, fields["fault"]),
-            attached=tuple(name for i, name in enumerate(SERVOS) if fields["attached"] >> i & 1),
-            moving=bool(fields["moving"]),
-            servo=np.array(fields["servo"]) * ANGLE_UNIT,
-            heat=np.array(fields["heat_percent"]) * 1e-2,
-            rate_share=fields["rate_permille"] * 1e-3,
-            supply=fields["supply_mv"] * 1e-3 or math.nan,
-            last_seq=fields["last_seq"],
-            counters={name: fields[name] for name in COUNTERS},
+            uptime=number("uptime_ms") * 1e-3,
+            state=name_of(State, number("state")),
+            fault=name_of(Fault, number("fault")),
+            attached=tuple(name for i, name in enumerate(SERVOS) if attached >> i & 1),
+            moving=bool(number("moving")),
+            servo=np.array(frame.numbers("servo")) * ANGLE_UNIT,
+            heat=np.array(frame.numbers("heat_percent")) * 1e-2,
+            rate_share=number("rate_permille") * 1e-3,
+            supply=number("supply_mv") * 1e-3 or math.nan,
+            last_seq=number("last_seq"),
+            counters={name: number(name) for name in COUNTERS},
             number=frame.seq,
         )
 
@@ -165,13 +180,13 @@ class KnownState:
         answers.
         """
         if "state" in frame.fields:
-            self.state = name_of(State, frame.fields["state"])
+            self.state = name_of(State, frame.number("state"))
         if frame.name == "device_status":
             self.status = HandStatus.from_frame(frame)
             self.fault = self.status.fault
         elif frame.name == "fault":
             self.state = State.fault.name
-            self.fault = name_of(Fault, frame.fields["fault"])
+            self.fault = name_of(Fault, frame.number("fault"))
         elif self.state != State.fault.name:
             self.fault = Fault.none.name
         # An answer to ARM or MOVE proves nothing: a repeated frame may still be in transit.
@@ -188,46 +203,41 @@ class KnownState:
         """Whether the hand has reported a latched fault."""
         return self.state == State.fault.name
 
-    def refusal(self, name: str, fields: Mapping, ack: Frame) -> RejectedError:
-        """The error for an ACK with a reason, which names the refused value of the message's fields
-        and its bound.
+    def refusal(self, message: Frame, ack: Frame) -> RejectedError:
+        """The error for an ACK with a reason, which names the refused value of the message and its
+        bound.
         """
-        reason = name_of(Reason, ack.fields["reason"])
-        servo = SERVOS[ack.fields["servo"]] if ack.fields["servo"] < len(SERVOS) else None
+        reason = name_of(Reason, ack.number("reason"))
+        index = ack.number("servo")
+        servo = SERVOS[index] if index < len(SERVOS) else None
         if self.in_fault:
-            return self.fault_error(f"{name} refused", reason, servo)
-        where = (f" at servo {servo}" if servo else "") + self._bound(
-            reason, fields, ack.fields["servo"]
-        )
+            return self.fault_error(f"{message.name} refused", reason, servo)
+        where = (f" at servo {servo}" if servo else "") + self._bound(reason, message, index)
         if reason == Reason.session.name:
             where = ": another program has greeted the hand since, or the board has restarted; this link is over"
         return RejectedError(
-            f"the hand refused {name}: {reason}{where} (state {self.state})",
+            f"the hand refused {message.name}: {reason}{where} (state {self.state})",
             reason,
             servo,
             self.state,
         )
 
-    def _bound(self, reason: str, fields: Mapping, servo: int) -> str:
+    def _bound(self, reason: str, message: Frame, servo: int) -> str:
         """Value, bound and unit of the field that a message was refused for; empty if it is not
         about a value.
         """
-        if reason == Reason.duration.name and "duration_ms" in fields:
-            return f": {fields['duration_ms']} ms, allowed {CONSTANTS['move_min_ms']} to {CONSTANTS['move_max_ms']} ms"
-        if reason == Reason.period.name and "watchdog_ms" in fields:
-            bounds = f"{CONSTANTS['watchdog_min_ms']} to {CONSTANTS['watchdog_max_ms']} ms"
-            return f": watchdog {fields['watchdog_ms']} ms, allowed {bounds}"
-        if reason == Reason.period.name and "period_ms" in fields:
-            return (
-                f": {fields['period_ms']} ms, allowed 0 or at least {CONSTANTS['status_min_ms']} ms"
-            )
-        if servo >= len(self.limits) or "servo" not in fields:
+        for field, refused_for, allowed in _BOUNDS:
+            if reason == refused_for.name and field in message.fields:
+                what = "watchdog " if field == "watchdog_ms" else ""
+                return f": {what}{message.number(field)} ms, allowed {allowed} ms"
+        if servo >= len(self.limits) or "servo" not in message.fields:
             return ""
         limit = self.limits[servo]
-        target = fields["servo"][servo] * ANGLE_UNIT
+        target = message.numbers("servo")[servo] * ANGLE_UNIT
         if reason == Reason.angle.name:
             return f": {target:g} rad, allowed {limit.min_urad * 1e-6:g} to {limit.max_urad * 1e-6:g} rad on the whole way"
-        return f": {target:g} rad within {fields['duration_ms']} ms, allowed {limit.rate_urad_s * 1e-6:g} rad/s"
+        within = f"within {message.number('duration_ms')} ms"
+        return f": {target:g} rad {within}, allowed {limit.rate_urad_s * 1e-6:g} rad/s"
 
     def fault_error(
         self, what: str, reason: str = Reason.state.name, servo: str | None = None
@@ -247,9 +257,9 @@ class KnownState:
 
 
 def _without_pulses(frame: Frame, answered: str) -> bool:
-    state = frame.fields["state"]
+    state = frame.number("state")
     if frame.name == "device_status":
-        return state != State.armed and not frame.fields["attached"]
+        return state != State.armed and not frame.number("attached")
     if answered == "estop":
-        return state == State.fault and frame.fields["reason"] == Reason.ok
+        return state == State.fault and frame.number("reason") == Reason.ok
     return state in (State.boot, State.idle)

@@ -73,9 +73,9 @@ def stop(transport: Transport) -> None:
 
 def _confirms(frame: Frame) -> bool:
     """Whether a frame of the hand says that it has no pulses because of a stop."""
-    fields = frame.fields
+    number = frame.number
     if frame.name == "ack":
-        return fields["acked"] == MESSAGES["estop"].code and fields["reason"] == Reason.ok
+        return number("acked") == MESSAGES["estop"].code and number("reason") == Reason.ok
     if frame.name == "device_status":
-        return fields["state"] != State.armed and not fields["attached"]
+        return number("state") != State.armed and not number("attached")
     return False

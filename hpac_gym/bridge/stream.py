@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from hpac_gym.bridge.errors import FrameError, LinkTimeout
 from hpac_gym.bridge.exchange import Exchange
-from hpac_gym.bridge.frame import Frame
+from hpac_gym.bridge.frame import Fields, Frame
 from hpac_gym.bridge.protocol import ANGLE_UNIT, Reason
 from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.model import SERVOS
@@ -58,13 +58,15 @@ class StreamCounts:
 class Link(Protocol):
     """What a stream needs of a `HandLink`."""
 
-    exchange: Exchange
-    last_status: HandStatus
-    rate_limit: Array
-
+    @property
+    def exchange(self) -> Exchange: ...
+    @property
+    def last_status(self) -> HandStatus | None: ...
+    @property
+    def rate_limit(self) -> Array: ...
     def status(self) -> HandStatus: ...
     def within_table(self, servo: Array) -> Array: ...
-    def send_unanswered(self, name: str, fields: dict) -> int: ...
+    def send_unanswered(self, name: str, fields: Fields) -> int: ...
     def listen(self, seconds: float, what: str) -> None: ...
 
 
@@ -94,10 +96,10 @@ class Stream:
         self.counts = StreamCounts()
         self._link = link
         self._margin = margin
-        servo = link.status().servo
+        status = link.status()
         # The poses that the hand may have, by the number of the command that led there.
-        self._poses: dict[int, Array] = {0: servo}
-        self._share = link.last_status.rate_share
+        self._poses: dict[int, Array] = {0: status.servo}
+        self._share = status.rate_share
         self._status = link.last_status
         # The last command before a request of STATUS, by the request's number.
         self._asked: dict[int, int] = {}
@@ -139,9 +141,10 @@ class Stream:
         room = np.where(way > 0, high - start, start - low).clip(min=0.0)
         share = min(1.0, *(room / np.maximum(np.abs(way), 1e-12)))
         steps = np.rint((start + share * way) / ANGLE_UNIT).astype(int)
-        servo = steps * ANGLE_UNIT
+        servo: Array = steps * ANGLE_UNIT
         self.counts.limited += bool((np.abs(servo - target) > ANGLE_UNIT).any())
-        fields = {"duration_ms": round(1e3 * self.period), "servo": tuple(steps.tolist())}
+        duration_ms = round(1e3 * self.period)
+        fields: Fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
         number = self._link.send_unanswered("move", fields)
         self._poses[number] = servo
         self._asked[self._exchange.send("status", {"period_ms": 0})] = number
@@ -171,7 +174,8 @@ class Stream:
         self._link.listen(max(self._due - now(), 0.0), "move")
         if now() - self._heard_at > PATIENCE:
             raise LinkTimeout(f"no answer to a streamed move for {PATIENCE:g} s")
-        if (status := self._link.last_status) is not self._status:
+        status = self._link.last_status
+        if status is not None and status is not self._status:
             self._status = status
             self._told(status)
         delay = now() - self._due
@@ -207,14 +211,15 @@ class Stream:
         if sent.name != "move" or sent.seq not in self._poses:
             return
         self._heard_at = self._exchange.transport.now()
-        if ack.fields["reason"] not in (Reason.ok, Reason.rate, Reason.hot):
+        reason = ack.number("reason")
+        if reason not in (Reason.ok, Reason.rate, Reason.hot):
             self._exchange.refused = sent, ack
-        if ack.fields["reason"] == Reason.ok:
+        if reason == Reason.ok:
             self.counts.acknowledged += 1
             self._has(sent.seq, sent.seq)
             return
         del self._poses[sent.seq]
         self.counts.refused += 1
-        if ack.fields["reason"] == Reason.hot:
+        if reason == Reason.hot:
             self.counts.hot += 1
             self._share *= _SLOWER

@@ -38,6 +38,7 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Release the port. May be called repeatedly."""
+        return
 
 
 class SerialTransport(Transport):
@@ -90,7 +91,7 @@ class SerialTransport(Transport):
         try:
             if self._serial.timeout != timeout:
                 self._serial.timeout = timeout
-            data = self._serial.read(1)
+            data: bytes = self._serial.read(1)
             # A socket tells only whether bytes wait, so this takes them one by one.
             while data and len(data) < READ_SIZE and (waiting := self._serial.in_waiting):
                 data += self._serial.read(waiting)

@@ -172,7 +172,7 @@ def test_a_fault_is_known_until_the_hand_says_otherwise():
 def test_a_refusal_says_what_and_where(frame, words, reason, servo):
     known = KnownState()
     known.take_in(frame, "move")
-    error = known.refusal("move", {}, frame)
+    error = known.refusal(Frame("move"), frame)
     assert words in str(error)
     assert (error.reason, error.servo, error.state) == (reason, servo, known.state)
 

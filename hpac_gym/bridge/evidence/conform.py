@@ -13,7 +13,15 @@ from dataclasses import dataclass
 
 from hpac_gym.bridge.errors import BridgeError
 from hpac_gym.bridge.evidence import oracle as wire
-from hpac_gym.bridge.evidence.device import OURS, SESSION, SLACK, BrokenRule, Device, Status
+from hpac_gym.bridge.evidence.device import (
+    OURS,
+    SESSION,
+    SILENCE,
+    SLACK,
+    BrokenRule,
+    Device,
+    Status,
+)
 from hpac_gym.bridge.limits import limits_hash
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, name_of
 from hpac_gym.bridge.transport import Transport
@@ -83,7 +91,7 @@ def _other_version(d: Device) -> None:
     for version in (1, 3, 255):
         answer = d.ask(wire.HELLO, struct.pack("<I", 7), version=version)
         d.expect(
-            answer is not None and answer.kind == wire.DEVICE_HELLO,
+            answer.kind == wire.DEVICE_HELLO,
             f"HELLO of version {version} is not answered by HELLO",
         )
         d.expect(
@@ -169,7 +177,7 @@ def _device_types(d: Device) -> None:
     d.idle()
     for kind in (0x80, wire.DEVICE_HELLO, wire.ACK, 0xFF):
         d.expect(
-            d.ask(kind, bytes(4)) is None,
+            d.ask(kind, bytes(4)) is SILENCE,
             f"a frame of the hand's own type 0x{kind:02x} was answered",
         )
 
@@ -346,9 +354,11 @@ def _repeat_after_clear(d: Device) -> None:
 
 def _no_ack(d: Device) -> None:
     d.armed(watchdog_ms=CONSTANTS["watchdog_max_ms"])
-    d.expect(d.ask(wire.HEARTBEAT, OURS, wire.NO_ACK) is None, "HEARTBEAT without ACK was answered")
+    d.expect(
+        d.ask(wire.HEARTBEAT, OURS, wire.NO_ACK) is SILENCE, "HEARTBEAT without ACK was answered"
+    )
     d.live(0.01)
-    d.expect(d.ask(wire.MOVE, d.move(300), wire.NO_ACK) is None, "MOVE without ACK was answered")
+    d.expect(d.ask(wire.MOVE, d.move(300), wire.NO_ACK) is SILENCE, "MOVE without ACK was answered")
     d.live(0.01)
     d.must(Reason.duration, wire.MOVE, d.move(0, 1), "without ACK, but refused", flags=wire.NO_ACK)
 

@@ -18,6 +18,8 @@ _NAMES = {
 _ANSWERS = {wire.HELLO: wire.DEVICE_HELLO, wire.STATUS: wire.DEVICE_STATUS}
 SLACK = 0.15
 """Tolerance for the delays of device and line [s]."""
+SILENCE = wire.Message(0, 0, 0, 0, b"")
+"""No answer."""
 SESSION = 0x48504143
 OURS = struct.pack("<I", SESSION)
 """The payload of HEARTBEAT and CLEAR in this suite's session."""
@@ -117,8 +119,8 @@ class Device:
         flags: int = 0,
         version: int = wire.VERSION,
         seq: int | None = None,
-    ) -> wire.Message | None:
-        """Send a frame and return the first answer with its sequence number, or None."""
+    ) -> wire.Message:
+        """Send a frame and return the first answer with its sequence number, or `SILENCE`."""
         seq = self.send(kind, payload, flags, version, seq)
         until = self.transport.now() + self._patience
         while (left := until - self.transport.now()) > 0:
@@ -132,12 +134,12 @@ class Device:
             if answers:
                 self.unasked += answers[1:]
                 return answers[0]
-        return None
+        return SILENCE
 
     def refusal(self, kind: int, payload: bytes = b"", **how: int) -> tuple[int, int] | None:
         """Send a frame and return reason and servo of the answering ACK; None without one."""
         answer = self.ask(kind, payload, **how)
-        if answer is None or answer.kind != wire.ACK or len(answer.payload) != 4:
+        if answer.kind != wire.ACK or len(answer.payload) != 4:
             return None
         return answer.payload[1], answer.payload[2]
 
@@ -155,30 +157,26 @@ class Device:
     def hello(self, nonce: int) -> Hello:
         """Send HELLO and return the answer."""
         answer = self.ask(wire.HELLO, struct.pack("<I", nonce))
-        self.expect(answer is not None, "HELLO got no answer")
+        self.expect(answer is not SILENCE, "HELLO got no answer")
         self.expect(
             answer.kind == wire.DEVICE_HELLO and len(answer.payload) == 30,
             f"HELLO answered by {_told(answer)}",
         )
-        session, *_, limits = (*struct.unpack_from("<I3BI", answer.payload),)
-        *trims, reversed_mask, watchdog_ms, _, _, state = struct.unpack_from(
-            "<6hBHBHB", answer.payload, 11
-        )
+        numbers = struct.unpack("<I3xI6hBH3xB", answer.payload)
+        session, limits, *trims, reversed_mask, watchdog_ms, state = numbers
         return Hello(session, limits, tuple(trims), reversed_mask, watchdog_ms, state)
 
     def status(self, period_ms: int = 0) -> Status:
         """Request STATUS and return the answer."""
         answer = self.ask(wire.STATUS, struct.pack("<H", period_ms))
-        self.expect(answer is not None, "STATUS got no answer")
+        self.expect(answer is not SILENCE, "STATUS got no answer")
         self.expect(
             answer.kind == wire.DEVICE_STATUS and len(answer.payload) == 50,
             f"STATUS answered by {_told(answer)}",
         )
-        _, state, fault, attached, moving, *rest = struct.unpack(
-            "<IBBBB6h6BHHHIHHHHHHH", answer.payload
-        )
-        last_seq, *counters, _, trips = rest[14:]
-        return Status(state, fault, attached, moving, tuple(rest[:6]), last_seq, *counters, trips)
+        numbers = struct.unpack("<4x4B6h10xHI5H2xH", answer.payload)
+        state, fault, attached, moving = numbers[:4]
+        return Status(state, fault, attached, moving, numbers[4:10], *numbers[10:])
 
     def must_be(
         self, state: State, when: str, fault: Fault | None = None, powered: bool | None = None

@@ -106,12 +106,11 @@ class Reader:
         """Process bytes and return the intact frames that they complete."""
         *pieces, self._rest = (self._rest + data).split(b"\0")
         self._rest = self._rest[-300:]
-        opened = [unseal(piece) for piece in pieces if piece]
-        return [
-            Message(*struct.unpack_from("<BBHB", body), body[5:])
-            for body, intact in filter(None, opened)
-            if intact
-        ]
+        messages = []
+        for body, intact in filter(None, (unseal(piece) for piece in pieces if piece)):
+            version, kind, seq, flags = struct.unpack("<BBHB", body[:5])
+            messages += [Message(version, kind, seq, flags, body[5:])] if intact else []
+        return messages
 
 
 @dataclass(frozen=True, slots=True)
