@@ -19,9 +19,9 @@ BUILD_VARIABLE = "HPAC_FIRMWARE_BUILD"
 PACKAGE = Path(__file__).resolve().parents[1]
 FOLDERS = (PACKAGE / "firmware", PACKAGE.parent / "firmware")
 """Places of the sources: in an installed package, in a checkout."""
-FLAGS = ("-std=c99", "-O2", "-Icore", "-Iboard/host")
+FLAGS = ("-std=c99", "-O2", "-Icore", "-Iboard", "-Iboard/host")
 PROGRAMS = {
-    "hpac_host": ("board/host/main.c",),
+    "hpac_host": ("board/loop.c", "board/host/main.c"),
     "libhpac.so": ("board/host/library.c", "-fPIC", "-shared"),
 }
 """What is compiled at first use, and from what beside the core."""
@@ -64,7 +64,8 @@ def _compiled(folder: Path, name: str) -> Path:
     core = sorted(path.relative_to(folder) for path in folder.glob("core/*.c"))
     command = [*compiler, *FLAGS, *map(str, core), *PROGRAMS[name]]
     key = hashlib.sha256(repr((command, version, platform.machine())).encode())
-    for path in sorted([*folder.glob("core/*.[ch]"), *folder.glob("board/host/*.[ch]")]):
+    sources = [*folder.glob("core/*.[ch]"), *folder.glob("board/*.[ch]")]
+    for path in sorted([*sources, *folder.glob("board/host/*.[ch]")]):
         key.update(path.name.encode() + b"\0" + path.read_bytes())
     path = _cache() / key.hexdigest()[:16] / name
     if path.exists():
