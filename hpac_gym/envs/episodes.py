@@ -109,8 +109,10 @@ class Episodes:
             raise
         self.dt = 1.0 / CONTROL_HZ
         self._substeps = round(self.dt / self.simulation.engine.dt)
-        count = round(task.duration * CONTROL_HZ) * self._substeps
-        self._times = tuple(np.cumsum(np.full(count, self.simulation.engine.dt)).tolist())
+        steps = round(task.duration * CONTROL_HZ)
+        times = np.cumsum(np.full(steps * self._substeps, self.simulation.engine.dt))
+        self._times = tuple(times.tolist())
+        self._clock = self._by_step(times)
         more = {"privileged": task.privileged_terms, **task.sensed_terms}
         self._layout = Layout((*task.terms, *more.get(options.obs, ())), num_worlds)
         self._goals = Layout(task.goal_terms, num_worlds) if task.goal_terms else None
@@ -121,8 +123,8 @@ class Episodes:
         self.setups: list[SceneSetup | None] = [None] * num_worlds
         self.randomizations = [options.randomization] * num_worlds
         self.outcome = np.full(num_worlds, RUNNING)
-        self._wrist = np.zeros((num_worlds, count, 3))
-        self._time = np.array(self._times)
+        self._wrist = np.zeros((num_worlds, *self._clock.shape, 3))
+        self._worlds = np.arange(num_worlds)
         self._step = np.zeros(num_worlds, dtype=int)
         self._servo = np.zeros((num_worlds, len(SERVOS)))
         self._arrived = np.zeros((num_worlds, len(SERVOS)))
@@ -141,6 +143,13 @@ class Episodes:
         self.terms: dict[str, Array] = {}
         self._episode = object()
         self._page: Page | None = None
+
+    def _by_step(self, table: Array) -> Array:
+        """A table with a row for each physics step, by control steps: shape (steps + 1, k, ...),
+        the last of which is for all after the episode's end.
+        """
+        after = np.repeat(table[-1:], self._substeps, axis=0)
+        return np.concatenate([table, after]).reshape(-1, self._substeps, *table.shape[1:])
 
     def _space(self) -> Space:
         """The observation space of one world."""
@@ -220,7 +229,7 @@ class Episodes:
         for world, setup in zip(worlds, setups, strict=True):
             self.setups[world] = setup
             self._rotation[world] = setup.hand_rotation
-            self._wrist[world] = self.task.wrist_path(setup, self._times)
+            self._wrist[world] = self._by_step(self.task.wrist_path(setup, self._times))
             start = self._start_of(*setup.synergy.tolist())
             self._servo[world], self._predicted[world], self._last_action[world] = start
         index = np.asarray(worlds)
@@ -284,13 +293,11 @@ class Episodes:
         self._servo = streamed_servo(self._servo, target, self.dt, self._map.bounds)
         self._arrive()
         self.simulation.command(self._arrived, self.dt)
-        row = np.minimum(
-            self._step[:, None] * self._substeps + np.arange(self._substeps), len(self._times) - 1
-        )
-        push = self.task.push(self._time[row])
+        step = np.minimum(self._step, len(self._clock) - 1)
+        push = self.task.push(self._clock[step])
         failed: tuple[int, ...] = ()
         try:
-            self.simulation.advance(np.take_along_axis(self._wrist, row[:, :, None], axis=1), push)
+            self.simulation.advance(self._wrist[self._worlds, step], push)
         except PhysicsError as error:
             if not error.worlds:
                 raise
@@ -327,13 +334,18 @@ class Episodes:
         """Compute the angles that reach the servos; after a lost command they keep the previous
         ones.
         """
-        lost = np.zeros(len(self._servo), dtype=bool)
-        for world in np.flatnonzero(self._lost_share):
-            lost[world] = self._losses[world].random() < self._lost_share[world]
-        if self._transmit is not None and not lost[0]:
+        lost = [
+            world
+            for world in np.flatnonzero(self._lost_share)
+            if self._losses[world].random() < self._lost_share[world]
+        ]
+        if self._transmit is not None and not lost:
             self._arrived = self._transmit(self.command).servo[None].copy()
         else:
-            self._arrived = np.where(lost[:, None], self._arrived, self._servo)
+            arrived = self._servo.copy()
+            if lost:
+                arrived[lost] = self._arrived[lost]
+            self._arrived = arrived
 
     def _look(self, state: SceneState, change: Array, worlds: Iterable[int]) -> None:
         """Record a state; the camera measures only the given worlds anew, so that no world's noise

@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.errors import WorkspaceError
-from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array, as_finite_vector
+from hpac_gym.model.checks import (
+    Array,
+    as_array,
+    as_bounded_array,
+    as_finite_array,
+    as_finite_vector,
+)
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import JOINTS, SERVOS
 from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
@@ -60,9 +66,11 @@ def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
         ShapeError: Wrong shape.
         WorkspaceError: NaN, or outside −1…1 by more than float32 rounding.
     """
-    action = as_bounded_array(
-        action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE
-    )
+    action = as_array(action, len(SERVOS), "action")
+    if not (np.abs(action) <= 1 + _ACTION_TOLERANCE).all():
+        as_bounded_array(
+            action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE
+        )
     share = np.minimum(np.maximum(action + 1, 0.0), 2.0) / 2
     return hand.synergy_min + share * (hand.synergy_max - hand.synergy_min)
 

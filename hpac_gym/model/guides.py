@@ -26,4 +26,5 @@ def included_from_chord(guide_sum: Array, guide_product: Array, chord: Array) ->
 
     Eq. (4). An impossible chord gives the nearest angle, 0 or π; callers that must refuse it check
     first."""
-    return np.arccos(np.clip((guide_sum - chord**2) / guide_product, -1.0, 1.0))
+    cosine = (guide_sum - chord**2) / guide_product
+    return np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))

@@ -14,11 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hpac_gym.model.checks import Array
 from hpac_gym.model.command import servo_from_action, synergy_from_action
-from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
 from hpac_gym.model.parameters import Calibration, Hand, unchecked_servo_from_synergy
@@ -28,6 +26,7 @@ from hpac_gym.model.settled import (
     settled_joints_from_servo,
     settled_servo_from_synergy,
 )
+from hpac_gym.model.transmission import unchecked_synergy_from_servo
 
 POINTS = 513
 _KNOWN_MAX = 256  # hands whose tables are kept
@@ -101,7 +100,7 @@ class CommandMap:
             self._servo[place] = found.servo
             self._joint_pos[place] = found.joint_pos
 
-    def servo_from_action(self, action: ArrayLike, flexing: Array) -> Array:
+    def servo_from_action(self, action: Array, flexing: Array) -> Array:
         """Servo angles for actions.
 
         Args:
@@ -115,7 +114,7 @@ class CommandMap:
             ShapeError, WorkspaceError: As `hpac_gym.model.servo_from_action`.
         """
         if not self._inverts:
-            return servo_from_action(action, self.hands[0])
+            return servo_from_action(_alone(action), self.hands[0]).reshape(len(action), -1)
         return self.servo_from_synergy(synergy_from_action(action, self._board), flexing)
 
     def servo_from_synergy(
@@ -131,7 +130,10 @@ class CommandMap:
     def joints_from_servo(self, servo: Array, flexing: Array) -> Array:
         """Joint angles that the models predict for servo angles, shape (n, 6) → (n, 15) [rad]."""
         if not self._inverts:
-            return elastic_joints_from_servo(servo, self.hands[0])
+            hand = self.hands[0]
+            synergy = unchecked_synergy_from_servo(_alone(servo), hand)
+            predicted = synergy.take(hand.servo_of_joint, axis=-1) * hand.elastic_ratio
+            return predicted.reshape(len(servo), -1)
         share = (servo - self._board.servo_min) / (self._board.servo_max - self._board.servo_min)
         return _interpolated(self._joint_pos, share, flexing, self._board.servo_of_joint)
 
@@ -151,6 +153,11 @@ class CommandMap:
 
 _SERVO_OF_SERVO = np.arange(len(SERVOS))
 _ROOTS = [JOINT_INDEX[name] for name in SERVOS]
+
+
+def _alone(rows: Array) -> Array:
+    """The row itself of a single place, since NumPy takes twice as long for (1, 6) as for (6,)."""
+    return rows[0] if len(rows) == 1 else rows
 
 
 def _placed(hands: list[Hand], places: Sequence[int], others: Sequence[Hand]) -> list[Hand]:

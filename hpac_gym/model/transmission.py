@@ -45,6 +45,14 @@ def synergy_from_servo(servo: ArrayLike, hand: Hand = HPAC) -> Array:
             f"servo {SERVOS[column]} = {servo[where]:.6g} rad takes the tendon past its guides; "
             f"the admissible range is [{hand.servo_min[column]:.6g}, {hand.servo_max[column]:.6g}] rad"
         )
+    return unchecked_synergy_from_servo(servo, hand)
+
+
+def unchecked_synergy_from_servo(servo: Array, hand: Hand) -> Array:
+    """Angles of the six driven joints for servo angles that are known to lie within the servos'
+    range, shape (..., 6) [rad].
+    """
+    chord = hand.rest_chord - hand.servo_radius * servo[..., :_CMC]
     synergy = np.empty_like(servo)
     synergy[..., :_CMC] = hand.guide_alpha - included_from_chord(
         hand.guide_sum, hand.guide_product, chord

@@ -8,6 +8,7 @@ one table. The tendon law limits a servo's force."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,13 +36,13 @@ class Servos:
         self.zero = np.zeros((num_worlds, len(SERVOS)))
         self._start = self.horn.copy()
         self._way = self.horn.copy()
-        self._elapsed = np.ones((num_worlds, 1))
-        self._duration = np.ones((num_worlds, 1))
-        self._reach = np.zeros((num_worlds, 1))
-        self._dead_band = np.zeros((num_worlds, 1))
+        self._elapsed = self._duration = 1.0  # all worlds move together, or stay where they start
+        # Of every servo, although those of a hand are equal: broadcasting costs more than the rest.
+        self._reach = self.horn.copy()
+        self._dead_band = self.horn.copy()
         self._late = np.zeros(num_worlds, dtype=int)
         # The latest ramp positions, as many as the largest lag in steps.
-        self._past = np.zeros((num_worlds, 0, len(SERVOS)))
+        self._past = np.zeros((0, num_worlds, len(SERVOS)))
 
     def reset(
         self,
@@ -57,21 +58,18 @@ class Servos:
         self.zero[index] = zero
         self.horn[index] = self._start[index] = servo
         self._way[index] = 0.0
-        self._elapsed[index] = self._duration[index] = 1.0
-        self._reach[index, 0] = [given.speed * self._dt for given in settings]
-        self._dead_band[index, 0] = [given.dead_band for given in settings]
+        self._reach[index] = [[given.speed * self._dt] for given in settings]
+        self._dead_band[index] = [[given.dead_band] for given in settings]
         self._late[index] = [round(given.lag / self._dt) for given in settings]
-        missing = self._late.max() - self._past.shape[1]
+        missing = self._late.max() - len(self._past)
         if missing > 0:
-            self._past = np.concatenate(
-                [np.repeat(self._start[:, None], missing, axis=1), self._past], axis=1
-            )
-        self._past[index] = self._start[index][:, None]
+            self._past = np.concatenate([*[self._start[None]] * missing, self._past])
+        self._past[:, index] = self._start[index]
 
     @property
     def commanded(self) -> Array:
         """Current commanded angles, on their ramps to the targets, shape (n, 6) [rad]."""
-        return self._start + np.minimum(self._elapsed / self._duration, 1.0) * self._way
+        return self._start + min(self._elapsed / self._duration, 1.0) * self._way
 
     def command(self, servo: Array, duration: float) -> None:
         """Start a move in every world from its current ramp position to angles, shape (n, 6) [rad],
@@ -79,35 +77,39 @@ class Servos:
         """
         self._start = self.commanded
         self._way = servo - self._start
-        self._elapsed = np.zeros_like(self._elapsed)
-        self._duration = np.full_like(self._duration, duration)
+        self._elapsed = 0.0
+        self._duration = duration
 
     def advance(self, steps: int) -> tuple[Array, Array]:
         """Advance by physics steps; returns the horns' true angles [rad] and speeds [rad/s], shapes
         (n, steps, 6).
         """
-        elapsed = np.cumsum(
-            np.concatenate([self._elapsed, np.full((len(self.horn), steps), self._dt)], axis=1),
-            axis=1,
-        )[:, 1:]
-        self._elapsed = elapsed[:, -1:]
-        share = np.minimum(elapsed / self._duration, 1.0)[:, :, None]
-        told = self._start[:, None] + share * self._way[:, None]
-        if kept := self._past.shape[1]:
-            ramp = np.concatenate([self._past, told], axis=1)
-            row = kept + np.arange(steps) - self._late[:, None]
-            told = np.take_along_axis(ramp, row[:, :, None], axis=1)
-            self._past = ramp[:, -kept:]
+        share, self._elapsed = _shares(self._elapsed, self._duration, self._dt, steps)
+        told = self._start + share * self._way  # by step, then by world
+        if kept := len(self._past):
+            ramp = np.concatenate([self._past, told])
+            row = kept + np.arange(steps)[:, None] - self._late
+            told = ramp[row, np.arange(len(self.horn))]
+            self._past = ramp[-kept:]
         angle = np.empty_like(told)
-        speed = np.empty_like(told)
+        moved = np.empty_like(told)
+        least = -self._reach
         horn = self.horn
-        for step in range(steps):
-            error = told[:, step] - horn
-            moved = np.minimum(np.maximum(error, -self._reach), self._reach)
-            moved[np.abs(error) <= self._dead_band] = 0.0
-            horn = horn + moved
-            angle[:, step] = horn
-            speed[:, step] = moved / self._dt
-        self.horn = horn
-        angle += self.zero[:, None]
-        return angle, speed
+        for step, there in enumerate(told):
+            error = there - horn
+            way = np.minimum(np.maximum(error, least), self._reach, out=moved[step])
+            way[np.abs(error) <= self._dead_band] = 0.0
+            horn = np.add(horn, way, out=angle[step])
+        self.horn = horn.copy()
+        angle += self.zero
+        moved /= self._dt
+        return angle.swapaxes(0, 1), moved.swapaxes(0, 1)
+
+
+@lru_cache(maxsize=16)
+def _shares(elapsed: float, duration: float, dt: float, steps: int) -> tuple[Array, float]:
+    """Shares of a move that are complete at the ends of physics steps, shape (steps, 1, 1), and the
+    time at the last one.
+    """
+    times = np.cumsum([elapsed, *[dt] * steps])[1:, None, None]
+    return np.minimum(times / duration, 1.0), float(times[-1, 0, 0])

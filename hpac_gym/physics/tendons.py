@@ -124,8 +124,9 @@ class Drive:
         A braking drive's tension is negative.
         """
         chord, arm = self.chord_and_arm(joint_pos)
-        stretch = self.servo_radius * servo + chord - self.length
-        rate = self.servo_radius * servo_vel - arm * joint_vel
+        radius = self.servo_radius
+        stretch = radius * servo + chord - self.length
+        rate = radius * servo_vel - arm * joint_vel
         if stretch > 0.0:
             return min(max(self.stiffness * stretch + self.viscosity * rate, 0.0), self.limit), arm
         return (self.brake * min(rate, 0.0) if joint_vel > 0.0 else 0.0), arm
@@ -246,14 +247,12 @@ class Tendons:
         """
         hand = self.hand
         state = self._state
-        joints = len(JOINTS)
-        state[:joints] = joint_pos
-        state[joints:] = joint_vel
-        torque: list[float] = (self._linear @ state).tolist()
+        state[:] = (*joint_pos, *joint_vel)
+        torque: list[float] = self._linear.dot(state).tolist()
         tensions = []
-        for i, drive in enumerate(self.drives):
+        for drive, horn, horn_vel in zip(self.drives, servo, servo_vel, strict=False):
             joint = drive.joint
-            tension, arm = drive.tension(joint_pos[joint], joint_vel[joint], servo[i], servo_vel[i])
+            tension, arm = drive.tension(joint_pos[joint], joint_vel[joint], horn, horn_vel)
             torque[joint] += tension * arm
             tensions.append(tension)
         twist = hand.cmc_gain * servo[_CMC] - joint_pos[_CMC_JOINT]

@@ -16,7 +16,7 @@ from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp_data import NOMINAL, NamedGrasp, Variant, named_grasp
-from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
 from hpac_gym.tasks.task import (
     FAILURE,
@@ -211,7 +211,7 @@ class Grasp(Task):
         lifted = state.time > self.timetable.ends[1] - dt / 2
         self.grip.settle(lifted & ~self._lifted)
         self._lifted = lifted
-        self._moved = np.linalg.norm(state.object_pos - self._place, axis=1)
+        self._moved = lengths(state.object_pos - self._place)
         failed = (self._moved > self.config.drop_distance) | (lifted & ~self.grip.holds)
         over = state.time >= self.duration - dt / 2
         return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))

@@ -22,7 +22,7 @@ from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import check_bounds
-from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.phases import Timetable, phase_at, wrist_table
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses
 from hpac_gym.tasks.task import (
@@ -443,7 +443,7 @@ class GraspAny(Task):
         self._grasped[closing] = state.object_rotation[closing]
         cosine = (np.einsum("nij,nij->n", self._grasped, state.object_rotation) - 1) / 2
         self.turn = np.where(judged, np.arccos(np.clip(cosine, -1.0, 1.0)), self.turn)
-        beyond = np.linalg.norm(state.object_pos - GRASP_CENTRE, axis=1) > config.reach
+        beyond = lengths(state.object_pos - GRASP_CENTRE) > config.reach
         failed = np.where(closing, beyond, judged & (self._phase >= SHAKE) & ~held)
         side = np.round((state.time - config.ends[SHAKE]) / config.side_time, 6)
         self.sides += (ran == SIDES) & held & (side == np.floor(side))
@@ -460,9 +460,7 @@ class GraspAny(Task):
         touch = contact_score(self.config.weights, state.touching)
         self._gained = touch - self._touch
         self._touch = touch
-        distance = np.minimum(
-            np.linalg.norm(state.object_pos - self._place, axis=1) / self.config.reach, 1.0
-        )
+        distance = np.minimum(lengths(state.object_pos - self._place) / self.config.reach, 1.0)
         self._pushed = distance - self._distance
         self._distance = distance
 

@@ -45,12 +45,10 @@ class Grip:
 
     def start(self, worlds: Sequence[int]) -> None:
         """Begin episodes: nothing is carried."""
-        self._let_go(np.asarray(worlds))
-
-    def _let_go(self, where: NDArray) -> None:
-        self.carrying[where] = False
-        self.time[where] = self.slip[where] = 0.0
-        self._missed[where] = 0
+        index = np.asarray(worlds)
+        self.carrying[index] = False
+        self.time[index] = self.slip[index] = 0.0
+        self._missed[index] = 0
 
     def follow(
         self, object_pos: Array, touched: NDArray[np.bool_], supported: NDArray[np.bool_], dt: float
@@ -64,29 +62,37 @@ class Grip:
             dt: control period [s].
         """
         self._now = object_pos
-        self._missed = np.where(touched, 0, self._missed + 1)
-        carries = (touched | (self.carrying & (self._missed <= _MISSED_STEPS))) & ~supported
-        self._let_go(~carries)
+        missed = self._missed + 1
+        carries = touched | (self.carrying & (missed <= _MISSED_STEPS))
+        carries &= ~supported
+        self._missed = missed * (carries & ~touched)
         begins = carries & ~self.carrying
-        self._origin[begins] = object_pos[begins]
+        if begins.any():
+            self._origin = np.where(begins[:, None], object_pos, self._origin)
         self.carrying = carries
-        self.time[carries] += dt
-        self.slip = np.where(carries, np.linalg.norm(object_pos - self._origin, axis=1), 0.0)
+        self.time = (self.time + dt) * carries
+        self.slip = np.where(carries, lengths(object_pos - self._origin), 0.0)
 
     def settle(self, where: NDArray[np.bool_]) -> None:
         """Set the slip of carried objects to zero: motion while the grasp forms is not slip."""
         where = where & self.carrying
-        self._origin[where] = self._now[where]
-        self.slip[where] = 0.0
+        if where.any():
+            self._origin[where] = self._now[where]
+            self.slip[where] = 0.0
 
     @property
     def firmness(self) -> Array:
         """1 − slip / `MAX_SLIP` for a carried object, but at least 0; 0 for one that is not
         carried, shape (n,).
         """
-        return np.where(self.carrying, np.maximum(1.0 - self.slip / MAX_SLIP, 0.0), 0.0)
+        return np.maximum(1.0 - self.slip / MAX_SLIP, 0.0) * self.carrying
 
     @property
     def holds(self) -> NDArray[np.bool_]:
         """True where the hand holds the object, shape (n,)."""
         return self.carrying & (self.slip <= MAX_SLIP)
+
+
+def lengths(vectors: Array) -> Array:
+    """Lengths of vectors, shape (n, 3) to (n,): `numpy.linalg.norm` without its checks."""
+    return np.sqrt(np.add.reduce(vectors * vectors, axis=1))

@@ -76,7 +76,13 @@ def phase_at(time: Array, ends: Sequence[float]) -> NDArray[np.int_]:
     """Index of the phase that is running or begins at times [s], given the phases' end times [s];
     the last phase stays.
     """
-    return np.minimum((time[:, None] > np.array(ends) - 1e-9).sum(axis=1), len(ends) - 1)
+    return np.minimum(_limits(tuple(ends)).searchsorted(time), len(ends) - 1)
+
+
+@lru_cache(maxsize=64)
+def _limits(ends: tuple[float, ...]) -> Array:
+    """End times of phases, in ascending order, which rounding may miss by 1e-9, shape (m,) [s]."""
+    return np.array(ends) - 1e-9
 
 
 def moved(share: float) -> float:

@@ -19,7 +19,7 @@ from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
-from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.phases import moved, phase_at
 from hpac_gym.tasks.task import (
     FAILURE,
@@ -326,8 +326,8 @@ class PickPlace(Task):
         reference = np.where(closing[:, None], self._place, self._target)
         carried = ~closing & (state.time < lowered - dt / 2)
         way = np.where(carried[:, None], state.object_pos - self._grasped_at, away - reference)
-        self._astray = np.linalg.norm(way, axis=1)
-        beside = np.linalg.norm((away - self._target)[:, [0, 2]], axis=1)
+        self._astray = lengths(way)
+        beside = lengths((away - self._target)[:, [0, 2]])
         placed = self._standing & ~touched & (beside < config.tolerance)
         over = state.time >= self.duration - dt / 2
         ended = np.where(over, np.where(placed, SUCCESS, FAILURE), RUNNING)

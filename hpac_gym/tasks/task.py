@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -138,7 +139,7 @@ class Weights(Protocol):
     failure: float
 
 
-FINGER_PARTS = [PARTS.index(name) for name in FINGERS]
+FINGER_PARTS = slice(PARTS.index(FINGERS[0]), PARTS.index(FINGERS[-1]) + 1)
 THUMB_PART = PARTS.index("thumb")
 
 
@@ -187,8 +188,13 @@ def scene_report(task: Task, now: Moment) -> dict[str, Any]:
     return {
         "is_success": now.outcome == SUCCESS,
         "outcome": _OUTCOMES[now.outcome],
-        "phase": np.array(task.phases, dtype=object)[now.phase],
+        "phase": _names(task.phases)[now.phase],
         "contact_force": now.state.contact_force.sum(axis=1),
         "hold_time": now.grip.time.copy(),
         "slip": now.grip.slip.copy(),
     }
+
+
+@cache
+def _names(phases: tuple[str, ...]) -> NDArray[np.object_]:
+    return np.array(phases, dtype=object)

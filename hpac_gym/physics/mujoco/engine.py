@@ -160,8 +160,8 @@ class MuJoCoEngine(Engine):
             at = group.at
             qpos = group.qpos[rows]
             qvel = group.qvel[rows]
-            state.joint_pos[rows] = qpos[:, at.joint]
-            state.joint_vel[rows] = qvel[:, at.dof]
+            state.joint_pos[rows] = qpos.take(at.joint, axis=1)
+            state.joint_vel[rows] = qvel.take(at.dof, axis=1)
             if group.layout.object is not None:
                 self._read_object(state, group, rows, qpos, qvel)
         felt = self._felt.copy()
@@ -177,7 +177,7 @@ class MuJoCoEngine(Engine):
     ) -> None:
         at = group.at
         to_hand = self._to_hand[rows]
-        state.palm_offset[rows] = offset = qpos[:, at.wrist]
+        state.palm_offset[rows] = offset = qpos.take(at.wrist, axis=1)
         if group.layout.fixed:
             place = group.fields["body_pos"][rows, at.object_body]
             quaternion = group.fields["body_quat"][rows, at.object_body]
@@ -280,7 +280,7 @@ def _turn(rotation: Array, vector: Array) -> Array:
 def _matrices(quaternion: Array) -> Array:
     """Rotation matrices of unit quaternions wxyz, shapes (n, 4) and (n, 3, 3)."""
     products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
-    rotation = 2 * (products[:, _FIRST] + _SIGN * products[:, _SECOND])
+    rotation = 2 * (products.take(_FIRST, axis=1) + _SIGN * products.take(_SECOND, axis=1))
     rotation[:, ::4] = 1 - rotation[:, ::4]
     return rotation.reshape(-1, 3, 3)
 

@@ -331,7 +331,8 @@ class Group:
             if pushed:
                 self.batch.bind("xfrc_applied")[rows] = 0.0
         # MuJoCo silently stops a simulation about which it warns.
-        for world, kind in np.argwhere(self.warnings != self.warned):
+        new = self.warnings != self.warned
+        for world, kind in np.argwhere(new) if new.any() else ():
             failed.setdefault(int(world), mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_"))
         return failed
 

@@ -59,7 +59,7 @@ class PyBulletEngine(Engine):
         self.dt = settings.dt
         self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
         self._setups: list[SceneSetup | None] = [None] * num_worlds
-        self._time = np.zeros(num_worlds)
+        self._time = [0.0] * num_worlds
         # Tables of each world's episode so far.
         self._past: list[list[tuple[Array, ...]]] = [[] for _ in range(num_worlds)]
 
@@ -90,7 +90,7 @@ class PyBulletEngine(Engine):
             scene.advance(*tables)
             past.append(tuple(tables))
         for _ in range(servo.shape[1]):
-            self._time += self.dt
+            self._time = [time + self.dt for time in self._time]
 
     def state(self) -> SceneState:
         """As `Engine.state`.
@@ -99,7 +99,7 @@ class PyBulletEngine(Engine):
             PhysicsError: A world's joint angles are not finite.
         """
         found = SceneState.empty(self.num_worlds)
-        found.time[:] = self._time
+        found.time = np.array(self._time)
         for world, scene in enumerate(self.scenes):
             if self._setups[world] is not None:
                 self._read(found, world, scene)
@@ -119,9 +119,8 @@ class PyBulletEngine(Engine):
         position, quaternion = scene.object.pose()
         to_hand = scene.to_hand
         found.object_pos[world] = to_hand @ (position - HAND_POSITION - offset)
-        found.object_rotation[world] = to_hand @ np.reshape(
-            pybullet.getMatrixFromQuaternion(quaternion), (3, 3)
-        )
+        rotation = np.array(pybullet.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
+        found.object_rotation[world] = to_hand @ rotation
         linear, angular = pybullet.getBaseVelocity(
             scene.object.body, physicsClientId=scene.world.client
         )

@@ -182,12 +182,14 @@ class SimHand:
             pybullet.resetJointState(self.body, slide, 0.0, 0.0, physicsClientId=self._client)
         self.move_wrist([0.0, 0.0, 0.0])
 
-    def joint_state(self) -> tuple[list[float], list[float]]:
+    def joint_state(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """True joint angles [rad] and speeds [rad/s], 15 of each. The real hand cannot measure
         them.
         """
-        states = pybullet.getJointStates(self.body, self._joints, self._client)
-        return [state[0] for state in states], [state[1] for state in states]
+        joint_pos, joint_vel, *_ = zip(
+            *pybullet.getJointStates(self.body, self._joints, self._client), strict=True
+        )
+        return joint_pos, joint_vel
 
     @property
     def palm_offset(self) -> Array:

@@ -108,14 +108,13 @@ class SimObject:
         """Damp a named object's spin, once per physics step; PyBullet's own damping does not act on
         its base.
         """
-        if self.spec.model is not None:
-            _, spin = pybullet.getBaseVelocity(self.body, self._client)
-            kept = 1.0 - SPIN_DECAY * dt
-            pybullet.resetBaseVelocity(
-                self.body,
-                angularVelocity=[kept * rate for rate in spin],
-                physicsClientId=self._client,
-            )
+        _, spin = pybullet.getBaseVelocity(self.body, self._client)
+        kept = 1.0 - SPIN_DECAY * dt
+        pybullet.resetBaseVelocity(
+            self.body,
+            angularVelocity=[kept * rate for rate in spin],
+            physicsClientId=self._client,
+        )
 
     def push(self, force: list[float]) -> None:
         """Apply a force [N], along the world's axes, at the centre of mass in the next physics

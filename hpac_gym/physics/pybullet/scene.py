@@ -144,17 +144,21 @@ class Scene:
         """Carry out k physics steps, one row of each table per step: shapes (k, 6) [rad], (k, 6)
         [rad/s], (k, 3) [m] and (k, 3) [N], or None for no push."""
         dt = self.world.settings.dt
-        pushes = [None] * len(servo) if push is None else push.tolist()
+        client = self.world.client
+        hand = self.hand
+        item = self.object
+        swings = item is not None and item.spec.model is not None
+        pushes = [None] * len(servo) if item is None or push is None else push.tolist()
         for angles, speeds, offset, force in zip(
             servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True
         ):
-            self.hand.move_wrist(offset)
-            self.hand.apply_tendons(angles, speeds)
-            if self.object is not None:
-                self.object.lose_spin(dt)
-                if force is not None:
-                    self.object.push(force)
-            self.world.step()
+            hand.move_wrist(offset)
+            hand.apply_tendons(angles, speeds)
+            if swings:
+                item.lose_spin(dt)
+            if force is not None:
+                item.push(force)
+            pybullet.stepSimulation(client)
 
     def touches(self, body: int) -> bool:
         """True if the object touches another body."""
