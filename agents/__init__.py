@@ -9,6 +9,7 @@ from hpac_gym.command import explain_missing_extras
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.policies.made_for import made_for
+from hpac_gym.registration import full_id
 
 explain_missing_extras()
 
@@ -24,12 +25,11 @@ class RunError(HpacError, OSError):
 
 
 def target_of(env_id: str, **options) -> dict[str, Any]:
-    """Fields of a policy file that identify its environment, one of this package: `env_id` and
+    """Fields of a policy file that identify its environment, with the module that registers it: `env_id` and
     `made_for`.
 
     Raises:
         EnvError: As in `make_env`.
     """
-    full_id = f"hpac_gym:{env_id}"
-    with make_env(full_id, **options) as env:
-        return {"env_id": full_id, "made_for": made_for(env)}
+    with make_env(full_id(env_id), **options) as env:
+        return {"env_id": full_id(env_id), "made_for": made_for(env)}

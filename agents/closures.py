@@ -27,11 +27,12 @@ from torch.nn import functional
 
 from agents import RunError
 from agents.recipes import Recipe
-from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, PickPlace, grasp_task
+from hpac_gym.envs import GraspAny, GraspAnyConfig, GraspByType, make_task
 from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import GRASP_ANY, GRASP_TYPE, PICK_PLACE, checked_options
+from hpac_gym.envs.options import checked_options
 from hpac_gym.model import action_from_synergy
 from hpac_gym.policies import Actor, Closures
+from hpac_gym.registration import GRASP_ANY, GRASP_TYPE
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.scripted import CLOSE_TIME
@@ -123,12 +124,10 @@ class Worlds:
         if (
             recipe.contacts == "weak"
         ):  # no torsional friction, and less of the skin's, drawn for each episode
-            low, high = options.randomization.skin_friction
-            randomization = replace(
-                options.randomization, skin_friction=(WEAK[0] * low, WEAK[1] * high)
-            )
+            low, high = options.randomize.skin_friction
+            randomize = replace(options.randomize, skin_friction=(WEAK[0] * low, WEAK[1] * high))
             options = replace(
-                options, randomization=randomization, world=replace(options.world, torsion=0.0)
+                options, randomize=randomize, world=replace(options.world, torsion=0.0)
             )
         count = self.steps = end - self._first
         self.episodes = Episodes(task, count, options)
@@ -205,7 +204,7 @@ def training_task(recipe: Recipe) -> Task:
         return GraspAny(hands=recipe.hands, config=replace(SHORT, size=recipe.sizes or SHORT.size))
     if recipe.env_id == GRASP_TYPE:
         return GraspByType(types="train")
-    return PickPlace() if recipe.env_id == PICK_PLACE else grasp_task()
+    return make_task(recipe.env_id)
 
 
 def worlds_of(recipe: Recipe, make: Callable[[Recipe], Task] = training_task) -> list[Worlds]:

@@ -25,13 +25,13 @@ from agents import POLICY, RecipeError, RunError, target_of
 from agents.curves import CURVE, Progress
 from agents.recipes import add_settings, applies, check, given_settings, setting, with_settings
 from hpac_gym.command import command_parser, minutes, run
-from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import install
 from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
+from hpac_gym.registration import GRASP
 
 ENGINE = "mujoco"
 SAVE_EVERY_S = 60.0

@@ -11,10 +11,10 @@ from math import inf
 from typing import Any, TypeVar, get_type_hints
 
 from agents import RecipeError
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 
 Settings = TypeVar("Settings")
 _KINDS = {

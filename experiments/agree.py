@@ -20,7 +20,6 @@ import numpy as np
 
 from hpac_gym.body.urdf import WRIST_EFFORT
 from hpac_gym.command import run_module, whole_number
-from hpac_gym.envs.options import GRASP
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
@@ -30,6 +29,7 @@ from hpac_gym.physics.mjcf import TORSION
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.progress import progress
+from hpac_gym.registration import GRASP
 
 FLOOR = (1e-6, 1e-3)
 """Displacements of the object along the palm's normal when an engine is compared with itself [m].

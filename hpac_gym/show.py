@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from hpac_gym.command import whole_number
-from hpac_gym.envs.options import GRASP
 from hpac_gym.envs.page import Page
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.output import OutputError, replacing
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.registration import GRASP
 from hpac_gym.tasks.task import CONTROL_HZ
 
 FILMS: dict[str, dict[str, Any]] = {

@@ -173,11 +173,11 @@ def play_script(
     used = []
 
     def begin(first: NDArray, places: NDArray) -> Act:
-        seen = [ScriptedGraspAny(player.task).kind(row) for row in first]
+        seen = [ScriptedGraspAny(player.task.terms).kind(row) for row in first]
         chosen = [closure(kind) for kind in seen]
         kinds.extend(seen), used.extend(chosen)
         scripts = [
-            ScriptedGraspAny(player.task, {kind: one})
+            ScriptedGraspAny(player.task.terms, closures={kind: one})
             for kind, one in zip(seen, chosen, strict=True)
         ]
         for script in scripts:
@@ -313,7 +313,7 @@ def by_script(task: GraspAny, seen: NDArray) -> Closing:
     """The closures that the script chooses on first observations; its steps are asked for in their
     order.
     """
-    scripts = [ScriptedGraspAny(task) for _ in seen]
+    scripts = [ScriptedGraspAny(task.terms) for _ in seen]
     for script in scripts:
         script.reset()
     return lambda step: np.array(

@@ -15,19 +15,16 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, OPTIONS, PICK_PLACE, POSTURE, Option
 from hpac_gym.envs.randomization import PRESETS, Randomization
+from hpac_gym.envs.registered import make_task, options_of_id
 from hpac_gym.evaluation import benchmark
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.output import markdown
-from hpac_gym.tasks.grasp import Grasp
-from hpac_gym.tasks.grasp_any import GraspAny
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp_data import GRASPS
-from hpac_gym.tasks.grasp_types import GraspByType
-from hpac_gym.tasks.pick_place import PickPlace
-from hpac_gym.tasks.posture import Posture
+from hpac_gym.tasks.options import Option
 from hpac_gym.tasks.task import CONTROL_HZ, Task
 from hpac_gym.tasks.terms import Term
 from tools.grasp_types import TABLES as TYPE_TABLES
@@ -45,9 +42,7 @@ def span(values: Any) -> str:
 def summary_table(env_id: str, task: Task) -> str:
     """Table of id, spaces and episode length."""
     rows = [["make", f'`gymnasium.make("hpac_gym:{env_id}")`']]
-    for obs in next(
-        option for option in OPTIONS if option.name == "obs" and env_id in option.ids
-    ).values:
+    for obs in task.observations:
         with gymnasium.make(env_id, obs=obs) as env:
             if len(rows) == 1:
                 rows.append(["action space", f"`{env.action_space}`"])
@@ -71,10 +66,9 @@ def space_in_words(space: gymnasium.Space) -> str:
 
 def option_table(env_id: str) -> str:
     """Table of the arguments of an id."""
-    taken = [option for option in OPTIONS if env_id in option.ids]
     rows = [
         [f"`{option.name}`", values_of(option), shown(option.default), option.meaning]
-        for option in taken
+        for option in options_of_id(env_id)
     ]
     return markdown(["argument", "values", "default", "meaning"], rows)
 
@@ -243,8 +237,9 @@ def deployed_table() -> str:
 Makers = dict[str, Callable[[], str]]
 
 
-def task_tables(env_id: str, task: Task) -> Makers:
+def task_tables(env_id: str) -> Makers:
     """Functions that make the tables of an id's page, by table name."""
+    task = make_task(env_id)
     deployed = sum(len(term.labels) for term in task.terms)
     makers: Makers = {
         "summary": lambda: summary_table(env_id, task),
@@ -267,11 +262,11 @@ def task_tables(env_id: str, task: Task) -> Makers:
 
 PAGES: dict[str, Makers] = {
     "environments/README.md": {"randomization": randomization_table},
-    "environments/grasp.md": task_tables(GRASP, Grasp()) | {"scale": scale_table},
-    "environments/grasp_any.md": task_tables(GRASP_ANY, GraspAny()),
-    "environments/grasp_type.md": task_tables(GRASP_TYPE, GraspByType()),
-    "environments/pick_place.md": task_tables(PICK_PLACE, PickPlace()),
-    "environments/posture.md": task_tables(POSTURE, Posture()),
+    "environments/grasp.md": task_tables(GRASP) | {"scale": scale_table},
+    "environments/grasp_any.md": task_tables(GRASP_ANY),
+    "environments/grasp_type.md": task_tables(GRASP_TYPE),
+    "environments/pick_place.md": task_tables(PICK_PLACE),
+    "environments/posture.md": task_tables(POSTURE),
     "benchmark.md": {"results": result_tables},
     "deploy.md": {"deployed": deployed_table},
     "grasps.md": {"objects": object_table, **TYPE_TABLES},

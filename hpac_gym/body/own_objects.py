@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
 from pathlib import Path
@@ -96,6 +97,25 @@ def own_object(
         raise ParameterError(f"'{path}' says no mass: give one in kg")
     _check_positive(path, "mass", mass, MAX_MASS)
     return _spec(path, [_moved(solid, _UP[up], np.zeros(3)) for solid in solids], mass, friction)
+
+
+def as_object(given: ObjectSpec | Mapping[str, Any]) -> ObjectSpec:
+    """The object that an option `object` gives: a spec, or a mapping of the arguments of
+    `own_object`.
+
+    Raises:
+        ParameterError: It is neither, or `own_object` refuses it.
+        OutputError: As in `own_object`.
+    """
+    try:
+        given = own_object(**given) if isinstance(given, Mapping) else given
+    except TypeError as error:
+        raise ParameterError(f"object {given!r}: {error}") from None
+    if not isinstance(given, ObjectSpec):
+        raise ParameterError(
+            f"object {given!r} is neither an ObjectSpec, as own_object gives one, nor a dictionary for it"
+        )
+    return given
 
 
 def _check_positive(path: Path, name: str, value: Any, most: float) -> None:

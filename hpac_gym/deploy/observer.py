@@ -13,22 +13,17 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.deploy.errors import DeployError
-from hpac_gym.envs import grasp_any_task, grasp_task, grasp_type_task, pick_place_task
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
+from hpac_gym.envs import make_task
 from hpac_gym.model import HPAC, SERVOS, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.model.maps import CommandMap
 from hpac_gym.physics.engine import SceneSetup, SceneState, matrix_from_quaternion
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.task import CONTROL_HZ, Task
 from hpac_gym.tasks.terms import Layout, Moment
 
-TASKS = {
-    GRASP: grasp_task,
-    GRASP_ANY: grasp_any_task,
-    GRASP_TYPE: grasp_type_task,
-    PICK_PLACE: pick_place_task,
-}
+TASKS = (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE)
 """Tasks that a hand can do with a camera that sees an object."""
 
 
@@ -84,7 +79,7 @@ class Observer:
             if name not in (GRASP, GRASP_TYPE):
                 raise DeployError(f"{name} has no grasps by name, such as {grasp!r}")
             options = {"grasp" if name == GRASP else "types": grasp}
-        self.task: Task = TASKS[name](**options)
+        self.task: Task = make_task(name, **options)
         self.spec = gymnasium.spec(name)
         self.model = model
         self.unwrapped = self

@@ -43,6 +43,7 @@ from hpac_gym.physics.engine import (
 )
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
+from hpac_gym.tasks.options import check_choice
 from hpac_gym.tasks.quality import grasp_quality
 from hpac_gym.tasks.senses import POINTS, POINTS_BOUND
 from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, Task
@@ -85,11 +86,7 @@ class Episodes:
             raise ParameterError(
                 f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands"
             )
-        kinds = ("deploy", "privileged", "image", *task.sensed_terms)
-        if options.obs not in kinds:
-            raise ParameterError(
-                f"obs {options.obs!r} is not one of {', '.join(kinds)}, which this task has"
-            )
+        check_choice("obs", options.obs, task.observations)
         if options.model == CALIBRATED and task.hands != "test":
             raise ParameterError(
                 f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"
@@ -121,7 +118,7 @@ class Episodes:
             -1.0, 1.0, (len(SERVOS) + len(task.wrist_actions),), np.float32
         )
         self.setups: list[SceneSetup | None] = [None] * num_worlds
-        self.randomizations = [options.randomization] * num_worlds
+        self.randomizations = [options.randomize] * num_worlds
         self.outcome = np.full(num_worlds, RUNNING)
         self._wrist = np.zeros((num_worlds, *self._clock.shape, 3))
         self._worlds = np.arange(num_worlds)
@@ -532,7 +529,7 @@ def _changing(owner: Any) -> Iterator[tuple[Any, str]]:
             yield owner, name
         elif (
             name not in ("engine", "_page", "_map")
-            and type(value).__module__.startswith("hpac_gym.")
+            and (name == "task" or type(value).__module__.startswith("hpac_gym."))
             and hasattr(value, "__dict__")
         ):
             yield from _changing(value)

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from hpac_gym.envs.episodes import CONTROL_HZ, VIEW_TARGET, Episodes, Transmit, open_episodes
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
 from hpac_gym.envs.randomization import Randomization, randomization
-from hpac_gym.errors import EpisodeError, ParameterError, ShapeError
+from hpac_gym.errors import EpisodeError, ShapeError
 from hpac_gym.model import ServoCommand
 from hpac_gym.model.checks import Array, as_array
 from hpac_gym.physics.engine import SceneState, Viewpoint
-from hpac_gym.tasks.config import settings_from
-from hpac_gym.tasks.posture import Posture, PostureConfig
 from hpac_gym.tasks.task import RUNNING, Task
 
 Observation = NDArray[np.float32] | dict[str, NDArray]
@@ -33,7 +31,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         transmit: function applied to a command on its way to the simulated servos, such as the wire
             and the firmware; None is the identity. Observations use the original command.
         options: hand, reward, noise, obs, randomize, engine, body; see
-            `hpac_gym.envs.options.OPTIONS`.
+            `hpac_gym.envs.options.Options`.
 
     Raises:
         TypeError: An unknown option.
@@ -236,35 +234,10 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._running = False
 
 
-def posture_task(config: PostureConfig | Mapping | None = None) -> Posture:
-    """The task of `HPAC-Posture-v1`.
-
-    Args:
-        config: settings of the task, or a mapping of its fields; None is the default.
-
-    Raises:
-        ParameterError: Invalid config, or one with another duration, which the time limit
-            determines.
+class GoalEnv(HandEnv):
+    """`HandEnv` of a task with goals, with the functions that hindsight replay needs. Goals are
+    joint angles, shape (..., 15) [rad].
     """
-    chosen = settings_from(PostureConfig(), config, "config")
-    if chosen.duration != PostureConfig().duration:
-        raise ParameterError(
-            f"config duration = {chosen.duration} s: give gymnasium.make(..., max_episode_steps=) instead"
-        )
-    return Posture(chosen)
-
-
-class PostureEnv(HandEnv):
-    """`HandEnv` with the functions that hindsight replay needs. Goals are joint angles, shape (...,
-    15) [rad].
-
-    Args:
-        config: as for `posture_task`.
-        options: those of `HandEnv`.
-    """
-
-    def __init__(self, config: PostureConfig | Mapping | None = None, **options: Any) -> None:
-        super().__init__(posture_task(config), **options)
 
     def compute_reward(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any

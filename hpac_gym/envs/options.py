@@ -1,15 +1,14 @@
-"""Options of the environments: the table that the documentation prints, and their validation."""
+"""Options that every environment has: one field each, with its meaning, default and check."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field, fields, replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from hpac_gym.body.object_sets import SPLITS
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs.randomization import PRESETS, Randomization, randomization
 from hpac_gym.errors import ParameterError
@@ -20,21 +19,11 @@ from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, default_engine
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import settings_from
-from hpac_gym.tasks.grasp_any import HANDS, WRISTS
-from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
-from hpac_gym.tasks.grasp_types import GRASP_TYPES, OBJECTS, TYPE_SPLITS
-from hpac_gym.tasks.grasp_types import WRISTS as TYPE_WRISTS
+from hpac_gym.tasks.options import Option, check_choice
 from hpac_gym.tasks.task import Task
 
 MODELS = EXACT, CALIBRATED = "hand", "calibrated"
 RENDER_MODES = ["human", "rgb_array"]
-GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE = IDS = (
-    "HPAC-Grasp-v0",
-    "HPAC-GraspAny-v1",
-    "HPAC-GraspType-v0",
-    "HPAC-PickPlace-v0",
-    "HPAC-Posture-v1",
-)
 _SETUP_ARRAYS = {
     "position": 3,
     "synergy": 6,
@@ -44,260 +33,135 @@ _SETUP_ARRAYS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Option:
-    """An argument of an environment's id."""
-
-    name: str
-    values: tuple[str | None, ...]
-    """Values that can be given by name."""
-    default: Any
-    meaning: str
-    others: str = ""
-    """Other accepted values, in words."""
-    ids: tuple[str, ...] = IDS
-    """Ids that accept the option."""
-
-
-OPTIONS = (
-    Option(
-        "grasp",
-        (None, *GRASPS),
-        None,
-        "a named grasp with its object; None draws a primitive in front of the open hand",
-        ids=(GRASP,),
-    ),
-    Option(
-        "variant",
-        (NOMINAL, "large", "small", "heavy", "slippery", "shape"),
-        NOMINAL,
-        "variant of a named grasp's object",
-        ids=(GRASP,),
-    ),
-    Option(
-        "objects",
-        SPLITS,
-        "train",
-        "split from which objects are drawn; the other two must not be used in training",
-        ids=(GRASP_ANY,),
-    ),
-    Option(
-        "hands",
-        HANDS,
-        "nominal",
-        "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
-        "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
-        ids=(GRASP_ANY,),
-    ),
-    Option(
-        "wrist",
-        WRISTS,
-        "script",
-        "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
-        "episode move it, by four numbers more",
-        ids=(GRASP_ANY,),
-    ),
-    Option(
-        "types",
-        (*TYPE_SPLITS, *GRASP_TYPES),
-        "all",
-        "the types that an episode may ask for: all sixteen, those to train on, "
-        "those held out, one, or several",
-        others="list of names",
-        ids=(GRASP_TYPE,),
-    ),
-    Option(
-        "objects",
-        OBJECTS,
-        "train",
-        "*train* has the types' own objects, *test* draws one of their held-out variants, on "
-        "which nothing may be trained",
-        ids=(GRASP_TYPE,),
-    ),
-    Option(
-        "wrist",
-        TYPE_WRISTS,
-        "free",
-        "*free* lets the first action of an episode say where the wrist goes, by six numbers "
-        "more; *script* puts it where the type wants it",
-        ids=(GRASP_TYPE,),
-    ),
-    Option(
-        "object",
-        (None,),
-        None,
-        "object that replaces the primitive, such as one that `own_object` loads from a file; a "
-        "dictionary has the arguments of `own_object`",
-        others="`hpac_gym.body.objects.ObjectSpec`, dictionary",
-        ids=(GRASP,),
-    ),
-    Option(
-        "hand",
-        (),
-        HPAC,
-        "the hand that is simulated, with the servo zeros of its file; `HPAC` is the hand of the paper, "
-        "`hpac_gym.model.HPAC`",
-        others="`hpac_gym.model.Hand`, path of a hand file",
-    ),
-    Option(
-        "model",
-        MODELS,
-        HPAC,
-        "the hand with which commands and observations are computed: a hand file is what `hpac calibrate` "
-        "writes, and its commands invert it; *hand* knows the numbers of the simulated hand exactly; "
-        '*calibrated*, for `hands="test"`, has for each held-out hand the file of its own simulated sweep',
-        others="`hpac_gym.model.Hand`, path of a hand file",
-    ),
-    Option(
-        "obs",
-        ("deploy", "privileged", "image"),
-        "deploy",
-        "observation: that of the real hand; with terms known only in "
-        "simulation, for a critic; or with an image",
-        ids=(GRASP, GRASP_TYPE, PICK_PLACE, POSTURE),
-    ),
-    Option(
-        "obs",
-        ("deploy", "load", "points", "privileged", "image"),
-        "deploy",
-        "observation: that of a hand and a "
-        "camera; with the servos' feedback, with visible points of the object's surface, with terms known only in simulation, "
-        "or with an image",
-        ids=(GRASP_ANY,),
-    ),
-    Option(
-        "reward", ("dense", "sparse"), "dense", "sum of the task's reward terms, or success only"
-    ),
-    *(
-        Option(
-            "randomize",
-            (None, *PRESETS),
-            default,
-            "domain randomization of episodes: a preset, or ranges by name; None is "
-            '"nominal", which changes nothing',
-            others="`hpac_gym.envs.Randomization`, dictionary of ranges",
-            ids=ids,
-        )
-        for default, ids in (
-            ("hand", (POSTURE,)),
-            (None, (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE)),
-        )
-    ),
-    Option(
-        "noise",
-        (None,),
-        None,
-        "standard deviations of the object camera's noise: `position`, of each coordinate "
-        "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
-        + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
-        others="`hpac_gym.envs.CameraNoise`, dictionary of its fields",
-        ids=(GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE),
-    ),
-    *(
-        Option(
-            "config",
-            (None,),
-            None,
-            "sampling ranges, success criteria and reward weights; None is as on this page",
-            others=f"`hpac_gym.envs.{kind}`, dictionary of its fields",
-            ids=(env_id,),
-        )
-        for env_id, kind in (
-            (GRASP, "GraspConfig"),
-            (GRASP_ANY, "GraspAnyConfig"),
-            (GRASP_TYPE, "GraspTypeConfig"),
-            (PICK_PLACE, "PickPlaceConfig"),
-            (POSTURE, "PostureConfig"),
-        )
-    ),
-    Option(
-        "engine",
-        (None, *ENGINES),
-        None,
-        "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere",
-    ),
-    Option(
-        "body",
-        tuple(BODIES),
-        "twin",
-        "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
-        "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo",
-    ),
-    Option(
-        "render_mode",
-        (None, *RENDER_MODES),
-        None,
-        "*rgb_array*: `render()` returns images; *human*: every step "
-        "is shown on a page in the browser, in real time",
-    ),
-)
-"""Every argument of the ids, except those of `gymnasium.make` itself."""
+def _told(meaning: str, values: tuple[str | None, ...] = (), others: str = "") -> dict[str, Option]:
+    """Metadata of a field of `Options` that is an argument of every id."""
+    return {"option": Option(meaning, values, others)}
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Validated options of an environment; see `OPTIONS`."""
-
-    hand: Hand
-    model: Hand | str
-    """A model, or one of `MODELS`: a model for every episode's hand."""
-    obs: str
-    reward: str
-    randomization: Randomization
-    noise: CameraNoise
-    engine: str
-    body: str
-    visuals: bool
-    world: WorldSettings = WorldSettings()
-    """Integration; no environment offers it, since its results would not be those of its id."""
-
-
-def checked_options(
-    hand: Hand | str | PathLike[str] = HPAC,
-    model: Hand | str | PathLike[str] = HPAC,
-    obs: str = "deploy",
-    reward: str = "dense",
-    randomize: Randomization | Mapping | str | None = None,
-    noise: CameraNoise | Mapping | None = None,
-    engine: str | None = None,
-    body: str = "twin",
-    render_mode: str | None = None,
-) -> Options:
-    """Validate the options of an environment; see `OPTIONS`.
+    """Options that every environment has, checked.
 
     Raises:
         ParameterError: Unknown value, or a bad hand file.
     """
-    given = {
-        "obs": obs,
-        "reward": reward,
-        "engine": engine,
-        "body": body,
-        "render_mode": render_mode,
-    }
-    for name, value in given.items():
-        known = list(
-            dict.fromkeys(
-                known for option in OPTIONS if option.name == name for known in option.values
-            )
-        )
-        if not (isinstance(value, str | None) and value in known):
-            raise ParameterError(f"{name} {value!r} is not one of {', '.join(map(str, known))}")
-    for name, value in (("hand", hand), ("model", model)):
-        if not isinstance(value, Hand | str | PathLike):
-            raise ParameterError(f"{name} {value!r} is neither a Hand nor the path of a hand file")
-    noise = settings_from(CameraNoise(), noise, "noise")
-    return Options(
-        hand if isinstance(hand, Hand) else load_hand(hand),
-        model if isinstance(model, Hand) or model in MODELS else load_hand(model),
-        obs,
-        reward,
-        randomization(randomize),
-        noise,
-        engine or default_engine(),
-        body,
-        render_mode is not None,
+
+    hand: Hand = field(
+        default=HPAC,
+        metadata=_told(
+            "the hand that is simulated, with the servo zeros of its file; `HPAC` is the hand of the paper, "
+            "`hpac_gym.model.HPAC`",
+            others="`hpac_gym.model.Hand`, path of a hand file",
+        ),
     )
+    model: Hand | str = field(
+        default=HPAC,
+        metadata=_told(
+            "the hand with which commands and observations are computed: a hand file is what `hpac calibrate` "
+            "writes, and its commands invert it; *hand* knows the numbers of the simulated hand exactly; "
+            '*calibrated*, for `hands="test"`, has for each held-out hand the file of its own simulated sweep',
+            MODELS,
+            "`hpac_gym.model.Hand`, path of a hand file",
+        ),
+    )
+    obs: str = field(
+        default="deploy",
+        metadata=_told(
+            "observation: that of a hand and a camera; with what the task's own kinds add; with terms known "
+            "only in simulation, for a critic; or with an image",
+        ),
+    )
+    """Its values are those of the task: `Task.observations`."""
+    reward: str = field(
+        default="dense",
+        metadata=_told("sum of the task's reward terms, or success only", ("dense", "sparse")),
+    )
+    randomize: Randomization = field(
+        default=None,
+        metadata=_told(
+            "domain randomization of episodes: a preset, or ranges by name; None is "
+            '"nominal", which changes nothing',
+            (None, *PRESETS),
+            "`hpac_gym.envs.Randomization`, dictionary of ranges",
+        ),
+    )
+    noise: CameraNoise = field(
+        default=None,
+        metadata=_told(
+            "standard deviations of the object camera's noise: `position`, of each coordinate "
+            "[m]; `angle`, of the rotation about each axis [rad]; `size`, relative. None is "
+            + ", ".join(f"{value:g}" for value in astuple(CameraNoise())),
+            (None,),
+            "`hpac_gym.envs.CameraNoise`, dictionary of its fields",
+        ),
+    )
+    engine: str = field(
+        default=None,
+        metadata=_told(
+            "the physics engine; None is PyBullet where it is installed, and MuJoCo elsewhere",
+            (None, *ENGINES),
+        ),
+    )
+    body: str = field(
+        default="twin",
+        metadata=_told(
+            "the hand's inertia: *twin* has an armature on every joint, which PyBullet's explicit "
+            "torques need; *light* has the links' own inertia and the servos' at their hubs, and needs MuJoCo",
+            tuple(BODIES),
+        ),
+    )
+    render_mode: str | None = field(
+        default=None,
+        metadata=_told(
+            "*rgb_array*: `render()` returns images; *human*: every step "
+            "is shown on a page in the browser, in real time",
+            (None, *RENDER_MODES),
+        ),
+    )
+    world: WorldSettings = WorldSettings()
+    """Integration; no environment offers it, since its results would not be those of its id."""
+
+    def __post_init__(self) -> None:
+        for option in COMMON:
+            if option.values and not option.others:
+                check_choice(option.name, getattr(self, option.name), option.values)
+        for name in ("hand", "model"):
+            given = getattr(self, name)
+            if not isinstance(given, Hand | str | PathLike):
+                raise ParameterError(
+                    f"{name} {given!r} is neither a Hand nor the path of a hand file"
+                )
+            if not isinstance(given, Hand) and not (name == "model" and given in MODELS):
+                object.__setattr__(self, name, load_hand(given))
+        object.__setattr__(self, "randomize", randomization(self.randomize))
+        object.__setattr__(self, "noise", settings_from(CameraNoise(), self.noise, "noise"))
+        object.__setattr__(self, "engine", self.engine or default_engine())
+
+    @property
+    def visuals(self) -> bool:
+        """Whether pictures may be asked for."""
+        return self.render_mode is not None
+
+
+COMMON = tuple(
+    replace(entry.metadata["option"], name=entry.name, default=entry.default)
+    for entry in fields(Options)
+    if entry.metadata
+)
+"""The arguments of every id, except those of `gymnasium.make` itself."""
+
+
+def checked_options(**given: Any) -> Options:
+    """The options of an environment; see `Options`.
+
+    Raises:
+        TypeError: An unknown option.
+        ParameterError: Unknown value, or a bad hand file.
+    """
+    known = [option.name for option in COMMON]
+    if unknown := [name for name in given if name not in known]:
+        raise TypeError(f"unknown options {', '.join(unknown)}: there are {', '.join(known)}")
+    return Options(**given)
 
 
 def check_num_envs(num_envs: int) -> None:

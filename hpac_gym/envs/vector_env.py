@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
-from hpac_gym.envs.hand_env import PostureEnv
+from hpac_gym.envs.hand_env import GoalEnv
 from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setup_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
@@ -319,7 +319,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             "compute_truncated",
         ):
             # These methods depend only on the task and the options.
-            return (getattr(PostureEnv, name)(self, *args, **kwargs),) * self.num_envs
+            return (getattr(GoalEnv, name)(self, *args, **kwargs),) * self.num_envs
         return self.get_attr(name)
 
     def close_extras(self, **_: Any) -> None:

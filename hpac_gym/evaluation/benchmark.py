@@ -23,7 +23,6 @@ import numpy as np
 
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.command import Formatter, whole_number
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.errors import EnvError, HpacError
 from hpac_gym.evaluation.environment import make_env, versions
 from hpac_gym.evaluation.evaluate import NO_PHASE, evaluate, failures_by_phase
@@ -41,6 +40,7 @@ from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.policies.policy_file import policy_path
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp_types import data_text
 
 SCHEMA = "hpac-benchmark-1"

@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpac_gym.command import whole_number
-from hpac_gym.envs.options import GRASP, IDS, OPTIONS
+from hpac_gym.envs.options import COMMON
 from hpac_gym.errors import DatasetError
 from hpac_gym.output import OutputError, writable_folder
 from hpac_gym.progress import progress
+from hpac_gym.registration import GRASP, full_id
 
 if TYPE_CHECKING:
     import gymnasium
@@ -51,17 +52,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="scripted, random, or a policy file (default: %(default)s)",
     )
     parser.add_argument(
-        "--env", default=GRASP, choices=IDS, help="the environment (default: %(default)s)"
+        "--env", default=GRASP, help="environment id, or module:id (default: %(default)s)"
     )
-    for name in PASSED_ON:
-        names = sorted(
-            {value for option in OPTIONS if option.name == name for value in option.values if value}
-        )
-        parser.add_argument(
-            f"--{name}",
-            choices=names,
-            help="option of the environment (default: the environment's)",
-        )
+    for option in COMMON:
+        if option.name in PASSED_ON:
+            parser.add_argument(
+                f"--{option.name}",
+                choices=[value for value in option.values if value] or None,
+                help="option of the environment (default: the environment's)",
+            )
     for name in HANDS:
         parser.add_argument(f"--{name}", metavar="TOML", help="as of `hpac evaluate`")
     parser.add_argument(
@@ -106,7 +105,7 @@ def _record(args: argparse.Namespace) -> int:
         from hpac_gym.evaluation.lerobot import to_lerobot, writer
 
         with _appearing(args.out) as root:
-            with closing(gymnasium.make(f"hpac_gym:{args.env}", **options)) as env:
+            with closing(gymnasium.make(full_id(args.env), **options)) as env:
                 writer(env)  # what it refuses costs no recording
             dataset = record(args.policy, args.env, args.episodes, root / "minari", **what)
             to_lerobot(dataset, root / "written")
@@ -167,11 +166,12 @@ def record(
     from hpac_gym.policies.loading import load_policy
 
     with _appearing(out) as root:
-        env = gymnasium.make(f"hpac_gym:{env_id}", disable_env_checker=True, **(options or {}))
+        env = gymnasium.make(full_id(env_id), disable_env_checker=True, **(options or {}))
         try:
             actor = load_policy(policy, env)
             dataset = None
-            name = f"hpac/{env_id.removeprefix('HPAC-').lower().rpartition('-')[0]}/{Path(policy).stem}-v0"
+            task = env_id.rpartition(":")[2].removeprefix("HPAC-").lower().rpartition("-")[0]
+            name = f"hpac/{task}/{Path(policy).stem}-v0"
             os.environ["MINARI_DATASETS_PATH"] = str(root)
             buffers = []
             for seed in progress(range(seed_start, seed_start + episodes), "episodes"):

@@ -18,8 +18,6 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.command import whole_number
-from hpac_gym.envs import GRASPS, NOMINAL
-from hpac_gym.envs.options import GRASP
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
@@ -28,7 +26,8 @@ from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import about, load_policy
 from hpac_gym.progress import progress
-from hpac_gym.tasks.grasp_data import named_grasp
+from hpac_gym.registration import GRASP
+from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, named_grasp
 
 CHUNK = 5  # episodes per job of a worker
 RANDOM = "random"

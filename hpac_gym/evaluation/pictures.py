@@ -10,12 +10,12 @@ import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from hpac_gym.envs.options import GRASP
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.model import POSTURES
 from hpac_gym.output import replacing
 from hpac_gym.physics.engine import Viewpoint
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.registration import GRASP
 from hpac_gym.tasks.grasp_data import NOMINAL
 
 VIEW = Viewpoint(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=-14.0)

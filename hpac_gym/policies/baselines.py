@@ -5,10 +5,10 @@ from __future__ import annotations
 import gymnasium
 import numpy as np
 
-from hpac_gym.envs import scripted_closure
 from hpac_gym.errors import PolicyError
-from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType
-from hpac_gym.tasks.scripted import Script, ScriptedGraspType, ScriptedPosture
+from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType, ScriptedGraspType
+from hpac_gym.tasks.posture import ScriptedPosture
+from hpac_gym.tasks.scripted import Script, ScriptedClosure
 
 
 class RandomPolicy:
@@ -29,7 +29,8 @@ class ScriptedPolicy:
     """The scripted closure of the environment's task, or a given one."""
 
     def __init__(self, env: gymnasium.Env, closure: Script | None = None) -> None:
-        self._closure = closure or scripted_closure(getattr(env.unwrapped, "task", None))
+        task = getattr(env.unwrapped, "task", None)  # environments of other packages have none
+        self._closure = closure or (task.script() if task else ScriptedClosure())
 
     def reset(self, seed: int) -> None:
         self._closure.reset()

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.objects import SHAPES, ObjectSpec, Support
+from hpac_gym.body.own_objects import as_object
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.config import check_bounds
-from hpac_gym.tasks.grasp_data import NOMINAL, NamedGrasp, Variant, named_grasp
+from hpac_gym.tasks.config import check_bounds, settings_from
+from hpac_gym.tasks.grasp_data import (
+    GRASPS,
+    NOMINAL,
+    GraspError,
+    NamedGrasp,
+    Variant,
+    named_grasp,
+)
 from hpac_gym.tasks.grip import Grip, lengths
+from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
+from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.task import (
     FAILURE,
     RUNNING,
@@ -114,26 +126,68 @@ class GraspConfig:
         check_bounds(self, "config")
 
 
+RANGES = tuple(
+    entry.name
+    for entry in fields(GraspConfig)
+    if "bounds" in entry.metadata and entry.name != "drop_distance"
+)
+"""Fields of `GraspConfig` that draw an episode."""
+GRASP_OPTION = Option(
+    "a named grasp with its object; None draws a primitive in front of the open hand",
+    (None, *GRASPS),
+)
+VARIANT_OPTION = Option(
+    "variant of a named grasp's object",
+    (NOMINAL, *dict.fromkeys(name for grasp in GRASPS.values() for name in grasp.held_out)),
+)
+CONFIG_OPTION = config_option(GraspConfig)
+OBJECT_OPTION = Option(
+    "object that replaces the primitive, such as one that `own_object` loads from a file; a "
+    "dictionary has the arguments of `own_object`",
+    (None,),
+    "`hpac_gym.body.objects.ObjectSpec`, dictionary",
+)
+
+
 class Grasp(Task):
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
 
     Args:
-        config: sampling ranges, drop criterion, timetable and reward weights.
-        object: the object of every episode; None draws a primitive.
+        config: sampling ranges, drop criterion, timetable and reward weights, or a mapping of some
+            of them.
+        object: the object of every episode; a dictionary holds the arguments of `own_object`, and
+            None draws a primitive.
+
+    Raises:
+        ParameterError: Invalid config or object, or a config with ranges for an object of one's
+            own.
     """
 
     phases = PHASES
     privileged_terms = PRIVILEGED_TERMS
+    config_class = GraspConfig
 
     def __init__(
-        self, config: GraspConfig = GraspConfig(), object: ObjectSpec | None = None
+        self,
+        config: Annotated[GraspConfig | Mapping[str, Any] | None, CONFIG_OPTION] = None,
+        object: Annotated[ObjectSpec | Mapping[str, Any] | None, OBJECT_OPTION] = None,
     ) -> None:
-        self.config = config
-        self.timetable = config.timetable
-        self.object = object
+        self.config = settings_from(self.config_class(), config, "config")
+        self.timetable = self.config.timetable
+        self.object = None if object is None else as_object(object)
+        if object is not None:
+            self._refuse_ranges(
+                OBJECT_RANGES, "an object of one's own has its own size, mass and friction"
+            )
         self.duration = self.timetable.ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
         self.reward_terms = self._rewards()
+
+    def _refuse_ranges(self, names: Sequence[str], reason: str) -> None:
+        """Raise `ParameterError` for a config with other than the default ranges of these names."""
+        default = self.config_class()
+        if given := [n for n in names if getattr(self.config, n) != getattr(default, n)]:
+            raise ParameterError(f"config {', '.join(given)}: {reason}")
 
     def _rewards(self) -> tuple[RewardTerm, ...]:
         weights = self.config.weights
@@ -240,24 +294,63 @@ class GraspByName(Grasp):
     Args:
         name: name of the grasp.
         variant: variant of its object; "nominal", or a held-out one.
-        config: drop criterion, timetable and reward weights; its ranges are not used.
+        config: drop criterion, timetable and reward weights; it has no ranges.
 
     Raises:
         GraspError: No grasp or variant has that name.
+        ParameterError: Invalid config, or one with ranges.
     """
 
     def __init__(
-        self, name: str, variant: str = NOMINAL, config: GraspConfig = GraspConfig()
+        self,
+        name: str,
+        variant: str = NOMINAL,
+        config: GraspConfig | Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(config)
         self.grasp = named_grasp(name)
         self.variant = self.grasp.variant(variant)
+        reason = f"a named grasp such as {name!r} has its own object, place and hand"
+        self._refuse_ranges(RANGES, reason)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the object's position in the hand frame, and its rotation about the
         vertical.
         """
         return setup_of_grasp(self.grasp, self.variant, rng, hand)
+
+    def script(self) -> Script:
+        return ScriptedClosure(self.grasp)
+
+
+def grasp_task(
+    grasp: Annotated[str | None, GRASP_OPTION] = None,
+    variant: Annotated[str, VARIANT_OPTION] = NOMINAL,
+    object: Annotated[ObjectSpec | Mapping[str, Any] | None, OBJECT_OPTION] = None,
+    config: Annotated[GraspConfig | Mapping[str, Any] | None, CONFIG_OPTION] = None,
+) -> Grasp:
+    """The task of `HPAC-Grasp-v0`.
+
+    Args:
+        grasp: name of one of the sixteen `GRASPS`; None draws a primitive in front of the open
+            hand.
+        variant: variant of a named grasp's object, such as "large" or "slippery"; see
+            `tasks/data/grasps.toml`.
+        object: as for `Grasp`.
+        config: as for `Grasp`.
+
+    Raises:
+        GraspError: Unknown grasp or variant; or `variant` without a named grasp, or `object` with
+            one.
+        ParameterError: As from `Grasp` and `GraspByName`.
+    """
+    if grasp is None:
+        if variant != NOMINAL:
+            raise GraspError(f"variant {variant!r} needs a named grasp: grasp=NAME")
+        return Grasp(config, object)
+    if object is not None:
+        raise GraspError(f"grasp {grasp!r} has its own object: give either grasp or object")
+    return GraspByName(grasp, variant, config)
 
 
 def setup_of_grasp(

@@ -4,9 +4,9 @@ useful.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,11 @@ from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.config import check_bounds
+from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.grip import Grip, lengths
+from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import Timetable, phase_at, wrist_table
+from hpac_gym.tasks.scripted import ScriptedGraspAny
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses
 from hpac_gym.tasks.task import (
     CONTROL_HZ,
@@ -35,7 +37,6 @@ from hpac_gym.tasks.task import (
     effort_term,
     open_hand,
     outcome_term,
-    scene_report,
     setting,
 )
 from hpac_gym.tasks.terms import (
@@ -152,6 +153,21 @@ class GraspAnyConfig:
         return (*self.timetable.ends[:SIDES], sides, sides + self.ramp_time)
 
 
+OBJECTS_OPTION = Option(
+    "split from which objects are drawn; the other two must not be used in training", SPLITS
+)
+WRIST_OPTION = Option(
+    "*script* leaves the wrist where the sampler put it; *free* lets the first action of an "
+    "episode move it, by four numbers more",
+    WRISTS,
+)
+HANDS_OPTION = Option(
+    "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
+    "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
+    HANDS,
+)
+
+
 class GraspAny(Task):
     """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
 
@@ -161,29 +177,29 @@ class GraspAny(Task):
             action move it.
         hands: "nominal" keeps the given hand; "train" and "test" draw one from that set of hands,
             without telling the policy.
-        config: sampling ranges, success criteria and reward weights.
+        config: sampling ranges, success criteria and reward weights, or a mapping of some of them.
 
     Raises:
-        ParameterError: Unknown split, wrist or set of hands.
+        ParameterError: Invalid config, or unknown split, wrist or set of hands.
     """
 
     phases = PHASES
     viewpoint = Viewpoint(yaw_deg=120.0)
+    sensed_terms: ClassVar = {"load": LOAD_TERMS, "points": ()}
 
     def __init__(
         self,
-        objects: str = "train",
-        wrist: str = "script",
-        hands: str = "nominal",
-        config: GraspAnyConfig = GraspAnyConfig(),
+        objects: Annotated[str, OBJECTS_OPTION] = "train",
+        wrist: Annotated[str, WRIST_OPTION] = "script",
+        hands: Annotated[str, HANDS_OPTION] = "nominal",
+        config: Annotated[
+            GraspAnyConfig | Mapping[str, Any] | None, config_option(GraspAnyConfig)
+        ] = None,
     ) -> None:
-        for name, given, known in (
-            ("objects", objects, SPLITS),
-            ("wrist", wrist, WRISTS),
-            ("hands", hands, HANDS),
-        ):
-            if given not in known:
-                raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
+        check_choice("objects", objects, SPLITS)
+        check_choice("wrist", wrist, WRISTS)
+        check_choice("hands", hands, HANDS)
+        config = settings_from(GraspAnyConfig(), config, "config")
         self.hands = hands
         self._hands = () if hands == "nominal" else hand_set(hands)
         self.config = config
@@ -210,7 +226,6 @@ class GraspAny(Task):
         )
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, seen, *progress_terms(PHASES, self.duration))
         self.privileged_terms = (*PRIVILEGED_TERMS, *self._hidden_terms())
-        self.sensed_terms = {"load": LOAD_TERMS, "points": ()}
         self.reward_terms = self._rewards()
 
     def _asked(self, pose: RestingPose) -> bool:
@@ -468,12 +483,15 @@ class GraspAny(Task):
     # -------------------------------------------------------------------------------------------------------
 
     def report(self, now: Moment) -> dict[str, Any]:
-        return scene_report(self, now) | {
+        return super().report(now) | {
             "holding_force": np.where(now.outcome == FAILURE, 0.0, self.holding_force),
             "sides": self.sides.copy(),
             "turn": self.turn.copy(),
             "object": self._names.copy(),
         }
+
+    def script(self) -> ScriptedGraspAny:
+        return ScriptedGraspAny(self.terms, len(self.wrist_actions))
 
 
 CAMERA_TARGET = np.array([0.03, 0.0, 0.10])

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from hpac_gym.model import (
     POSTURES,
     SERVOS,
     Hand,
+    action_from_synergy,
     clip_synergy,
     clip_to_workspace,
     joints_from_synergy,
@@ -48,7 +49,9 @@ from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_gra
 from hpac_gym.tasks.grasp_data import NOMINAL, GraspError, NamedGrasp, grasps_from_toml
 from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, look_at
 from hpac_gym.tasks.occlusion import Skeleton
-from hpac_gym.tasks.phases import Timetable
+from hpac_gym.tasks.options import Option, check_choice, config_option
+from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
+from hpac_gym.tasks.scripted import CLOSE_TIME, Script
 from hpac_gym.tasks.task import (
     FAILURE,
     FINGER_PARTS,
@@ -56,12 +59,12 @@ from hpac_gym.tasks.task import (
     THUMB_PART,
     effort_term,
     outcome_term,
-    scene_report,
     setting,
 )
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
     OBJECT_TERMS,
+    Layout,
     Moment,
     RewardTerm,
     Term,
@@ -248,6 +251,23 @@ class GraspTypeConfig:
         check_bounds(self, "config")
 
 
+TYPES_OPTION = Option(
+    "the types that an episode may ask for: all sixteen, those to train on, those held out, one, or several",
+    (*TYPE_SPLITS, *GRASP_TYPES),
+    "list of names",
+)
+OBJECTS_OPTION = Option(
+    "*train* has the types' own objects, *test* draws one of their held-out variants, on "
+    "which nothing may be trained",
+    OBJECTS,
+)
+WRIST_OPTION = Option(
+    "*free* lets the first action of an episode say where the wrist goes, by six numbers "
+    "more; *script* puts it where the type wants it",
+    WRISTS,
+)
+
+
 class GraspByType(Grasp):
     """Draws episodes of grasp types; success requires that the object is held, as in `Grasp`,
     according to the type's `Rule`.
@@ -262,19 +282,23 @@ class GraspByType(Grasp):
 
     Raises:
         GraspError: Unknown type.
-        ParameterError: `objects` is not one of `OBJECTS`, or `wrist` not one of `WRISTS`.
+        ParameterError: Invalid config, `objects` is not one of `OBJECTS`, or `wrist` not one of
+            `WRISTS`.
     """
+
+    config_class = GraspTypeConfig
 
     def __init__(
         self,
-        types: str | Sequence[str] = "all",
-        objects: str = "train",
-        wrist: str = "free",
-        config: GraspTypeConfig = GraspTypeConfig(),
+        types: Annotated[str | Sequence[str], TYPES_OPTION] = "all",
+        objects: Annotated[str, OBJECTS_OPTION] = "train",
+        wrist: Annotated[str, WRIST_OPTION] = "free",
+        config: Annotated[
+            GraspTypeConfig | Mapping[str, Any] | None, config_option(GraspTypeConfig)
+        ] = None,
     ) -> None:
-        for name, given, known in (("objects", objects, OBJECTS), ("wrist", wrist, WRISTS)):
-            if given not in known:
-                raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
+        check_choice("objects", objects, OBJECTS)
+        check_choice("wrist", wrist, WRISTS)
         self.kinds = tuple(GRASP_TYPES[name] for name in _names(types))
         self.objects = objects
         self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
@@ -442,12 +466,15 @@ class GraspByType(Grasp):
         return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)
 
     def report(self, now: Moment) -> dict[str, Any]:
-        return scene_report(self, now) | {
+        return super().report(now) | {
             "type": self._types.copy(),
             "held": self.held.copy(),
             "kept": self.kept.copy(),
             "missed": self._missed.copy(),
         }
+
+    def script(self) -> ScriptedGraspType:
+        return ScriptedGraspType(self)
 
 
 def _names(types: str | Sequence[str]) -> tuple[str, ...]:
@@ -495,3 +522,31 @@ def wrist_choice(start: NamedGrasp) -> Array:
     return np.concatenate(
         [(np.array(start.position) - WRIST_CENTRE) / WRIST_REACH, turn.as_rotvec() / WRIST_TURN]
     )
+
+
+class ScriptedGraspType(Script):
+    """Closure of each type: the wrist at the pose of the type's data, then linearly from the
+    preshape to the posture.
+
+    Args:
+        task: task whose observations it receives, as a vector or in a dictionary.
+        closure: name of a type whose closure all types use, with their own wrist poses; None is
+            each type's own.
+    """
+
+    def __init__(self, task: GraspByType, closure: str | None = None) -> None:
+        self._told = Layout(task.terms, 1).slices["type"]
+        self._free = bool(task.wrist_actions)
+        self._closes = closure and GRASP_TYPES[closure].start
+
+    def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
+        """The next action; it uses only the type in the first observation of an episode."""
+        if self._time == 0.0:
+            vector = observation["deploy"] if isinstance(observation, dict) else observation
+            self._start = list(GRASP_TYPES.values())[int(vector[self._told].argmax())].start
+            self._wrist = wrist_choice(self._start) if self._free else np.zeros(0)
+        start = self._closes or self._start
+        share = min(self._time / CLOSE_TIME, 1.0)
+        self._time += 1 / CONTROL_HZ
+        action = action_from_synergy(start.preshape + share * (start.closed - start.preshape))
+        return np.append(action, self._wrist).astype(np.float32)

@@ -14,6 +14,8 @@ from hpac_gym.model.checks import Array
 from hpac_gym.model.command import minimum_jerk
 from hpac_gym.tasks.grip import MAX_SLIP
 
+CONTROL_HZ = 20
+"""Commands per second [Hz]."""
 PHASES = ("close", "lift", "shake", "place")
 
 

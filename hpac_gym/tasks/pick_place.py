@@ -4,23 +4,26 @@ how to close and open.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, Hand
+from hpac_gym.model import HPAC, SERVO_INDEX, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.config import check_bounds
+from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
 from hpac_gym.tasks.grip import Grip, lengths
-from hpac_gym.tasks.phases import moved, phase_at
+from hpac_gym.tasks.options import config_option
+from hpac_gym.tasks.phases import CONTROL_HZ, moved, phase_at
+from hpac_gym.tasks.scripted import Script
 from hpac_gym.tasks.task import (
     FAILURE,
     RUNNING,
@@ -45,6 +48,13 @@ from hpac_gym.tasks.terms import (
     progress_terms,
 )
 
+PLACE_TIME = 0.9
+PLACE_CLOSED = 0.56
+PLACE_THUMB = 0.9
+PLACE_OPPOSED = 1.04
+"""Closure for pick and place: duration from open to closed [s], fraction of the fingers' full
+closure, MP of the closed thumb [rad] and constant CMC [rad]; a hand that closes less releases
+sooner."""
 PHASES = ("reach", "close", "lift", "place")
 REACH, CLOSE, LIFT, PLACE = range(4)
 
@@ -192,14 +202,26 @@ class PickPlaceConfig:
 
 
 class PickPlace(Task):
-    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`."""
+    """Draws episodes, judges them, and shapes the reward: a `hpac_gym.tasks.task.Task`.
+
+    Args:
+        config: sampling ranges, success criteria and reward weights, or a mapping of some of them.
+
+    Raises:
+        ParameterError: Invalid config.
+    """
 
     phases = PHASES
     viewpoint = Viewpoint(distance=0.62, yaw_deg=115.0, pitch_deg=-25.0)
     privileged_terms = PRIVILEGED_TERMS
 
-    def __init__(self, config: PickPlaceConfig = PickPlaceConfig()) -> None:
-        self.config = config
+    def __init__(
+        self,
+        config: Annotated[
+            PickPlaceConfig | Mapping[str, Any] | None, config_option(PickPlaceConfig)
+        ] = None,
+    ) -> None:
+        self.config = config = settings_from(PickPlaceConfig(), config, "config")
         self.timetable = config.timetable
         self.duration = self.timetable.ends[-1]
         meaning = "target position of the object, as `object_pos`"
@@ -333,6 +355,9 @@ class PickPlace(Task):
         ended = np.where(over, np.where(placed, SUCCESS, FAILURE), RUNNING)
         return np.where(self._astray > config.drop_distance, FAILURE, ended)
 
+    def script(self) -> ScriptedPickPlace:
+        return ScriptedPickPlace(self.timetable)
+
     def _push(self, now: Moment) -> Array:
         share = np.minimum(self._astray / self.config.drop_distance, 1.0)
         return np.where(now.phase <= CLOSE, self.config.weights.push * share, 0.0)
@@ -350,6 +375,26 @@ class PickPlace(Task):
         return np.where(
             (now.phase == PLACE) & self._standing, weights.place + weights.release * free, 0.0
         )
+
+
+class ScriptedPickPlace(Script):
+    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its
+    target.
+    """
+
+    def __init__(self, timetable: PickPlaceTimetable = PickPlaceTimetable()) -> None:
+        self._close = timetable.ends[0]
+        self._open = timetable.ends[4]
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action, shape (6,); the observation is ignored."""
+        self._time += 1 / CONTROL_HZ
+        closed = PLACE_CLOSED * HPAC.synergy_max
+        closed[SERVO_INDEX["thumb_mp"]] = PLACE_THUMB
+        share = min(max((self._time - self._close) / PLACE_TIME, 0.0), 1.0)
+        synergy = closed * (share if self._time < self._open else 0.0)
+        synergy[SERVO_INDEX["thumb_cmc"]] = PLACE_OPPOSED
+        return action_from_synergy(synergy).astype(np.float32)
 
 
 @lru_cache(maxsize=64)

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, JOINTS, SERVO_INDEX, SERVOS, Hand, joints_from_synergy
+from hpac_gym.model import (
+    HPAC,
+    JOINT_INDEX,
+    JOINTS,
+    SERVO_INDEX,
+    SERVOS,
+    Hand,
+    action_from_synergy,
+    joints_from_synergy,
+)
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera
-from hpac_gym.tasks.config import check_bounds
+from hpac_gym.tasks.config import check_bounds, settings_from
+from hpac_gym.tasks.options import config_option
+from hpac_gym.tasks.scripted import Script
 from hpac_gym.tasks.task import RUNNING, Task, setting
-from hpac_gym.tasks.terms import COMMAND_TERMS, HAND_TERMS, Moment, RewardTerm, Term
+from hpac_gym.tasks.terms import COMMAND_TERMS, HAND_TERMS, Layout, Moment, RewardTerm, Term
 
 TOLERANCE = 0.05
 """Default of `PostureConfig.tolerance` [rad]."""
@@ -32,12 +43,21 @@ FREE_FINGERS_THUMB = (0.5, 0.3)
 """Upper limits of the thumb's MP and CMC in goals that move the fingers freely, which keep it out
 of their way [rad].
 """
-
-
 BLOCKED_MP = 0.75
 BLOCKED_CMC = (0.05, 1.0)
 """In goals that move the thumb freely, the index finger blocks a thumb with more MP than this and
 CMC in this range [rad].
+"""
+
+POSTURE_GAIN = 0.12
+"""Fraction of a driven joint's error that each step of `ScriptedPosture` adds to the command."""
+POSTURE_NEAR = 0.3
+"""Largest distance from its goal at which a command is corrected; before, it moves to the goal
+itself [rad].
+"""
+_DRIVEN = [JOINT_INDEX[name] for name in SERVOS]
+_COMMANDED = [Layout(COMMAND_TERMS, 1).slices["joint_pos"].start + joint for joint in _DRIVEN]
+"""Entries of an observation with the driven joints' angles that the model predicts for the command.
 """
 
 
@@ -68,10 +88,14 @@ class Posture(Task):
     an episode.
 
     Args:
-        config: duration and tolerance.
+        config: duration and tolerance, or a mapping of some of them.
+
+    Raises:
+        ParameterError: Invalid config.
     """
 
-    phases = ("move",)
+    endless = True
+    unused = ("noise",)
     terms = COMMAND_TERMS
     privileged_terms = HAND_TERMS
     goal_terms = (
@@ -86,9 +110,14 @@ class Posture(Task):
         ),
     )
 
-    def __init__(self, config: PostureConfig = PostureConfig()) -> None:
-        self.config = config
-        self.duration = config.duration
+    def __init__(
+        self,
+        config: Annotated[
+            PostureConfig | Mapping[str, Any] | None, config_option(PostureConfig)
+        ] = None,
+    ) -> None:
+        self.config = settings_from(PostureConfig(), config, "config")
+        self.duration = self.config.duration
         self.reward_terms = (
             RewardTerm(
                 "error",
@@ -133,14 +162,6 @@ class Posture(Task):
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         self.goal[np.asarray(worlds)] = [setup.goal for setup in setups]
 
-    def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
-        """Zero offsets of the wrist, shape (len(times), 3) [m]."""
-        return np.zeros((len(times), 3))
-
-    def phase(self, time: Array) -> NDArray[np.int_]:
-        """Index of the only phase, shape (n,)."""
-        return np.zeros(len(time), dtype=int)
-
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """`RUNNING` for all episodes, shape (n,): a posture that is reached has to be held."""
         return np.full(len(state.time), RUNNING)
@@ -169,3 +190,38 @@ class Posture(Task):
     def report(self, now: Moment) -> dict[str, Any]:
         largest = self._error.max(axis=1)
         return {"is_success": largest <= self.config.tolerance, "largest_error": largest}
+
+    def script(self) -> ScriptedPosture:
+        return ScriptedPosture()
+
+
+class ScriptedPosture(Script):
+    """Integral controller for `Posture`: moves to the goal, then corrects the command by the
+    camera's measurements.
+
+    It starts from the command that the servos have reached within their rate limit, so that a
+    motion in progress is not corrected as an error.
+
+    Args:
+        gain: fraction of the driven joints' errors that each step adds to the command.
+        near: largest distance of the command from the goal at which it is corrected [rad]; 0:
+            never, a constant action.
+    """
+
+    def __init__(self, gain: float = POSTURE_GAIN, near: float = POSTURE_NEAR) -> None:
+        self._gain = gain
+        self._near = near
+
+    def act(self, observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
+        """The next action, shape (..., 6), for observations with any leading axes."""
+        goal, reached = (
+            observation[name][..., _DRIVEN].astype(float)
+            for name in ("desired_goal", "achieved_goal")
+        )
+        command = observation["observation"][..., _COMMANDED].astype(float)
+        synergy = np.where(
+            np.abs(command - goal) < self._near, command + self._gain * (goal - reached), goal
+        )
+        return action_from_synergy(np.clip(synergy, HPAC.synergy_min, HPAC.synergy_max)).astype(
+            np.float32
+        )

@@ -1,47 +1,27 @@
-"""Scripted policies: simple baselines that a learned policy has to beat."""
+"""Scripted policies: simple baselines that a learned policy has to beat. A task makes its own
+(`Task.script`); those of one task only are beside it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.model import HPAC, JOINT_INDEX, SERVO_INDEX, SERVOS, action_from_synergy
-from hpac_gym.tasks.grasp import GraspByName
-from hpac_gym.tasks.grasp_any import GraspAny
+from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
 from hpac_gym.tasks.grasp_data import NamedGrasp
-from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType, wrist_choice
-from hpac_gym.tasks.pick_place import PickPlace, PickPlaceTimetable
-from hpac_gym.tasks.posture import Posture
-from hpac_gym.tasks.task import CONTROL_HZ
-from hpac_gym.tasks.terms import COMMAND_TERMS, LENGTH_UNIT, Layout
+from hpac_gym.tasks.phases import CONTROL_HZ
+from hpac_gym.tasks.terms import LENGTH_UNIT, Layout, Term
 
 CLOSE_TIME = 0.8
 """Duration from open to closed [s]."""
 THUMB_CLOSED = 0.8
 """MP of the closed thumb [rad]; with more it pushes small objects out."""
-PLACE_TIME = 0.9
-PLACE_CLOSED = 0.56
-PLACE_THUMB = 0.9
-PLACE_OPPOSED = 1.04
-"""Closure for pick and place: duration from open to closed [s], fraction of the fingers' full
-closure, MP of the closed thumb [rad] and constant CMC [rad]; a hand that closes less releases
-sooner."""
 THUMB_OPPOSED = 1.2
 """Constant CMC [rad]."""
-POSTURE_GAIN = 0.12
-"""Fraction of a driven joint's error that each step of `ScriptedPosture` adds to the command."""
-POSTURE_NEAR = 0.3
-"""Largest distance from its goal at which a command is corrected; before, it moves to the goal
-itself [rad].
-"""
-_DRIVEN = [JOINT_INDEX[name] for name in SERVOS]
-_COMMANDED = [Layout(COMMAND_TERMS, 1).slices["joint_pos"].start + joint for joint in _DRIVEN]
-"""Entries of an observation with the driven joints' angles that the model predicts for the command.
-"""
 THUMB_TIME = 0.7
 OPPOSED_TIME = 0.3
 """Closing times of the thumb's MP and CMC in `ScriptedGraspAny` [s]."""
@@ -115,72 +95,24 @@ class ScriptedClosure(Script):
         return action_from_synergy(synergy).astype(np.float32)
 
 
-class ScriptedPickPlace(Script):
-    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its
-    target.
-    """
-
-    def __init__(self, timetable: PickPlaceTimetable = PickPlaceTimetable()) -> None:
-        self._close = timetable.ends[0]
-        self._open = timetable.ends[4]
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action, shape (6,); the observation is ignored."""
-        self._time += 1 / CONTROL_HZ
-        closed = PLACE_CLOSED * HPAC.synergy_max
-        closed[SERVO_INDEX["thumb_mp"]] = PLACE_THUMB
-        share = min(max((self._time - self._close) / PLACE_TIME, 0.0), 1.0)
-        synergy = closed * (share if self._time < self._open else 0.0)
-        synergy[SERVO_INDEX["thumb_cmc"]] = PLACE_OPPOSED
-        return action_from_synergy(synergy).astype(np.float32)
-
-
-class ScriptedPosture(Script):
-    """Integral controller for `Posture`: moves to the goal, then corrects the command by the
-    camera's measurements.
-
-    It starts from the command that the servos have reached within their rate limit, so that a
-    motion in progress is not corrected as an error.
-
-    Args:
-        gain: fraction of the driven joints' errors that each step adds to the command.
-        near: largest distance of the command from the goal at which it is corrected [rad]; 0:
-            never, a constant action.
-    """
-
-    def __init__(self, gain: float = POSTURE_GAIN, near: float = POSTURE_NEAR) -> None:
-        self._gain = gain
-        self._near = near
-
-    def act(self, observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
-        """The next action, shape (..., 6), for observations with any leading axes."""
-        goal, reached = (
-            observation[name][..., _DRIVEN].astype(float)
-            for name in ("desired_goal", "achieved_goal")
-        )
-        command = observation["observation"][..., _COMMANDED].astype(float)
-        synergy = np.where(
-            np.abs(command - goal) < self._near, command + self._gain * (goal - reached), goal
-        )
-        return action_from_synergy(np.clip(synergy, HPAC.synergy_min, HPAC.synergy_max)).astype(
-            np.float32
-        )
-
-
 class ScriptedGraspAny(Script):
     """One closure, chosen by the size and pose of the object at the start of the episode, then
     held.
 
     Args:
-        task: task whose observations it receives, as a vector or in a dictionary.
+        terms: terms of the observations that it receives, as a vector or in a dictionary.
+        wrist: number of entries of an action beyond the six for the servos.
         closures: closure for each kind of object.
     """
 
     def __init__(
-        self, task: GraspAny, closures: Mapping[tuple[bool, int], AnyClosure] = ANY_CLOSURES
+        self,
+        terms: Sequence[Term],
+        wrist: int = 0,
+        closures: Mapping[tuple[bool, int], AnyClosure] = ANY_CLOSURES,
     ) -> None:
-        self._slices = Layout(task.terms, 1).slices
-        self._wrist = np.zeros(len(task.wrist_actions))
+        self._slices = Layout(terms, 1).slices
+        self._wrist = np.zeros(wrist)
         self._closures = closures
 
     def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
@@ -226,44 +158,3 @@ class ScriptedGraspAny(Script):
         else:
             width = abs(along @ up) * z + np.sqrt(max(1 - (along @ up) ** 2, 0.0)) * x
         return beside, int(np.searchsorted(ANY_WIDTHS, 2 * width))
-
-
-class ScriptedGraspType(Script):
-    """Closure of each type: the wrist at the pose of the type's data, then linearly from the
-    preshape to the posture.
-
-    Args:
-        task: task whose observations it receives, as a vector or in a dictionary.
-        closure: name of a type whose closure all types use, with their own wrist poses; None is
-            each type's own.
-    """
-
-    def __init__(self, task: GraspByType, closure: str | None = None) -> None:
-        self._told = Layout(task.terms, 1).slices["type"]
-        self._free = bool(task.wrist_actions)
-        self._closes = closure and GRASP_TYPES[closure].start
-
-    def act(self, observation: NDArray[np.float32] | dict[str, NDArray]) -> NDArray[np.float32]:
-        """The next action; it uses only the type in the first observation of an episode."""
-        if self._time == 0.0:
-            vector = observation["deploy"] if isinstance(observation, dict) else observation
-            self._start = list(GRASP_TYPES.values())[int(vector[self._told].argmax())].start
-            self._wrist = wrist_choice(self._start) if self._free else np.zeros(0)
-        start = self._closes or self._start
-        share = min(self._time / CLOSE_TIME, 1.0)
-        self._time += 1 / CONTROL_HZ
-        action = action_from_synergy(start.preshape + share * (start.closed - start.preshape))
-        return np.append(action, self._wrist).astype(np.float32)
-
-
-def scripted_closure(task: object) -> Script:
-    """Scripted policy for a task."""
-    if isinstance(task, GraspByType):
-        return ScriptedGraspType(task)
-    if isinstance(task, GraspAny):
-        return ScriptedGraspAny(task)
-    if isinstance(task, PickPlace):
-        return ScriptedPickPlace(task.timetable)
-    if isinstance(task, Posture):
-        return ScriptedPosture()
-    return ScriptedClosure(task.grasp if isinstance(task, GraspByName) else None)

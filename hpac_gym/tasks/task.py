@@ -2,10 +2,12 @@
 tables of terms.
 
 A task is a plain object. It holds the state of n episodes as arrays between `start` and their
-outcomes. It depends on no engine, only on the `SceneState` that it receives."""
+outcomes. It depends on no engine, only on the `SceneState` that it receives. `docs/own_task.md`
+shows how to write one."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from functools import cache
@@ -20,30 +22,35 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import PARTS, Contacts, SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera, ObjectCamera
 from hpac_gym.tasks.grip import Grip
+from hpac_gym.tasks.phases import CONTROL_HZ as CONTROL_HZ
+from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
-CONTROL_HZ = 20
-"""Commands per second [Hz]."""
 OUTCOMES = ("running", "success", "failure")
 RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))
 _OUTCOMES = np.array(OUTCOMES, dtype=object)
 
 
-class Task(Protocol):
-    """One task of the environments. Attributes and methods with a default here are optional."""
+class Task(ABC):
+    """One task of the environments. Its constructor sets `duration`, `terms` and `reward_terms`;
+    `setup` and `judge` are needed, and everything else has a default for a hand at rest in front of
+    an object.
+    """
 
-    phases: tuple[str, ...]
-    """Names of an episode's phases, in order."""
     duration: float
     """Length of an episode [s]."""
     terms: tuple[Term, ...]
     """The deployed observation."""
-    privileged_terms: tuple[Term, ...]
+    reward_terms: tuple[RewardTerm, ...]
+    """Terms whose sum is the dense reward."""
+    config: Any = None
+    """Settings of the task, a frozen dataclass."""
+    phases: tuple[str, ...] = ("move",)
+    """Names of an episode's phases, in order."""
+    privileged_terms: tuple[Term, ...] = ()
     """Additional terms that only a critic may observe."""
     goal_terms: tuple[Term, ...] = ()
     """Terms of achieved and desired goals; empty for a task without goals."""
-    reward_terms: tuple[RewardTerm, ...]
-    """Terms whose sum is the dense reward."""
     viewpoint: Viewpoint = Viewpoint()
     """Viewpoint of images; it follows the wrist."""
     grip: Grip | None = None
@@ -56,31 +63,46 @@ class Task(Protocol):
     """Entries of an action beyond the six for the servos; in an episode's first action they move
     the wrist.
     """
-
     hands: str = "nominal"
     """Set from which an episode's hand is drawn; "nominal" draws none."""
+    endless: bool = False
+    """True if only the time limit ends an episode."""
+    unused: tuple[str, ...] = ()
+    """Options of every environment that mean nothing to this task."""
+
+    @property
+    def observations(self) -> tuple[str, ...]:
+        """The values of the option `obs`."""
+        return ("deploy", *self.sensed_terms, "privileged", "image")
+
+    @abstractmethod
+    def setup(self, rng: np.random.Generator, hand: Hand) -> SceneSetup:
+        """Draw one episode; everything random comes from `rng`."""
+
+    @abstractmethod
+    def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
+        """Advance by one control step of `dt` [s] and judge the episodes: indices into `OUTCOMES`,
+        shape (n,).
+        """
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera | MarkerCamera:
         """Allocate the state of n worlds; returns their camera."""
-        ...
-
-    def setup(self, rng: np.random.Generator, hand: Hand) -> SceneSetup:
-        """Draw one episode; everything random comes from `rng`."""
-        ...
+        self.grip = Grip(num_worlds)
+        return ObjectCamera(num_worlds, noise)
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin to judge episodes in some worlds."""
-        ...
+        self.grip.start(worlds)
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]."""
-        ...
+        return np.zeros((len(times), 3))
 
     def phase(self, time: Array) -> NDArray[np.int_]:
         """Index into `phases` of the phase that is running or begins at times [s], shape (n,); the
         last phase stays.
         """
-        ...
+        return np.zeros(len(time), dtype=int)
 
     def chosen(self, setup: SceneSetup, action: Array) -> SceneSetup:
         """The setup of an episode as changed by its first action, shape (6 + len(wrist_actions),),
@@ -94,24 +116,31 @@ class Task(Protocol):
         """
         return None
 
-    def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
+    def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:  # noqa: B027
         """Inspect a state before it is judged, for tasks that need contacts; `contacts` takes
         milliseconds per world.
         """
-
-    def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
-        """Advance by one control step of `dt` [s] and judge the episodes: indices into `OUTCOMES`,
-        shape (n,).
-        """
-        ...
 
     def sparse_reward(self, now: Moment) -> Array:
         """Sparse reward, shape (n,): 1 on success, 0 otherwise."""
         return (now.outcome == SUCCESS).astype(float)
 
     def report(self, now: Moment) -> Mapping[str, Any]:
-        """Entries of `info` for a step: arrays of shape (n,), by name."""
-        return scene_report(self, now)
+        """Entries of `info` for a step, arrays of shape (n,), by name: those of a task with an
+        object, which `docs/environments/README.md` describes.
+        """
+        return {
+            "is_success": now.outcome == SUCCESS,
+            "outcome": _OUTCOMES[now.outcome],
+            "phase": _names(self.phases)[now.phase],
+            "contact_force": now.state.contact_force.sum(axis=1),
+            "hold_time": now.grip.time.copy(),
+            "slip": now.grip.slip.copy(),
+        }
+
+    def script(self) -> Script:
+        """A simple baseline that a learned policy has to beat."""
+        return ScriptedClosure()
 
 
 def open_hand(thumb_cmc: float) -> Array:
@@ -179,20 +208,6 @@ def outcome_term(weights: Weights) -> RewardTerm:
     by_outcome = np.array([0.0, weights.success, weights.failure])
     meaning = f"{weights.success:g} for success or {weights.failure:g} for failure, once"
     return RewardTerm("outcome", meaning, lambda now: by_outcome[now.outcome])
-
-
-def scene_report(task: Task, now: Moment) -> dict[str, Any]:
-    """The `info` of a task with an object; its entries are described in
-    `docs/environments/README.md`.
-    """
-    return {
-        "is_success": now.outcome == SUCCESS,
-        "outcome": _OUTCOMES[now.outcome],
-        "phase": _names(task.phases)[now.phase],
-        "contact_force": now.state.contact_force.sum(axis=1),
-        "hold_time": now.grip.time.copy(),
-        "slip": now.grip.slip.copy(),
-    }
 
 
 @cache

@@ -13,7 +13,7 @@ from agents.closures import TYPE, Learner, Spread, scripted_decisions, training_
 from agents.recipes import RECIPES, with_settings
 from hpac_gym.envs import GraspByType
 from hpac_gym.model import HPAC
-from hpac_gym.tasks.scripted import ScriptedGraspType
+from hpac_gym.tasks.grasp_types import ScriptedGraspType
 
 SEEN = 6
 HIDDEN = 8

@@ -27,9 +27,9 @@ from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import TASKS, UPRIGHT, Observer, Pose
 from hpac_gym.deploy.poses import Fixed, Packets, Recorded, averaged, pose_of, source_of
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.output import OutputError
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, POSTURE
 
 CAN = object_of("cylinder:0.02,0.05")
 PLACE = Pose(np.array([0.05, 0.005, 0.11]))

@@ -37,18 +37,12 @@ import numpy as np
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.envs import GRASPS, scripted_closure
-from hpac_gym.envs.options import (
-    GRASP,
-    GRASP_ANY,
-    GRASP_TYPE,
-    PICK_PLACE,
-    POSTURE,
-)
+from hpac_gym.envs import GRASPS
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 from tests.envs.engine import Bodies, flick, told, watching_for_touch
 from tests.envs.stories import Story
@@ -95,7 +89,7 @@ def closing(begin: int = 6, let_go: int = NEVER) -> Policy:
 
 def own(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """The scripted closure of the requested type."""
-    script = scripted_closure(env.unwrapped.task)
+    script = env.unwrapped.task.script()
     script.reset()
     while True:
         yield script.act(first)[:6] + rng.uniform(-0.01, 0.01, 6)

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from hpac_gym.envs.options import GRASP, GRASP_TYPE, IDS, POSTURE
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.physics.settings import HandSettings
+from hpac_gym.registration import GRASP, GRASP_TYPE, IDS, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.posture import PostureConfig
 from tests.envs.fingerprints import (

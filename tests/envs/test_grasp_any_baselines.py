@@ -12,7 +12,6 @@ import pytest
 from hpac_gym.envs import GraspAny, HandVectorEnv
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
-from hpac_gym.tasks.scripted import scripted_closure
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
 from tools.any_closures import Player, first_winners
 
@@ -104,7 +103,7 @@ class Hands:
 
     def play_script(self, seeds: Sequence[int]) -> "Hands":
         """Play episodes with the scripted closure."""
-        scripts = [scripted_closure(self.task) for _ in seeds]
+        scripts = [self.task.script() for _ in seeds]
         for script in scripts:
             script.reset()
         return self.play(

@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hpac_gym.envs import scripted_closure
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.tasks.grasp_types import (
@@ -41,7 +40,7 @@ class Other:
     def __init__(
         self, env: gymnasium.Env, name: str | None = None, change=lambda action, step: action
     ) -> None:
-        self.script = scripted_closure(env.unwrapped.task)
+        self.script = env.unwrapped.task.script()
         self.change = change
         self.step = 0
         self.told = env.unwrapped.slices["type"]
@@ -210,7 +209,7 @@ class Behaviour:
     """An action at each step, made of the script's actions of the episode."""
 
     def __init__(self, env: gymnasium.Env, name: str) -> None:
-        self.script = scripted_closure(env.unwrapped.task)
+        self.script = env.unwrapped.task.script()
         self.behaves = BEHAVIOURS[name]
 
     def reset(self, seed: int) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
-from hpac_gym.envs import GRASPS, HandEnv, scripted_closure
+from hpac_gym.envs import GRASPS, HandEnv
 from hpac_gym.physics.engine import PARTS
 from tests.envs.episodes import run, steps
 
@@ -52,7 +52,7 @@ class Wild:
 
 def succeeds(env, seed: int, policy=None) -> bool:
     """Whether the scripted closure, or another policy, wins the episode of a seed."""
-    return run(env, policy or scripted_closure(env.unwrapped.task), seed=seed)[0][-1]["is_success"]
+    return run(env, policy or env.unwrapped.task.script(), seed=seed)[0][-1]["is_success"]
 
 
 @pytest.mark.parametrize("name", NAMES[::4])
@@ -61,7 +61,7 @@ def test_an_episode_with_a_held_out_shape_repeats_to_the_bit(name: str):
         return np.array(
             [
                 returned[0]
-                for returned in islice(steps(env, scripted_closure(env.unwrapped.task), seed=7), 31)
+                for returned in islice(steps(env, env.unwrapped.task.script(), seed=7), 31)
             ]
         )
 
@@ -89,7 +89,7 @@ def held_by(env, seed: int) -> tuple[set[str], float]:
     """What touches the object in at least half of the last phase, and the largest force since the
     lift [N].
     """
-    played = steps(env, scripted_closure(env.unwrapped.task), seed=seed)
+    played = steps(env, env.unwrapped.task.script(), seed=seed)
     rows = [(env.unwrapped.phase, env.unwrapped.state) for _ in played]
     # A step belongs to the phase in which it began.
     begun = [(phase, state) for (phase, _), (_, state) in pairwise(rows)]

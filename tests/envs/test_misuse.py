@@ -3,7 +3,6 @@ that goes on in silence.
 """
 
 import copy
-import inspect
 import pickle
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,20 +17,15 @@ from gymnasium.wrappers import TimeAwareObservation
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, PostureEnv, scripted_closure
-from hpac_gym.envs.options import (
-    GRASP,
-    GRASP_ANY,
-    GRASP_TYPE,
-    IDS,
-    OPTIONS,
-    POSTURE,
-    checked_options,
-)
+from hpac_gym.envs import GoalEnv, Grasp, HandEnv, HandVectorEnv, Posture
+from hpac_gym.envs.options import COMMON
 from hpac_gym.envs.randomization import Randomization
+from hpac_gym.envs.registered import options_of_id
 from hpac_gym.errors import EpisodeError, HpacError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import HPAC
 from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import GraspConfig
 from hpac_gym.tasks.phases import Timetable
@@ -41,7 +35,7 @@ from tests.envs.episodes import EASY, part, steps
 
 MAKERS: dict[str, Callable[[], gymnasium.Env]] = {
     "HandEnv": lambda: HandEnv(Grasp()),
-    "PostureEnv": PostureEnv,
+    "GoalEnv": lambda: GoalEnv(Posture()),
     "made by its id": lambda: gymnasium.make("HPAC-Grasp-v0", grasp="rod"),
 }
 
@@ -65,27 +59,40 @@ def test_an_engine_is_closed_where_an_environment_is_refused(monkeypatch, make):
     assert len(closed) == 1
 
 
-TASK_OPTIONS = ("grasp", "variant", "object", "objects", "types", "hands", "wrist", "config")
-CHOICES = [option for option in OPTIONS if option.values and not option.others]
+OPTIONS = {name: options_of_id(name) for name in IDS}
+COMMON_NAMES = {option.name for option in COMMON}
+CHOICES = [
+    pytest.param(name, option, id=f"{name} {option.name}")
+    for name, options in OPTIONS.items()
+    for option in options
+    if option.values and not option.others
+    if name == GRASP or option.name == "obs" or option.name not in COMMON_NAMES
+]
 
 
-@pytest.mark.parametrize("option", CHOICES, ids=lambda option: option.name)
-def test_an_option_takes_the_values_of_its_table_and_no_other(option):
+@pytest.mark.parametrize(("name", "option"), CHOICES)
+def test_an_option_takes_the_values_of_its_table_and_no_other(name, option):
     """What needs an engine that is not there says so."""
     given = {"grasp": "rod"} if option.name == "variant" else {}
     for value in option.values:
         if value != "light" and (value != "pybullet" or find_spec("pybullet")):
-            gymnasium.make(option.ids[0], **given, **{option.name: value}).close()
+            gymnasium.make(name, **given, **{option.name: value}).close()
     for wrong in ("nonsense", 3, ["nonsense"]):
         with pytest.raises(HpacError, match=r"nonsense|3"):
-            gymnasium.make(option.ids[0], **given, **{option.name: wrong})
+            gymnasium.make(name, **given, **{option.name: wrong})
+
+
+def test_every_option_says_what_it_means():
+    for options in OPTIONS.values():
+        assert len({option.name for option in options}) == len(options)
+        assert all(option.meaning for option in options)
 
 
 @pytest.mark.parametrize("name", IDS)
 def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
     with (
         gymnasium.make(name) as plain,
-        gymnasium.make(name, **{o.name: o.default for o in OPTIONS if name in o.ids}) as given,
+        gymnasium.make(name, **{o.name: o.default for o in OPTIONS[name]}) as given,
     ):
         seen = given.reset(seed=0)[0]
         expected = plain.reset(seed=0)[0]
@@ -93,19 +100,17 @@ def test_an_id_takes_the_defaults_of_its_table_and_no_other_option(name):
     for other in ("task", "max_steps", "workers"):
         with pytest.raises(TypeError, match=other):
             gymnasium.make(name, **{other: None})
-    taken = {option.name for option in OPTIONS if name in option.ids}
-    for option in OPTIONS:
-        if option.name not in taken:
-            with pytest.raises((TypeError, ParameterError), match=option.name):
-                gymnasium.make(
-                    name, **{option.name: CameraNoise(0, 0, 0) if option.name == "noise" else None}
-                )
+    taken = {option.name for option in OPTIONS[name]}
+    others = {option.name for options in OPTIONS.values() for option in options} - taken
+    for other in others:
+        with pytest.raises((TypeError, ParameterError), match=other):
+            gymnasium.make(name, **{other: CameraNoise(0, 0, 0) if other == "noise" else None})
 
 
-def test_the_defaults_of_the_table_are_those_of_the_check():
-    parameters = inspect.signature(checked_options).parameters
-    table = {option.name: option.default for option in OPTIONS if option.name not in TASK_OPTIONS}
-    assert {name: parameter.default for name, parameter in parameters.items()} == table
+@pytest.mark.parametrize("make", [HandEnv, HandVectorEnv])
+def test_what_no_environment_offers_is_refused_too(make):
+    with pytest.raises(TypeError, match="unknown options world: there are hand, model"):
+        make(Grasp(), world=WorldSettings())
 
 
 @pytest.mark.parametrize(
@@ -175,7 +180,7 @@ GOALS = [
 
 @pytest.mark.parametrize(
     ("make", "options", "error", "message"),
-    [("HandEnv", *row) for row in SETUPS] + [("PostureEnv", *row) for row in GOALS],
+    [("HandEnv", *row) for row in SETUPS] + [("GoalEnv", *row) for row in GOALS],
 )
 def test_a_reset_that_is_refused_names_what_is_wrong_and_leaves_no_episode_running(
     make, options, error, message
@@ -429,7 +434,7 @@ def test_an_id_tells_its_length_and_the_limit_cuts_no_episode_that_ends_by_itsel
         seed = 0
         while longest < length and seed < 8:
             *returned, (_, _, terminated, truncated, _) = steps(
-                env, scripted_closure(env.unwrapped.task), seed=seed
+                env, env.unwrapped.task.script(), seed=seed
             )
             assert terminated != truncated == (name == "HPAC-Posture-v1")
             longest = max(longest, len(returned))

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
-from hpac_gym.envs import PostureEnv
+from hpac_gym.envs import GoalEnv, Posture
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.errors import ShapeError
 from hpac_gym.model import HPAC, JOINTS, joints_from_synergy, synergy_from_joints
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.tasks import posture
-from hpac_gym.tasks.posture import CAMERA_NOISE, TOLERANCE
-from hpac_gym.tasks.scripted import ScriptedPosture
+from hpac_gym.tasks.posture import CAMERA_NOISE, TOLERANCE, ScriptedPosture
 from tests.envs.episodes import run, steps
 
 ID = "HPAC-Posture-v1"
@@ -110,7 +109,7 @@ def test_compute_reward_is_vectorised_and_what_step_returns():
 
 
 def test_sparse_reward_is_zero_within_the_tolerance_of_every_joint():
-    env = PostureEnv(reward="sparse")
+    env = GoalEnv(Posture(), reward="sparse")
     goal = np.zeros(len(JOINTS))
     near = goal.copy()
     far = goal.copy()

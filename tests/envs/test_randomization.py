@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hpac_gym.envs import Grasp, HandEnv, PostureEnv, ScriptedClosure
+from hpac_gym.envs import GoalEnv, Grasp, HandEnv, Posture, ScriptedClosure
 from hpac_gym.envs.randomization import BOUNDS, PRESETS, Randomization, changed_setup, stream
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC
@@ -106,7 +106,7 @@ def test_the_simulated_hand_has_what_was_drawn():
 
 
 def test_every_frame_that_is_dropped_leaves_the_servos_where_they_were(monkeypatch):
-    with PostureEnv(randomize=Randomization(dropped_frames=(0.5, 0.5))) as env:
+    with GoalEnv(Posture(), randomize=Randomization(dropped_frames=(0.5, 0.5))) as env:
         env.reset(seed=0)
         arrived = []
         commanded = []

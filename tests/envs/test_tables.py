@@ -14,15 +14,8 @@ import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, PickPlace
-from hpac_gym.envs.options import (
-    GRASP,
-    GRASP_ANY,
-    GRASP_TYPE,
-    IDS,
-    PICK_PLACE,
-    POSTURE,
-)
 from hpac_gym.model import HPAC, servo_from_synergy
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks import posture
 from hpac_gym.tasks.grip import MAX_SLIP
 from hpac_gym.tasks.task import CONTROL_HZ

@@ -20,12 +20,12 @@ from gymnasium.wrappers.vector import ClipAction as VectorClip
 from gymnasium.wrappers.vector import FlattenObservation as VectorFlatten
 
 import hpac_gym  # noqa: F401  registers the environments
-from hpac_gym.envs import Grasp, GraspByName, HandVectorEnv, PickPlace, Posture, scripted_closure
+from hpac_gym.envs import Grasp, GraspByName, HandVectorEnv, PickPlace, Posture
 from hpac_gym.envs.episodes import open_episodes
-from hpac_gym.envs.options import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model import elastic_joints_from_servo, servo_from_action, streamed_servo
 from hpac_gym.physics.engine import PhysicsWarning
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp import GraspConfig
 from tests.envs.episodes import EASY
 from tests.processes import wait_for
@@ -182,7 +182,7 @@ def test_a_free_wrist_and_contacts_that_are_looked_at_are_as_in_gymnasiums_own(
     """The script's actions, or with noise any."""
     mine = gymnasium.make_vec(name, 3, engine="mujoco", **options)
     its = gymnasiums(name, engine="mujoco", **options)
-    scripts = [scripted_closure(mine.task) for _ in range(3)]
+    scripts = [mine.task.script() for _ in range(3)]
     rng = np.random.default_rng(0)
     for script in scripts:
         script.reset()
@@ -451,7 +451,7 @@ def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(
 
 def test_make_vec_on_another_engine_makes_one_vector_environment(monkeypatch):
     """Shown without that engine: with the default engine, renamed."""
-    monkeypatch.setattr("hpac_gym.envs.default_engine", lambda: "another")
+    monkeypatch.setattr("hpac_gym.envs.registered.default_engine", lambda: "another")
     with_limit = gymnasium.make_vec(POSTURE, num_envs=2)
     assert type(with_limit) is HandVectorEnv
     with_limit.reset(seed=0)

@@ -12,7 +12,7 @@ import pytest
 from agents.closures import SHORT
 from hpac_gym.envs import GraspAny
 from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import GRASP_ANY, GRASP_TYPE, POSTURE, checked_options
+from hpac_gym.envs.options import checked_options
 from hpac_gym.errors import EnvError
 from hpac_gym.evaluation import benchmark
 from hpac_gym.evaluation.benchmark import (
@@ -26,6 +26,7 @@ from hpac_gym.evaluation.benchmark import (
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies import Closures, PolicyError
+from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from tests.options import called
 

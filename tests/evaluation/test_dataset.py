@@ -15,7 +15,7 @@ from hpac_gym.evaluation.dataset import read_dataset, record
 from hpac_gym.output import OutputError
 from hpac_gym.policies import read_policy
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.tasks.scripted import ScriptedPosture
+from hpac_gym.tasks.posture import ScriptedPosture
 
 EPISODES = 12
 

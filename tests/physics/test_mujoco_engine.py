@@ -14,7 +14,6 @@ import pytest
 
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec, Support
-from hpac_gym.envs import GRASPS, NOMINAL, grasp_task
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINT_INDEX, joints_from_synergy, servo_from_synergy
 from hpac_gym.physics.engine import (
@@ -28,6 +27,8 @@ from hpac_gym.physics.engine import (
 from hpac_gym.physics.mujoco import camera
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES
+from hpac_gym.tasks.grasp import grasp_task
+from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
 
 OPPOSED = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
 CLOSED = np.array([0.8, *HPAC.synergy_max[1:5], 1.2])

@@ -10,7 +10,6 @@ import pytest
 from hpac_gym.body.geometry import rotation_from_rpy
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.objects import ObjectSpec, Support
-from hpac_gym.envs.options import OPTIONS
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, POSTURES
 from hpac_gym.physics.engine import matrix_from_quaternion
@@ -39,11 +38,6 @@ def test_quaternions_are_those_of_the_matrices():
     np.testing.assert_allclose(
         matrix_from_quaternion(quaternion_from_rpy(rpy)), rotation_from_rpy(rpy), atol=1e-12
     )
-
-
-def test_every_variant_is_one_of_the_options():
-    variants = {NOMINAL}.union(*(grasp.held_out for grasp in GRASPS.values()))
-    assert set(next(option for option in OPTIONS if option.name == "variant").values) == variants
 
 
 @pytest.mark.parametrize("name", NAMES)

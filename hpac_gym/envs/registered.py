@@ -1,0 +1,139 @@
+"""From a registered id to its task, its options and its environments.
+
+This module has two entry points for each id of the table `hpac_gym.registration`, which Gymnasium asks
+for by name: ``one My-v0`` and ``many My-v0``. Being text, they survive in the JSON of a spec."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from inspect import signature
+from typing import Any
+
+import gymnasium
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, VectorEnv
+
+from hpac_gym.envs.hand_env import GoalEnv, HandEnv
+from hpac_gym.envs.options import COMMON, check_num_envs
+from hpac_gym.envs.vector_env import HandVectorEnv
+from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC
+from hpac_gym.physics.simulation import default_engine
+from hpac_gym.registration import Registered, add_row, row_of
+from hpac_gym.tasks.options import Option, options_of
+from hpac_gym.tasks.task import CONTROL_HZ, Task
+
+
+def make_task(env_id: str, **options: Any) -> Task:
+    """Make the task of a registered id.
+
+    Args:
+        env_id: the id, as ``name-v0`` or ``module:name-v0``.
+        options: the task's own options.
+
+    Raises:
+        EnvError: The id is not registered.
+        TypeError: The task has no such option.
+        ParameterError: The task refuses an option, or its episodes are too long for the id.
+    """
+    row = row_of(env_id)
+    own = {name: value for name, value in row.defaults.items() if name in _own_options(row)}
+    return _task(row, own | options)
+
+
+def options_of_id(env_id: str) -> tuple[Option, ...]:
+    """Every argument of an id, with its default there: those of its task, then those of every
+    environment.
+    """
+    row = row_of(env_id)
+    task = make_task(env_id)
+    common = [option for option in COMMON if option.name not in task.unused]
+    common = [
+        replace(option, values=task.observations) if option.name == "obs" else option
+        for option in common
+    ]
+    return tuple(
+        replace(option, default=row.defaults.get(option.name, option.default))
+        for option in (*options_of(row.make), *common)
+    )
+
+
+def _own_options(row: Registered) -> list[str]:
+    return list(signature(row.make).parameters)
+
+
+def _task(row: Registered, options: dict[str, Any]) -> Task:
+    task = row.make(**options)
+    missing = [name for name in ("duration", "terms", "reward_terms") if not hasattr(task, name)]
+    if not isinstance(task, Task) or missing:
+        lacks = f"has no {', '.join(missing)}" if missing else "is none"
+        raise ParameterError(
+            f"{row.id} needs a hpac_gym.tasks.task.Task: {type(task).__name__} {lacks}"
+        )
+    steps = round(task.duration * CONTROL_HZ)
+    limit = row.max_episode_steps
+    if limit is None:
+        return task
+    if task.endless and steps != limit:
+        raise ParameterError(
+            f"config duration = {task.duration} s: give gymnasium.make(..., max_episode_steps=) instead"
+        )
+    if steps >= limit and not task.endless:
+        kind = type(task).__name__
+        raise ParameterError(
+            f"config timetable lasts {steps} steps: {row.id} has at most {limit - 1}; use hpac_gym.envs.HandEnv({kind}(config))"
+        )
+    return task
+
+
+def _given(row: Registered, options: dict[str, Any]) -> tuple[Task, dict[str, Any], dict[str, Any]]:
+    """The task, its own options, and the other ones."""
+    own = {name: options.pop(name) for name in _own_options(row) if name in options}
+    task = _task(row, own)
+    if task.hands != "nominal" and options.get("hand", HPAC) is not HPAC:
+        raise ParameterError(
+            f"hands {task.hands!r} and a hand of one's own were given: give either"
+        )
+    return task, own, options
+
+
+def _one(row: Registered, **options: Any) -> HandEnv:
+    """One environment."""
+    task, _, others = _given(row, options)
+    return (GoalEnv if task.goal_terms else HandEnv)(task, **others)
+
+
+def _many(
+    row: Registered,
+    num_envs: int = 1,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    **options: Any,
+) -> VectorEnv:
+    """n environments: one `HandVectorEnv` on MuJoCo, and n processes of Gymnasium on PyBullet, which
+    holds the GIL.
+    """
+    task, own, others = _given(row, options)
+    if (others.get("engine") or default_engine()) != "pybullet":
+        return HandVectorEnv(task, num_envs, autoreset_mode, **others)
+    check_num_envs(num_envs)
+    make = partial(_in_process, row, **own, **others)
+    # A fork would copy locks held by threads of other libraries, and its child would wait for
+    # them for ever.
+    return AsyncVectorEnv([make] * num_envs, autoreset_mode=autoreset_mode, context="spawn")
+
+
+def _in_process(row: Registered, **options: Any) -> gymnasium.Env:
+    add_row(row)
+    return gymnasium.make(row.id, **options)
+
+
+_MAKERS = {"one": _one, "many": _many}
+
+
+def __getattr__(name: str) -> Callable[..., Any]:
+    """The entry point of a name, such as ``one HPAC-Grasp-v0``."""
+    kind, _, env_id = name.partition(" ")
+    if kind not in _MAKERS or not env_id:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    return partial(_MAKERS[kind], row_of(env_id))
