@@ -111,7 +111,6 @@ COMMANDS = (
         "tags",
         "write the sheet of tags to print, or calibrate a camera with it",
         "hpac_gym.camera.commands:add_arguments",
-        "camera",
     ),
     Command(
         "wiggle", "move one servo at a time next to its name", "hpac_gym.bridge.commands:add_wiggle"

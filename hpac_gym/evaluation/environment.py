@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.spaces import Box
 
 from hpac_gym.errors import EnvError
+from hpac_gym.registration import register_all
 
 LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
@@ -21,6 +22,7 @@ def make_env(env_id: str, **options) -> gymnasium.Env:
     Raises:
         EnvError: The id is unknown, an option is invalid, or the action is not a flat box of −1…1.
     """
+    register_all()  # which a command leaves to those that make environments
     try:
         env = gymnasium.make(env_id, disable_env_checker=True, **options)
     except (gymnasium.error.Error, ModuleNotFoundError) as error:

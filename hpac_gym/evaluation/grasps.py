@@ -18,6 +18,7 @@ import gymnasium
 import numpy as np
 
 from hpac_gym.command import whole_number
+from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
@@ -93,7 +94,7 @@ def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
 
 def run_trials(policy: str, grasp: str, variant: str, seeds: Sequence[int]) -> list[Trial]:
     """Run episodes of one policy at one grasp in a new environment."""
-    with gymnasium.make(GRASP, grasp=grasp, variant=variant) as env:
+    with make_env(GRASP, grasp=grasp, variant=variant) as env:
         actor = load_policy(policy, env)
         return [run_trial(env, actor, seed) for seed in seeds]
 

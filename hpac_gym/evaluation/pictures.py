@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episode import control_steps
 from hpac_gym.model import POSTURES
 from hpac_gym.output import replacing
@@ -46,7 +46,7 @@ def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Port
         GraspError: The grasp or variant does not exist.
         PolicyError: The policy cannot be loaded, or was made for another environment.
     """
-    with gymnasium.make(
+    with make_env(
         GRASP, grasp=grasp, variant=variant, render_mode="rgb_array"
     ) as env:  # else objects have no colours
         *_, (_, info) = control_steps(env, load_policy(policy, env), seed)
