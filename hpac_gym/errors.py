@@ -5,6 +5,7 @@ Messages contain the value, the bound and the unit, so that a command can print 
 
 EXTRA_OF = {
     "coacd": "objects",
+    "cv2": "camera",
     "imageio": "video",
     "jax": "sbx",
     "lerobot": "lerobot",

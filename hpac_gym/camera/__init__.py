@@ -8,22 +8,16 @@ from hpac_gym.errors import HpacError
 
 
 class CameraError(HpacError, RuntimeError):
-    """OpenCV is missing, a camera gives no picture, its file is malformed, or tags do not show what
-    they must.
-    """
+    """A camera gives no picture, its file is malformed, or tags do not show what they must."""
 
 
 def opencv() -> ModuleType:
-    """The module `cv2`.
+    """The module `cv2`, without its own messages but errors.
 
     Raises:
-        CameraError: It is not installed.
+        ModuleNotFoundError: It is not installed; a command then names the extra.
     """
-    try:
-        import cv2
-    except ModuleNotFoundError:
-        raise CameraError(
-            "tags need OpenCV: pip install 'hpac_gym[camera]' (no module cv2)"
-        ) from None
+    import cv2
+
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     return cv2
