@@ -4,9 +4,9 @@ figures.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -81,7 +81,7 @@ class Accuracy:
 def accuracy(found: dict[str, Residuals]) -> Accuracy:
     """The paper's metrics for the measured joints."""
 
-    def errors(statistic) -> dict[str, dict[str, float]]:
+    def errors(statistic: Callable[[Array], Any]) -> dict[str, dict[str, float]]:
         return {
             kind: {
                 name: float(np.degrees(statistic(np.abs(getattr(found[name], kind)))))
@@ -115,9 +115,10 @@ def met(errors: Accuracy) -> dict[str, bool]:
     facts = (
         abs(before["index_dip"] - 1.15) <= 0.05,
         abs(after["index_dip"] - 0.18) <= 0.05,
-        max(largest, key=largest.get) == "index_dip" and abs(largest["index_dip"] - 2.0) <= 0.1,
+        max(largest, key=lambda name: largest[name]) == "index_dip"
+        and abs(largest["index_dip"] - 2.0) <= 0.1,
         max(after.values()) < ALL_BELOW_DEG,
-        max(gain, key=gain.get) == "index_dip" and min(gain.values()) > 0,
+        max(gain, key=lambda name: gain[name]) == "index_dip" and min(gain.values()) > 0,
     )
     return dict(zip(PRINTED, facts, strict=True))
 

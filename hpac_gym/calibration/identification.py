@@ -9,6 +9,7 @@ poses of a joint determine enters with its remaining uncertainty."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +58,12 @@ MOST_MISFIT = 10.0
 """The same, above which a record is refused."""
 UNUSUAL = 1.5
 """Distance from the design, in standard deviations of the prior, above which a number is told."""
+SCALE_OFF = 0.07
+"""Relative deviation of all of a digit's ratios, in one direction, above which it is told (chosen)."""
+ALIKE = 0.35
+"""Most scatter of the servos' zeros, in steps of the sweep, at which all of them are told to be one
+step (chosen).
+"""
 CMC_UNUSUAL = 0.05
 """Relative deviation of g_CMC above which it is told: the joint is driven without a tendon."""
 WORST_FIT = np.deg2rad(1.0)
@@ -84,7 +91,9 @@ class Estimate:
     formula: str
     value: float
     low: float
-    """Lower end of the 95 % interval."""
+    """Lower end of the 95 % interval, if the hand obeys the laws of the fit and the camera has no
+    error but noise and drift; otherwise the number is an effective one, without an interval.
+    """
     high: float
     told: float
     """Share of the prior's uncertainty removed by the data, 0…1."""
@@ -204,12 +213,33 @@ def doubts(found: Identification, base: Hand) -> list[str]:
             )
         if fit.misfit > MISFIT:
             remarks.append(f"{scatter}: the hand, or the camera, does what the model does not have")
-        remarks += [
-            f"{name}: {item.name} = {item.value:.4g} ({item.formula}) is {item.away:.1f} standard deviations from the design; "
-            "are the servo's angles in radians, and at their own points?"
+        unusual = ", ".join(
+            f"{item.name} = {item.value:.4g} ({item.formula}, {item.away:.1f})"
             for item in fit.estimates
             if item.away > UNUSUAL and "friction" not in item.name
+        )
+        if unusual:
+            remarks.append(
+                f"{name}: {unusual} more than {UNUSUAL:g} standard deviations from the design; are the servo's angles in "
+                "radians, and at their own points?"
+            )
+        design = values(SweptDigit(base.digits[name]))
+        off = [
+            float(item.value / nominal - 1)
+            for item, nominal in zip(fit.estimates, design, strict=True)
+            if item.name.endswith("_ratio")
         ]
+        if len(off) > 1 and (min(off) > SCALE_OFF or max(off) < -SCALE_OFF):
+            remarks.append(
+                f"{name}: all joints turn {np.mean(off):+.0%} for the same angle of the root joint, against the design: is the "
+                "scale of the root joint's angle off, or its radius?"
+            )
+    steps = np.array(list(_zeros_in_steps(found)))
+    if len(steps) > 2 and abs(abs(steps.mean()) - 1) < ALIKE and steps.std() < ALIKE:
+        remarks.append(
+            f"the zeros of all {len(steps)} servos are about {steps.mean():+.1f} steps of the sweep: is the servo column one "
+            f"point {'ahead of' if steps.mean() < 0 else 'behind'} the angles?"
+        )
     if found.cmc:
         gain = found.cmc[0].value
         if abs(gain / base.cmc_gain - 1) > CMC_UNUSUAL:
@@ -220,11 +250,19 @@ def doubts(found: Identification, base: Hand) -> list[str]:
     return remarks
 
 
+def _zeros_in_steps(found: Identification) -> Iterator[float]:
+    """The servos' zeros in units of the sweep's steps."""
+    zero = found.hand.calibration.servo_zero
+    for column, samples in found.samples.items():
+        yield float(zero[column] / np.median(np.diff(np.unique(np.round(samples.servo, 6)))))
+
+
 def held_out_rows(samples: DigitSamples) -> np.ndarray:
     """Mask of the held-out points, shape (k,): every fourth sampling point, excluding the first and
     the last.
     """
-    return samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
+    rows: np.ndarray = samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
+    return rows
 
 
 def _enough(
@@ -333,7 +371,10 @@ class _Prior:
 
     def values(self, unknowns: Array) -> Array:
         """Values of the combinations for given unknowns."""
-        return np.where(self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns)))
+        numbers: Array = np.where(
+            self.linear, unknowns, np.exp(np.where(self.linear, 0.0, unknowns))
+        )
+        return numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -355,7 +396,9 @@ class _Problem:
         count = len(self.prior.centre)
         swept = digit_with(self.base, self.prior.values(unknowns[:count]))
         drift = self.samples.line @ unknowns[count:].reshape(2, -1)
-        return (self.samples.joint_pos - predicted(self.samples, swept) - drift)[self.seen]
+        missed = self.samples.joint_pos - predicted(self.samples, swept) - drift
+        of_seen: Array = missed[self.seen]
+        return of_seen
 
     def rows(self, unknowns: Array, scale: float) -> Array:
         """Misfit and prior, each divided by its standard deviation."""
@@ -407,7 +450,7 @@ def soft_beyond_outliers(squares: Array, data: int) -> Array:
     """Loss for SciPy: linear for points beyond `_OUTLIER` deviations, quadratic for the prior,
     after the first `data` rows.
     """
-    rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
+    rho: Array = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
     root = np.sqrt(1 + squares[:data] / _OUTLIER**2)
     rho[0, :data] = 2 * _OUTLIER**2 * (root - 1)
     rho[1, :data] = 1 / root
@@ -502,15 +545,14 @@ def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estima
         loss=lambda squares: soft_beyond_outliers(squares, len(servo)),
     )
     spread = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
-    pairs = (("cmc_gain", "g_CMC", np.inf), ("servo_zero", "rad", ZERO_SPREAD))
-    return tuple(
-        Estimate(
-            name,
-            formula,
-            float(x),
-            float(x - 1.96 * s),
-            float(x + 1.96 * s),
-            float(1 - min(s / prior, 1.0)),
-        )
-        for (name, formula, prior), x, s in zip(pairs, result.x, spread, strict=False)
+
+    def estimate(name: str, formula: str, prior: float, place: int) -> Estimate:
+        x = float(result.x[place])
+        half = 1.96 * float(spread[place])
+        told = 1 - min(float(spread[place]) / prior, 1.0)
+        return Estimate(name, formula, x, x - half, x + half, told)
+
+    return (
+        estimate("cmc_gain", "g_CMC", np.inf, 0),
+        estimate("servo_zero", "rad", float(ZERO_SPREAD), 1),
     )

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpac_gym.calibration.processing import FAR, group_means, noise_of, without_drift
+from hpac_gym.calibration.processing import (
+    FAR,
+    MOST_DRIFT,
+    NEIGHBOURS,
+    differing_rests,
+    group_means,
+    noise_of,
+    without_drift,
+)
 from hpac_gym.calibration.record import (
     EXTENDING,
     FLEXING,
@@ -32,6 +40,12 @@ MOST_NOISE = np.deg2rad(1.0)
 CERTAIN = 4.0
 """Standard errors by which a joint must lag behind its root joint, or lead it, for the record to
 tell which is which.
+"""
+STILL = np.deg2rad(0.5)
+"""Motion of a servo within a sampling point [rad]; more is a servo column that belongs to other rows.
+"""
+OFF_COURSE = np.deg2rad(2.0)
+"""Deviation of a point from the running median of its neighbours, which a steady course equals [rad].
 """
 SHOWN = 3
 """Number of faults that the message lists."""
@@ -80,8 +94,23 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
                 f"{where}: column point numbers {len(np.unique(segment.point[flexed]))} points while servo {SERVOS[swept]} moves "
                 f"{travel[swept]:.2f} rad; each place where it stands needs a number of its own, at least 3"
             )
+        elif (moves := _most_motion(segment, flexed, swept)) > STILL:
+            faults.append(
+                f"{where}: servo {SERVOS[swept]} moves by up to {np.degrees(moves):.1f}° within a sampling point, at most "
+                f"{np.degrees(STILL):.1f}° is accepted; does its column belong to other rows?"
+            )
         else:
-            found = _judged_joints(without_drift(segment), flexed, swept, base)
+            differing = differing_rests(segment)
+            if differing:
+                most = np.degrees(max(map(abs, differing.values())))
+                remarks.append(
+                    f"{where}: the rests of {', '.join(differing)} differ by up to {most:.1f}°, more than "
+                    f"{np.degrees(MOST_DRIFT):.2f}°: did the digit not come back to its stops, or did the camera move? The first "
+                    "rest counts, and a drift is fitted"
+                )
+            found = _judged_joints(
+                without_drift(segment, last_rest=not differing), flexed, swept, base
+            )
             faults += found[0]
             remarks += found[1]
             if not rest[0] < flexed[0] < flexed[-1] < rest[-1]:
@@ -93,6 +122,15 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
         more = f"; and {len(told) - SHOWN} more" if len(told) > SHOWN else ""
         raise RecordError(f"the record is refused: {'; '.join(told[:SHOWN])}{more}")
     return list(dict.fromkeys(remarks))
+
+
+def _most_motion(segment: Sweep, flexed: np.ndarray, swept: int) -> float:
+    """Largest motion of the swept servo within one of the points of a flexion [rad]."""
+    angle = segment.servo[flexed, swept]
+    return max(
+        float(np.ptp(angle[segment.point[flexed] == point]))
+        for point in np.unique(segment.point[flexed])
+    )
 
 
 def point_medians(sweep: Sweep, rows: np.ndarray) -> tuple[Array, Array, Array]:
@@ -130,8 +168,8 @@ def _judged_joints(
     wanted = _travel(np.where(np.isnan(medians), np.nan, design))
     own = joints_of_servo(swept)
     where = f"sweep of {SERVOS[swept]}"
-    faults = []
-    remarks = []
+    faults: list[str] = []
+    remarks: list[str] = []
     movers = ", ".join(JOINTS[joint] for joint in np.flatnonzero(travel > 0.2) if joint not in own)
     for joint in own:
         if np.isnan(travel[joint]):
@@ -158,6 +196,12 @@ def _judged_joints(
     if faults:
         return faults, remarks
     root = JOINTS.index(SERVOS[swept])
+    remarks += [
+        f"{where}: points of {JOINTS[joint]} lie up to {np.degrees(off):.0f}° beside the course of the others; were markers "
+        "exchanged for a while?"
+        for joint in own
+        if (off := _off_course(medians[:, joint])) > OFF_COURSE
+    ]
     for joint in own:
         pair = medians[:, [root, joint]]
         pair = pair[~np.isnan(pair).any(axis=1)]
@@ -184,6 +228,15 @@ def _judged_joints(
                 f"a record that also has frames of the digit's return tells which"
             )
     return faults, remarks
+
+
+def _off_course(angles: Array) -> float:
+    """Largest distance of a joint's point from the running median of its neighbours [rad]."""
+    from scipy import ndimage
+
+    seen = angles[~np.isnan(angles)]
+    off = np.abs(seen - ndimage.median_filter(seen, NEIGHBOURS, mode="nearest"))
+    return float(off.max(initial=0.0))
 
 
 def lag_behind(segment: Sweep, root: int, joint: int) -> tuple[float, float]:

@@ -31,6 +31,12 @@ LEAST_FAR = np.deg2rad(2.0)
 """Deviation from its neighbours that a sample may have in any record [rad]."""
 LEAST_NOISE = np.deg2rad(0.02)
 """Lower bound of the assumed camera noise [rad]."""
+USUAL_DRIFT = np.deg2rad(0.2)
+"""Standard deviation of a camera's drift in the course of a segment [rad], chosen."""
+MOST_DRIFT = np.deg2rad(0.75)
+"""Difference between a joint's first and last rest [rad], chosen, which a digit that did not come back
+to its stops exceeds, and a camera's drift does not.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +96,8 @@ def near_neighbours(values: Array) -> np.ndarray:
     from scipy import ndimage
 
     off = np.abs(values - ndimage.median_filter(values, NEIGHBOURS, mode="nearest"))
-    return off <= max(FAR * robust_deviation(off), LEAST_FAR)
+    near: np.ndarray = off <= max(FAR * robust_deviation(off), LEAST_FAR)
+    return near
 
 
 def sampling_rate(time: Array) -> float:
@@ -133,16 +140,34 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
         raise RecordError(
             f"a segment of {len(values)} samples is too short: the filter needs more than {pad}"
         )
-    return signal.sosfiltfilt(sections, values, axis=0, padlen=pad)
+    filtered: Array = signal.sosfiltfilt(sections, values, axis=0, padlen=pad)
+    return filtered
 
 
-def without_drift(sweep: Sweep) -> Sweep:
+def differing_rests(segment: Sweep) -> dict[str, float]:
+    """Swept joints whose last rest differs from the first by more than `MOST_DRIFT`, and by how much
+    [rad].
+    """
+    moving = np.flatnonzero(segment.phase != REST)
+    rest = np.flatnonzero(segment.phase == REST)
+    found = {}
+    for joint in joints_of_servo(int(segment.swept[0])) if moving.size else ():
+        rests = (rest[rest < moving[0]], rest[rest > moving[-1]])
+        first, last = (segment.joint_pos[rows, joint] for rows in rests)
+        if np.isfinite(first).any() and np.isfinite(last).any():
+            shift = float(np.nanmedian(last) - np.nanmedian(first))
+            if abs(shift) > MOST_DRIFT:
+                found[JOINTS[joint]] = shift
+    return found
+
+
+def without_drift(sweep: Sweep, last_rest: bool = True) -> Sweep:
     """Subtract the camera's drift: a straight line in time through the readings of the swept joints
     at rest.
 
     Uses only the rest poses of a segment, where the swept joints are at zero, without outliers. If
-    a segment rests at one end only, the drift is a constant; a segment without rest is left
-    unchanged."""
+    a segment rests at one end only, or its last rest is not to count, the drift is a constant; a
+    segment without rest is left unchanged."""
     joint_pos = sweep.joint_pos.copy()
     for rows in sweep.segments():
         rest = rows[sweep.phase[rows] == REST]
@@ -151,6 +176,10 @@ def without_drift(sweep: Sweep) -> Sweep:
         time = sweep.time[rest] - sweep.time[rows[0]]
         moving = rows[sweep.phase[rows] != REST]
         both_ends = moving.size and rest[0] < moving[0] and rest[-1] > moving[-1]
+        if both_ends and not last_rest:
+            rest = rest[rest < moving[0]]
+            time = time[: rest.size]
+            both_ends = False
         ends = (rest < moving[0], rest > moving[0]) if both_ends else (slice(None),)
         basis = np.vander(time, len(ends))
         for joint in joints_of_servo(int(sweep.swept[rows[0]])):
@@ -184,7 +213,7 @@ def noise_of(deviations: Array) -> float:
     """Robust standard deviation of samples about their point's median [rad], at least
     `LEAST_NOISE`.
     """
-    return max(robust_deviation(deviations), LEAST_NOISE)
+    return max(robust_deviation(deviations), float(LEAST_NOISE))
 
 
 def points(sweep: Sweep) -> Points:
@@ -204,7 +233,8 @@ def points(sweep: Sweep) -> Points:
     servo, joint_pos = (
         group_means(values[held], group)[0] for values in (sweep.servo, sweep.joint_pos)
     )
-    return Points(*unique.T[:3], servo, joint_pos)
+    trial, swept, phase = unique.T[:3]
+    return Points(trial, swept, phase, servo, joint_pos)
 
 
 def group_means(values: Array, group: np.ndarray) -> tuple[Array, Array]:

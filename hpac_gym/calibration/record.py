@@ -1,4 +1,4 @@
-"""The record of a servo sweep, and its file `sweep.csv` (`docs/study.md`): the same for a simulated
+"""The record of a servo sweep, and its file `sweep.csv` (`docs/calibrate.md`): the same for a simulated
 hand and for a real one.
 """
 
@@ -187,7 +187,8 @@ def _parse(lines: list[str], allow_missing: bool) -> Sweep:
         np.stack([columns[name] for name in group], axis=1)
         for group in (SERVO_COLUMNS, JOINT_COLUMNS)
     )
-    sweep = Sweep(*(columns[name] for name in (*LABELS, "time_s")), servo, joint_pos)
+    trial, swept, phase, point, time = (columns[name] for name in (*LABELS, "time_s"))
+    sweep = Sweep(trial, swept, phase, point, time, servo, joint_pos)
     for segment in sweep.segments():
         late = segment[1:][np.diff(sweep.time[segment]) <= 0]
         if late.size:

@@ -5,11 +5,20 @@ of the drift.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hpac_gym.calibration.judging import point_medians
-from hpac_gym.calibration.processing import FAR, LEAST_NOISE, group_means, noise_of, without_drift
+from hpac_gym.calibration.processing import (
+    FAR,
+    LEAST_NOISE,
+    USUAL_DRIFT,
+    differing_rests,
+    group_means,
+    noise_of,
+    without_drift,
+)
 from hpac_gym.calibration.record import EXTENDING, FLEXING, REST, Sweep
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, elastic_joints_from_servo
 from hpac_gym.model.checks import Array
@@ -79,19 +88,23 @@ def digit_samples(
     for rows in record.segments():
         if record.swept[rows[0]] != servo:
             continue
-        segment = without_drift(record[rows])
+        differing = differing_rests(record[rows])
+        segment = without_drift(record[rows], last_rest=not differing)
         for phase, direction in ((FLEXING, FLEXION), (EXTENDING, EXTENSION)):
             held = np.flatnonzero((segment.phase == phase) & (segment.point >= 0))
             if held.size:
-                parts.append(_phase_points(segment, held, joints, direction))
+                parts.append(_phase_points(segment, held, joints, direction, bool(differing)))
     unseen = [
         all(np.isnan(part.joint_pos[:, i]).all() for part in parts) for i in range(len(joints))
     ]
     if all(unseen):
         return None
+    of_points: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_POINTS
+    }
     whole = replace(
         parts[0],
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_POINTS},
+        **of_points,
         noise=np.mean([part.noise for part in parts], axis=0),
         samples=sum(part.samples for part in parts),
         outliers=sum(part.outliers for part in parts),
@@ -108,13 +121,13 @@ def digit_samples(
 
 
 def _phase_points(
-    sweep: Sweep, rows: np.ndarray, joints: tuple[str, ...], direction: float
+    sweep: Sweep, rows: np.ndarray, joints: tuple[str, ...], direction: float, differing: bool
 ) -> DigitSamples:
     columns = [JOINT_INDEX[name] for name in joints]
     numbers, place = np.unique(sweep.point[rows], return_inverse=True)
     off = np.abs(point_medians(sweep, rows)[2][:, columns])
     far = FAR * np.array([noise_of(values) for values in off.T])
-    values = np.where(off <= far, sweep.joint_pos[np.ix_(rows, columns)], np.nan)
+    values = np.where(off <= far, sweep.joint_pos[rows][:, columns], np.nan)
     mean, kept = group_means(values, place)
     freedom = np.maximum(kept.sum(axis=0) - (kept > 0).sum(axis=0), 1)
     noise = np.maximum(
@@ -130,7 +143,7 @@ def _phase_points(
         numbers,
         mean,
         noise / np.sqrt(np.where(kept > 0, kept, np.nan)),
-        _open_line(sweep, time),
+        _open_line(sweep, time, USUAL_DRIFT / noise.max() if differing else 0.0),
         noise,
         int((~np.isnan(off)).sum()),
         int((off > far).sum()),
@@ -140,13 +153,20 @@ def _phase_points(
     )
 
 
-def _open_line(sweep: Sweep, time: Array) -> Array:
+def _open_line(sweep: Sweep, time: Array, drift: float) -> Array:
     """Remaining uncertainty of a segment's drift line after the rest poses, shape (k, 2): offset
     and slope, decorrelated.
+
+    Where the rests differ, the points tell the drift from the first to the last, as far as they can,
+    about 0 and with a standard deviation of `drift` in units of the noise; otherwise it is 0.
     """
     line = np.zeros((len(time), 2))
     rest = sweep.time[sweep.phase == REST]
     if rest.size < 2:
+        return line
+    if drift:
+        line[:, 0] = 1 / np.sqrt((rest < time.min()).sum())
+        line[:, 1] = drift * (time - rest[0]) / np.ptp(rest)
         return line
     origin = rest.mean()
     line[:, 0] = 1 / np.sqrt(rest.size)

@@ -130,12 +130,9 @@ def _calibration(table: dict[str, Any]) -> Calibration:
 def _digit(name: str, table: dict[str, Any]) -> Digit:
     _refuse_unknown(table, (*_SCALARS, *_LISTS, "alpha_deg"), f"digit {name}")
     try:
-        return Digit(
-            name=name,
-            alpha=math.radians(_number(table, "alpha_deg")),
-            **{key: _number(table, key) for key in _SCALARS},
-            **{key: _numbers(table, key) for key in _LISTS},
-        )
+        numbers: dict[str, Any] = {key: _number(table, key) for key in _SCALARS}
+        numbers |= {key: _numbers(table, key) for key in _LISTS}
+        return Digit(name=name, alpha=math.radians(_number(table, "alpha_deg")), **numbers)
     except ParameterError as error:
         prefix = "" if str(error).startswith("digit") else f"digit {name}: "
         raise ParameterError(f"{prefix}{error}") from None
@@ -148,9 +145,10 @@ def _refuse_unknown(table: dict[str, Any], known: Iterable[str], owner: str) -> 
 
 
 def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
-    if not isinstance(table.get(key), dict):
+    found = table.get(key)
+    if not isinstance(found, dict):
         raise ParameterError(f"table [{key}] is missing")
-    return table[key]
+    return found
 
 
 def _number(table: dict[str, Any], key: str) -> float:

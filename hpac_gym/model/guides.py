@@ -7,7 +7,9 @@ import numpy as np
 from hpac_gym.model.checks import Array
 
 
-def chord_from_included(guide_sum: Array, guide_product: Array, included: Array) -> Array:
+def chord_from_included(
+    guide_sum: Array | float, guide_product: Array | float, included: Array | float
+) -> Array:
     """Distance between two guides [m] at an included angle [rad].
 
     Eq. (3): √(d₁² + d₂² − 2 d₁ d₂ cos φ).
@@ -20,7 +22,9 @@ def chord_from_included(guide_sum: Array, guide_product: Array, included: Array)
     return np.sqrt(guide_sum - guide_product * np.cos(included))
 
 
-def included_from_chord(guide_sum: Array, guide_product: Array, chord: Array) -> Array:
+def included_from_chord(
+    guide_sum: Array | float, guide_product: Array | float, chord: Array
+) -> Array:
     """Included angle [rad] of two guides at a given distance [m]: the inverse of
     `chord_from_included`.
 

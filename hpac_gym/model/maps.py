@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpac_gym.model.checks import Array
 from hpac_gym.model.command import servo_from_action, synergy_from_action
@@ -183,7 +184,7 @@ def _tables(hand: Hand, board: Hand) -> _Tables:
     )
 
 
-def _interpolated(tables: Array, share: Array, flexing: Array, column: Array) -> Array:
+def _interpolated(tables: Array, share: Array, flexing: Array, column: NDArray[np.intp]) -> Array:
     """Linear interpolation in tables over evenly spaced points.
 
     Args:
@@ -198,4 +199,5 @@ def _interpolated(tables: Array, share: Array, flexing: Array, column: Array) ->
     way = np.where(flexing, 0, 1).take(column, axis=1)
     row = np.arange(len(column))
     low = tables[world, way, row, left]
-    return low + (place - left) * (tables[world, way, row, left + 1] - low)
+    between: Array = low + (place - left) * (tables[world, way, row, left + 1] - low)
+    return between

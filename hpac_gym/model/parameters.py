@@ -105,7 +105,8 @@ class Digit:
         Joint angles are inversely proportional to the radii: 5:4:5 radii give 4:5:4 angles, 5:4
         give 4:5."""
         radius = np.array(self.joint_radius)
-        return radius[0] / radius
+        ratio: Array = radius[0] / radius
+        return ratio
 
     @property
     def segment_stiffness(self) -> Array:
@@ -118,7 +119,8 @@ class Digit:
         static equilibrium only with 2EA/L. The thumb has one segment, which carries only T."""
         first = 2.0 if len(self.path_length) > 1 else 1.0
         factor = np.where(np.arange(len(self.path_length)) == 0, first, 1.0)
-        return factor * self.tendon_stiffness / np.array(self.path_length)
+        path: Array = np.array(self.path_length)
+        return factor * self.tendon_stiffness / path
 
     @property
     def compliance(self) -> Array:
@@ -138,7 +140,7 @@ class Digit:
         """M⁻¹A: joint angles per radian of the root joint, with the tendon's elasticity. Eqs. (12),
         (13).
         """
-        return np.linalg.solve(self.coupling_matrix, self.rigid_ratio)
+        return np.asarray(np.linalg.solve(self.coupling_matrix, self.rigid_ratio), dtype=float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +254,7 @@ class Hand:
                     f"({digit.alpha - np.pi:.6g}, {digit.alpha:.6g}) rad"
                 )
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[partial[Hand], tuple[()]]:
         plain = {f.name: getattr(self, f.name) for f in fields(self)}
         plain |= {name: dict(plain[name]) for name in ("digits", "workspace", "sources")}
         return partial(Hand, **plain), ()

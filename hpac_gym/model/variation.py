@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +20,7 @@ def scaled_digit(digit: Digit, scale: Mapping[str, ArrayLike]) -> Digit:
         AttributeError: `Digit` has no such field.
         ParameterError: A scaled number is not finite and positive.
     """
-    changed = {}
+    changed: dict[str, Any] = {}
     for name, factor in scale.items():
         value = getattr(digit, name)
         scaled = (np.asarray(factor) * value).tolist()

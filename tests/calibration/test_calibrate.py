@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 
 import hpac
-from experiments.bench import metal_sweeps
-from hpac_gym.calibration.record import FLEXING, read_sweep, write_sweep
-from hpac_gym.model import HPAC
+from experiments.bench import Protocol, metal_sweeps
+from experiments.quasistatic import hand_course
+from hpac_gym.calibration import samples
+from hpac_gym.calibration.calibrate import (
+    BOUND,
+    WORST_OF_JOINTS,
+    FileError,
+    expected_worst_deg,
+)
+from hpac_gym.calibration.identification import identify
+from hpac_gym.calibration.record import FLEXING, REST, read_sweep, write_sweep
+from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS
+from hpac_gym.model.settled import settled_joints_from_servo
 
 
 @pytest.fixture
@@ -34,9 +44,32 @@ def test_a_second_sweep_is_what_the_first_line_is_about(record, hidden, calibrat
     write_sweep(tmp_path / "second.csv", metal_sweeps([hidden], 2)[0])
     status, said = calibrate(record, "--check", str(tmp_path / "second.csv"))
     assert status == 0
-    assert "of the written file in the independent sweep second.csv is" in said.out
     report = json.loads((tmp_path / "hand-report" / "report.json").read_text())
-    assert report
+    worst = report["expected_worst_deg"]
+    assert max(error["mean_abs_deg"] for error in report["file_error"].values()) / 2 < worst < 0.2
+    assert report["bound_95_deg"] == pytest.approx(BOUND * worst)
+    first = said.out.splitlines()[2]
+    assert first.startswith("Judged on the independent sweep second.csv, commands with")
+    assert f"by {worst:.2f}° at the worst joint" in first
+    assert first.endswith(f"with 95 % confidence by at most {BOUND * worst:.2f}°.")
+    assert json.loads(calibrate(record, "--json")[1].out)["bound_95_deg"] is None
+
+
+def test_the_expected_worst_joint_lies_between_the_largest_and_what_all_joints_let_expect():
+    errors = {str(i): FileError(error, 1.0, 0.1, 9) for i, error in enumerate([0.1] * 3 + [0.8])}
+    rms = np.sqrt((3 * 0.01 + 0.64) / 4)
+    assert expected_worst_deg(errors) == pytest.approx(np.sqrt(0.8 * WORST_OF_JOINTS * rms))
+    alike = {str(i): FileError(0.3, 1.0, 0.1, 9) for i in range(4)}
+    assert expected_worst_deg(alike) == pytest.approx(0.3 * np.sqrt(WORST_OF_JOINTS))
+
+
+def test_numbers_are_called_effective_and_have_no_interval(record, calibrate):
+    """An interval about a number that another combination explains as well would be a false one."""
+    _, said = calibrate(record)
+    assert "| effective number | formula | design | found | determined by the data |" in said.out
+    assert "Effective g_CMC" in said.out
+    assert "interval |" not in said.out
+    assert "with 95 % confidence" not in said.out
 
 
 def test_an_error_of_the_first_camera_shows_in_the_second_sweep_alone(
@@ -52,7 +85,7 @@ def test_an_error_of_the_first_camera_shows_in_the_second_sweep_alone(
 
 
 def _worst(out):
-    return float(out.partition("on average and ")[2].partition("°")[0])
+    return float(out.partition("on average and ")[2].partition("°")[0].removeprefix("by "))
 
 
 @pytest.mark.parametrize(("slip_deg", "status"), [(1.7, 0), (2.5, 2)])
@@ -71,6 +104,128 @@ def test_servo_angles_as_a_share_are_doubted(record, calibrate):
     assert status == 0
     assert "standard deviations from the design; are the servo's angles in radians" in said.out
     assert "off the design's 1.000, and no tendon is between" in said.out
+
+
+def of_servo(record, name):
+    return record[record.swept == SERVOS.index(name)]
+
+
+def test_a_servo_column_one_point_ahead_is_told(record, calibrate):
+    """Every servo then seems to have a zero of one step; a hand's own zeros differ."""
+    held = (record.phase == FLEXING) & (record.point >= 0)
+    servo = record.servo.copy()
+    for column, top in enumerate(HPAC.servo_max):
+        rows = held & (record.swept == column)
+        step = (top - HPAC.servo_min[column]) / record.point.max()
+        servo[rows, column] = np.minimum(servo[rows, column] + step, top)
+    status, said = calibrate(replace(record, servo=servo))
+    assert status == 0
+    assert "the zeros of all 6 servos are about -0.9 steps of the sweep" in said.out
+    assert "one point ahead of the angles?" in said.out
+
+
+def test_a_servo_column_that_moves_within_a_point_is_refused(record, calibrate):
+    """A column of another time, in a record with the frames between the points."""
+    index = of_servo(record, "index_mcp")
+    later = np.vstack([index.servo[4:], index.servo[-4:]])
+    status, said = calibrate(replace(index, servo=later))
+    assert status == 2
+    assert "servo index_mcp moves by up to" in said.err
+
+
+def with_last_rest(record, degrees):
+    """A digit that does not come back to its stops."""
+    joint_pos = record.joint_pos.copy()
+    last = (record.phase == REST) & (record.time > record.time[record.phase == FLEXING].max())
+    joint_pos[last] += np.deg2rad(degrees)
+    return record.with_joint_pos(joint_pos)
+
+
+def test_rests_that_differ_are_told_and_bend_no_curve(record, hidden, calibrate, monkeypatch):
+    """With a straight line through both rests, the control, the file is off by more than 1°."""
+    index = of_servo(record, "index_mcp")
+    spoiled = with_last_rest(index, 2.0)
+    status, said = calibrate(spoiled)
+    assert status == 0
+    assert (
+        "the rests of index_dip, index_pip, index_mcp differ by up to 1.9°, more than" in said.out
+    )
+
+    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 17)
+    joints = [JOINT_INDEX[name] for name in HPAC.digits["index"].joints]
+    truth = hand_course([hidden], servo)[0]
+
+    def error():
+        off = settled_joints_from_servo(servo, identify(spoiled).hand) - truth
+        return np.degrees(np.abs(off[:, joints])).mean(axis=0).max()
+
+    assert error() < 0.2
+    monkeypatch.setattr(samples, "differing_rests", lambda segment: {})
+    assert error() > 1
+
+
+def test_a_drift_between_rests_that_differ_is_fitted_in_both_directions(hidden):
+    """The camera turned by 2° in the course of the sweep: the way back tells it from the geometry."""
+    both = metal_sweeps(
+        [hidden], 1, protocol=Protocol(both_directions=True), servos=("index_mcp",)
+    )[0]
+    drift = np.deg2rad(2.0) * (both.time - both.time[0]) / np.ptp(both.time)
+    turned = both.with_joint_pos(both.joint_pos + drift[:, None])
+    servo = np.linspace(HPAC.servo_min, HPAC.servo_max, 17)
+    joints = [JOINT_INDEX[name] for name in HPAC.digits["index"].joints]
+    off = settled_joints_from_servo(servo, identify(turned).hand) - hand_course([hidden], servo)[0]
+    assert np.degrees(np.abs(off[:, joints])).mean(axis=0).max() < 0.15
+
+
+def test_rests_that_differ_by_a_cameras_drift_are_not_told(record, calibrate):
+    _, said = calibrate(with_last_rest(of_servo(record, "index_mcp"), 0.4))
+    assert "the rests of" not in said.out
+
+
+def test_markers_that_are_exchanged_for_three_seconds_are_told(record, calibrate):
+    """`hpac sweep` makes the same checks."""
+    index = of_servo(record, "index_mcp")
+    swapped = index.joint_pos.copy()
+    first, second = JOINT_INDEX["index_pip"], JOINT_INDEX["index_dip"]
+    rows = (index.time > 30) & (index.time < 33)
+    swapped[np.ix_(rows, [first, second])] = swapped[np.ix_(rows, [second, first])]
+    status, said = calibrate(index.with_joint_pos(swapped))
+    assert status == 0
+    assert "points of index_pip lie up to 6° beside the course of the others" in said.out
+    assert "were markers exchanged for a while?" in said.out
+
+
+def test_a_camera_that_wobbles_is_refused(record, calibrate):
+    """With an amplitude of 1°, from point to point, for all joints."""
+    index = of_servo(record, "index_mcp")
+    wobble = np.deg2rad(1.0) * np.sin(2.4 * index.point) * (index.point >= 0)
+    status, said = calibrate(index.with_joint_pos(index.joint_pos + wobble[:, None]))
+    assert status == 2
+    assert "does a tendon slip, or a camera wobble?" in said.err
+
+
+def test_a_camera_that_is_not_square_shows_in_the_second_sweep(record, hidden, calibrate, tmp_path):
+    """Alone, the fit takes most of it for geometry, and tells the rest as scatter."""
+    second = metal_sweeps([hidden], 2, servos=("index_mcp",))[0]
+    write_sweep(tmp_path / "second.csv", second)
+    index = of_servo(record, "index_mcp")
+    askew = index.with_joint_pos(index.joint_pos + np.deg2rad(2.5) * np.sin(2 * index.joint_pos))
+    alone = calibrate(askew)[1].out
+    assert "the points scatter" in alone
+    _, said = calibrate(askew, "--check", str(tmp_path / "second.csv"))
+    assert _worst(said.out) > 2.5 * _worst(alone)
+    assert "the two sweeps differ by more than 1.5° in" in said.out
+
+
+def test_the_scale_of_a_root_joint_is_told(record, calibrate):
+    """All other joints of the digit then turn too little for it."""
+    index = of_servo(record, "index_mcp")
+    wrong = index.joint_pos.copy()
+    wrong[:, JOINT_INDEX["index_mcp"]] *= 1.1
+    status, said = calibrate(index.with_joint_pos(wrong))
+    assert status == 0
+    assert "index: all joints turn -" in said.out
+    assert "is the scale of the root joint's angle off, or its radius?" in said.out
 
 
 def test_points_that_all_have_one_number_are_refused(record, calibrate):
