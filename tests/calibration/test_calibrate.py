@@ -186,9 +186,9 @@ def test_markers_that_are_exchanged_for_three_seconds_are_told(record, calibrate
     """`hpac sweep` makes the same checks."""
     index = of_servo(record, "index_mcp")
     swapped = index.joint_pos.copy()
-    first, second = JOINT_INDEX["index_pip"], JOINT_INDEX["index_dip"]
+    pair = [JOINT_INDEX["index_pip"], JOINT_INDEX["index_dip"]]
     rows = (index.time > 30) & (index.time < 33)
-    swapped[np.ix_(rows, [first, second])] = swapped[np.ix_(rows, [second, first])]
+    swapped[np.ix_(rows, pair)] = swapped[np.ix_(rows, pair[::-1])]
     status, said = calibrate(index.with_joint_pos(swapped))
     assert status == 0
     assert "points of index_pip lie up to 6° beside the course of the others" in said.out
