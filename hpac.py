@@ -133,6 +133,7 @@ def _main(argv: Sequence[str]) -> int:
     }
     name = next((word for word in argv if not word.startswith("-")), None)
     row = next((row for row in COMMANDS if row.name == name), None)
+    sys.path.append("")  # the folder of the user, for module:My-v0 and module:function
     if row is not None:
         module, _, function = row.target.partition(":")
         getattr(import_module(module), function)(parsers[row.name])

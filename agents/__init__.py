@@ -13,7 +13,7 @@ from hpac_gym.registration import full_id
 
 explain_missing_extras()
 
-POLICY = "policy.zip"  # name of the policy file in the folder of a run
+POLICY = "policy.hpac"  # name of the policy file in the folder of a run
 
 
 class RecipeError(HpacError, ValueError):

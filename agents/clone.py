@@ -3,7 +3,7 @@ record``.
 
 A network imitates the actions of the successful episodes. With ``--rounds N`` it then acts itself,
 N times in 200 episodes, and also learns what ``--expert`` would have done there (DAgger, Ross et
-al. 2011): otherwise it sees no errors of its own. The folder gets ``policy.zip``, updated before
+al. 2011): otherwise it sees no errors of its own. The folder gets ``policy.hpac``, updated before
 every round, which is evaluated, replayed and exported like any other."""
 
 import sys
@@ -18,10 +18,10 @@ from agents import POLICY, RunError, target_of
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.dataset import read_dataset
 from hpac_gym.evaluation.environment import make_env, versions
-from hpac_gym.evaluation.evaluate import run_batch, worlds
+from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
-from hpac_gym.policies import Actor, Policy, PolicyFile, write_policy
+from hpac_gym.policies import Actor, LearnedPolicy, PolicyFile, write_policy
 from hpac_gym.policies.loading import load_policy, vector_size
 from hpac_gym.policies.policy import vector
 from hpac_gym.progress import progress
@@ -35,43 +35,31 @@ Pairs = tuple[np.ndarray, np.ndarray]
 """Observations, shape (steps, n), and actions, shape (steps, m), −1…1."""
 
 
-class Watched:
-    """An actor in an environment, and what an expert would do in its place."""
-
-    def __init__(self, actor: Actor, expert: Policy) -> None:
-        self._actor = actor
-        self._expert = expert
-        self.seen: list[np.ndarray] = []
-        self.wanted: list[np.ndarray] = []
-
-    def reset(self, seed: int) -> None:
-        """Begin an episode."""
-        self._expert.reset(seed)
-
-    def act(self, observation: Any) -> np.ndarray:
-        """The actor's action, shape (m,)."""
-        self.seen.append(vector(observation))
-        self.wanted.append(self._expert.act(observation))
-        return self._actor(self.seen[-1])
-
-
 def visit(
     actor: Actor, expert: str, env_id: str, options: dict[str, Any], first_seed: int
 ) -> Pairs:
     """Let an actor act for `VISITS` episodes; returns what it saw, and what the expert would have
     done.
     """
+    visits: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
+    won = 0
     with worlds(env_id, options, VISITS) as (env, envs):
-        watched = [Watched(actor, load_policy(expert, env)) for _ in range(envs.num_envs)]
-        episodes = run_batch(envs, watched, range(first_seed, first_seed + VISITS))
+        experts = [load_policy(expert, env) for _ in range(envs.num_envs)]
+        states: list[Any] = [None] * envs.num_envs
+        policies = [LearnedPolicy(actor)] * envs.num_envs
+        for step in run_episodes(envs, policies, range(first_seed, first_seed + VISITS)):
+            won += step.success
+            if step.number == 0:
+                states[step.world] = None
+            if not step.over:
+                wanted, states[step.world] = experts[step.world].predict(
+                    step.observation, states[step.world]
+                )
+                visits.setdefault(step.world, []).append((vector(step.observation), wanted))
     if not sys.stderr.isatty():  # a terminal has a progress bar
-        print(
-            f"in training, {np.mean([episode.success for episode in episodes]):.0%} of {VISITS} episodes won",
-            file=sys.stderr,
-        )
-    return np.concatenate([each.seen for each in watched]), np.concatenate(
-        [each.wanted for each in watched]
-    )
+        print(f"in training, {won / VISITS:.0%} of {VISITS} episodes won", file=sys.stderr)
+    pairs = [pair for _, seen in sorted(visits.items()) for pair in seen]
+    return tuple(map(np.stack, zip(*pairs, strict=True)))
 
 
 def clone(

@@ -23,7 +23,7 @@ def steps(
     recipe: str, out: Path, training_minutes: float, episodes: int, seed: int
 ) -> list[tuple[str, list[str]]]:
     """Title, and module with arguments, of every step."""
-    policy = str(out / "policy.zip")
+    policy = str(out / "policy.hpac")
     results = str(out / "results.json")
     engine, body = RECIPES[recipe].set_ups[0].split("/")
     trained = ["--policy", policy, "--engine", engine, "--body", body]

@@ -2,7 +2,7 @@
 agents.race ppo --out runs/NAME``.
 
 Every contender runs on a MuJoCo batch, observes *deploy*, gets the dense reward and the same
-processor time. The folder gets ``policy.zip``, updated every minute, and ``progress.csv``. A run
+processor time. The folder gets ``policy.hpac``, updated every minute, and ``progress.csv``. A run
 cannot be resumed."""
 
 import sys

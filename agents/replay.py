@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 
 import gymnasium
@@ -32,7 +33,7 @@ from hpac_gym.bridge import (
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.episode import control_steps
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import SERVOS, ServoCommand, move_duration
@@ -186,14 +187,10 @@ def replay(
 
 
 def _run_episode(policy: Policy, env: gymnasium.Env, wire: Wire, seed: int) -> bool:
-    observation, _ = env.reset(seed=seed)
-    policy.reset(seed)
-    wire.begin(env.unwrapped.command.servo)
-    done = False
-    while not done:
-        observation, _, terminated, truncated, info = env.step(policy.act(observation))
-        done = terminated or truncated
-    return bool(info["is_success"])
+    for step in run_episodes(single(env), [policy], [seed]):
+        if step.number == 0:
+            wire.begin(env.unwrapped.command.servo)
+    return step.success
 
 
 def film(
@@ -235,10 +232,11 @@ def film(
             phase = None
             picture = None
             stills = []
-            for _, (_, info) in zip(received, control_steps(env, actor, seed), strict=False):
+            steps = run_episodes(single(env), [actor], [seed])
+            for step in islice(steps, 1, len(received) + 1):
                 last = picture
                 picture = env.render()
-                if (now := info.get("phase", "")) != phase:  # a task without phases has none
+                if (now := step.info.get("phase", "")) != phase:  # a task without phases has none
                     stills.append(picture if last is None else last)
                     phase = now
                 add(picture, f"seed {seed}   {phase}")
@@ -246,7 +244,7 @@ def film(
             sheet.append(stills)
             add(
                 picture,
-                f"seed {seed}   {'success' if info['is_success'] else 'failure'}",
+                f"seed {seed}   {'success' if step.success else 'failure'}",
                 HELD_PICTURES,
             )
     columns = max(map(len, sheet))

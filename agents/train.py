@@ -1,6 +1,6 @@
 """Train a policy: ``python -m agents.train grasp --out runs/NAME``.
 
-The folder gets ``policy.zip`` (the policy) and ``learning_curve.png``, both updated at every
+The folder gets ``policy.hpac`` (the policy) and ``learning_curve.png``, both updated at every
 checkpoint, ``progress.csv``, ``run.json`` (the settings) and the last checkpoint, from which
 ``--resume`` continues. With ``--trials-of`` there is no picture. After every checkpoint new
 episodes begin, with random numbers of its own, so that a killed and resumed run ends with the same
@@ -113,7 +113,7 @@ def train(
         )
         about = {
             **target,
-            "algorithm": "closures",
+            "algorithm": "one-step SAC",
             "closure": asdict(recipe.closures),
             "settings": asdict(recipe),
             "episodes": learner.trials.count,

@@ -76,7 +76,7 @@ class Trial:
 def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: str) -> list[Trial]:
     """Episodes of one policy in one variant, in an environment of their own."""
     from hpac_gym.envs.episodes import change_physics
-    from hpac_gym.evaluation.episode import control_steps
+    from hpac_gym.evaluation.episodes import run_episodes, single
     from hpac_gym.policies.loading import load_policy
 
     with gymnasium.make(
@@ -95,10 +95,8 @@ def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: s
 
         task.setup = moved
         for seed in seeds:
-            *_, (_, info) = control_steps(env, actor, seed)
-            trials.append(
-                Trial(bool(info["is_success"]), env.unwrapped.episodes.setups[0].object.shape)
-            )
+            *_, last = run_episodes(single(env), [actor], [seed])
+            trials.append(Trial(last.success, env.unwrapped.episodes.setups[0].object.shape))
         return trials
 
 

@@ -28,6 +28,7 @@ from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
@@ -183,14 +184,8 @@ def through_the_wire(
 
 def in_the_environment(env: HandEnv, policy_name: str, seed: int) -> bool:
     """One episode of the environment."""
-    policy = load_policy(policy_name, env)
-    observation, _ = env.reset(seed=seed)
-    policy.reset(seed)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(policy.act(observation))
-        over = terminated or truncated
-    return bool(info["is_success"])
+    *_, last = run_episodes(single(env), [load_policy(policy_name, env)], [seed])
+    return last.success
 
 
 def pairs(policy: str, wrong: dict[str, float], seeds: Sequence[int]) -> list[tuple]:

@@ -15,10 +15,12 @@ import numpy as np
 from hpac_gym.command import whole_number
 from hpac_gym.envs.page import Page
 from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.evaluate import env_id_of
+from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.output import OutputError, replacing
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -33,10 +35,10 @@ PAUSE = CONTROL_HZ
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac show`."""
-    parser.add_argument("--policy", help="a shipped policy, a policy file, scripted or random")
-    parser.add_argument("--grasp", metavar="NAME", help="one of the sixteen named grasps, scripted")
-    parser.add_argument("--env", metavar="ID", help="environment, for scripted and random")
-    parser.add_argument("--engine", default="mujoco", help="mujoco or pybullet (%(default)s)")
+    parser.add_argument("--policy", help=NAMES)
+    parser.add_argument("--normalize", help=NORMALIZE)
+    add_env_options(parser, "id, also module:My-v0 (default: a policy file's own)")
+    parser.set_defaults(engine="mujoco")
     parser.add_argument("--seed", type=whole_number(0), default=HELD_OUT_SEED, help="of the first")
     parser.add_argument("--episodes", type=whole_number(1), help="how many (default: until Ctrl-C)")
     parser.add_argument(
@@ -50,13 +52,12 @@ def run(options: argparse.Namespace) -> int:
     """Show episodes, one after another."""
     policy = options.policy or ("scripted" if options.grasp or options.env else "grasp")
     env_id = options.env or env_id_of(policy) or GRASP
-    more = {"grasp": options.grasp} if options.grasp else {}
     count = options.episodes or (3 if options.record else None)
     with ExitStack() as stack:
         env = stack.enter_context(
-            make_env(env_id, engine=options.engine, render_mode="rgb_array", **more)
+            make_env(env_id, render_mode="rgb_array", **env_options(options, env_id))
         )
-        actor = load_policy(policy, env)
+        actor = load_policy(policy, env, options.normalize)
         screen = stack.enter_context(_Film(options.record) if options.record else _Screen())
         if not options.record and not options.no_browser:
             webbrowser.open(screen.address)
@@ -71,17 +72,13 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _episode(env: Any, actor: Any, seed: int, screen: Any) -> bool:
-    observation, _ = env.reset(seed=seed)
-    actor.reset(seed)
-    screen.show(env.render())
-    over = False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(actor.act(observation))
-        over = terminated or truncated
+    held = False
+    for step in run_episodes(single(env), [actor], [seed]):
         screen.show(env.render())
+        held = step.success
     for _ in range(PAUSE):
         screen.show(env.render())
-    return bool(info["is_success"])
+    return held
 
 
 class _Screen:

@@ -28,7 +28,7 @@ ROOMS = {
     "physics": {"numpy", "pybullet", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium"},
     "envs": {"numpy", "gymnasium", "stable_baselines3"},
-    "policies": {"numpy", "gymnasium", "onnx", "onnxruntime"},
+    "policies": {"numpy", "gymnasium", "onnx", "onnxruntime", "stable_baselines3"},
     "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
     "deploy": {"numpy", "scipy", "gymnasium", "matplotlib"},
     "posture": {"numpy", "matplotlib"},

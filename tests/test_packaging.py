@@ -87,7 +87,7 @@ def test_the_wheel_holds_the_package_its_data_and_nothing_else(wheel):
     source = {
         str(p.relative_to(ROOT))
         for p in (ROOT / "hpac_gym").rglob("*")
-        if p.suffix in {".py", ".toml", ".zip"}
+        if p.suffix in {".py", ".toml", ".hpac"}
     }
     assets = {
         f"hpac_gym/{p.relative_to(ROOT)}" for p in (ROOT / "assets").rglob("*") if p.is_file()

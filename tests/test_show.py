@@ -41,7 +41,7 @@ def test_a_film_is_written(tmp_path, capsys):
     ("words", "says"),
     [
         (["--record", "film.doc"], "--record 'film.doc' must end in .gif or .mp4"),
-        (["--policy", "none.zip"], "no policy file 'none.zip'"),
+        (["--policy", "none.hpac"], "no policy file 'none.hpac'"),
         (["--grasp", "none"], "no grasp 'none'"),
         (["--env", "CartPole-v1"], "no environment 'CartPole-v1'"),
         (["--record", "/proc/none/film.gif"], "/proc/none"),

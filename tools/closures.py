@@ -17,7 +17,8 @@ import numpy as np
 
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation import closures
-from hpac_gym.evaluation.closures import COLUMNS, FILE, Closure, Try, share_found
+from hpac_gym.evaluation.closures import COLUMNS, FILE, Blind, Closure, Try, share_found
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.evaluation.workers import worker_pool
@@ -40,13 +41,8 @@ def prepare(engine: str) -> None:
 
 def holds(closure: Closure, seed: int) -> bool:
     """Whether a closure succeeds in the episode of a seed."""
-    _env.reset(seed=seed)
-    step = 0
-    over = False
-    while not over:
-        step += 1
-        *_, over, _, info = _env.step(closure.action(step))
-    return bool(info["is_success"])
+    *_, last = run_episodes(single(_env), [Blind(_env, closure)], [seed])
+    return last.success
 
 
 def search(seed: int, most: int) -> Try:

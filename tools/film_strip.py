@@ -17,11 +17,12 @@ from PIL import Image, ImageDraw, ImageFont
 
 from hpac_gym.command import Parser, run, whole_number
 from hpac_gym.errors import ParameterError
-from hpac_gym.evaluation.episode import control_steps
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.model import JOINT_INDEX, SERVOS, action_from_synergy
 from hpac_gym.output import replacing
 from hpac_gym.policies import Policy
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.policy import EpisodePolicy
 
 FRAME = (300, 225)
 """Size of a picture on the strip, without its caption above [px]."""
@@ -31,18 +32,15 @@ INK = (40, 40, 40)
 RULE = (225, 225, 225)
 
 
-class StraightToGoal:
+class StraightToGoal(EpisodePolicy):
     """Scripted policy for a goal environment: commands the goal's six driven joints from the first
     step on.
     """
 
-    def reset(self, seed: int) -> None:
-        """Do nothing: the policy has no state."""
-
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+    def _act(self, observation: dict[str, np.ndarray], memory: None) -> tuple[np.ndarray, None]:
         """The action that corresponds to the goal, shape (6,), −1…1."""
         synergy = observation["desired_goal"][[JOINT_INDEX[name] for name in SERVOS]]
-        return np.clip(action_from_synergy(synergy), -1.0, 1.0).astype(np.float32)
+        return np.clip(action_from_synergy(synergy), -1.0, 1.0).astype(np.float32), None
 
 
 def film_strip(
@@ -51,13 +49,13 @@ def film_strip(
     """Pictures of one episode after the control steps closest to these times [s], up to its end."""
     wanted = {max(1, round(time / env.unwrapped.dt)) for time in times}
     pictures = []
-    for step, (_, info) in enumerate(control_steps(env, policy, seed), 1):
-        if step in wanted:
+    for step in run_episodes(single(env), [policy], [seed]):
+        if step.number in wanted:
             picture = Image.new("RGB", (FRAME[0], CAPTION + FRAME[1]), "white")
             picture.paste(
                 Image.fromarray(env.render()).resize(FRAME, Image.Resampling.LANCZOS), (0, CAPTION)
             )
-            text = caption(step * env.unwrapped.dt, info)
+            text = caption(step.number * env.unwrapped.dt, step.info)
             ImageDraw.Draw(picture).text((8, 5), text, fill=INK, font=ImageFont.load_default(15))
             pictures.append(picture)
     return pictures

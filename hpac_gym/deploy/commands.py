@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.own_objects import own_object
 from hpac_gym.bridge import HandLink, WireLog
 from hpac_gym.bridge.commands import PORT_HELP, connector
 from hpac_gym.deploy.arm import arm_of
@@ -21,14 +22,10 @@ from hpac_gym.deploy.episode import AVERAGED, LOG_VERSION, OLDEST, Log, run_epis
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
+from hpac_gym.evaluation import options as environment
 from hpac_gym.model import HPAC, SERVOS, load_hand
 from hpac_gym.policies.loading import about, load_policy
 from hpac_gym.policies.policy_file import policy_path
-
-MASS = 0.1
-FRICTION = 0.8
-"""Of an object on a hand, which no observation contains (chosen) [kg, 1]."""
-SIZES = {"cylinder": ("radius", "half height"), "sphere": ("radius",), "box": ("x", "y", "z")}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--object",
         required=True,
         metavar="SHAPE:M,M",
-        help="what the camera knows of the object: cylinder:RADIUS,HALF_HEIGHT, sphere:RADIUS or box:HALF,HALF,HALF [m]",
+        help="what the camera knows of the object: cylinder:RADIUS,HALF_HEIGHT, sphere:RADIUS, box:HALF,HALF,HALF [m] or a file",
     )
     parser.add_argument(
         "--pose",
@@ -69,18 +66,10 @@ def object_of(text: str) -> ObjectSpec:
     """The object of an ``--object``.
 
     Raises:
-        DeployError: It is none.
+        ParameterError: It is none.
     """
-    shape, _, sizes = text.partition(":")
-    try:
-        half = [float(size) for size in sizes.split(",")]
-        if len(half) != len(SIZES[shape]):
-            raise ValueError
-        x, y, z = {1: half * 3, 2: [half[0], *half], 3: half}[len(half)]
-        return ObjectSpec(shape, (x, y, z), MASS, FRICTION)
-    except (KeyError, ValueError) as error:
-        forms = ", ".join(f"{name}:{','.join(parts)}" for name, parts in SIZES.items())
-        raise DeployError(f"--object '{text}' is not one of {forms}, in m {error or ''}") from None
+    given = environment.object_of(text)
+    return own_object(**given) if isinstance(given, dict) else given
 
 
 def run(options: argparse.Namespace) -> int:
@@ -150,8 +139,7 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
     observation = observer.see(pose)
     for name, label, value, unit in observer.entries(observation):
         print(f"{name:<14} {label:<18} {value:9.4f}  {unit}")
-    policy.reset(0)
-    action = policy.act(observation)
+    action, _ = policy.predict(observation)
     target = observer.command(action)
     print(f"\n{'servo':<14} {'start [rad]':>12} {'first command [rad]':>20}")
     for row in zip(SERVOS, observer.servo, target, strict=True):

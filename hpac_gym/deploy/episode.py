@@ -125,7 +125,7 @@ def run_episode(
         clock = link.exchange.transport.now
         pose = averaged(source, seconds, oldest, patience, link.sleep, clock)
         observer.start()
-        policy.reset(0)
+        memory: Any = None
         _go(link, np.asarray(observer.servo))
         stream = link.stream(1 / CONTROL_HZ)
         counts = stream.counts
@@ -142,7 +142,8 @@ def run_episode(
                 phase = observer.phase()
                 arm.tell(_told(observer, phase))
             observation = observer.see(pose)
-            action = _action(policy, observer, observation)
+            given, memory = policy.predict(observation, memory, np.array([step == 0]))
+            action = _checked(given, observer)
             target = observer.command(action)
             servo = stream.send(target)
             observer.sent(servo)
@@ -195,8 +196,8 @@ def _pose_now(source: Source, last: Pose, oldest: float, closing: bool) -> Pose:
     return found[0]
 
 
-def _action(policy: Policy, observer: Observer, observation: Array) -> Array:
-    action = np.asarray(policy.act(observation), dtype=float)
+def _checked(given: Array, observer: Observer) -> Array:
+    action = np.asarray(given, dtype=float)
     shape = observer.action_space.shape
     if action.shape != shape or not np.isfinite(action).all():
         raise DeployError(f"the policy's action must be {shape[0]} numbers, not {action.tolist()}")

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.model import SERVO_INDEX, SERVOS
 from hpac_gym.policies import Closures
+from hpac_gym.policies.policy import EpisodePolicy
 
 FILE = "grasp_closures.csv"
 COLUMNS = ("seed", "tries", *SERVOS, "steps", "lead")
@@ -64,20 +65,17 @@ found it.
 """
 
 
-class Blind:
-    """The policy that executes `BLIND` in every episode; takes an environment, as `load_policy`
+class Blind(EpisodePolicy):
+    """The policy that executes one closure in every episode; takes an environment, as `load_policy`
     requires.
     """
 
-    def __init__(self, env: object) -> None:
-        pass
+    def __init__(self, env: object, closure: Closure = BLIND) -> None:
+        self._closure = closure
 
-    def reset(self, seed: int) -> None:
-        self._step = 0
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        self._step += 1
-        return BLIND.action(self._step)
+    def _act(self, observation: Any, memory: int | None) -> tuple[NDArray[np.float32], int]:
+        step = (memory or 0) + 1
+        return self._closure.action(step), step
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -17,9 +17,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpac_gym.command import whole_number
-from hpac_gym.envs.options import COMMON
 from hpac_gym.errors import DatasetError
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.episodes import run_episodes, single
+from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.output import OutputError, writable_folder
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP, full_id
 
@@ -30,10 +33,6 @@ if TYPE_CHECKING:
 
     from hpac_gym.policies import Policy
 
-PASSED_ON = ("engine", "body", "obs", "reward", "randomize")
-"""Options of the environment that the command offers, with their named values."""
-HANDS = ("hand", "model")
-"""Options of the environment that take a hand file."""
 CHUNK = 100  # episodes per write
 EPISODE_BYTES = 50_000
 """Disk space for an episode beside its observations, generously [byte]."""
@@ -49,20 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy",
         default="scripted",
-        help="scripted, random, or a policy file (default: %(default)s)",
+        help=f"{NAMES} (default: %(default)s)",
     )
-    parser.add_argument(
-        "--env", default=GRASP, help="environment id, or module:id (default: %(default)s)"
-    )
-    for option in COMMON:
-        if option.name in PASSED_ON:
-            parser.add_argument(
-                f"--{option.name}",
-                choices=[value for value in option.values if value] or None,
-                help="option of the environment (default: the environment's)",
-            )
-    for name in HANDS:
-        parser.add_argument(f"--{name}", metavar="TOML", help="as of `hpac evaluate`")
+    parser.add_argument("--normalize", help=NORMALIZE)
+    add_env_options(parser, f"id, also module:My-v0 (default: {GRASP})")
     parser.add_argument(
         "-n",
         "--episodes",
@@ -91,23 +80,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _record(args: argparse.Namespace) -> int:
-    options = {
-        name: getattr(args, name)
-        for name in (*PASSED_ON, *HANDS)
-        if getattr(args, name) is not None
-    }
-    what = {"seed_start": args.seed_start, "options": options}
+    env_id = args.env or GRASP
+    options = env_options(args, env_id)
+    what = {"seed_start": args.seed_start, "options": options, "normalize": args.normalize}
     if args.format == "minari":
-        told = _told(record(args.policy, args.env, args.episodes, args.out, **what))
+        told = _told(record(args.policy, env_id, args.episodes, args.out, **what))
     else:
-        import gymnasium
-
         from hpac_gym.evaluation.lerobot import to_lerobot, writer
 
         with _appearing(args.out) as root:
-            with closing(gymnasium.make(full_id(args.env), **options)) as env:
+            with make_env(env_id, **options) as env:
                 writer(env)  # what it refuses costs no recording
-            dataset = record(args.policy, args.env, args.episodes, root / "minari", **what)
+            dataset = record(args.policy, env_id, args.episodes, root / "minari", **what)
             to_lerobot(dataset, root / "written")
             told = _told(dataset)
     print(f"{told}: {args.out}")
@@ -144,11 +128,12 @@ def record(
     *,
     seed_start: int = 0,
     options: Mapping[str, Any] | None = None,
+    normalize: str | None = None,
 ) -> MinariDataset:
     """Record episodes of a policy as a dataset.
 
     Args:
-        policy: "scripted", "random", or a policy file.
+        policy: as in `load_policy`, and `normalize` too.
         env_id: id of the environment.
         episodes: number of episodes; their seeds count upwards.
         out: folder, which must not exist; it appears when everything is written.
@@ -160,15 +145,12 @@ def record(
         OutputError: `out` cannot be written.
         PolicyError: The policy does not exist, or was made for another environment.
     """
-    import gymnasium
     from minari import create_dataset_from_buffers
 
-    from hpac_gym.policies.loading import load_policy
-
     with _appearing(out) as root:
-        env = gymnasium.make(full_id(env_id), disable_env_checker=True, **(options or {}))
+        env = make_env(full_id(env_id), **(options or {}))
         try:
-            actor = load_policy(policy, env)
+            actor = load_policy(policy, env, normalize)
             dataset = None
             task = env_id.rpartition(":")[2].removeprefix("HPAC-").lower().rpartition("-")[0]
             name = f"hpac/{task}/{Path(policy).stem}-v0"
@@ -214,29 +196,18 @@ def _episode(env: gymnasium.Env, policy: Policy, seed: int) -> EpisodeBuffer:
     """
     from minari.data_collector import EpisodeBuffer
 
-    seen, _ = env.reset(seed=seed)
-    policy.reset(seed)
-    observations = [seen]
-    steps = []
-    over = False
-    while not over:
-        action = policy.act(seen)
-        seen, reward, terminated, truncated, info = env.step(action)
-        observations.append(seen)
-        steps.append((action, float(reward), terminated, truncated, bool(info["is_success"])))
-        over = terminated or truncated
-    actions, rewards, terminations, truncations, held = map(list, zip(*steps, strict=True))
-    infos = {"is_success": np.array([False, *held])}
+    steps = list(run_episodes(single(env), [policy], [seed]))
+    done = steps[1:]
     return EpisodeBuffer(
         None,
         seed,
         None,
-        _stacked(observations),
-        np.array(actions),
-        rewards,
-        terminations,
-        truncations,
-        infos,
+        _stacked([step.observation for step in steps]),
+        np.array([step.action for step in done]),
+        [step.reward for step in done],
+        [step.terminated for step in done],
+        [step.truncated for step in done],
+        {"is_success": np.array([False, *(step.success for step in done)])},
     )
 
 

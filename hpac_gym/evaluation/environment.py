@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
+from gymnasium.vector import VectorEnv
 
 from hpac_gym.errors import EnvError
 from hpac_gym.registration import register_all
@@ -16,20 +19,15 @@ from hpac_gym.registration import register_all
 LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
 
-def make_env(env_id: str, **options) -> gymnasium.Env:
+def make_env(env_id: str, **options: Any) -> gymnasium.Env[Any, Any]:
     """Create the environment of an id, ``name-v0`` or ``module:name-v0``.
 
     Raises:
         EnvError: The id is unknown, an option is invalid, or the action is not a flat box of −1…1.
     """
     register_all()  # which a command leaves to those that make environments
-    try:
+    with _refusing(env_id, options):
         env = gymnasium.make(env_id, disable_env_checker=True, **options)
-    except (gymnasium.error.Error, ModuleNotFoundError) as error:
-        raise EnvError(f"no environment '{env_id}': {error}") from None
-    except TypeError as error:
-        reason = f"{error}".partition(" was raised from")[0]
-        raise EnvError(f"no environment '{env_id}' with {', '.join(options)}: {reason}") from None
     space = env.action_space
     if not (
         isinstance(space, Box)
@@ -41,6 +39,28 @@ def make_env(env_id: str, **options) -> gymnasium.Env:
             f"environment '{env_id}' acts in {space}: policies need one flat box of -1…1"
         )
     return env
+
+
+def make_envs(env_id: str, count: int, **options: Any) -> VectorEnv[Any, Any, Any]:
+    """Create n environments of an id without autoreset.
+
+    Raises:
+        EnvError: As in `make_env`.
+    """
+    register_all()
+    with _refusing(env_id, options):
+        return gymnasium.make_vec(env_id, count, autoreset_mode="Disabled", **options)
+
+
+@contextmanager
+def _refusing(env_id: str, options: Mapping[str, Any]) -> Iterator[None]:
+    try:
+        yield
+    except (gymnasium.error.Error, ModuleNotFoundError) as error:
+        raise EnvError(f"no environment '{env_id}': {error}") from None
+    except TypeError as error:
+        reason = f"{error}".partition(" was raised from")[0]
+        raise EnvError(f"no environment '{env_id}' with {', '.join(options)}: {reason}") from None
 
 
 def versions(*more: str) -> dict[str, str]:

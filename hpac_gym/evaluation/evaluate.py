@@ -10,47 +10,34 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
-from gymnasium.vector import SyncVectorEnv, VectorEnv
 from tqdm import tqdm
 
 from hpac_gym.command import Formatter, minutes, whole_number
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.closures import scale_of
 from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.episodes import Step, has_batch, run_episodes, worlds
+from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import OutputError, markdown, writable_file, write_text
-from hpac_gym.policies import Policy
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.loading import about, load_policy
-from hpac_gym.policies.policy_file import SHIPPED, policy_path
+from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
+from hpac_gym.policies.policy_file import policy_path
 
 DEFAULT_ENV = "hpac_gym:HPAC-Grasp-v0"
-BATCH = 50  # parallel worlds on MuJoCo
 BLOCK = 10
 BATCH_BLOCK = 200  # episodes per job of a worker, with single worlds and in a batch
 LEARNED = "learned"  # name of a policy file in tables
 NO_PHASE = "unknown"  # name of the phase of failures in a task without phases
-OPTIONS = {
-    "engine": "pybullet or mujoco",
-    "body": "twin or light",
-    "randomize": "nominal, hand, link or full",
-    "objects": "HPAC-GraspAny-v1: train, test or real; HPAC-GraspType-v0: train or test",
-    "hands": "HPAC-GraspAny-v1: nominal, train or test",
-    "hand": "the file of the hand that is simulated",
-    "model": "what commands are computed with: a hand file, hand or calibrated",
-    "types": "HPAC-GraspType-v0: all, train, test or the name of a type",
-}
-"""Options of the environment that the command offers, and their values."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,91 +87,42 @@ class Evaluation:
         }
 
 
-def run_batch(envs: VectorEnv, policies: Sequence[Policy], seeds: Sequence[int]) -> list[Episode]:
-    """Run one episode per seed in parallel; a world whose episode has ended takes the next seed.
-
-    Args:
-        envs: n worlds without autoreset.
-        policies: one instance of the policy per world.
-        seeds: any number of seeds; the episodes are returned in their order.
+def results(steps: Iterable[Step]) -> Iterator[Episode]:
+    """The results of the episodes among the steps of `run_episodes`, in the order in which they
+    end.
     """
-    waiting = iter(seeds)
-    playing = [None] * envs.num_envs
-    rewards: list[list[float]] = [[] for _ in playing]
-    over = np.ones(envs.num_envs, dtype=bool)
-    episodes = {}
-    while len(episodes) < len(seeds):
-        if over.any():
-            for place in np.flatnonzero(over):
-                playing[place] = next(waiting, None)
-                rewards[place] = []
-                policies[place].reset(playing[place] or 0)
-            # At the end, surplus worlds run seed 0; their episodes are discarded.
-            seen, _ = envs.reset(seed=[seed or 0 for seed in playing], options={"reset_mask": over})
-        actions = np.zeros(envs.action_space.shape, np.float32)
-        for place, policy in enumerate(policies):
-            if playing[place] is not None:
-                one = (
-                    {name: part[place] for name, part in seen.items()}
-                    if isinstance(seen, dict)
-                    else seen[place]
-                )
-                actions[place] = policy.act(one)
-        seen, gained, terminated, truncated, infos = envs.step(actions)
-        over = terminated | truncated
-        for place, seed in enumerate(playing):
-            if seed is None:
-                continue
-            rewards[place].append(float(gained[place]))
-            if over[place]:
-                phase, force = (
-                    infos[name][place] if name in infos else None
-                    for name in ("phase", "holding_force")
-                )
-                episodes[seed] = Episode(
-                    seed=seed,
-                    success=bool(infos["is_success"][place]),
-                    total_reward=sum(rewards[place]),
-                    steps=len(rewards[place]),
-                    phase=phase and str(phase),
-                    holding_force=None if force is None else float(force),
-                )
-    return [episodes[seed] for seed in seeds]
-
-
-@contextmanager
-def worlds(
-    env_id: str, options: Mapping[str, Any], episodes: int
-) -> Iterator[tuple[gymnasium.Env, VectorEnv]]:
-    """An environment, and worlds of it without autoreset for some episodes: on MuJoCo a batch,
-    elsewhere that one.
-    """
-    with make_env(env_id, **options) as env:
-        size = min(BATCH, episodes) if _has_batch(env) else 1
-        if size == 1:
-            yield env, SyncVectorEnv([lambda: env], autoreset_mode="Disabled")
-        else:
-            with closing(
-                gymnasium.make_vec(env_id, size, autoreset_mode="Disabled", **options)
-            ) as envs:
-                yield env, envs
+    rewards: dict[int, float] = {}
+    for step in steps:
+        rewards[step.world] = rewards[step.world] + step.reward if step.number else 0.0
+        if step.over:
+            info = step.info
+            phase = info.get("phase")
+            force = info.get("holding_force")
+            yield Episode(
+                seed=step.seed,
+                success=step.success,
+                total_reward=rewards[step.world],
+                steps=step.number,
+                phase=phase and str(phase),
+                holding_force=None if force is None else float(force),
+            )
 
 
 def run_block(
-    names: Sequence[str], env_id: str, options: Mapping[str, Any], seeds: Sequence[int]
+    names: Sequence[str],
+    env_id: str,
+    options: Mapping[str, Any],
+    seeds: Sequence[int],
+    normalize: str | None = None,
 ) -> list[tuple[Episode, ...]]:
     """Run an episode of each policy for each seed, in an environment of their own."""
+    columns = []
     with worlds(env_id, options, len(seeds)) as (env, envs):
-        columns = [
-            run_batch(envs, [load_policy(name, env) for _ in range(envs.num_envs)], seeds)
-            for name in names
-        ]
+        for name in names:
+            policies = [load_policy(name, env, normalize) for _ in range(envs.num_envs)]
+            found = {each.seed: each for each in results(run_episodes(envs, policies, seeds))}
+            columns.append([found[seed] for seed in seeds])
     return list(zip(*columns, strict=True))
-
-
-def _has_batch(env: gymnasium.Env) -> bool:
-    """Whether an environment can run as a batch: those of this package on MuJoCo."""
-    return isinstance(env.unwrapped, HandEnv) and env.unwrapped.episodes.options.engine == "mujoco"
 
 
 def evaluate(
@@ -196,12 +134,14 @@ def evaluate(
     workers: int = 1,
     time_limit: float = float("inf"),
     options: Mapping[str, Any] | None = None,
+    normalize: str | None = None,
 ) -> Evaluation:
     """Run policies over the same held-out episodes; a policy file gets the name ``learned``, and
     its own if there are several.
 
     After ``time_limit`` [s] the evaluation stops with fewer episodes, the same ones for every
-    policy; ``options`` are those of the environment, such as engine, body and randomize.
+    policy; ``options`` are those of the environment, such as engine, body and randomize;
+    ``normalize`` is as in `load_policy`.
 
     Raises:
         EnvError: The environment is unknown.
@@ -210,8 +150,8 @@ def evaluate(
     options = dict(options or {})
     with make_env(env_id, **options) as env:
         for name in names:
-            load_policy(name, env)  # errors are raised here, not in a worker
-        block = BATCH_BLOCK if _has_batch(env) else BLOCK
+            load_policy(name, env, normalize)  # errors are raised here, not in a worker
+        block = BATCH_BLOCK if has_batch(env) else BLOCK
         if isinstance(env.unwrapped, HandEnv):
             options |= {
                 name: getattr(env.unwrapped.episodes.options, name) for name in ("engine", "body")
@@ -221,7 +161,7 @@ def evaluate(
     deadline = time.monotonic() + time_limit
     seeds = range(seed_start, seed_start + episodes)
     jobs = (
-        (names, env_id, options, seeds[start : start + block])
+        (names, env_id, options, seeds[start : start + block], normalize)
         for start in range(0, episodes, block)
     )
     rows: list[tuple[Episode, ...]] = []
@@ -287,11 +227,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--policy",
         required=True,
         action="append",
-        help=f"{', '.join([*BASELINES, *SHIPPED])}, or a policy file; may be repeated, to compare",
+        help=f"{NAMES}; may be repeated, to compare",
     )
-    parser.add_argument("--env", help="environment id; default for a policy file: its own")
-    for name, values in OPTIONS.items():
-        parser.add_argument(f"--{name}", help=f"{values} (default: the environment's own)")
+    parser.add_argument("--normalize", help=NORMALIZE)
+    add_env_options(
+        parser, f"id, also module:My-v0 (default: a policy file's own, otherwise {DEFAULT_ENV})"
+    )
     parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes per policy")
     parser.add_argument(
         "--seed-start",
@@ -331,21 +272,21 @@ def run(args: argparse.Namespace) -> int:
         writable_file(args.out)
         if any(args.out.resolve() == policy_path(name).resolve() for name in files):
             raise OutputError(f"--out is '{args.out}', a policy to evaluate")
-    options = {name: getattr(args, name) for name in OPTIONS if getattr(args, name) is not None}
+    env_id = args.env or env_id_of(args.policy[0])
     how = {
         "seed_start": args.seed_start,
         "workers": args.workers,
         "time_limit": 60 * args.time_limit,
+        "options": env_options(args, env_id),
+        "normalize": args.normalize,
     }
-    summary = evaluate(
-        names, args.env or env_id_of(args.policy[0]), args.episodes, options=options, **how
-    ).summary()
-    told = [{"file": name, **found} for name in files if (found := about(name))]
+    summary = evaluate(names, env_id, args.episodes, **how).summary()
+    told = [{"file": name, **found} for name in files if (found := about(name, args.normalize))]
     if len(told) == 1:
         summary["policy"] = told[0]
     elif told:
         summary["files"] = told
-    text = json.dumps(summary, indent=2)
+    text = json.dumps(summary, indent=2, default=str)
     print(text if args.json else table(summary), flush=True)
     if args.out:
         write_text(args.out, text + "\n")
@@ -353,7 +294,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def env_id_of(policy: str) -> str:
-    """The environment that a policy was made for; `DEFAULT_ENV` for one without a file.
+    """The environment that a policy was made for; `DEFAULT_ENV` for one whose file does not tell.
 
     Raises:
         PolicyError: The file is damaged.

@@ -6,17 +6,23 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hpac_gym.envs.episodes import Episodes
-from hpac_gym.envs.options import checked_options
+from hpac_gym.envs import HandVectorEnv
+from hpac_gym.envs.episodes import change_physics
+from hpac_gym.evaluation.episodes import run_episodes
 from hpac_gym.model import HPAC, action_from_synergy
 from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.policies.policy import EpisodePolicy
+from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.grasp_types import GraspByType, GraspType
 from hpac_gym.tasks.scripted import CLOSE_TIME
-from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS
+from hpac_gym.tasks.task import CONTROL_HZ
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +49,7 @@ class TypeTrial:
 
 
 class _Queue(GraspByType):
-    """Gives each new episode the next type of a list."""
+    """Gives each new episode the next type of a list; the last one to those that nobody asked for."""
 
     def __init__(self, types: Sequence[GraspType]) -> None:
         super().__init__(wrist="script")
@@ -51,7 +57,21 @@ class _Queue(GraspByType):
 
     def draw(self, rng: np.random.Generator) -> GraspType:
         """The next type of the list."""
-        return self.waiting.popleft()
+        return self.waiting.popleft() if len(self.waiting) > 1 else self.waiting[0]
+
+
+class _Straight(EpisodePolicy):
+    """Moves straight from the preshape of a type to its posture."""
+
+    def __init__(self) -> None:
+        self.grasp: NamedGrasp | None = None
+
+    def _act(self, observation: Any, memory: int | None) -> tuple[NDArray[np.float64], int]:
+        step = memory or 0
+        way = self.grasp.closed - self.grasp.preshape
+        synergy = self.grasp.preshape + min(step / CONTROL_HZ / CLOSE_TIME, 1.0) * way
+        bounded = np.clip(synergy, HPAC.synergy_min, HPAC.synergy_max)
+        return action_from_synergy(bounded), step + 1
 
 
 def run_types(
@@ -72,60 +92,37 @@ def run_types(
         Index of the episode in `types`, and its result, in the order in which the episodes end.
     """
     task = _Queue(types)
-    worlds = min(num_worlds, len(types))
-    options = replace(checked_options(engine=engine, body=body, randomize=randomize), world=world)
-    episodes = Episodes(task, worlds, options)
+    count = min(num_worlds, len(types))
+    envs = HandVectorEnv(task, count, "Disabled", engine=engine, body=body, randomize=randomize)
+    if world != WorldSettings():
+        change_physics(envs, world)
+    policies = [_Straight() for _ in range(count)]
     close_end = round(task.timetable.ends[0] * CONTROL_HZ)
     jobs = iter(range(len(types)))
-    job = np.full(worlds, -1)
-    steps = np.zeros(worlds, int)
-    start = np.zeros((worlds, 6))
-    way = np.zeros((worlds, 6))
-
-    def begin(ready: Sequence[int]) -> None:
-        for world in ready:
-            job[world] = next(jobs, -1)
-        began = [world for world in ready if job[world] >= 0]
-        if began:
-            episodes.reset(began, [np.random.default_rng(seeds[job[world]]) for world in began])
-        for world in began:
-            grasp = types[job[world]].start
-            steps[world] = 0
-            start[world] = grasp.preshape
-            way[world] = grasp.closed - grasp.preshape
-
-    try:
-        begin(range(worlds))
-        while (job >= 0).any():
-            share = np.minimum(steps / CONTROL_HZ / CLOSE_TIME, 1.0)
-            episodes.step(
-                action_from_synergy(
-                    np.clip(start + share[:, None] * way, HPAC.synergy_min, HPAC.synergy_max)
-                )
-            )
-            steps += 1
-            over = (job >= 0) & (episodes.outcome != RUNNING)
-            for world in np.flatnonzero(over | (steps == close_end)):
-                if not task.hold(
-                    world
-                ).looks:  # an episode that ends before the hold gets one sample
-                    task.look(world, episodes.now.state, episodes.simulation.engine.contacts(world))
-            for world in np.flatnonzero(over):
-                hold = task.hold(world)
-                kind = types[job[world]]
+    job = [0] * count
+    with closing(envs):
+        for step in run_episodes(envs, policies, seeds):
+            here = step.world
+            if step.number == 0:
+                job[here] = next(jobs)
+                policies[here].grasp = types[job[here]].start
+            hold = task.hold(here)
+            # An episode that ends before the hold gets one sample.
+            if (step.over or step.number == close_end) and not hold.looks:
+                episodes = envs.episodes
+                task.look(here, episodes.now.state, episodes.simulation.engine.contacts(here))
+                hold = task.hold(here)
+            if step.over:
                 yield (
-                    int(job[world]),
+                    job[here],
                     TypeTrial(
-                        seeds[job[world]],
-                        bool(task.free[world]),
-                        bool(task.held[world]),
-                        bool(episodes.outcome[world] == SUCCESS),
-                        steps[world] / CONTROL_HZ / task.duration,
-                        kind.rule.clauses(hold),
+                        step.seed,
+                        bool(task.free[here]),
+                        bool(task.held[here]),
+                        step.success,
+                        step.number / CONTROL_HZ / task.duration,
+                        types[job[here]].rule.clauses(hold),
                         hold.touched,
                         hold.part_force,
                     ),
                 )
-            begin(np.flatnonzero(over).tolist())
-    finally:
-        episodes.close()

@@ -19,13 +19,13 @@ import numpy as np
 
 from hpac_gym.command import whole_number
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.episode import control_steps
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import Policy
-from hpac_gym.policies.loading import about, load_policy
+from hpac_gym.policies.loading import NAMES, about, load_policy
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, named_grasp
@@ -83,13 +83,11 @@ class Row:
 
 def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
     """Run one episode of a grasp."""
-    forces = []
-    for _, info in control_steps(env, policy, seed):
-        if info["phase"] == "place":
-            forces.append(info["contact_force"])
-    return Trial(
-        seed, bool(info["is_success"]), info["phase"], float(np.mean(forces)) if forces else None
-    )
+    steps = list(run_episodes(single(env), [policy], [seed]))[1:]
+    infos = [step.info for step in steps]
+    forces = [info["contact_force"] for info in infos if info["phase"] == "place"]
+    phase = str(infos[-1]["phase"])
+    return Trial(seed, steps[-1].success, phase, float(np.mean(forces)) if forces else None)
 
 
 def run_trials(policy: str, grasp: str, variant: str, seeds: Sequence[int]) -> list[Trial]:
@@ -154,7 +152,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy",
         default="scripted",
-        help="scripted, random, or a policy file (default: %(default)s)",
+        help=f"{NAMES} (default: %(default)s)",
     )
     parser.add_argument(
         "-n",

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.episode import control_steps
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.model import POSTURES
 from hpac_gym.output import replacing
 from hpac_gym.physics.engine import Viewpoint
@@ -49,8 +49,8 @@ def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Port
     with make_env(
         GRASP, grasp=grasp, variant=variant, render_mode="rgb_array"
     ) as env:  # else objects have no colours
-        *_, (_, info) = control_steps(env, load_policy(policy, env), seed)
-        return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), bool(info["is_success"]))
+        *_, last = run_episodes(single(env), [load_policy(policy, env)], [seed])
+        return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), last.success)
 
 
 def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:

@@ -6,9 +6,9 @@ a simulator:
 ```python
 from hpac_gym.policies import LearnedPolicy, read_policy
 
-policy = LearnedPolicy.of(read_policy("policy.zip"))
-policy.reset(seed=0)
-action = policy.act(observation)      # shape (6,), −1…1
+policy = LearnedPolicy.of(read_policy("policy.hpac"))
+action, state = policy.predict(observation)          # shape (6,), −1…1; begins an episode
+action, state = policy.predict(observation, state)   # its next step
 ```
 
 `hpac_gym.policies.loading` loads a policy for an environment by name or file; this module,

@@ -2,44 +2,52 @@
 
 from __future__ import annotations
 
+from copy import copy
+from typing import Any
+
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError
+from hpac_gym.policies.policy import EpisodePolicy, Memory
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType, ScriptedGraspType
 from hpac_gym.tasks.posture import ScriptedPosture
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 
 
-class RandomPolicy:
+class RandomPolicy(EpisodePolicy):
     """Uniformly random actions, drawn at every control step."""
 
-    def __init__(self, env: gymnasium.Env) -> None:
+    def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         self._shape = env.action_space.shape
+        self.set_random_seed(0)
 
-    def reset(self, seed: int) -> None:
+    def set_random_seed(self, seed: int) -> None:
+        """Set the seed of the episodes that begin from now on."""
+        self._seed = seed
+
+    def _act(self, observation: Any, memory: Memory) -> tuple[NDArray[np.float32], Memory]:
         # A separate stream: the environment also uses default_rng(seed).
-        self._rng = np.random.default_rng([seed, 1])
-
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        return self._rng.uniform(-1, 1, self._shape).astype(np.float32)
+        rng = np.random.default_rng([self._seed, 1]) if memory is None else memory
+        return rng.uniform(-1, 1, self._shape).astype(np.float32), rng
 
 
-class ScriptedPolicy:
+class ScriptedPolicy(EpisodePolicy):
     """The scripted closure of the environment's task, or a given one."""
 
-    def __init__(self, env: gymnasium.Env, closure: Script | None = None) -> None:
+    def __init__(self, env: gymnasium.Env[Any, Any], closure: Script | None = None) -> None:
         task = getattr(env.unwrapped, "task", None)  # environments of other packages have none
         self._closure = closure or (task.script() if task else ScriptedClosure())
 
-    def reset(self, seed: int) -> None:
-        self._closure.reset()
+    def _act(self, observation: Any, memory: Memory) -> tuple[NDArray[np.float32], Memory]:
+        script = copy(memory or self._closure)
+        if memory is None:
+            script.reset()
+        return script.act(observation), script
 
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        return self._closure.act(observation)
 
-
-def one_closure(env: gymnasium.Env, name: str) -> ScriptedPolicy:
+def one_closure(env: gymnasium.Env[Any, Any], name: str) -> ScriptedPolicy:
     """The closure of one grasp type for all types, with each type's own wrist pose.
 
     Raises:
@@ -52,7 +60,7 @@ def one_closure(env: gymnasium.Env, name: str) -> ScriptedPolicy:
     return ScriptedPolicy(env, ScriptedGraspType(env.unwrapped.task, name))
 
 
-def constant_posture(env: gymnasium.Env) -> ScriptedPolicy:
+def constant_posture(env: gymnasium.Env[Any, Any]) -> ScriptedPolicy:
     """The constant action that moves the nominal hand to the goal of `HPAC-Posture-v1`."""
     return ScriptedPolicy(env, ScriptedPosture(near=0.0))
 

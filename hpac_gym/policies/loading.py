@@ -1,4 +1,4 @@
-"""Loading of policies by name or from a file, for evaluation, replay and the bridge."""
+"""Loading of policies by name or from a file: wherever a policy goes, all of these go."""
 
 from __future__ import annotations
 
@@ -14,17 +14,27 @@ from hpac_gym.policies.export import read_card, read_onnx
 from hpac_gym.policies.made_for import require_fit
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
+from hpac_gym.policies.sb3 import about_model, is_model, read_model
+
+NAMES = (
+    f"{', '.join([*BASELINES, *SHIPPED])}, a policy file (.hpac), a model of Stable-Baselines3 (.zip), "
+    "an exported folder, module:function or module:function:text"
+)
+"""What `load_policy` loads, for the help of commands."""
+NORMALIZE = "VecNormalize statistics of a Stable-Baselines3 model (default: a file beside it); none: it has none"
 
 
-def load_policy(name: str, env: gymnasium.Env) -> Policy:
+def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None = None) -> Policy:
     """Load a policy for this environment.
 
     Args:
-        name: ``random``, ``scripted``, a shipped policy such as ``grasp``, a policy file, the
-            folder of an exported policy, or ``module:function``, which takes the environment and
-            returns a policy; ``module:function:text`` passes it the text as well, for example the
-            path of a weights file.
+        name: ``random``, ``scripted``, a shipped policy such as ``grasp``, a policy file, a model
+            that Stable-Baselines3 saved, the folder of an exported policy, or
+            ``module:function``, which takes the environment and returns a policy;
+            ``module:function:text`` passes it the text as well.
         env: the environment in which the policy acts.
+        normalize: file of the `VecNormalize` statistics of a Stable-Baselines3 model, or "none";
+            None: as `hpac_gym.policies.sb3.statistics_of` finds them. Other policies ignore it.
 
     Raises:
         PolicyError: The name is unknown; the file is missing, damaged, or made for another
@@ -35,6 +45,8 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
     path = policy_path(name)
     if path.is_dir():
         return read_onnx(path, env)
+    if is_model(path):
+        return read_model(path, env, normalize)
     if path.exists():
         return LearnedPolicy.of(policy_file_for(name, env))
     module, *rest = name.split(":", 2)
@@ -46,12 +58,15 @@ def load_policy(name: str, env: gymnasium.Env) -> Policy:
         make = getattr(import_module(module), rest[0])
     except (ImportError, AttributeError, ValueError) as error:
         raise PolicyError(f"no policy '{name}': {error}") from None
-    return make(env, *rest[1:])
+    policy: Policy = make(env, *rest[1:])
+    if not callable(getattr(policy, "predict", None)):
+        raise PolicyError(f"policy '{name}' has no predict(observation, state, episode_start)")
+    return policy
 
 
-def about(name: str) -> dict[str, Any]:
-    """Description of a policy file, or the card of an exported policy; both have `env_id`. Empty
-    for policies without a file.
+def about(name: str, normalize: str | None = None) -> dict[str, Any]:
+    """Description of a policy file, or the card of an exported policy, both with `env_id`; what
+    identifies a model of Stable-Baselines3. Empty for policies without a file.
 
     Raises:
         PolicyError: The file is damaged.
@@ -59,10 +74,12 @@ def about(name: str) -> dict[str, Any]:
     path = policy_path(name)
     if not path.exists():
         return {}
+    if is_model(path):
+        return about_model(path, normalize)
     return read_card(path) if path.is_dir() else read_policy(name).about
 
 
-def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
+def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
     """Read a policy file and check it against the environment.
 
     Raises:
@@ -92,7 +109,7 @@ def policy_file_for(name: str, env: gymnasium.Env) -> PolicyFile:
     return policy
 
 
-def vector_size(space: Space) -> int | None:
+def vector_size(space: Space[Any]) -> int | None:
     """Size of a `hpac_gym.policies.policy.vector` of observations; None if they contain something
     else, such as pictures.
     """

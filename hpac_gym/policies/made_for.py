@@ -98,7 +98,7 @@ def require_fit(what: str, env_id: str, file: Mapping[str, Any], env: gymnasium.
     """Refuse a policy that was made for another interface; warn of one made with another hand.
 
     Args:
-        what: the policy in the message, such as "policy file 'policy.zip'".
+        what: the policy in the message, such as "policy file 'policy.hpac'".
         env_id: id of the environment that it was made for.
         file: its `made_for`.
         env: the environment in which it is to act.

@@ -2,37 +2,92 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.policy_file import PolicyFile
 
+Observation = ArrayLike | Mapping[str, NDArray[Any]]
+Memory = Any
+"""What a policy remembers of one episode; None before its first step."""
 
-def vector(observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
+
+def vector(observation: Observation) -> NDArray[Any]:
     """An observation as a vector, shape (..., n): the entries of a dictionary in the order of its
     sorted names.
     """
     if isinstance(observation, Mapping):
         return np.concatenate([observation[name] for name in sorted(observation)], axis=-1)
-    return observation
+    return np.asarray(observation)
 
 
 class Policy(Protocol):
-    """A policy. The same seed and observations give the same actions."""
+    """A policy, with the interface of Stable-Baselines3's models.
 
-    def reset(self, seed: int) -> None:
-        """Start a new episode; ``seed`` is its seed."""
+    All that it remembers of an episode is in the state. One that draws random numbers also has
+    `set_random_seed(seed)`, which is called before the first step of every episode: the same seed
+    and observations give the same actions.
+    """
 
-    def act(self, observation: Any) -> np.ndarray:
-        """The action for an observation of the environment, shape (6,), −1…1; shape (12,) with a
-        free wrist.
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:
+        """The action for an observation.
+
+        Args:
+            observation: of one environment, or of n with a leading axis.
+            state: what the last call of this episode returned; None begins an episode.
+            episode_start: booleans, shape (n,): which environments begin an episode; None: as the
+                state says.
+            deterministic: without exploration.
+
+        Returns:
+            The action, −1…1, shape (6,) or (n, 6); with a free wrist longer. The next state.
         """
 
 
-class LearnedPolicy:
+class EpisodePolicy:
+    """A policy without exploration that acts in every environment by itself; subclasses give
+    `_act`.
+    """
+
+    def _act(self, observation: Any, memory: Memory) -> tuple[NDArray[Any], Memory]:
+        """Action for an observation of one environment, and what to remember of the episode."""
+        raise NotImplementedError
+
+    def predict(
+        self,
+        observation: Any,
+        state: Sequence[Memory] | None = None,
+        episode_start: ArrayLike | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], tuple[Memory, ...]]:
+        """As in `Policy`; the state is a tuple with the memory of each environment."""
+        parts = observation if isinstance(observation, Mapping) else {"": observation}
+        single = min(np.ndim(part) for part in parts.values()) == 1
+        rows = [observation]
+        if not single:
+            count = len(next(iter(parts.values())))
+            rows = [{name: part[row] for name, part in parts.items()} for row in range(count)]
+            rows = rows if isinstance(observation, Mapping) else [row[""] for row in rows]
+        memories = [None] * len(rows) if state is None else list(state)
+        if episode_start is not None:
+            begins = np.reshape(episode_start, -1)
+            memories = [None if new else old for new, old in zip(begins, memories, strict=True)]
+        acted = [self._act(row, memory) for row, memory in zip(rows, memories, strict=True)]
+        actions = np.stack([action for action, _ in acted])
+        return (actions[0] if single else actions), tuple(memory for _, memory in acted)
+
+
+class LearnedPolicy(EpisodePolicy):
     """A trained actor without its exploration.
 
     Args:
@@ -46,7 +101,7 @@ class LearnedPolicy:
 
     def __init__(
         self,
-        actor: Callable[[np.ndarray], np.ndarray],
+        actor: Callable[[NDArray[Any]], NDArray[np.float32]],
         action_repeat: int = 1,
         closures: Closures | None = None,
     ) -> None:
@@ -59,16 +114,11 @@ class LearnedPolicy:
         """The policy of a policy file."""
         return cls(file.actor, file.action_repeat, file.closures)
 
-    def reset(self, seed: int) -> None:
-        self._step = 0
-
-    def act(self, observation: np.ndarray | Mapping[str, np.ndarray]) -> np.ndarray:
-        step = self._step
-        self._step = self._step + 1
+    def _act(self, observation: Observation, memory: Memory) -> tuple[NDArray[Any], Memory]:
+        step, decision = memory or (0, None)
+        if decision is None or (self._closures is None and step % self._action_repeat == 0):
+            decision = self._actor(vector(observation))
+        action = decision
         if self._closures is not None:
-            if step == 0:
-                self._decision = self._actor(vector(observation))
-            return self._closures.actions(self._decision[None], [step])[0].astype(np.float32)
-        if step % self._action_repeat == 0:
-            self._action = self._actor(vector(observation))
-        return self._action
+            action = self._closures.actions(decision[None], [step])[0].astype(np.float32)
+        return action, (step + 1, decision)

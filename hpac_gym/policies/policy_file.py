@@ -1,29 +1,35 @@
 """A trained policy in one file: weights, observation scaling and provenance.
 
-The file is a zip of ``policy.json`` (description and training, with the SHA-256 of the weights) and
-``actor.npz`` (plain arrays: reading them executes no foreign code, and needs neither PyTorch nor
-Stable-Baselines3)."""
+A file ``.hpac`` is a compressed tar of ``policy.json`` (description and training, with the SHA-256 of
+the weights) and ``actor.npz`` (plain arrays: reading them executes no foreign code, and needs neither
+PyTorch nor Stable-Baselines3). It is no zip, so that nobody takes it for a model of
+Stable-Baselines3, nor does that."""
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import io
 import json
 import os
-import zipfile
+import tarfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.output import replacing
 from hpac_gym.policies.closure import Closures
 
-FORMAT = 1
-SHIPPED = {path.stem: path for path in sorted((Path(__file__).parent / "trained").glob("*.zip"))}
+FORMAT = 2
+SUFFIX = ".hpac"
+SHIPPED = {
+    path.stem: path for path in sorted((Path(__file__).parent / "trained").glob(f"*{SUFFIX}"))
+}
 """The policies that come with the package, one for each environment, by name."""
 
 
@@ -39,13 +45,13 @@ class Actor:
         mean_clip: bound of the last layer's output, before tanh.
     """
 
-    observation_mean: np.ndarray
-    observation_scale: np.ndarray
+    observation_mean: NDArray[Any]
+    observation_scale: NDArray[Any]
     observation_clip: float
-    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    layers: tuple[tuple[NDArray[Any], NDArray[Any]], ...]
     mean_clip: float
 
-    def __call__(self, observation: np.ndarray) -> np.ndarray:
+    def __call__(self, observation: NDArray[Any]) -> NDArray[np.float32]:
         """The action for an observation, shape (n,) → shape (m,), −1…1; computed in double
         precision, returned in single.
         """
@@ -108,8 +114,11 @@ def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
     """Write a policy file, deterministically to the byte.
 
     Raises:
+        PolicyError: The name does not end in .hpac.
         OutputError: The folder cannot be written, or the disk is full.
     """
+    if Path(path).suffix != SUFFIX:
+        raise PolicyError(f"the name of policy file '{path}' must end in {SUFFIX}")
     actor = policy.actor
     arrays = {
         "observation_mean": actor.observation_mean,
@@ -126,9 +135,18 @@ def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
         "sha256": hashlib.sha256(packed.getvalue()).hexdigest(),
         **policy.about,
     }
-    with replacing(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-        archive.writestr(zipfile.ZipInfo("policy.json"), json.dumps(about, indent=2) + "\n")
-        archive.writestr(zipfile.ZipInfo("actor.npz"), packed.getvalue())
+    members = {
+        "policy.json": (json.dumps(about, indent=2) + "\n").encode(),
+        "actor.npz": packed.getvalue(),
+    }
+    bundle = io.BytesIO()
+    with tarfile.open(fileobj=bundle, mode="w") as archive:
+        for name, data in members.items():
+            entry = tarfile.TarInfo(name)
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
+    with replacing(path) as temporary:
+        temporary.write_bytes(gzip.compress(bundle.getvalue(), mtime=0))
 
 
 def policy_path(name: str | os.PathLike[str]) -> Path:
@@ -143,9 +161,10 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         PolicyError: The file is missing, damaged, not a policy file, or of a later format.
     """
     try:
-        with zipfile.ZipFile(policy_path(path)) as archive:
-            about = json.loads(archive.read("policy.json"))
-            packed = archive.read("actor.npz")
+        bundle = io.BytesIO(gzip.decompress(policy_path(path).read_bytes()))
+        with tarfile.open(fileobj=bundle, mode="r:") as archive:
+            about = json.loads(_member(archive, "policy.json"))
+            packed = _member(archive, "actor.npz")
         if about["format"] != FORMAT:
             raise PolicyError(
                 f"policy file '{path}' has format {about['format']}: this version reads format {FORMAT}"
@@ -170,10 +189,12 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         return policy
     except FileNotFoundError:
         raise PolicyError(f"no policy file '{path}'") from None
+    except gzip.BadGzipFile:
+        raise PolicyError(f"'{path}' is not a policy file ({SUFFIX})") from None
     except OSError as error:
         raise PolicyError(f"cannot read policy file '{path}': {error.strerror or error}") from None
     except (
-        zipfile.BadZipFile,
+        tarfile.TarError,
         zlib.error,
         EOFError,
         UnicodeDecodeError,
@@ -186,7 +207,14 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
         raise PolicyError(f"'{path}' is not a policy file: {error}") from None
 
 
-def _actor_from_arrays(arrays: dict[str, np.ndarray]) -> Actor:
+def _member(archive: tarfile.TarFile, name: str) -> bytes:
+    file = archive.extractfile(name)  # a KeyError if there is none
+    if file is None:
+        raise TypeError(f"its {name} is no file")
+    return file.read()
+
+
+def _actor_from_arrays(arrays: dict[str, NDArray[Any]]) -> Actor:
     count = sum(name.startswith("weight_") for name in arrays)
     layers = tuple(
         (arrays[f"weight_{number}"], arrays[f"bias_{number}"]) for number in range(count)

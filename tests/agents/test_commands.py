@@ -42,8 +42,8 @@ MISTAKES = [
     ("train", "--out {folder}/taken --resume", "cannot read the settings of"),
     ("train", "--out {folder}/taken --resume --dropout 0.2", "only --episodes can change"),
     ("evaluate", "", "--policy"),
-    ("evaluate", "--policy {folder}/none.zip", "no policy file"),
-    ("evaluate", "--policy {folder}/file", "is damaged"),
+    ("evaluate", "--policy {folder}/none.hpac", "no policy file"),
+    ("evaluate", "--policy {folder}/file", "is not a policy file"),
     ("evaluate", "--policy random --env Nothing-v3", "no environment 'Nothing-v3'"),
     (
         "evaluate",
@@ -99,7 +99,7 @@ def folder(tmp_path_factory) -> Path:
         "episodes,seconds,success_rate,window,entropy\n10,1.0,2.0,10,nan\n"
     )
     (folder / "policy").mkdir()
-    (folder / "policy" / "policy.zip").touch()
+    (folder / "policy" / "policy.hpac").touch()
     return folder
 
 

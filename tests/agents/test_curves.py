@@ -57,13 +57,13 @@ def test_a_report_draws_what_there_is(curve):
         "policies": {"random": numbers},
         "differences": [],
     }
-    results["policy"] = {"file": "clone/policy.zip", "sha256": "12ab" * 16}
+    results["policy"] = {"file": "clone/policy.hpac", "sha256": "12ab" * 16}
     (curve.parent / "results.json").write_text(json.dumps(results))
     written = report(curve.parent)
     assert {path.name for path in written} == {"learning_curve.png", "results.md"}
     assert all(path.stat().st_size for path in written)
     assert "| random | 10 | 50.0% | 24.0% … 76.0% |" in (curve.parent / "results.md").read_text()
     assert (
-        "Learned: clone/policy.zip, weights SHA-256 `12ab12ab12ab12ab…`"
+        "Learned: clone/policy.hpac, weights SHA-256 `12ab12ab12ab12ab…`"
         in (curve.parent / "results.md").read_text()
     )

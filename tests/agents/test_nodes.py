@@ -211,7 +211,7 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
         == 0
     )
     trained = [
-        read_policy(tmp_path / f"seed-{seed}" / "policy.zip").about["settings"]["seed"]
+        read_policy(tmp_path / f"seed-{seed}" / "policy.hpac").about["settings"]["seed"]
         for seed in (0, 1)
     ]
     assert trained == [0, 1]
@@ -220,14 +220,14 @@ def test_a_sweep_trains_a_run_for_each_seed(cluster, tmp_path, capsys):
     )
     words = ["--out", f"{tmp_path}", "--episodes", "6", *SMALL]
     (tmp_path / "seed-1" / "run.json").unlink()  # as if it had been killed while it was written
-    kept = (tmp_path / "seed-0" / "policy.zip").stat().st_mtime_ns
+    kept = (tmp_path / "seed-0" / "policy.hpac").stat().st_mtime_ns
     capsys.readouterr()
     assert nodes.main(["grasp", "--seeds", "2", *words]) == 0
     told = re.findall(
         r"seed-(\d) (was done before, with 6 of 6 trials|is done)", capsys.readouterr().err
     )
     assert told == [("0", "was done before, with 6 of 6 trials"), ("1", "is done")]
-    assert (tmp_path / "seed-0" / "policy.zip").stat().st_mtime_ns == kept
+    assert (tmp_path / "seed-0" / "policy.hpac").stat().st_mtime_ns == kept
     with pytest.raises(
         RunError,
         match=r"folder '.*seed-0' holds a run with other settings: choose another --out, or remove it",

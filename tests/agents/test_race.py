@@ -63,8 +63,8 @@ def test_the_policy_file_acts_as_the_trained_model_predicts(name, trained, tmp_p
         model.policy.actor_state = state.replace(**changed)
     if name == "ppo":
         model.policy.action_net.bias.data[0] = 5.0  # beyond the bound
-    write_policy(tmp_path / "policy.zip", PolicyFile(race.actor_of(model), {"env_id": GRASP}))
-    actor = read_policy(tmp_path / "policy.zip").actor
+    write_policy(tmp_path / "policy.hpac", PolicyFile(race.actor_of(model), {"env_id": GRASP}))
+    actor = read_policy(tmp_path / "policy.hpac").actor
     scaling = model.get_vec_normalize_env()
     seen = random.uniform(-1, 1, (20, 44))
     predicted, _ = model.predict(scaling.normalize_obs(seen), deterministic=True)
@@ -78,17 +78,17 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     monkeypatch.setattr(race, "CONTENDERS", {"sac": small("sac")})
     ours = tmp_path / "grasp-0"
     ours.mkdir()
-    copyfile(SHIPPED["grasp"], ours / "policy.zip")
+    copyfile(SHIPPED["grasp"], ours / "policy.hpac")
     words = f"race --runs {tmp_path} --minutes 0.005 --episodes 2".split()
     assert reproduce.main(words) == 0
     *_, first, second = capsys.readouterr().out.splitlines()
     assert first.startswith("| sac | 0 |")
-    assert second.startswith("| closures | 0 | 60,0")
+    assert second.startswith("| one-step SAC | 0 | 60,0")
     assert reproduce.main([*words, "--learner", "sac", "--seeds", "2"]) == 0
     *_, second, _, last = capsys.readouterr().out.splitlines()
     assert second.startswith("| sac | 1 |")
     assert last.startswith("sac: 2 runs: median ")
-    about = read_policy(tmp_path / "sac-1" / "policy.zip").about
+    about = read_policy(tmp_path / "sac-1" / "policy.hpac").about
     assert about["processor_seconds"] >= 0.3
     assert (about["algorithm"], about["settings"]["seed"], about["action_repeat"]) == (
         "sac",
@@ -97,7 +97,7 @@ def test_the_table_of_the_race_trains_who_is_missing_and_judges_all(tmp_path, mo
     )
     with pytest.raises(RunError, match="already holds a run"):
         race.main(["sac", "--out", str(tmp_path / "sac-0")])
-    path = tmp_path / "sac-1" / "policy.zip"
+    path = tmp_path / "sac-1" / "policy.hpac"
     write_policy(path, PolicyFile(read_policy(path).actor, about | {"processor_seconds": 0.2}))
     assert reproduce.main([*words, "--learner", "sac", "--seeds", "2"]) == 0
     told = capsys.readouterr()
@@ -149,11 +149,15 @@ def test_without_sbx_one_line_names_the_extra_and_the_table_leaves_its_row_out(
     with pytest.raises(RecipeError, match=re.escape(needs)):
         race.main(["sbx-sac", "--out", str(tmp_path / "sbx-sac-0")])
     (tmp_path / "grasp-0").mkdir()
-    copyfile(SHIPPED["grasp"], tmp_path / "grasp-0" / "policy.zip")
+    copyfile(SHIPPED["grasp"], tmp_path / "grasp-0" / "policy.hpac")
     assert reproduce.main(f"race --runs {tmp_path} --episodes 1".split()) == 0
     told = capsys.readouterr()
     assert told.err.endswith(f"{needs}; its row is left out\n")
-    assert [line.split()[1] for line in told.out.splitlines()] == ["learner", "---", "closures"]
+    assert [line.split("|")[1].strip() for line in told.out.splitlines()] == [
+        "learner",
+        "---",
+        "one-step SAC",
+    ]
     assert not (tmp_path / "sbx-sac-0").exists()
 
 

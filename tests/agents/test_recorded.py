@@ -79,7 +79,9 @@ def runs(tmp_path_factory):
 
 
 def test_it_learns_from_every_trial_once_without_physics(runs):
-    about = {name: read_policy(runs / name / "policy.zip").about for name in (*SET_UPS, "together")}
+    about = {
+        name: read_policy(runs / name / "policy.hpac").about for name in (*SET_UPS, "together")
+    }
     assert about["together"]["episodes"] == sum(about[name]["episodes"] for name in SET_UPS)
     assert about["together"]["env_steps"] == pytest.approx(
         sum(about[name]["env_steps"] for name in SET_UPS), rel=0.05
@@ -122,16 +124,16 @@ def test_a_killed_and_resumed_run_ends_with_the_same_policy_though_its_checkpoin
         assert not set(COLUMNS) & set(file)
     run("--resume", "--out", tmp_path)
     hashes = {
-        read_policy(folder / "policy.zip").about["sha256"]
+        read_policy(folder / "policy.hpac").about["sha256"]
         for folder in (tmp_path, runs / "together")
     }
     assert len(hashes) == 1
 
 
 def other_closures(folder):
-    policy = read_policy(folder / "policy.zip")
+    policy = read_policy(folder / "policy.hpac")
     write_policy(
-        folder / "policy.zip",
+        folder / "policy.hpac",
         PolicyFile(policy.actor, policy.about | {"closure": {"goal": [0, 1]}}),
     )
 
@@ -157,7 +159,7 @@ def learned_from_others(folder):
         ),
         (
             ["grasp"],
-            lambda folder: (folder / "policy.zip").unlink(),
+            lambda folder: (folder / "policy.hpac").unlink(),
             "cannot learn from the trials of .*: no policy file",
         ),
         (["grasp"], half_a_checkpoint, "cannot learn from the trials of .*: "),

@@ -78,7 +78,7 @@ def trained(tmp_path_factory) -> Path:
 
 
 def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
-    about = read_policy(trained / "grasp" / "policy.zip").about
+    about = read_policy(trained / "grasp" / "policy.hpac").about
     assert about["env_id"] == "hpac_gym:HPAC-Grasp-v0"
     assert about["episodes"] >= 24
     assert (about["settings"]["seed"], about["settings"]["set_ups"]) == (3, ["mujoco/twin"])
@@ -103,7 +103,7 @@ def test_a_run_leaves_its_policy_curve_settings_and_checkpoint(trained):
     ],
 )
 def test_a_trained_policy_is_judged(trained, recipe, env_id, sizes, options):
-    policy = trained / recipe / "policy.zip"
+    policy = trained / recipe / "policy.hpac"
     assert (
         read_policy(policy).sizes
         == sizes
@@ -127,7 +127,7 @@ def test_a_killed_and_resumed_training_ends_with_the_policy_of_an_uninterrupted_
     train_here(monkeypatch, "--out", tmp_path, "--resume")
     assert curve(tmp_path) == curve(trained / recipe)
     hashes = {
-        read_policy(folder / "policy.zip").about["sha256"]
+        read_policy(folder / "policy.hpac").about["sha256"]
         for folder in (tmp_path, trained / recipe)
     }
     assert len(hashes) == 1
@@ -211,7 +211,7 @@ def test_a_time_limit_ends_a_training_cleanly(tmp_path, monkeypatch, capsys):
         10_000,
     )
     assert capsys.readouterr().err.splitlines()[-1].startswith("time limit after")
-    assert read_policy(tmp_path / "policy.zip").about["seconds"] >= 0.6
+    assert read_policy(tmp_path / "policy.hpac").about["seconds"] >= 0.6
 
 
 def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_given(
@@ -229,7 +229,7 @@ def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_give
         make=lambda recipe: tasks.append(training_task(recipe)) or tasks[-1],
     )
     assert len(tasks) == 1
-    about = read_policy(tmp_path / "policy.zip").about
+    about = read_policy(tmp_path / "policy.hpac").about
     assert about["env_steps"] == 400
     assert about["env_steps"] >= about["episodes"] * 20, (
         "a trial takes at least as long as the closing"
@@ -239,7 +239,7 @@ def test_a_training_takes_no_more_steps_than_it_may_and_the_task_that_it_is_give
 def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path, monkeypatch):
     leaves = {
         "run.json",
-        "policy.zip",
+        "policy.hpac",
         "progress.csv",
         "learning_curve.png",
         "checkpoint-000000012",

@@ -12,7 +12,7 @@ FOLDER = Path(__file__).resolve().parents[2] / "agents" / "trained"
 
 
 def path_of(name):
-    return name if name in SHIPPED else str(FOLDER / f"{name}.zip")
+    return name if name in SHIPPED else str(FOLDER / f"{name}.hpac")
 
 
 @pytest.mark.parametrize(

@@ -209,7 +209,7 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
     [
         (WORDS, "--port is missing"),
         (("posture", *WORDS[1:], "--dry-run"), "HPAC-Posture-v1 cannot be deployed"),
-        (("none.zip", *WORDS[1:], "--dry-run"), "no policy file 'none.zip'"),
+        (("none.hpac", *WORDS[1:], "--dry-run"), "no policy file 'none.hpac'"),
         (
             ("grasp", "--object", "ball", *WORDS[3:], "--dry-run"),
             "--object 'ball' is not one of cyl",
@@ -251,14 +251,10 @@ class Failing:
 
     def __init__(self, fault):
         self.fault = fault
-        self.steps = 0
 
-    def reset(self, seed):
-        self.steps = 0
-
-    def act(self, observation):
-        self.steps += 1
-        return self.fault() if self.steps == 12 else np.array([0.0, 1, 1, 1, 1, 0])
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        step = (state or 0) + 1
+        return self.fault() if step == 12 else np.array([0.0, 1, 1, 1, 1, 0]), step
 
 
 def raising(error):

@@ -79,8 +79,7 @@ def test_a_shipped_policy_takes_a_calibrated_hand_and_says_so_in_one_remark(cali
             UserWarning, match="made with the nominal hand, and acts here with the model of 'mine'"
         ):
             policy = load_policy("grasp", env)
-        policy.reset(0)
-        assert policy.act(env.reset(seed=0)[0]).shape == (6,)
+        assert policy.predict(env.reset(seed=0)[0])[0].shape == (6,)
     with gymnasium.make("HPAC-Grasp-v0", engine="mujoco", hand=calibrated) as env:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # another simulated hand is nothing to a policy

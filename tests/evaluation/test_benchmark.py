@@ -26,6 +26,7 @@ from hpac_gym.evaluation.benchmark import (
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies import Closures, PolicyError
+from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE, POSTURE
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from tests.options import called
@@ -39,7 +40,7 @@ def main(words):
     return called(benchmark, *words)
 
 
-class Pointer:
+class Pointer(EpisodePolicy):
     """Points where the observation of Tiny-v0 points, with an error that grows with the seed of its
     run.
     """
@@ -47,13 +48,13 @@ class Pointer:
     def __init__(self, env, run):
         self._error = 0.5 + 0.05 * int(run)
 
-    def reset(self, seed):
-        self._rng = np.random.default_rng(seed)
+    def set_random_seed(self, seed):
+        self._seed = seed
 
-    def act(self, observation):
-        return np.clip(observation + self._rng.uniform(-1, 1, 6) * self._error, -1, 1).astype(
-            np.float32
-        )
+    def _act(self, observation, memory):
+        rng = memory or np.random.default_rng(self._seed)
+        miss = rng.uniform(-1, 1, 6) * self._error
+        return np.clip(observation + miss, -1, 1).astype(np.float32), rng
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -270,7 +271,7 @@ def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
         ),
         ([TINY, "--policy", "random"], "an environment, --policy and --out are needed, or --check"),
         (["--check", "no/such.json"], "cannot read results file 'no/such.json'"),
-        ([TINY, "--policy", "no/such.zip", "--out", "x"], "no policy file 'no/such.zip'"),
+        ([TINY, "--policy", "no/such.hpac", "--out", "x"], "no policy file 'no/such.hpac'"),
         (
             [TINY, "--policy", "no.such:thing", "--out", "x"],
             "no policy 'no.such:thing': No module named 'no'",

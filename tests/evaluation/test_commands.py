@@ -68,7 +68,7 @@ def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys
         json.loads((tmp_path / workers / "grasps.json").read_text()) for workers in ("1", "2")
     )
     assert first == second
-    assert first["policy"]["algorithm"] == "closures"
+    assert first["policy"]["algorithm"] == "one-step SAC"
     assert (tmp_path / "1" / "rod.png").read_bytes() == (tmp_path / "2" / "rod.png").read_bytes()
 
 
@@ -85,7 +85,7 @@ def test_it_runs_all_sixteen(tmp_path, capsys):
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("mistakes")
     (folder / "file").write_text("no policy")
-    (folder / "cut.zip").write_bytes(TRAINED.read_bytes()[:1000])
+    (folder / "cut.hpac").write_bytes(TRAINED.read_bytes()[:1000])
     return folder
 
 
@@ -93,8 +93,8 @@ def folder(tmp_path_factory) -> Path:
     ("words", "complaint"),
     [
         ("--policy best", "no policy file 'best', and not one of random, scripted, grasp"),
-        ("--policy {folder}/file", "is damaged"),
-        ("--policy {folder}/cut.zip", "is damaged"),
+        ("--policy {folder}/file", "is not a policy file (.hpac)"),
+        ("--policy {folder}/cut.hpac", "is damaged"),
         ("--policy {folder}", "is not an exported policy"),
         ("--grasps rods", "no grasp 'rods'; there are 16, among them rod"),
         ("--grasps rod --variant huge", "has no variant 'huge'"),

@@ -73,10 +73,9 @@ def test_goals_are_recorded_and_cloned_too(tmp_path, monkeypatch):
         == 0
     )
     with gymnasium.make("hpac_gym:HPAC-Posture-v1", engine="mujoco") as env:
-        policy = load_policy(str(tmp_path / "policy.zip"), env)
+        policy = load_policy(str(tmp_path / "policy.hpac"), env)
         observation, _ = env.reset(seed=0)
-        policy.reset(0)
-        assert env.action_space.contains(policy.act(observation))
+        assert env.action_space.contains(policy.predict(observation)[0])
     for seen, wanted in taught:
         assert (seen.shape, wanted.shape) == ((3 * 40, 51), (3 * 40, 6))
         parts = {
@@ -125,7 +124,7 @@ def test_a_full_disk_is_told_before_hdf5_meets_it(tmp_path, monkeypatch):
     ("words", "line"),
     [
         (["--out", "."], "'.' exists already"),
-        (["--out", "x", "--policy", "none.zip"], "no policy file 'none.zip'"),
+        (["--out", "x", "--policy", "none.hpac"], "no policy file 'none.hpac'"),
         (["--out", "x", "--episodes", "0"], "'0' is not a whole number of at least 1"),
         (["--out", "/proc/x/y"], "cannot write to folder '/proc/x'"),
         (["--out", ".", "--format", "lerobot"], "'.' exists already"),
@@ -155,7 +154,7 @@ def test_a_mistake_is_one_line(words, line, tmp_path, monkeypatch, capsys):
 
 def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
     assert clone.main([str(folder), "--out", str(tmp_path), "--epochs", "60"]) == 0
-    policy = read_policy(tmp_path / "policy.zip")
+    policy = read_policy(tmp_path / "policy.hpac")
     episode = next(
         episode
         for episode in read_dataset(folder).iterate_episodes()
@@ -172,7 +171,7 @@ def test_a_clone_does_what_it_was_shown(folder, tmp_path, capsys):
     assert policy.about["algorithm"] == "behaviour cloning"
     assert "successful episodes, none kept back: " in capsys.readouterr().out
     with pytest.raises(
-        RunError, match=r"policy\.zip' is there already: choose another folder, or remove it"
+        RunError, match=r"policy\.hpac' is there already: choose another folder, or remove it"
     ):
         clone.main([str(folder), "--out", str(tmp_path), "--epochs", "1"])
 
@@ -194,7 +193,7 @@ def test_what_no_environment_gives_is_not_cloned(folder, tmp_path, monkeypatch, 
         RunError, match=r"has observations that are not finite, or actions outside −1…1"
     ):
         clone.main([str(folder), "--out", str(tmp_path), "--epochs", "1"])
-    assert not (tmp_path / "policy.zip").exists()
+    assert not (tmp_path / "policy.hpac").exists()
 
 
 def test_nothing_is_cloned_from_failures_or_from_no_dataset(tmp_path):

@@ -14,8 +14,8 @@ from agents.curves import draw_trials
 from hpac_gym.errors import EnvError
 from hpac_gym.evaluation import evaluate as command
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.episode import control_steps
-from hpac_gym.evaluation.evaluate import BLOCK, evaluate, run_batch, table
+from hpac_gym.evaluation.episodes import run_episodes, single
+from hpac_gym.evaluation.evaluate import BLOCK, evaluate, results, table
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.physics.simulation import default_engine
@@ -44,6 +44,20 @@ def test_episodes_do_not_depend_on_the_number_of_workers():
     )
 
 
+def by_hand(env, policy, seed):
+    """The rewards of an episode and its last info, as a user's own loop gets them."""
+    seen, _ = env.reset(seed=seed)
+    state = None
+    over = False
+    rewards = []
+    while not over:
+        action, state = policy.predict(seen, state)
+        seen, reward, terminated, truncated, info = env.step(action)
+        rewards.append(reward)
+        over = terminated or truncated
+    return rewards, info
+
+
 REAL = pytest.param("HPAC-GraspAny-v1", {"objects": "real"}, marks=pytest.mark.slow)
 
 
@@ -55,17 +69,16 @@ def test_an_episode_in_a_batch_is_the_one_that_a_world_alone_has(name, options):
     policies = [load_policy("scripted", env) for _ in range(3)]
     envs = gymnasium.make_vec(name, 3, engine="mujoco", autoreset_mode="Disabled", **options)
     seeds = [HELD_OUT_SEED + place for place in (0, 7, 1, 2)]
-    together = run_batch(envs, policies, seeds)
-    for seed, episode in zip(seeds, together, strict=True):
-        rewards, infos = zip(*control_steps(env, policies[0], seed), strict=True)
-        assert (episode.seed, episode.total_reward, episode.steps) == (
-            seed,
-            sum(rewards),
-            len(rewards),
-        )
-        told = (infos[-1].get(name) for name in ("is_success", "phase", "holding_force"))
-        assert (episode.success, episode.phase, episode.holding_force) == tuple(told)
-    assert len({episode.total_reward for episode in together}) == len(seeds)
+    together = {found.seed: found for found in results(run_episodes(envs, policies, seeds))}
+    assert list(together) != seeds or name == "HPAC-Posture-v1", "they end in another order"
+    for seed in seeds:
+        assert [together[seed]] == list(results(run_episodes(single(env), policies[:1], [seed])))
+        rewards, info = by_hand(env, policies[0], seed)
+        assert (together[seed].total_reward, together[seed].steps) == (sum(rewards), len(rewards))
+        told = (info.get(name) for name in ("is_success", "phase", "holding_force"))
+        ours = together[seed]
+        assert (ours.success, ours.phase, ours.holding_force) == tuple(told)
+    assert len({episode.total_reward for episode in together.values()}) == len(seeds)
     env.close()
     envs.close()
 
@@ -132,7 +145,7 @@ def test_a_policy_without_a_file_is_evaluated_by_its_name(capsys):
 
 
 def test_several_policies_are_compared_with_the_first_on_the_same_episodes(capsys):
-    files = ["grasp", str(ROOT / "agents" / "trained" / "grasp-robust.zip")]
+    files = ["grasp", str(ROOT / "agents" / "trained" / "grasp-robust.hpac")]
     words = [word for name in (*files, files[0]) for word in ("--policy", name)]
     assert main([*words, "--engine", "mujoco", "--episodes", "2", "--workers", "1", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
@@ -204,7 +217,7 @@ def test_the_table_of_elsewhere_has_a_row_for_every_engine_and_body(capsys, tmp_
 
 
 def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp_path):
-    policies = ["--policy=grasp", "--policy=grasp", "--policy=agents/trained/grasp-best.zip"]
+    policies = ["--policy=grasp", "--policy=grasp", "--policy=agents/trained/grasp-best.hpac"]
     numbers = tmp_path / "cells.json"
     picture = tmp_path / "picture.png"
     assert (
@@ -224,9 +237,9 @@ def test_the_table_of_seeds_has_a_row_for_every_run_and_sums_them_up(capsys, tmp
     )
     *_, first, second, third, _, last = capsys.readouterr().out.splitlines()
     assert first == second
-    assert first.startswith("| closures | 0 | 60,0")
-    assert third.startswith("| closures | 0 | 300,000 ")
-    assert last.startswith("closures, at most 60,000 trials: 2 runs: median "), (
+    assert first.startswith("| one-step SAC | 0 | 60,0")
+    assert third.startswith("| one-step SAC | 0 | 300,000 ")
+    assert last.startswith("one-step SAC, at most 60,000 trials: 2 runs: median "), (
         "the third has another number of trials"
     )
     cells = json.loads(numbers.read_text())

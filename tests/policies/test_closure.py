@@ -11,6 +11,7 @@ from hpac_gym.model import SERVO_INDEX
 from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
 from hpac_gym.policies.made_for import difference, made_for
 from hpac_gym.tasks.grasp_types import WRIST_ACTIONS
+from tests.policies.episodes import actions_of
 
 CMC = SERVO_INDEX["thumb_cmc"]
 THUMB = SERVO_INDEX["thumb_mp"]
@@ -89,8 +90,7 @@ def test_a_policy_of_closures_decides_once_an_episode():
 
     policy = LearnedPolicy(actor, closures=closures)
     for first in (0.5, -0.5):
-        policy.reset(0)
-        acted = [policy.act(np.array([first + step])) for step in range(5)]
+        acted = actions_of(policy, [np.array([first + step]) for step in range(5)])
         np.testing.assert_allclose(acted, way(closures, np.full(8, first), 5), atol=1e-7)
     assert len(asked) == 2
 

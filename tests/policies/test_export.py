@@ -47,8 +47,8 @@ def policy(env) -> PolicyFile:
 
 @pytest.fixture
 def folder(policy, tmp_path) -> Path:
-    write_policy(tmp_path / "policy.zip", policy)
-    export(tmp_path / "policy.zip", tmp_path / "out")
+    write_policy(tmp_path / "policy.hpac", policy)
+    export(tmp_path / "policy.hpac", tmp_path / "out")
     return tmp_path / "out"
 
 
@@ -61,8 +61,8 @@ def folder(policy, tmp_path) -> Path:
 )
 def test_onnxruntime_decides_as_the_numpy_reader_does_on_1e5_observations(path, policy, tmp_path):
     policy = policy if path is None else read_policy(path)
-    write_policy(tmp_path / "policy.zip", policy)
-    export(tmp_path / "policy.zip", tmp_path / "out")
+    write_policy(tmp_path / "policy.hpac", policy)
+    export(tmp_path / "policy.hpac", tmp_path / "out")
     session = onnxruntime.InferenceSession(
         (tmp_path / "out" / "model.onnx").read_bytes(), providers=["CPUExecutionProvider"]
     )
@@ -95,11 +95,12 @@ def test_onnxruntime_decides_as_the_numpy_reader_does_on_1e5_observations(path, 
 def test_it_acts_in_the_environment_as_the_policy_file_does(policy, folder, env):
     exported = read_onnx(folder, env)
     seen = env.reset(seed=0)[0]
-    exported.reset(0)
+    state = None
     closures = Closures.of(policy.about["closure"])
     for step in range(3):
+        action, state = exported.predict(seen, state)
         np.testing.assert_allclose(
-            exported.act(seen), closures.actions(policy.actor(seen)[None], [step])[0], atol=1e-5
+            action, closures.actions(policy.actor(seen)[None], [step])[0], atol=1e-5
         )
 
 
@@ -130,13 +131,12 @@ def test_a_policy_of_a_goal_environment_is_exported_with_its_goals(policy, tmp_p
         file = PolicyFile(
             Actor(rng.normal(0, 0.3, 51), rng.uniform(0.5, 2, 51), 8.0, layers, 4.0), about
         )
-        write_policy(tmp_path / "policy.zip", file)
-        export(tmp_path / "policy.zip", tmp_path / "out")
+        write_policy(tmp_path / "policy.hpac", file)
+        export(tmp_path / "policy.hpac", tmp_path / "out")
         exported = read_onnx(tmp_path / "out", env)
         seen = env.reset(seed=0)[0]
-        exported.reset(0)
         joined = np.concatenate([seen["achieved_goal"], seen["desired_goal"], seen["observation"]])
-        np.testing.assert_allclose(exported.act(seen), file.actor(joined), atol=1e-6)
+        np.testing.assert_allclose(exported.predict(seen)[0], file.actor(joined), atol=1e-6)
         bounds = [env.observation_space[name] for name in sorted(seen)]
     told = json.loads((tmp_path / "out" / "card.json").read_text())["observation"]
     assert [entry["name"] for entry in told[:37:6]] == ["achieved_goal"] * 3 + [
@@ -154,8 +154,7 @@ def test_another_hand_is_a_remark_and_another_layout_a_refusal(folder, env):
     for load in (lambda: read_onnx(folder, other), lambda: load_policy("grasp", other)):
         with pytest.warns(UserWarning, match="was made with the nominal hand, and acts here with"):
             policy = load()
-        policy.reset(0)
-        assert policy.act(other.reset(seed=0)[0]).shape == (6,)
+        assert policy.predict(other.reset(seed=0)[0])[0].shape == (6,)
     other.close()
     card = json.loads((folder / "card.json").read_text())
     (folder / "card.json").write_text(json.dumps(card | {"control_hz": 50}))
@@ -202,10 +201,10 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
     ``replay.mp4``.
     """
     yaml = pytest.importorskip("yaml")
-    write_policy(tmp_path / "policy.zip", policy)
+    write_policy(tmp_path / "policy.hpac", policy)
     words = [
         "--policy",
-        f"{tmp_path}/policy.zip",
+        f"{tmp_path}/policy.hpac",
         "--engine",
         "mujoco",
         "--episodes",
@@ -216,7 +215,7 @@ def test_the_bundle_has_the_evaluation_and_a_film_in_the_hub_s_layout(policy, tm
     assert called(evaluate, *words, "--workers", "1", "--no-baselines") == 0
     (tmp_path / "film.mp4").write_bytes(b"\0\0\0\x1cftypisom")
     given = ["--evaluation", f"{tmp_path}/results.json", "--film", f"{tmp_path}/film.mp4"]
-    assert main(["export", f"{tmp_path}/policy.zip", "--out", f"{tmp_path}/out", *given]) == 0
+    assert main(["export", f"{tmp_path}/policy.hpac", "--out", f"{tmp_path}/out", *given]) == 0
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert names == {"README.md", "card.json", "model.onnx", "replay.mp4"}
     _, header, page = (tmp_path / "out" / "README.md").read_text().split("---\n", 2)

@@ -8,8 +8,10 @@ import gymnasium
 import numpy as np
 import pytest
 
+from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.policies import LearnedPolicy, PolicyError
 from hpac_gym.policies.loading import load_policy
+from tests.policies.episodes import actions_of
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = "tests.tiny_task:Tiny-v0"
@@ -17,11 +19,9 @@ TINY = "tests.tiny_task:Tiny-v0"
 
 def test_a_learned_policy_decides_as_often_as_in_its_training():
     policy = LearnedPolicy(lambda observation: observation * 2, action_repeat=3)
-    policy.reset(0)
-    acted = [policy.act(np.array([float(step)]))[0] for step in range(7)]
-    assert acted == [0, 0, 0, 6, 6, 6, 12]
-    policy.reset(0)
-    assert policy.act(np.array([5.0]))[0] == 10
+    acted = actions_of(policy, [np.array([float(step)]) for step in range(7)])
+    assert acted[:, 0].tolist() == [0, 0, 0, 6, 6, 6, 12]
+    assert policy.predict(np.array([5.0]))[0] == 10
 
 
 @pytest.mark.parametrize("name", ["random", "scripted"])
@@ -30,13 +30,55 @@ def test_a_baseline_acts_the_same_for_the_same_seed(name):
     policy = load_policy(name, env)
 
     def actions(seed: int) -> np.ndarray:
-        policy.reset(seed)
-        return np.array([policy.act(np.zeros(6, np.float32)) for _ in range(5)])
+        if name == "random":
+            policy.set_random_seed(seed)
+        return actions_of(policy, [np.zeros(6, np.float32)] * 5)
 
     first = actions(3)
     assert first.shape == (5, 6)
     assert np.all(np.abs(first) <= 1)
     assert np.array_equal(first, actions(3))
+
+
+def test_a_batch_of_environments_is_acted_in_row_by_row_and_each_begins_when_it_does():
+    """Environment 1 begins again at its third step."""
+    policy = LearnedPolicy(lambda observation: observation * 2, action_repeat=3)
+    state = None
+    acted = []
+    for step in range(5):
+        seen = np.array([[float(step)], [10.0 + step]])
+        actions, state = policy.predict(seen, state, np.array([False, step == 2]))
+        acted.append(actions[:, 0].tolist())
+    assert acted == [[0, 20], [0, 20], [0, 24], [6, 24], [6, 24]]
+
+
+def test_predicting_twice_from_a_state_gives_the_same():
+    env = gymnasium.make(TINY)
+    for policy in (load_policy("scripted", env), LearnedPolicy(lambda seen: seen, 2)):
+        _, state = policy.predict(np.zeros(6, np.float32))
+        (first, _), (again, _) = (policy.predict(np.ones(6), state) for _ in range(2))
+        assert np.array_equal(first, again)
+
+
+def test_a_policy_is_evaluated_by_stable_baselines3_as_a_model_of_its_own():
+    """Its own loop over a batch, whose episodes begin at different times."""
+    from stable_baselines3.common.evaluation import evaluate_policy
+
+    envs = HandVecEnv("HPAC-Grasp-v0", num_envs=4, engine="mujoco")
+    envs.seed(3)
+    successes = []
+
+    def count(here, _):
+        if here["done"]:
+            successes.append(here["info"]["is_success"])
+
+    policy = load_policy("grasp", gymnasium.make("HPAC-Grasp-v0", engine="mujoco"))
+    evaluate_policy(policy, envs, n_eval_episodes=12, callback=count, warn=False)
+    envs.close()
+    assert len(successes) == 12
+    assert sum(successes) >= 8, (
+        "it holds 90 % of episodes; with a state that is lost it never closes"
+    )
 
 
 def test_a_name_that_is_no_policy_is_told_with_those_that_are():
@@ -54,8 +96,7 @@ for name in ("pybullet", "gymnasium", "torch", "stable_baselines3"):
 from hpac_gym.policies import LearnedPolicy, read_policy
 file = read_policy("grasp")
 policy = LearnedPolicy.of(file)
-policy.reset(seed=0)
-action = policy.act([0.0] * file.actor.sizes[0])
+action, _ = policy.predict([0.0] * file.actor.sizes[0])
 assert action.shape == (6,) and abs(action).max() <= 1
 assert not [name for name in sys.modules if name.startswith(("hpac_gym.physics", "hpac_gym.tasks", "hpac_gym.envs"))]
 """

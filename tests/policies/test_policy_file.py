@@ -2,6 +2,7 @@ import hashlib
 import io
 import json
 import re
+import tarfile
 import zipfile
 from itertools import pairwise
 from pathlib import Path
@@ -32,8 +33,8 @@ def policy() -> PolicyFile:
 
 @pytest.fixture
 def path(policy, tmp_path):
-    write_policy(tmp_path / "policy.zip", policy)
-    return tmp_path / "policy.zip"
+    write_policy(tmp_path / "policy.hpac", policy)
+    return tmp_path / "policy.hpac"
 
 
 def test_a_policy_reads_back_as_it_was_written(policy, path):
@@ -55,11 +56,20 @@ def test_actions_stay_inside_of_the_action_space(policy):
 
 def rewrite(path, **members):
     """Write the archive again with some members changed by a function each."""
-    with zipfile.ZipFile(path) as archive:
-        held = {name: archive.read(name) for name in archive.namelist()}
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, data in held.items():
-            archive.writestr(name, members.get(name.partition(".")[0], lambda data: data)(data))
+    with tarfile.open(path) as archive:
+        held = {name: archive.extractfile(name).read() for name in archive.getnames()}
+    unchanged = lambda data: data  # noqa: E731
+    pack(path, {n: members.get(n.partition(".")[0], unchanged)(d) for n, d in held.items()})
+
+
+def pack(path, members):
+    """Write an archive of these members."""
+    with tarfile.open(path, "w:gz") as archive:
+        for name, data in members.items():
+            data = data.encode() if isinstance(data, str) else data
+            entry = tarfile.TarInfo(name)
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
 
 
 def edit(**changes):
@@ -73,9 +83,10 @@ DAMAGE = {
     "text": lambda path: path.write_text("policy"),
     "cut in half": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
     "a flipped byte": lambda path: path.write_bytes(flip(path.read_bytes(), 600)),
-    "another zip": lambda path: rezip(path, {"a.txt": "a"}),
-    "no weights": lambda path: rezip(
-        path, {"policy.json": '{"format": 1, "sha256": "", "env_id": ""}'}
+    "another archive": lambda path: pack(path, {"a.txt": "a"}),
+    "a folder in the archive": lambda path: pack_folder(path),
+    "no weights": lambda path: pack(
+        path, {"policy.json": '{"format": 2, "sha256": "", "env_id": ""}'}
     ),
     "weights of another": lambda path: rewrite(path, actor=lambda data: data + b"\0"),
     "a later format": lambda path: rewrite(path, policy=edit(format=99)),
@@ -91,14 +102,15 @@ DAMAGE = {
 }
 
 
+def pack_folder(path):
+    with tarfile.open(path, "w:gz") as archive:
+        entry = tarfile.TarInfo("policy.json")
+        entry.type = tarfile.DIRTYPE
+        archive.addfile(entry)
+
+
 def flip(data: bytes, at: int) -> bytes:
     return data[:at] + bytes([data[at] ^ 0x55]) + data[at + 1 :]
-
-
-def rezip(path, members):
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, data in members.items():
-            archive.writestr(name, data)
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
@@ -110,6 +122,27 @@ def test_a_bad_file_ends_in_one_policy_error_that_names_it(path, damage):
     assert "\n" not in str(caught.value)
 
 
+def test_a_name_that_looks_like_another_kind_of_file_is_not_written(policy, tmp_path):
+    with pytest.raises(PolicyError, match=r"policy\.zip' must end in \.hpac"):
+        write_policy(tmp_path / "policy.zip", policy)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_from_before_the_first_release_is_refused_in_one_line(path):
+    former = path.with_suffix(".zip")
+    with zipfile.ZipFile(former, "w") as archive:
+        archive.writestr("policy.json", "{}")
+    with pytest.raises(PolicyError, match=r"policy file of hpac_gym from before version 0\.1\.0"):
+        load_policy(str(former), gymnasium.make(TINY))
+
+
+def test_stable_baselines3_says_that_a_policy_file_is_none_of_its_own(path):
+    from stable_baselines3 import PPO
+
+    with pytest.raises(ValueError, match=r"policy\.hpac wasn't a zip-file"):
+        PPO.load(path)
+
+
 def test_a_policy_of_other_sizes_is_refused(path):
     rewrite(path, policy=edit(env_id="tests.tiny_task:Other-v0"))
     with pytest.raises(PolicyError, match=r"maps \(6, 6\) values"):
@@ -118,9 +151,9 @@ def test_a_policy_of_other_sizes_is_refused(path):
 
 def test_an_actor_with_a_hole_in_it_is_refused(policy, tmp_path):
     policy.actor.layers[0][0][0, 0] = np.nan
-    write_policy(tmp_path / "nan.zip", policy)
+    write_policy(tmp_path / "nan.hpac", policy)
     with pytest.raises(PolicyError, match="arrays"):
-        read_policy(tmp_path / "nan.zip")
+        read_policy(tmp_path / "nan.hpac")
 
 
 class Trap:

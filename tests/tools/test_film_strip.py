@@ -48,7 +48,7 @@ def test_going_straight_to_a_goal_of_the_fingers_reaches_it():
         truncated = False
         (observation, _) = env.reset(seed=7)
         while not truncated:
-            observation, _, _, truncated, info = env.step(policy.act(observation))
+            observation, _, _, truncated, info = env.step(policy.predict(observation)[0])
     assert info["is_success"]
 
 

@@ -1,0 +1,130 @@
+"""The options of the environment, with the same names and meaning in every command that makes one."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import ParameterError
+from hpac_gym.registration import GRASP_TYPE
+
+MASS = 0.1
+FRICTION = 0.8
+"""Of an object that is given by its shape (chosen) [kg, 1]."""
+SHAPES = {"cylinder": ("radius", "half height"), "sphere": ("radius",), "box": ("x", "y", "z")}
+MESHES = (".stl", ".obj", ".ply", ".off")
+OPTIONS = {
+    "engine": "mujoco or pybullet",
+    "body": "twin or light",
+    "obs": "deploy, privileged, ...: what is observed",
+    "reward": "dense or sparse",
+    "randomize": "nominal, hand, link or full",
+    "objects": "split of the objects: train, test or real",
+    "hands": "split of the hands: nominal, train or test",
+    "types": "types of grasps: all, train, test or one's name",
+    "grasp": "a named grasp, or a grasp type, for the tasks that have them",
+    "object": "cylinder:RADIUS,HALF_HEIGHT, sphere:RADIUS, box:HALF,HALF,HALF [m], or a file (.stl, .obj, .urdf)",
+    "hand": "file of the hand that is simulated",
+    "model": "what commands are computed with: a hand file, hand or calibrated",
+}
+"""Options of an environment by name. All others, such as `wrist`, are given with ``--set``."""
+
+
+def add_env_options(
+    parser: argparse.ArgumentParser, env: str | None = None, but: tuple[str, ...] = ()
+) -> None:
+    """Add the options of the environment to a command; `env_options` reads them.
+
+    Args:
+        parser: the command's.
+        env: help of ``--env``; None: the command has no such option.
+        but: options that the command gives another meaning.
+    """
+    group = parser.add_argument_group("environment (defaults: the environment's own)")
+    if env is not None:
+        group.add_argument("--env", metavar="ID", help=env)
+    for name, meaning in OPTIONS.items():
+        if name not in but:
+            group.add_argument(f"--{name}", help=meaning)
+    group.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="any other option, such as config.weights.effort=-0.1 or object.mass=0.3; may be repeated",
+    )
+
+
+def env_options(args: argparse.Namespace, env_id: str) -> dict[str, Any]:
+    """The options that were given, as arguments of `gymnasium.make` for an id.
+
+    Raises:
+        ParameterError: An ``--object`` or ``--set`` has another form.
+    """
+    found: dict[str, Any] = {
+        name: value for name in OPTIONS if (value := getattr(args, name, None)) is not None
+    }
+    if "grasp" in found and env_id.rpartition(":")[2] == GRASP_TYPE:
+        found["types"] = found.pop("grasp")
+    if "object" in found:
+        found["object"] = object_of(found["object"])
+    return with_set(found, args.set)
+
+
+def with_set(options: Mapping[str, Any], texts: list[str]) -> dict[str, Any]:
+    """Options with those of ``--set``, whose names may lead into dictionaries.
+
+    Raises:
+        ParameterError: A text is not NAME=VALUE, or its name leads into something else.
+    """
+    found = dict(options)
+    for text in texts:
+        path, equals, value = text.partition("=")
+        *parents, name = path.split(".")
+        if not equals or not all([*parents, name]):
+            raise ParameterError(f"--set '{text}' is not NAME=VALUE, such as config.hold_time=2")
+        place: Any = found
+        for parent in parents:
+            place[parent] = (
+                dict(place[parent])
+                if isinstance(place.get(parent), dict)
+                else place.get(parent, {})
+            )
+            place = place[parent]
+            if not isinstance(place, dict):
+                raise ParameterError(f"--set '{text}': {parent} is {place!r}, and has no {name}")
+        try:
+            place[name] = json.loads(value)
+        except ValueError:
+            place[name] = value
+    return found
+
+
+def object_of(text: str) -> ObjectSpec | dict[str, Any]:
+    """The object of an ``--object``: a shape with its sizes, or the arguments of `own_object` for
+    a file.
+
+    Raises:
+        ParameterError: It is neither.
+    """
+    suffix = Path(text).suffix.lower()
+    if suffix == ".urdf":
+        return {"path": text}
+    if suffix in MESHES:
+        return {"path": text, "mass": MASS}
+    shape, _, sizes = text.partition(":")
+    try:
+        half = [float(size) for size in sizes.split(",")]
+        if len(half) != len(SHAPES[shape]):
+            raise ValueError
+        x, y, z = {1: half * 3, 2: [half[0], *half], 3: half}[len(half)]
+        return ObjectSpec(shape, (x, y, z), MASS, FRICTION)
+    except (KeyError, ValueError) as error:
+        forms = ", ".join(f"{name}:{','.join(parts)}" for name, parts in SHAPES.items())
+        raise ParameterError(
+            f"--object '{text}' is not one of {forms}, in m, nor a file {', '.join(MESHES)}, .urdf {error or ''}"
+        ) from None

@@ -1,0 +1,212 @@
+"""Models that Stable-Baselines3, sb3-contrib or SBX saved, with their `VecNormalize` statistics, as
+policies.
+
+The algorithm is not needed: a model's zip names the class of its policy, with its arguments and its
+weights. Reading one executes what is pickled in it, as `PPO.load` does: open only files that you
+trust."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import zipfile
+from functools import lru_cache
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.errors import PolicyError
+
+NONE = "none"
+"""Instead of a file of statistics: the model was trained without."""
+_NEEDED = (
+    "policy",
+    "policy_class",
+    "policy_kwargs",
+    "observation_space",
+    "action_space",
+    "use_sde",
+    "_last_obs",
+)
+
+
+class SB3Policy:
+    """A saved model without its exploration.
+
+    Args:
+        policy: the model's policy.
+        normalize: its `VecNormalize` statistics, or None.
+    """
+
+    def __init__(self, policy: Any, normalize: Any = None) -> None:
+        self._policy = policy
+        self._normalize = normalize
+
+    def predict(
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[Any], Any]:
+        """As in `hpac_gym.policies.Policy`."""
+        if self._normalize is not None:
+            observation = self._normalize.normalize_obs(observation)
+        action, state = self._policy.predict(observation, state, episode_start, deterministic)
+        return np.asarray(action), state
+
+
+def is_model(path: Path) -> bool:
+    """Whether a file is a saved model, or another zip."""
+    return path.is_file() and zipfile.is_zipfile(path)
+
+
+def statistics_of(path: Path, normalize: str | None = None) -> Path | None:
+    """The file of a model's `VecNormalize` statistics: the named one, or one beside it, or None.
+
+    Beside it are sought `vecnormalize.pkl`, `MODEL.pkl`, `MODEL_vecnormalize.pkl`, and what
+    `CheckpointCallback` writes with `save_vecnormalize=True`.
+
+    Raises:
+        PolicyError: There is no such file.
+    """
+    if normalize == NONE:
+        return None
+    if normalize is not None:
+        if not Path(normalize).is_file():
+            raise PolicyError(f"no VecNormalize statistics '{normalize}'")
+        return Path(normalize)
+    prefix, _, steps = path.stem.removesuffix("_steps").rpartition("_")
+    names = (
+        f"{path.stem}.pkl",
+        f"{path.stem}_vecnormalize.pkl",
+        f"{prefix}_vecnormalize_{steps}_steps.pkl",
+        "vecnormalize.pkl",
+    )
+    return next((file for name in names if (file := path.with_name(name)).is_file()), None)
+
+
+def about_model(path: Path, normalize: str | None = None) -> dict[str, Any]:
+    """What identifies a saved model, without executing it: class of the policy, steps of its
+    training, SHA-256 of its file and of its statistics.
+
+    Raises:
+        PolicyError: It is none.
+    """
+    data = _data(path)
+    kind = data.get("policy_class")
+    told: dict[str, Any] = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    if isinstance(kind, dict) and "__module__" in kind:
+        told["algorithm"] = str(kind["__module__"])
+    if isinstance(data.get("num_timesteps"), int):
+        told["env_steps"] = data["num_timesteps"]
+    if (statistics := statistics_of(path, normalize)) is not None:
+        told["normalize"] = str(statistics)
+        told["normalize_sha256"] = hashlib.sha256(statistics.read_bytes()).hexdigest()
+    return told
+
+
+def _data(path: Path) -> dict[str, Any]:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if "policy.json" in archive.namelist():
+                raise PolicyError(
+                    f"'{path}' is a policy file of hpac_gym from before version 0.1.0, which reads .hpac "
+                    "files alone: train it again"
+                )
+            data = json.loads(archive.read("data"))
+            if not isinstance(data, dict):
+                raise TypeError("its data are no object")
+            return data
+    except KeyError:
+        raise PolicyError(
+            f"'{path}' is neither a model of Stable-Baselines3 nor a policy file (.hpac)"
+        ) from None
+    except PolicyError:
+        raise
+    except Exception as error:  # a damaged file can make its reader raise anything
+        raise PolicyError(f"model '{path}' is damaged: {error}") from None
+
+
+def read_model(path: Path, env: gymnasium.Env[Any, Any], normalize: str | None = None) -> SB3Policy:
+    """Load a saved model for an environment.
+
+    Args:
+        path: what `model.save` wrote.
+        env: the environment in which the policy acts.
+        normalize: file of its statistics; "none": it was trained without; None: as
+            `statistics_of` finds them.
+
+    Raises:
+        PolicyError: A library is missing, a file is missing or damaged, the spaces are not those
+            of the environment, or the model was trained on normalised observations and there are
+            no statistics.
+    """
+    statistics = statistics_of(path, normalize)
+    policy, normalised = _policy(path, path.stat().st_mtime_ns)
+    for name in ("observation_space", "action_space"):
+        ours = getattr(env, name)
+        if (theirs := getattr(policy, name)) != ours:
+            told = env.spec.id if env.spec else "the environment"
+            raise PolicyError(f"model '{path}' has the {name} {theirs}, {told} has {ours}")
+    if statistics is None:
+        if normalised and normalize != NONE:
+            raise PolicyError(
+                f"model '{path}' was trained on normalised observations: name the file of its VecNormalize "
+                f"statistics with --normalize, or --normalize {NONE} if it has none"
+            )
+        return SB3Policy(policy)
+    return SB3Policy(policy, _statistics(statistics, statistics.stat().st_mtime_ns, policy))
+
+
+@lru_cache(maxsize=8)
+def _policy(path: Path, _changed: int) -> tuple[Any, bool]:
+    """The policy of a model, and whether its last observation lies outside its observation space,
+    as only a normalised one does.
+    """
+    data = _data(path)
+    try:
+        from stable_baselines3.common.save_util import load_from_zip_file
+
+        unneeded = dict.fromkeys(set(data) - set(_NEEDED))
+        data, parameters, _ = load_from_zip_file(path, custom_objects=unneeded, device="cpu")
+        policy = data.get("policy")  # SBX saves it whole
+        if policy is None:
+            make = data["policy_class"]
+            kwargs = {**data["policy_kwargs"]} | ({"use_sde": True} if data.get("use_sde") else {})
+            if "lr_schedule" in signature(make).parameters:
+                kwargs["lr_schedule"] = lambda _: 0.0
+            policy = make(data["observation_space"], data["action_space"], **kwargs)
+            policy.load_state_dict(parameters["policy"])
+            policy.set_training_mode(False)
+    except ModuleNotFoundError as error:
+        raise PolicyError(
+            f"model '{path}' needs {error.name}, which is not installed: pip install 'hpac_gym[train]'"
+        ) from None
+    except Exception as error:  # a damaged file can make its reader raise anything
+        raise PolicyError(f"model '{path}' is damaged: {error!r}".splitlines()[0]) from None
+    last = data.get("_last_obs")
+    rows = list(last) if isinstance(last, np.ndarray) else []
+    return policy, any(row not in data["observation_space"] for row in rows)
+
+
+@lru_cache(maxsize=8)
+def _statistics(path: Path, _changed: int, policy: Any) -> Any:
+    from stable_baselines3.common.save_util import load_from_pkl
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    try:
+        found = load_from_pkl(path)
+        if not isinstance(found, VecNormalize):
+            raise TypeError(f"it holds a {type(found).__name__}")
+        space = policy.observation_space
+        found.normalize_obs(space.sample())
+    except Exception as error:  # a damaged file can make its reader raise anything
+        raise PolicyError(
+            f"'{path}' holds no VecNormalize statistics of the model: {error!r}".splitlines()[0]
+        ) from None
+    return found
