@@ -97,6 +97,6 @@ size: setup ## count files, statements and lines by folder
 	@$(BIN)/python -m tools.size
 
 clean: ## remove what was built, but neither .venv nor runs
-	@rm -rf build dist docs/_build .pytest_cache .hypothesis .ruff_cache
+	@rm -rf build dist docs/_build docs/_reference docs/measured.md .pytest_cache .hypothesis .ruff_cache
 	@find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	@$(MAKE) -C firmware clean

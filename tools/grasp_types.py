@@ -156,6 +156,27 @@ def success_table(hand: str) -> str:
     return markdown(["grasp", *SET_UPS], rows)
 
 
+def all_successes_table() -> str:
+    """Successes with every kind of hands, in the order of `SET_UPS`, and the episodes of each."""
+    found = results()
+    rows = []
+    for name, entry in found.items():
+        cells = [
+            ", ".join(str(entry[hand][set_up]["successes"]) for set_up in SET_UPS) for hand in HANDS
+        ]
+        rows.append([f"`{name}`", *cells])
+    sums = [
+        ", ".join(
+            str(sum(entry[hand][set_up]["successes"] for entry in found.values()))
+            for set_up in SET_UPS
+        )
+        for hand in HANDS
+    ]
+    first = next(iter(found.values()))
+    heads = [f"{hand}, of {first[hand][SET_UPS[0]]['episodes']}" for hand in HANDS]
+    return markdown(["grasp", *heads], [*rows, ["all", *sums]])
+
+
 def contact_table() -> str:
     """Share of contact and mean force of each part in the holds of the nominal hand's successes."""
     rows = []

@@ -15,21 +15,29 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from hpac_gym.envs.options import COMMON
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.envs.registered import make_task, options_of_id
 from hpac_gym.evaluation import benchmark
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
 from hpac_gym.evaluation.statistics import rate_text
-from hpac_gym.model import HPAC, SERVOS
+from hpac_gym.model import HPAC, JOINTS, SERVOS
 from hpac_gym.output import markdown
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp_data import GRASPS
 from hpac_gym.tasks.options import Option
 from hpac_gym.tasks.task import CONTROL_HZ, Task
 from hpac_gym.tasks.terms import Term
 from tools.grasp_types import TABLES as TYPE_TABLES
+from tools.grasp_types import all_successes_table
 
 DOCS = Path(__file__).parents[1] / "docs"
+TASKS: dict[str, Task] = {env_id: make_task(env_id) for env_id in IDS}
+ENTRIES = {
+    tuple(JOINTS): "15 joints",
+    tuple(SERVOS): "6 servos",
+}
+"""Entries of a term that the page of all environments names."""
 
 
 def span(values: Any) -> str:
@@ -65,10 +73,19 @@ def space_in_words(space: gymnasium.Space) -> str:
 
 
 def option_table(env_id: str) -> str:
-    """Table of the arguments of an id."""
+    """Table of the arguments of an id that not every id has in the same way."""
+    return _options([option for option in options_of_id(env_id) if option not in COMMON])
+
+
+def common_option_table() -> str:
+    """Table of the arguments that every id has, or every one with an object."""
+    return _options([option for option in COMMON if option.name != "obs"])
+
+
+def _options(options: Sequence[Option]) -> str:
     rows = [
         [f"`{option.name}`", values_of(option), shown(option.default), option.meaning]
-        for option in options_of_id(env_id)
+        for option in options
     ]
     return markdown(["argument", "values", "default", "meaning"], rows)
 
@@ -104,6 +121,52 @@ def action_table() -> str:
     return markdown(["index", "joint that the servo drives", "at −1 [rad]", "at 1 [rad]"], rows)
 
 
+def privileged_terms() -> list[Term]:
+    """The privileged terms of all tasks, each once.
+
+    Raises:
+        ValueError: Tasks have terms of one name that differ in what a reader sees.
+    """
+    found: dict[str, Term] = {}
+    for task in TASKS.values():
+        for term in task.privileged_terms:
+            known = found.setdefault(term.name, term)
+            if (known.labels, known.unit, known.low, known.high, known.meaning) != (
+                term.labels,
+                term.unit,
+                term.low,
+                term.high,
+                term.meaning,
+            ):
+                raise ValueError(f"privileged term '{term.name}' differs between tasks")
+    return list(found.values())
+
+
+def privileged_table() -> str:
+    """Table of the privileged terms of all tasks."""
+    rows = [
+        [
+            f"`{term.name}`",
+            ENTRIES.get(term.labels, ", ".join(term.labels)),
+            term.unit,
+            span((term.low, term.high)),
+            term.meaning,
+        ]
+        for term in privileged_terms()
+    ]
+    return markdown(["field", "entries", "unit", "bounds", "meaning"], rows)
+
+
+def privileged_list(terms: Sequence[Term], start: int) -> str:
+    """The privileged terms of a task with their places in the vector."""
+    parts = []
+    for term in terms:
+        end = start + len(term.labels) - 1
+        parts.append(f"`{term.name}` {start}" if end == start else f"`{term.name}` {start}–{end}")
+        start = end + 1
+    return f"{', '.join(parts)}."
+
+
 def term_table(terms: Sequence[Term], start: int = 0) -> str:
     """Table of consecutive terms of the observation vector."""
     rows = []
@@ -114,7 +177,7 @@ def term_table(terms: Sequence[Term], start: int = 0) -> str:
             [
                 index,
                 f"`{term.name}`",
-                ", ".join(term.labels),
+                ENTRIES.get(term.labels, ", ".join(term.labels)),
                 term.unit,
                 span((term.low, term.high)),
                 term.meaning,
@@ -170,9 +233,7 @@ def randomization_table() -> str:
 
 
 def object_table() -> str:
-    """Table of the object of every grasp, its published data, and its replacement in the shape
-    variant.
-    """
+    """Table of the object of every grasp and its replacement in the shape variant."""
     rows = []
     for name, grasp in GRASPS.items():
         shape = grasp.variant("shape").object
@@ -184,13 +245,11 @@ def object_table() -> str:
                 model.about,
                 sides,
                 f"{1e3 * model.mass:.3g}",
-                model.source,
-                model.chosen,
                 shape.about,
             ]
         )
     return markdown(
-        ["grasp", "object", "size [mm]", "mass [g]", "source", "not published", 'variant "shape"'],
+        ["grasp", "object", "size [mm]", "mass [g]", 'variant "shape"'],
         rows,
     )
 
@@ -210,11 +269,58 @@ def scale_table() -> str:
     return markdown([f"first {len(tries)} held-out seeds", "success", "score"], rows)
 
 
-def result_tables() -> str:
-    """Every results file as printed by ``python -m hpac_gym.evaluation.benchmark --check``, with
-    the command that produced it."""
-    files = [benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))]
-    return "\n\n".join(f"{benchmark.table(results)}\n\n`{results['command']}`" for results in files)
+def result_files() -> dict[str, benchmark.Results]:
+    """The benchmark's results files of the documentation, by name."""
+    return {path.stem: benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))}
+
+
+def results_table() -> str:
+    """For each environment the success of every results file on every split, in percent."""
+    tables = []
+    for env_id in benchmark.SPLITS:
+        files = {name: file for name, file in result_files().items() if file["env_id"] == env_id}
+        if not files:
+            continue
+        rows = []
+        for split in (*benchmark.SPLITS[env_id], "all splits"):
+            cells = []
+            for file in files.values():
+                (row,) = (row for row in file["summary"] if row["split"] == split)
+                judged = [cell for cell in file["cells"] if cell["split"] == split]
+                low, high = (judged[0] if len(judged) == 1 else row)["interval_95"]
+                known = judged or file["budget"]
+                interval = f" [{100 * low:.1f}, {100 * high:.1f}]" if known else ""
+                cells.append(f"{100 * row['iqm']:.1f}{interval}")
+            rows.append([split, *cells])
+        head = [f"[{name.replace('_', ' ')}](results/{name}.json)" for name in files]
+        tables.append(markdown([f"`{env_id}`", *head], rows))
+    return "\n\n".join(tables)
+
+
+def measured_page() -> str:
+    """The page of the site with every table of ``docs/results`` and its command."""
+    parts = [
+        "# Every table",
+        "Drawn from the data in `docs/results`. Each has the command that made it.",
+        "## The benchmark's files",
+    ]
+    for name, file in result_files().items():
+        parts += [f"### {name.replace('_', ' ')}", benchmark.table(file), f"`{file['command']}`"]
+    parts.append("## Measurements")
+    for path in sorted((DOCS / "results" / "tables").glob("*.json")):
+        table = json.loads(path.read_text(encoding="utf-8"))
+        commands = [f"`{command.strip()}`" for command in table["command"].split("; ")]
+        parts += [
+            f"### {table['title']}",
+            "  \n".join(commands),
+            table["note"],
+            markdown(table["head"], table["rows"]),
+        ]
+    parts += ["## Grasp types", "`python -m tools.grasp_types`"]
+    for name, make in TYPE_TABLES.items():
+        if name != "types":
+            parts += [f"### {name}", make()]
+    return "\n\n".join(parts) + "\n"
 
 
 def deployed_table() -> str:
@@ -239,13 +345,12 @@ Makers = dict[str, Callable[[], str]]
 
 def task_tables(env_id: str) -> Makers:
     """Functions that make the tables of an id's page, by table name."""
-    task = make_task(env_id)
+    task = TASKS[env_id]
     deployed = sum(len(term.labels) for term in task.terms)
     makers: Makers = {
         "summary": lambda: summary_table(env_id, task),
-        "action": action_table,
         "observation": lambda: term_table(task.terms),
-        "privileged": lambda: term_table(task.privileged_terms, deployed),
+        "privileged": lambda: privileged_list(task.privileged_terms, deployed),
         "reward": lambda: reward_table(task),
         "arguments": lambda: option_table(env_id),
     }
@@ -261,15 +366,24 @@ def task_tables(env_id: str) -> Makers:
 
 
 PAGES: dict[str, Makers] = {
-    "environments/README.md": {"randomization": randomization_table},
+    "environments/README.md": {
+        "action": action_table,
+        "privileged": privileged_table,
+        "arguments": common_option_table,
+        "randomization": randomization_table,
+    },
     "environments/grasp.md": task_tables(GRASP) | {"scale": scale_table},
     "environments/grasp_any.md": task_tables(GRASP_ANY),
     "environments/grasp_type.md": task_tables(GRASP_TYPE),
     "environments/pick_place.md": task_tables(PICK_PLACE),
     "environments/posture.md": task_tables(POSTURE),
-    "benchmark.md": {"results": result_tables},
+    "benchmark.md": {"results": results_table},
     "deploy.md": {"deployed": deployed_table},
-    "grasps.md": {"objects": object_table, **TYPE_TABLES},
+    "grasps.md": {
+        "objects": object_table,
+        "types": TYPE_TABLES["types"],
+        "success": all_successes_table,
+    },
 }
 """Tables of every page in `DOCS`, by name."""
 

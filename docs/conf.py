@@ -1,0 +1,62 @@
+"""The site: ``make docs``. Pages are the Markdown files of this folder; ``measured.md`` is drawn from
+the data of ``results`` each time, and belongs to the site alone."""
+
+import re
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE.parent))
+
+from hpac_gym import __version__  # noqa: E402
+from tools.tables import measured_page  # noqa: E402
+
+project = "hpac_gym"
+author = "The hpac_gym maintainers"
+copyright = "2026, the hpac_gym maintainers"
+release = __version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"hpac_gym {release}"
+myst_heading_anchors = 4
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_mock_imports = ["stable_baselines3"]
+autodoc_typehints = "description"
+napoleon_use_ivar = True
+suppress_warnings = [
+    "myst.header",  # a heading that skips a level
+    "ref.python",  # a name that a package repeats from its module
+]
+
+(HERE / "measured.md").write_text(measured_page(), encoding="utf-8")
+
+
+def without_outer_links(app, docname, source):
+    """Keep only the text of links that leave this folder: they lead nowhere on the site."""
+    page = HERE / f"{docname}.md"
+
+    def kept(match):
+        target = (page.parent / match[2]).resolve()
+        return match[0] if target.is_relative_to(HERE) else match[1]
+
+    source[0] = re.sub(r"\[([^\]]*)\]\((\.\.?/[^)#\s]+)(?:#[\w-]+)?\)", kept, source[0])
+
+
+def without_fences(app, what, name, thing, options, lines):
+    """Turn the fenced code of a docstring into a literal block."""
+    inside = False
+    for number, line in enumerate(lines):
+        if line.strip().startswith("```"):
+            inside = not inside
+            lines[number] = "::\n" if inside else ""
+        elif inside:
+            lines[number] = f"    {line}"
+    lines[:] = "\n".join(lines).split("\n")
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("source-read", without_outer_links)
+    app.connect("autodoc-process-docstring", without_fences)
