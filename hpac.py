@@ -22,6 +22,8 @@ from hpac_gym.command import Parser, run  # noqa: E402
 class Command:
     """One row of the table of commands."""
 
+    group: str
+    """One of `GROUPS`."""
     name: str
     help: str
     """Help text of one line."""
@@ -30,90 +32,120 @@ class Command:
     `run`, which takes the parsed arguments and returns the exit status."""
 
 
+GROUPS = {
+    "look": "watch and understand",
+    "hand": "a real hand, or the firmware on this computer",
+    "train": "policies and data (training itself: python -m agents.train in a checkout)",
+    "measure": "judge policies and physics",
+}
 COMMANDS = (
     Command(
-        "benchmark",
-        "judge a policy by the benchmark's protocol, or check results files",
-        "hpac_gym.evaluation.benchmark:add_arguments",
-    ),
-    Command(
-        "calibrate",
-        "fit the hand parameters to a record of a real hand",
-        "hpac_gym.calibration.calibrate:add_arguments",
-    ),
-    Command(
-        "clear",
-        "leave a fault, or disarm: no motion, no pulses",
-        "hpac_gym.bridge.commands:add_clear",
-    ),
-    Command(
-        "conform",
-        "test a device against every rule of docs/wire.md",
-        "hpac_gym.bridge.commands:add_conform",
-    ),
-    Command(
-        "deploy",
-        "run a trained policy on a hand; --dry-run tells what it would do",
-        "hpac_gym.deploy.commands:add_arguments",
-    ),
-    Command(
-        "doctor",
-        "find hands, report faults and the first remedy; moves nothing",
-        "hpac_gym.bridge.commands:add_doctor",
-    ),
-    Command("estop", "stop all pulses now and latch a fault", "hpac_gym.bridge.stop:add_arguments"),
-    Command(
-        "evaluate",
-        "evaluate policies on held-out episodes",
-        "hpac_gym.evaluation.evaluate:add_arguments",
-    ),
-    Command(
-        "export",
-        "write a policy file as ONNX with a card",
-        "hpac_gym.policies.export:add_arguments",
-    ),
-    Command(
-        "grasps",
-        "evaluate a policy on the sixteen named grasps",
-        "hpac_gym.evaluation.grasps:add_arguments",
-    ),
-    Command(
-        "physics",
-        "check every engine and body against the paper and statics",
-        "hpac_gym.physics.conformance:add_arguments",
-    ),
-    Command(
+        "look",
         "posture",
         "show, draw or send a gesture or grasp shape of the paper",
         "hpac_gym.posture:add_arguments",
     ),
     Command(
-        "record",
-        "record episodes of a policy for Minari or LeRobot",
-        "hpac_gym.evaluation.dataset:add_arguments",
-    ),
-    Command(
+        "look",
         "replay",
         "the log of a deployment beside a simulation of the same actions",
         "hpac_gym.deploy.replay:add_arguments",
     ),
     Command(
+        "look",
         "show",
         "watch a trained policy grasp, in the browser",
         "hpac_gym.show:add_arguments",
     ),
     Command(
+        "hand",
+        "calibrate",
+        "fit the hand parameters to a record of a real hand",
+        "hpac_gym.calibration.calibrate:add_arguments",
+    ),
+    Command(
+        "hand",
+        "clear",
+        "leave a fault, or disarm: no motion, no pulses",
+        "hpac_gym.bridge.commands:add_clear",
+    ),
+    Command(
+        "hand",
+        "conform",
+        "test a device against every rule of docs/wire.md",
+        "hpac_gym.bridge.commands:add_conform",
+    ),
+    Command(
+        "hand",
+        "deploy",
+        "run a trained policy on a hand; --dry-run tells what it would do",
+        "hpac_gym.deploy.commands:add_arguments",
+    ),
+    Command(
+        "hand",
+        "doctor",
+        "find hands, report faults and the first remedy; moves nothing",
+        "hpac_gym.bridge.commands:add_doctor",
+    ),
+    Command(
+        "hand",
+        "estop",
+        "stop all pulses now and latch a fault",
+        "hpac_gym.bridge.stop:add_arguments",
+    ),
+    Command(
+        "hand",
         "sweep",
         "the figures of the paper's experiment, of a record of a real hand",
         "hpac_gym.calibration.sweep:add_arguments",
     ),
     Command(
+        "hand",
         "tags",
         "write the sheet of tags to print, or calibrate a camera with it",
         "hpac_gym.camera.commands:add_arguments",
     ),
     Command(
-        "wiggle", "move one servo at a time next to its name", "hpac_gym.bridge.commands:add_wiggle"
+        "hand",
+        "wiggle",
+        "move one servo at a time next to its name",
+        "hpac_gym.bridge.commands:add_wiggle",
+    ),
+    Command(
+        "train",
+        "evaluate",
+        "evaluate policies on held-out episodes",
+        "hpac_gym.evaluation.evaluate:add_arguments",
+    ),
+    Command(
+        "train",
+        "export",
+        "write a policy file as ONNX with a card",
+        "hpac_gym.policies.export:add_arguments",
+    ),
+    Command(
+        "train",
+        "record",
+        "record episodes of a policy for Minari or LeRobot",
+        "hpac_gym.evaluation.dataset:add_arguments",
+    ),
+    Command(
+        "measure",
+        "benchmark",
+        "judge a policy by the benchmark's protocol, or check results files",
+        "hpac_gym.evaluation.benchmark:add_arguments",
+    ),
+    Command(
+        "measure",
+        "grasps",
+        "evaluate a policy on the sixteen named grasps",
+        "hpac_gym.evaluation.grasps:add_arguments",
+    ),
+    Command(
+        "measure",
+        "physics",
+        "check every engine and body against the paper and statics",
+        "hpac_gym.physics.conformance:add_arguments",
     ),
 )
 
@@ -123,22 +155,71 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(lambda: _main(sys.argv[1:] if argv is None else argv))
 
 
-def _main(argv: Sequence[str]) -> int:
-    parser = Parser(prog="hpac", description="The H-PAC tendon hand, from simulation to the servo.")
+def parser_of(argv: Sequence[str]) -> Parser:
+    """The parser of `hpac`, with the arguments of the one command that `argv` names."""
+    width = max(len(row.name) for row in COMMANDS)
+    lines = []
+    for group, about in GROUPS.items():
+        rows = [row for row in COMMANDS if row.group == group]
+        lines += ["", f"{group}: {about}", *(f"  {row.name:<{width}}  {row.help}" for row in rows)]
+    parser = Parser(
+        prog="hpac",
+        usage="hpac [-h] [--version] [--completion] COMMAND ...",
+        description="The H-PAC tendon hand, from simulation to the servo.",
+        epilog="\n".join(lines)[1:] + "\n\n'hpac COMMAND --help' tells more.",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     parser.add_argument("--version", action=_Version)
-    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
-    parsers = {
-        row.name: subparsers.add_parser(row.name, help=row.help, description=row.help)
-        for row in COMMANDS
-    }
+    parser.add_argument("--completion", action=_Completion)
+    subparsers = parser.add_subparsers(
+        prog="hpac", metavar="COMMAND", required=True, help=argparse.SUPPRESS
+    )
+    parsers = {row.name: subparsers.add_parser(row.name, description=row.help) for row in COMMANDS}
     name = next((word for word in argv if not word.startswith("-")), None)
     row = next((row for row in COMMANDS if row.name == name), None)
     sys.path.append("")  # the folder of the user, for module:My-v0 and module:function
     if row is not None:
         module, _, function = row.target.partition(":")
         getattr(import_module(module), function)(parsers[row.name])
-    arguments = parser.parse_args(argv)
+    return parser
+
+
+def _main(argv: Sequence[str]) -> int:
+    arguments = parser_of(argv).parse_args(argv)
     return arguments.run(arguments)
+
+
+def completion() -> str:
+    """A script that completes commands, options and files in bash, and in zsh after `bashcompinit`."""
+    cases = []
+    for row in COMMANDS:
+        parser = argparse.ArgumentParser()
+        module, _, function = row.target.partition(":")
+        getattr(import_module(module), function)(parser)
+        options = [name for action in parser._actions for name in action.option_strings]
+        cases.append(f"    {row.name}) words='{' '.join(options)}' ;;")
+    names = " ".join(row.name for row in COMMANDS)
+    return f"""_hpac() {{
+  local words='{names} --help --version'
+  [ "$COMP_CWORD" -gt 1 ] && case "${{COMP_WORDS[1]}}" in
+{chr(10).join(cases)}
+    *) words='' ;;
+  esac
+  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
+}}
+complete -o default -F _hpac hpac"""
+
+
+class _Completion(argparse.Action):
+    """Prints the script of `completion`."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
+        about = 'print completion for bash and zsh: eval "$(hpac --completion)"'
+        super().__init__(option_strings, dest, nargs=0, help=about)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        print(completion())
+        parser.exit()
 
 
 class _Version(argparse.Action):

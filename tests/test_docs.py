@@ -1,22 +1,64 @@
-"""The documentation's links lead somewhere, and its pictures are drawn by commands that it
-names.
+"""The documentation: links lead somewhere, programs run, commands parse, pages are short, and every
+picture and table is shown beside the command that made it.
 """
 
+import json
+import os
 import re
+import shlex
+import subprocess
+import sys
+import textwrap
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
 
+from hpac import COMMANDS, parser_of
+from hpac_gym.model import HPAC, hand_to_toml
+
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
-IMAGES = sorted((ROOT / "docs" / "images").iterdir())
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted(page for page in DOCS.rglob("*.md") if page.name != "measured.md"),
+]
+IMAGES = sorted((DOCS / "images").iterdir())
+TABLES = sorted((DOCS / "results" / "tables").glob("*.json"))
+
+WORDS = {
+    "docs/wire.md": 4_700,
+    "docs/study.md": 6_000,
+    "docs/environments/README.md": 2_800,
+    "docs/environments/grasp_any.md": 2_500,
+    "docs/environments/grasp_type.md": 2_200,
+    "docs/grasps.md": 2_200,
+    "docs/physics.md": 2_000,
+}
+"""Most words of the long pages, tables included. Others: `MOST_WORDS`. All pages: `ALL_WORDS`."""
+MOST_WORDS = 1_700
+ALL_WORDS = 38_500
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def text_of(page: Path) -> str:
+    return page.read_text(encoding="utf-8")
 
 
 def without_code(page: Path) -> str:
     """The text of a page, less its programs and commands."""
-    return re.sub(
-        r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
-    )
+    return re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE)
 
 
 def anchors(page: Path) -> set[str]:
@@ -32,7 +74,7 @@ def links(page: Path) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_link_leads_to_a_file_and_a_heading(page):
     for link in links(page):
         name, _, anchor = link.partition("#")
@@ -45,3 +87,164 @@ def test_every_link_leads_to_a_file_and_a_heading(page):
 def test_every_picture_is_shown(image):
     shown = {(page.parent / link).resolve() for page in PAGES for link in links(page)}
     assert image in shown
+
+
+# Programs ------------------------------------------------------------------------------------
+
+PROGRAMS = [page for page in PAGES if blocks(page, "python") and page.name != "CHANGELOG.md"]
+
+
+def learns(page: Path) -> bool:
+    """Whether the programs of a page load a learner, which alone takes seconds."""
+    return "stable_baselines3" in "".join(blocks(page, "python"))
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=name_of(page), marks=[pytest.mark.slow] if learns(page) else [])
+        for page in PROGRAMS
+    ],
+)
+def test_every_program_of_a_page_runs(page, tmp_path):
+    """In one file, one after the other: a page's programs may use what stands above them. Vector
+    environments of processes import that file.
+    """
+    lines = textwrap.indent("\n".join(blocks(page, "python")), "    ")
+    (tmp_path / "hand.toml").write_text(hand_to_toml(HPAC))  # as `hpac calibrate` writes one
+    file = tmp_path / "programs.py"
+    file.write_text(f"def main():\n{lines}\n\n\nif __name__ == '__main__':\n    main()\n")
+    done = subprocess.run(
+        [sys.executable, str(file)],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def commands_of(page: Path) -> list[str]:
+    """The lines of `hpac` in the blocks of a page."""
+    lines = []
+    for block in re.findall(r"^```(?:console|sh)?\n(.*?)^```", text_of(page), re.S | re.M):
+        joined = block.replace("\\\n", " ")
+        lines += [line.partition(" #")[0] for line in re.findall(r"^hpac .*", joined, re.M)]
+    return lines
+
+
+def named_in_text(page: Path) -> set[tuple[str, str]]:
+    """Commands of `hpac` with one of their options, as the text of a page names them."""
+    inline = re.findall(r"(?<!`)`hpac ([a-z]+)\b([^`]*)`(?!`)", without_code(page))
+    return {(name, word) for name, rest in inline for word in re.findall(r"--[a-z-]+", rest)}
+
+
+NAMES = {command.name for command in COMMANDS}
+
+
+def parse(line: str) -> None:
+    """Parse a line of `hpac` as the command does; run nothing.
+
+    Raises:
+        SystemExit: It is refused.
+    """
+    words = shlex.split(line.partition(" && ")[0])[1:]
+    if words[0] in NAMES:  # `hpac COMMAND --help` and the like
+        parser_of(words).parse_args(words)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if commands_of(page)], ids=name_of)
+def test_every_command_of_a_page_parses(page, capsys):
+    for line in commands_of(page):
+        status = 0
+        try:
+            parse(line)
+        except SystemExit as left:
+            status = left.code
+        assert status == 0, f"{line}: {capsys.readouterr().err}"
+
+
+def test_a_command_that_does_not_exist_is_found():
+    with pytest.raises(SystemExit):
+        parse("hpac evaluate --nonsense")
+
+
+def options_of(name: str) -> set[str]:
+    """The options of a command, from its help."""
+    with redirect_stdout(StringIO()) as told, pytest.raises(SystemExit):
+        parser_of([name]).parse_args([name, "--help"])
+    return set(re.findall(r"--[a-z-]+", told.getvalue()))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if named_in_text(page)], ids=name_of)
+def test_the_text_of_a_page_names_options_that_exist(page):
+    named = named_in_text(page)
+    assert {name for name, _ in named} <= NAMES
+    assert not {(name, option) for name, option in named if option not in options_of(name)}
+
+
+# Size ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent != ROOT], ids=name_of)
+def test_a_page_is_short(page):
+    words = len(text_of(page).split())
+    assert words <= WORDS.get(name_of(page), MOST_WORDS), f"{words} words"
+
+
+def test_all_pages_together_are_short(capsys):
+    pages = {name_of(page): len(text_of(page).split()) for page in PAGES if page.parent != ROOT}
+    with capsys.disabled():
+        print(f"\n{sum(pages.values()):,} words on {len(pages)} pages of docs")
+    assert sum(pages.values()) <= ALL_WORDS
+
+
+# Data and site -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", TABLES, ids=lambda path: path.stem)
+def test_a_table_has_its_command_and_is_linked(path):
+    table = json.loads(text_of(path))
+    assert table.keys() == {"title", "command", "note", "head", "rows"}
+    assert {len(row) for row in table["rows"]} == {len(table["head"])}
+    for module in re.findall(r"python -m ((?:agents|experiments|tools)\.\w+)", table["command"]):
+        assert (ROOT / (module.replace(".", "/") + ".py")).exists()
+    for line in table["command"].split("; "):
+        if line.startswith("hpac "):
+            parse(line)
+    shown = {(page.parent / link).resolve() for page in PAGES for link in links(page)}
+    assert path in shown
+
+
+def test_the_glossary_has_the_ten_words():
+    section = text_of(DOCS / "concepts.md").split("## Ten words")[1].split("\n## ")[0]
+    words = re.findall(r"^\| \*\*([\w-]+)\*\* \|", section, re.M)
+    assert sorted(words) == [
+        *("body", "closure", "deploy", "light", "privileged"),
+        *("set-up", "split", "synergy", "trial", "twin"),
+    ]
+
+
+def test_the_table_of_contents_has_every_page():
+    trees = "\n".join(blocks(DOCS / "index.md", r"\{toctree\}"))
+    listed = {line for line in trees.splitlines() if line and not line.startswith(":")}
+    pages = {name_of(page)[len("docs/") : -len(".md")] for page in PAGES if page.parent != ROOT}
+    assert listed == (pages - {"index"}) | {"measured"}
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning(tmp_path):
+    words = ["-m", "sphinx", "-q", "--fail-on-warning", "--keep-going", str(DOCS), str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, *words],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Every table" in (tmp_path / "measured.html").read_text(encoding="utf-8")
+    assert "HandLink" in (tmp_path / "_reference" / "hpac_gym.bridge.html").read_text()

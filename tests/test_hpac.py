@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 import hpac_gym
-from hpac import COMMANDS, main
+from hpac import COMMANDS, GROUPS, main
 from hpac_gym.command import INTERRUPTED, USAGE_ERROR, Parser, run, whole_number
 from hpac_gym.errors import EXTRA_OF, WorkspaceError
 
@@ -71,6 +71,45 @@ def test_help_lists_every_command_with_its_line():
     said = " ".join(hpac("--help").stdout.split())
     for command in COMMANDS:
         assert f"{command.name} {command.help}" in said
+
+
+def test_help_lists_commands_by_group():
+    said = hpac("--help").stdout
+    found = re.findall(r"^(\w+): |^  (\w+)  ", said.split("options:")[1], re.M)
+    groups = {group: [] for group in GROUPS}
+    for group, name in found:
+        if group:
+            last = group
+        else:
+            groups[last].append(name)
+    assert groups == {
+        group: [command.name for command in COMMANDS if command.group == group] for group in GROUPS
+    }
+    assert all(groups.values())
+
+
+def test_completion_knows_commands_options_and_files():
+    script = hpac("--completion").stdout
+
+    def completed(*words: str) -> list[str]:
+        ask = f"COMP_WORDS=({' '.join(words)!s}); COMP_CWORD={len(words) - 1}; _hpac; echo ${{COMPREPLY[@]}}"
+        done = subprocess.run(
+            ["bash", "-c", f"{script}\n{ask}"], capture_output=True, text=True, check=True
+        )
+        return done.stdout.split()
+
+    assert completed("hpac", "do") == ["doctor"]
+    assert completed("hpac", "benchmark", "--tr") == ["--training-seeds"]
+    assert completed("hpac", "nonsense", "--a") == []
+    assert "complete -o default" in script
+
+
+def test_one_place_says_how_to_install_an_extra():
+    """The package is on no index: every message names the checkout."""
+    sources = [path for path in (ROOT / "hpac_gym").rglob("*.py") if path.name != "errors.py"]
+    sources += [*(ROOT / "agents").glob("*.py"), *(ROOT / "experiments").glob("*.py")]
+    texts = {path: path.read_text(encoding="utf-8") for path in sources}
+    assert not [path for path, text in texts.items() if re.search(r"hpac_gym\[|'\.\[", text)]
 
 
 def test_the_version_is_that_of_the_package():

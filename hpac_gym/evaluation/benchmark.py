@@ -411,12 +411,19 @@ def read(path: Path) -> Results:
     return results
 
 
-def check(paths: Sequence[Path]) -> int:
-    """Print the faults of results files, or their tables; returns the exit status, 1 if there are
-    faults.
+def check(paths: Sequence[Path], as_json: bool = False) -> int:
+    """Print the faults of results files, or their tables, or both as one JSON object; returns the
+    exit status, 1 if there are faults.
     """
     files = [read(path) for path in paths]
     bad = False
+    if as_json:
+        told = [
+            {"path": str(path), "faults": list(faults(results)), "summary": results.get("summary")}
+            for path, results in zip(paths, files, strict=True)
+        ]
+        print(json.dumps({"files": told}))
+        return int(any(file["faults"] for file in told))
     for path, results in zip(paths, files, strict=True):
         found = list(faults(results))
         bad |= bool(found)
@@ -495,14 +502,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check", type=Path, nargs="+", metavar="FILE", help="check results files instead"
     )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of tables")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command: evaluate every cell, or check results files."""
     if args.check:
-        return check(args.check)
+        return check(args.check, args.json)
     if not (args.env and args.policy and args.out):
         raise ResultsError("an environment, --policy and --out are needed, or --check")
-    print(table(judge_all(args)))
+    results = judge_all(args)
+    print(json.dumps(results) if args.json else table(results))
     return 0

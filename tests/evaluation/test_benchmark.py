@@ -98,6 +98,9 @@ def test_what_nobody_trained_has_one_run_with_its_wilson_interval(tmp_path, caps
     assert cell["interval_95"] == list(wilson_interval(cell["successes"], 40))
     assert main(["--check", str(tmp_path / "random.json")]) == 0
     assert "valid" in capsys.readouterr().out
+    assert main(["--check", str(tmp_path / "random.json"), "--json"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)["files"]
+    assert (told["faults"], told["summary"]) == ([], results["summary"])
 
 
 def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, trained):
