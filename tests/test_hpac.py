@@ -276,7 +276,6 @@ def packages_of_extras() -> dict[str, set[str]]:
 
 
 DISTRIBUTION = {
-    "cv2": "opencv-python-headless",
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
     "sb3_contrib": "sb3-contrib",

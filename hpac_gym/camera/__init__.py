@@ -4,7 +4,7 @@ OpenCV is loaded by what needs it, so that commands can tell their help without 
 
 from types import ModuleType
 
-from hpac_gym.errors import HpacError, install
+from hpac_gym.errors import HpacError
 
 
 class CameraError(HpacError, RuntimeError):
