@@ -88,15 +88,16 @@ docs: setup ## build the site in docs/_build/html; a warning is an error
 	@$(BIN)/python -m sphinx --fail-on-warning --keep-going -q docs docs/_build/html
 	@echo "docs/_build/html/index.html"
 
-lint: setup ## check the format and the style of the Python code
+lint: setup ## check the format, the style and the types of the Python code
 	@$(BIN)/ruff format --check --quiet . || { echo "not formatted: run 'ruff format' ($(BIN)/ruff)"; exit 1; }
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/python -m tools.style $$(git ls-files '*.py')
+	@$(BIN)/mypy --no-error-summary
 
 size: setup ## count files, statements and lines by folder
 	@$(BIN)/python -m tools.size
 
 clean: ## remove what was built, but neither .venv nor runs
-	@rm -rf build dist docs/_build docs/_reference docs/measured.md .pytest_cache .hypothesis .ruff_cache
+	@rm -rf build dist docs/_build docs/_reference docs/measured.md .pytest_cache .hypothesis .ruff_cache .mypy_cache
 	@find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 	@$(MAKE) -C firmware clean

@@ -85,7 +85,7 @@ def _compiled(folder: Path, name: str) -> Path:
     except OSError as error:
         if isinstance(error, FirmwareMissing):
             raise
-        reason = error.strerror or error
+        reason = error.strerror or str(error)
         raise FirmwareMissing(
             f"cannot write '{path}': {reason}; XDG_CACHE_HOME names another folder"
         ) from None

@@ -18,6 +18,7 @@ from dataclasses import astuple, fields
 from functools import cache
 from pathlib import Path
 from shutil import rmtree
+from typing import IO, cast
 
 import numpy as np
 
@@ -62,8 +63,9 @@ class HostBoard:
             text=True,
             start_new_session=True,  # Ctrl-C must not end the board before the host has released it
         )
-        ready, _, _ = select.select([self.process.stdout], [], [], _START_TIMEOUT)
-        self.port = self.process.stdout.readline().strip() if ready else ""
+        self._said = cast("IO[str]", self.process.stdout)
+        ready, _, _ = select.select([self._said], [], [], _START_TIMEOUT)
+        self.port = self._said.readline().strip() if ready else ""
         if not self.port:
             self.__exit__()
             raise PortError(f"{program} did not open a pseudo-terminal")
@@ -78,7 +80,7 @@ class HostBoard:
         except subprocess.TimeoutExpired:  # for example stopped in a debugger
             self.process.kill()
             self.process.wait()
-        self.process.stdout.close()
+        self._said.close()
         rmtree(self._folder, ignore_errors=True)
 
     def connect(self) -> SerialTransport:
