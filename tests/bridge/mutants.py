@@ -46,7 +46,7 @@ EQUIVALENT = {
     "commands.py swap move_duration(rest, command.servo, hand) → move_duration(command.servo, rest, hand)": "as long back",
     "commands.py swap move_duration(rest, target, hand) → move_duration(target, rest, hand)": "as long back",
     "errors.py shift 3 → 6 in warnings.warn(warning, stacklevel=3)": "the line that a warning is blamed on",
-    "evidence/oracle.py delete self._rest = self._rest[-300:]": "bounds the memory alone",
+    "evidence/codec.py delete self._rest = self._rest[-300:]": "bounds the memory alone",
     "evidence/oracle.py delete return None": "the end of a function, or a test goes red",
 }
 """What a mutant does, without its line number, and why nothing that a user can see differs."""

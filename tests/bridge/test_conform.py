@@ -10,11 +10,11 @@ from functools import cache
 import pytest
 
 from hpac_gym.bridge import HostBoard, VirtualHand
+from hpac_gym.bridge.evidence import codec
 from hpac_gym.bridge.evidence import conform as suite
-from hpac_gym.bridge.evidence import oracle
+from hpac_gym.bridge.evidence.codec import unseal
 from hpac_gym.bridge.evidence.conform import RULES, conform
 from hpac_gym.bridge.evidence.device import OURS, BrokenRule, Device
-from hpac_gym.bridge.evidence.oracle import unseal
 from hpac_gym.bridge.protocol import Fault, State
 from hpac_gym.model import HPAC
 from tests.bridge.test_commands import run
@@ -72,14 +72,14 @@ WRONG = {
     LosesStep: {"junk does not affect later frames", "a lost byte costs at most one frame"},
     rewriting(
         "Chatty",
-        heard=lambda body: put(body, body[1] in (oracle.MOVE, oracle.HEARTBEAT), -1, body[4] & ~2),
+        heard=lambda body: put(body, body[1] in (codec.MOVE, codec.HEARTBEAT), -1, body[4] & ~2),
     ): {"no ACK where none is wanted, refusals always"},
     rewriting(
-        "ChattyInMoves", heard=lambda body: put(body, body[1] == oracle.MOVE, -1, body[4] & ~2)
+        "ChattyInMoves", heard=lambda body: put(body, body[1] == codec.MOVE, -1, body[4] & ~2)
     ): {"no ACK where none is wanted, refusals always"},
     rewriting(
         "GoesOnTelling",
-        heard=lambda body: put(body, body[1] == oracle.STATUS and not any(body[5:]), 0, 50),
+        heard=lambda body: put(body, body[1] == codec.STATUS and not any(body[5:]), 0, 50),
     ): {"periodic STATUS"},
     rewriting(
         "TakenOverByALook", heard=lambda body: put(body, body[1] == 1 and not any(body[5:9]), 0, 1)
@@ -247,13 +247,13 @@ READ = (4, 5, 6, 7, 8, 9, 10, 30, 32, 36, 38, 42, 48)
 two.
 """
 LIES = {
-    0: [silent, turned(oracle.FAULT, 5, 1)],
-    oracle.DEVICE_HELLO: [
-        turned(oracle.DEVICE_HELLO, *where) for where in ((0, 1), (1, 3), (5, 1), (12, 1), (34, 1))
+    0: [silent, turned(codec.FAULT, 5, 1)],
+    codec.DEVICE_HELLO: [
+        turned(codec.DEVICE_HELLO, *where) for where in ((0, 1), (1, 3), (5, 1), (12, 1), (34, 1))
     ],
-    oracle.ACK: [turned(oracle.ACK, at, 1) for at in (1, 6, 7)],
-    oracle.DEVICE_STATUS: [
-        turned(oracle.DEVICE_STATUS, at, bits)
+    codec.ACK: [turned(codec.ACK, at, 1) for at in (1, 6, 7)],
+    codec.DEVICE_STATUS: [
+        turned(codec.DEVICE_STATUS, at, bits)
         for at in (1, *(5 + at for at in READ))
         for bits in (1, 2, 7)
     ],

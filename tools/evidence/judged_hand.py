@@ -9,10 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hpac_gym.bridge.evidence import oracle as wire
-from hpac_gym.bridge.evidence.oracle import Oracle
+from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.hands import VirtualHand
 from hpac_gym.bridge.protocol import Reset
+from tools.evidence.oracle import Oracle
 
 
 class JudgedHand(VirtualHand):

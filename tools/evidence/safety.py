@@ -23,7 +23,7 @@ import numpy as np
 
 from hpac_gym.bridge.commands import verdict
 from hpac_gym.bridge.errors import BridgeError, FaultError
-from hpac_gym.bridge.evidence import oracle as wire
+from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.firmware import firmware_file
 from hpac_gym.bridge.hands import HostBoard, VirtualHand, VirtualTransport
 from hpac_gym.bridge.link import HandLink
@@ -43,6 +43,7 @@ from tools.evidence.judged_hand import (
     Shifted,
     StartsAtOnce,
 )
+from tools.evidence.oracle import Oracle
 from tools.evidence.sessions import BOUND, run_sessions, seconds_with_pulses
 
 BOARD_TICK_US = 20_000
@@ -163,7 +164,7 @@ def _random_moves(kind: Hands, rule: str, moves: int = 400) -> Played:
 
 
 @cache
-def _moved_at_random(kind: Hands, moves: int) -> wire.Oracle:
+def _moved_at_random(kind: Hands, moves: int) -> Oracle:
     """The oracle of a hand after these moves, for all the rules that they try."""
     hand = kind()
     rng = np.random.default_rng(4)

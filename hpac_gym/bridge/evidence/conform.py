@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from hpac_gym.bridge.errors import BridgeError
-from hpac_gym.bridge.evidence import oracle as wire
+from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.evidence.device import (
     OURS,
     SESSION,

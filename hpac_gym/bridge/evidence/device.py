@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from hpac_gym.bridge.evidence import oracle as wire
+from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.bridge.limits import servo_limits
 from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, name_of
 from hpac_gym.bridge.transport import Transport

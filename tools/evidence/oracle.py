@@ -1,32 +1,20 @@
 """An oracle for hands: checks pulses against docs/wire.md, given the bytes that the hand received
 and sent.
 
-Written from the document alone. It has its own codec, its own servo table from the hand's
-parameters, and its own clock; it imports nothing from the link, the Python codec or the firmware
-core."""
+Written from the document alone. It has a codec of its own (`hpac_gym.bridge.evidence.codec`), its own
+servo table from the hand's parameters, and its own clock; it imports nothing from the link, the Python
+codec or the firmware core."""
 
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
+from hpac_gym.bridge.evidence import codec as wire
 from hpac_gym.model import HPAC, SERVOS, Hand
-
-VERSION = 2
-HELLO, ARM, MOVE, HEARTBEAT, ESTOP, CLEAR, STATUS = range(1, 8)
-DEVICE_HELLO, ACK, DEVICE_STATUS, FAULT = range(0x81, 0x85)
-LENGTHS = {HELLO: 4, ARM: 11, MOVE: 18, HEARTBEAT: 4, ESTOP: 0, CLEAR: 4, STATUS: 2}
-"""Payload length of each host message [bytes]."""
-MINIMUM_JERK = 1
-NO_ACK = 2
-HOLD, RELAX, DETACH = range(3)
-FAULT_ESTOP = 1
-FAULT_WATCHDOG = 2
-FAULT_OVERLOAD = 3
 
 WATCHDOG_US = (100_000, 2_000_000)
 HOLD_US = 30_000_000
@@ -43,74 +31,6 @@ CREDIT_ANGLE = 1e-4
 """Permitted lead of a servo over its rate limit: 1 ms at the limit, plus 1e-4 rad."""
 
 RULES = ("range", "rate", "start", "unarmed", "estop", "silence", "accept")
-
-
-def frame(
-    kind: int, seq: int, payload: bytes = b"", flags: int = 0, version: int = VERSION
-) -> bytes:
-    """Encode a frame for the wire."""
-    return seal(struct.pack("<BBHB", version, kind, seq, flags) + payload)
-
-
-def seal(body: bytes) -> bytes:
-    """Header and payload with CRC-32 and COBS, between zeros."""
-    data = body + struct.pack("<I", zlib.crc32(body))
-    out = bytearray()
-    run = bytearray()
-    for byte in data:
-        if byte:
-            run.append(byte)
-        else:
-            out += bytes([len(run) + 1]) + run
-            run.clear()
-    return b"\0" + bytes(out) + bytes([len(run) + 1]) + bytes(run) + b"\0"
-
-
-def unseal(piece: bytes) -> tuple[bytes, bool] | None:
-    """Header and payload of a piece between two zeros, and whether its CRC is right; None if it is
-    not COBS or too short.
-    """
-    data = bytearray()
-    at = 0
-    while at < len(piece):
-        step = piece[at]
-        if at + step > len(piece):
-            return None
-        data += piece[at + 1 : at + step]
-        at += step
-        if at < len(piece):
-            data.append(0)
-    if len(data) < 9:
-        return None
-    return bytes(data[:-4]), zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0]
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """An intact frame."""
-
-    version: int
-    kind: int
-    seq: int
-    flags: int
-    payload: bytes
-
-
-class Reader:
-    """Splits a byte stream into intact frames."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-
-    def push(self, data: bytes) -> list[Message]:
-        """Process bytes and return the intact frames that they complete."""
-        *pieces, self._rest = (self._rest + data).split(b"\0")
-        self._rest = self._rest[-300:]
-        messages = []
-        for body, intact in filter(None, (unseal(piece) for piece in pieces if piece)):
-            version, kind, seq, flags = struct.unpack("<BBHB", body[:5])
-            messages += [Message(version, kind, seq, flags, body[5:])] if intact else []
-        return messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +54,7 @@ class Oracle:
         complaints: the first hundred violations, in order.
         broken: number of violations, by rule.
         tried: number of checks of each of `RULES`.
-        session: nonce of the last HELLO that opens a session; 0 before the first.
+        session: nonce of the last wire.HELLO that opens a session; 0 before the first.
     """
 
     def __init__(
@@ -157,14 +77,14 @@ class Oracle:
         self.complaints: list[Complaint] = []
         self.broken: Counter[str] = Counter()
         self.tried: Counter[str] = Counter(dict.fromkeys(RULES, 0))
-        self._from_host = Reader()
-        self._from_hand = Reader()
+        self._from_host = wire.Reader()
+        self._from_hand = wire.Reader()
         self.power_on()
 
     def power_on(self) -> None:
         """Note a restart of the chip: no session, no pulses."""
         self.session = 0
-        self._waiting: dict[tuple[int, int], tuple[int, Message]] = {}
+        self._waiting: dict[tuple[int, int], tuple[int, wire.Message]] = {}
         self._armed = False
         self._ending = -1  # the action started by a fault
         self._ending_us = 0
@@ -189,13 +109,13 @@ class Oracle:
     def host(self, now_us: int, data: bytes) -> None:
         """Record bytes that reached the hand."""
         for message in self._from_host.push(data):
-            if message.kind == ESTOP:  # from any sender, with any contents
+            if message.kind == wire.ESTOP:  # from any sender, with any contents
                 self.tried["estop"] += 1
-                self._end(DETACH, now_us, "estop")
-            elif message.version == VERSION:
+                self._end(wire.DETACH, now_us, "estop")
+            elif message.version == wire.VERSION:
                 self._waiting[message.kind, message.seq] = (now_us, message)
                 if (
-                    message.kind == HELLO
+                    message.kind == wire.HELLO
                     and message.payload != bytes(4)
                     and len(message.payload) == 4
                     and not message.flags
@@ -213,24 +133,29 @@ class Oracle:
     def device(self, now_us: int, data: bytes) -> None:
         """Record bytes that the hand sent: executed messages, and faults that it detected."""
         for message in self._from_hand.push(data):
-            if message.kind == ACK and len(message.payload) == 4 and message.payload[1] == 0:
+            if message.kind == wire.ACK and len(message.payload) == 4 and message.payload[1] == 0:
                 sent_us, question = self._waiting.pop(
                     (message.payload[0], message.seq), (now_us, None)
                 )
                 if question is not None:
                     self._carried_out(sent_us, question)
-                elif message.payload[0] != ESTOP:
+                elif message.payload[0] != wire.ESTOP:
                     self._complain(
                         "accept",
                         now_us,
                         f"message {message.payload[0]} was carried out, but never came",
                     )
-            elif message.kind == FAULT and message.payload[0] not in (FAULT_ESTOP, FAULT_WATCHDOG):
+            elif message.kind == wire.FAULT and message.payload[0] not in (
+                wire.FAULT_ESTOP,
+                wire.FAULT_WATCHDOG,
+            ):
                 self._end(
-                    RELAX if message.payload[0] == FAULT_OVERLOAD else DETACH, now_us, "silence"
+                    wire.RELAX if message.payload[0] == wire.FAULT_OVERLOAD else wire.DETACH,
+                    now_us,
+                    "silence",
                 )
 
-    def _carried_out(self, now_us: int, message: Message) -> None:
+    def _carried_out(self, now_us: int, message: wire.Message) -> None:
         self.tried["accept"] += 1
         if (why := self._must_refuse(message)) is not None:
             self._complain(
@@ -238,46 +163,46 @@ class Oracle:
                 now_us,
                 f"message {message.kind} of sequence {message.seq} was carried out: {why}",
             )
-        if message.kind in (ARM, MOVE, HEARTBEAT):
+        if message.kind in (wire.ARM, wire.MOVE, wire.HEARTBEAT):
             self._fed_us = max(self._fed_us, now_us)
-        if message.kind == ARM:
+        if message.kind == wire.ARM:
             _, _, watchdog_ms, self._action = struct.unpack("<IIHB", message.payload)
             self._watchdog_us = watchdog_ms * 1000
             self._armed = True
             self._ending = -1
-        elif message.kind == CLEAR:
+        elif message.kind == wire.CLEAR:
             self._armed = False
             self._ending = -1
             self._repeatable = False
-        elif message.kind == MOVE:
+        elif message.kind == wire.MOVE:
             self._last_move = (message.seq, message.payload)
             self._repeatable = True
 
-    def _must_refuse(self, message: Message) -> str | None:
+    def _must_refuse(self, message: wire.Message) -> str | None:
         """Reason for which the hand must refuse this message, as far as an observer can know; None
         without one.
         """
-        if len(message.payload) != LENGTHS.get(message.kind, -1):
+        if len(message.payload) != wire.LENGTHS.get(message.kind, -1):
             return f"payload of {len(message.payload)} bytes"
         if message.flags & ~(
-            3 if message.kind == MOVE else NO_ACK if message.kind == HEARTBEAT else 0
+            3 if message.kind == wire.MOVE else wire.NO_ACK if message.kind == wire.HEARTBEAT else 0
         ):
             return f"flags {message.flags}"
-        if message.kind == STATUS:
+        if message.kind == wire.STATUS:
             return None
         session = struct.unpack_from("<I", message.payload)[0]
         if not self.session or session != self.session:
             return f"session {session:08x} instead of {self.session:08x}"
-        if message.kind == ARM:
+        if message.kind == wire.ARM:
             _, _, watchdog_ms, action = struct.unpack("<IIHB", message.payload)
-            if action > DETACH or not WATCHDOG_US[0] <= watchdog_ms * 1000 <= WATCHDOG_US[1]:
+            if action > wire.DETACH or not WATCHDOG_US[0] <= watchdog_ms * 1000 <= WATCHDOG_US[1]:
                 return f"action {action}, watchdog {watchdog_ms} ms"
             return "a fault is latched" if self._ending >= 0 else None
-        if message.kind == MOVE:
+        if message.kind == wire.MOVE:
             return self._move_must_be_refused(message)
         return None
 
-    def _move_must_be_refused(self, message: Message) -> str | None:
+    def _move_must_be_refused(self, message: wire.Message) -> str | None:
         if not self._armed:
             return "the hand is not armed"
         _, duration_ms, *steps = struct.unpack("<IH6h", message.payload)
@@ -325,8 +250,8 @@ class Oracle:
             return
         allowed_us = (
             0.0
-            if self._ending == DETACH
-            else self._way_to_rest_us + (HOLD_US if self._ending == HOLD else 0)
+            if self._ending == wire.DETACH
+            else self._way_to_rest_us + (HOLD_US if self._ending == wire.HOLD else 0)
         )
         self.tried[self._ending_rule] += 1
         if powered and now_us > self._ending_us + allowed_us + 2 * self._period_us:
@@ -379,8 +304,8 @@ class Oracle:
             self._over[i] = 0.0
             return
         moved = abs(angle - before)
-        slow = self._ending == RELAX or (
-            self._ending == HOLD and now_us > self._ending_us + HOLD_US
+        slow = self._ending == wire.RELAX or (
+            self._ending == wire.HOLD and now_us > self._ending_us + HOLD_US
         )
         rate = self._rate[i] * (RELAX_SHARE if slow else 1.0)
         allowed = rate * RATE_EXCESS * min(step_us, STEP_MAX_US) * 1e-6
@@ -393,7 +318,7 @@ class Oracle:
             self._over[i] = 0.0
         if self._ending < 0 or now_us <= self._ending_us + self._period_us:
             return
-        if self._ending == HOLD and now_us < self._ending_us + HOLD_US and moved > ROUNDING:
+        if self._ending == wire.HOLD and now_us < self._ending_us + HOLD_US and moved > ROUNDING:
             self._complain("silence", now_us, f"{SERVOS[i]} moves although the hand must hold")
         if slow and abs(angle - self._rest[i]) > abs(before - self._rest[i]) + ROUNDING:
             self._complain(
