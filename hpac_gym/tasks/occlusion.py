@@ -153,16 +153,36 @@ def covered(
     f = np.einsum("nmi,nmi->nm", bone, way)[:, None]
     b = ray @ bone.swapaxes(1, 2)
     c = ray @ way.swapaxes(1, 2)
-    along = _share((b * f - c * e) / np.maximum(a * e - b * b, 1e-18))
-    across = _share((b * along + f) / e)
-    along = _share((b * across - c) / a)
+    # In place: with many worlds new memory for every operation costs more than the arithmetic.
+    along = b * f
+    along -= c * e
+    apart = a * e
+    apart -= b * b
+    along /= np.maximum(apart, 1e-18, out=apart)
+    across = b * _share(along)
+    across += f
+    across /= e
+    np.multiply(b, _share(across), out=along)
+    along -= c
+    along /= a
     square = np.einsum("nmi,nmi->nm", way, way)[:, None]
-    distance = square + along * (along * a + 2 * (c - across * b)) + across * (across * e - 2 * f)
-    return (distance < (SKIN * radius[:, None]) ** 2).any(axis=2)
+    # square + along (along a + 2 (c − across b)) + across (across e − 2 f)
+    distance = np.multiply(across, b, out=apart)
+    np.subtract(c, distance, out=distance)
+    distance *= 2
+    distance += _share(along) * a
+    distance *= along
+    distance += square
+    rest = np.multiply(across, e, out=b)
+    rest -= 2 * f
+    rest *= across
+    distance += rest
+    return np.logical_or.reduce(distance < (SKIN * radius[:, None]) ** 2, axis=2)
 
 
 def _share(value: Array) -> Array:
-    return np.minimum(np.maximum(value, 0.0), 1.0)
+    """The value, limited in place to 0…1."""
+    return np.minimum(np.maximum(value, 0.0, out=value), 1.0, out=value)
 
 
 def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Array]:

@@ -190,4 +190,4 @@ class PyBulletEngine(Engine):
 
     def close(self) -> None:
         for scene in self.scenes:
-            scene.world.close()
+            scene.close()

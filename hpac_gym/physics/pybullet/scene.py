@@ -25,6 +25,8 @@ from hpac_gym.physics.settings import WorldSettings
 
 _EPISODES = 200
 """Number of episodes after which the hand is loaded again."""
+_STAGES = 2
+"""Number of loaded hands that a scene keeps: beside an object, and above one."""
 LINK = 3
 POINT = 6
 NORMAL = 7
@@ -35,16 +37,77 @@ distance, normal force.
 """
 
 
-class Scene:
-    """One world, reset for every episode.
+class Stage:
+    """One PyBullet world with one loaded hand, and its snapshot at rest.
 
     Loading a hand takes a hundred times as long as restoring a snapshot, so the loaded hand is
     reconfigured. The snapshot is taken after a physics step, without which PyBullet does not replay
-    bit-exactly. The hand is loaded again for another body, armature, orientation or mounting, and
-    every `_EPISODES` episodes, because PyBullet retains memory of every removed body and shape
-    until the world is cleared.
+    bit-exactly.
+
+    Args:
+        settings: settings of the world.
+        visuals: load visual shapes.
+    """
+
+    def __init__(self, settings: WorldSettings, visuals: bool) -> None:
+        self.world = World(settings)
+        self._visuals = visuals
+        self.hand: SimHand | None = None
+        self.start: tuple | None = None
+        """What loading determines: armature, orientation, mounting and geometry of the hand."""
+        self._added: list[int] = []
+        self._episodes = 0
+
+    def prepare(self, setup: SceneSetup) -> None:
+        """Put the setup's hand at rest into the otherwise empty world. It is loaded again every
+        `_EPISODES` episodes, because PyBullet retains memory of every removed body and shape until
+        the world is cleared.
+        """
+        hand = setup.hand
+        settings = setup.hand_settings
+        client = self.world.client
+        if (start := start_of(setup)) != self.start or self._episodes == _EPISODES:
+            if self.hand is not None:
+                self.world.clear()
+                self._added.clear()
+            _, quaternion, on_wrist, geometry = start
+            self.hand = SimHand(
+                self.world, hand, settings, geometry, on_wrist, quaternion, self._visuals
+            )
+            self.start = start
+            self._episodes = 0
+            pybullet.stepSimulation(client)
+            self._snapshot = pybullet.saveState(physicsClientId=client)
+        elif self.hand.hand is not hand or self.hand.settings != settings:
+            self.hand.configure(hand, settings)
+        self._episodes += 1
+        for body in reversed(self._added):
+            pybullet.removeBody(body, physicsClientId=client)
+        self._added.clear()
+        # Drop the cached pairs of nearby links: the solver processes contacts in the order in which
+        # pairs first met.
+        self.hand.collide(False)
+        pybullet.performCollisionDetection(client)
+        self.hand.collide(True)
+        pybullet.restoreState(self._snapshot, physicsClientId=client)
+
+    def add(self, *bodies: int) -> None:
+        """Bodies to be removed before the next episode."""
+        self._added += bodies
+
+
+def start_of(setup: SceneSetup) -> tuple:
+    """What a setup asks of a loaded hand; see `Stage.start`."""
+    on_wrist = setup.object is not None
+    return setup.hand_settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
+
+
+class Scene:
+    """One world of the engine, reset for every episode; a hand that starts otherwise, as in another
+    orientation, is on a `Stage` of its own.
 
     Attributes:
+        world: the PyBullet world of the current episode.
         hand: the simulated hand.
         object: the simulated object; None for a hand alone.
         supports: bodies that the object may stand on: posts, walls, table, and the target's post.
@@ -52,17 +115,19 @@ class Scene:
     """
 
     def __init__(self, settings: WorldSettings, visuals: bool) -> None:
-        self.world = World(settings)
+        self._settings = settings
         self._visuals = visuals
+        self._stages = [Stage(settings, visuals)]
+        self.world = self._stages[0].world
         self.hand: SimHand | None = None
-        self._added: list[int] = []
-        self._episodes = 0
 
     def reset(self, setup: SceneSetup) -> None:
         """Set up an episode. The same setup gives the same trajectory, to the bit, regardless of
         earlier episodes.
         """
-        self._start_hand(setup)
+        stage = self._staged(setup)
+        self.world = stage.world
+        self.hand = stage.hand
         self.hand.reset(setup.synergy)
         self.object: SimObject | None = None
         self.supports: tuple[int, ...] = ()
@@ -84,43 +149,19 @@ class Scene:
             )
         if not setup.fixed:
             self._add_supports(setup)
-        self._added += [self.object.body, *self.supports]
+        stage.add(self.object.body, *self.supports)
 
-    def _start_hand(self, setup: SceneSetup) -> None:
-        """Put a hand at rest into an otherwise empty world."""
-        hand = setup.hand
-        settings = setup.hand_settings
-        on_wrist = setup.object is not None
-        start = settings.armature, setup.hand_quaternion, on_wrist, setup.geometry
-        if self.hand is None or self._start != start or self._episodes == _EPISODES:
-            if self.hand is not None:
-                self.world.clear()
-                self._added.clear()
-            self.hand = SimHand(
-                self.world,
-                hand,
-                settings,
-                setup.geometry,
-                on_wrist,
-                setup.hand_quaternion,
-                self._visuals,
-            )
-            self._start = start
-            self._episodes = 0
-            self.world.step()
-            self._snapshot = pybullet.saveState(physicsClientId=self.world.client)
-        elif self.hand.hand is not hand or self.hand.settings != settings:
-            self.hand.configure(hand, settings)
-        self._episodes += 1
-        for body in reversed(self._added):
-            pybullet.removeBody(body, physicsClientId=self.world.client)
-        self._added.clear()
-        # Drop the cached pairs of nearby links: the solver processes contacts in the order in which
-        # pairs first met.
-        self.hand.collide(False)
-        pybullet.performCollisionDetection(self.world.client)
-        self.hand.collide(True)
-        pybullet.restoreState(self._snapshot, physicsClientId=self.world.client)
+    def _staged(self, setup: SceneSetup) -> Stage:
+        """The stage of a setup, with its hand at rest; the last one used is the last of the list."""
+        start = start_of(setup)
+        stages = self._stages
+        same = [stage for stage in stages if stage.start in (start, None)]
+        if not same and len(stages) < _STAGES:
+            same = [Stage(self._settings, self._visuals)]
+        stage = same[0] if same else stages[0]
+        self._stages = [*(other for other in stages if other is not stage), stage]
+        stage.prepare(setup)
+        return stage
 
     def _add_supports(self, setup: SceneSetup) -> None:
         boxes, table, target, turn = support_boxes(setup, _matrix)
@@ -159,6 +200,11 @@ class Scene:
             if force is not None:
                 item.push(force)
             pybullet.stepSimulation(client)
+
+    def close(self) -> None:
+        """Disconnect from all worlds. Closing twice is allowed."""
+        for stage in self._stages:
+            stage.world.close()
 
     def touches(self, body: int) -> bool:
         """True if the object touches another body."""

@@ -76,10 +76,6 @@ class World:
             )
         pybullet.setGravity(0, 0, -self.settings.gravity, physicsClientId=self.client)
 
-    def step(self) -> None:
-        """Advance by one physics step."""
-        pybullet.stepSimulation(self.client)
-
     def close(self) -> None:
         """Disconnect. Closing twice is allowed."""
         if self.client >= 0:
