@@ -73,6 +73,7 @@ class Body(Nobody):
         half = tuple(side * error for side in setup.object.half_extents)
         self.seen_object = ObjectSpec(setup.object.shape, half, 0.1, 0.8)
         self.setup = setup
+        self._wrist = env.task.wrist_path(setup, env.episodes.times)[None]
 
     def ready(self, wait: Any, told: dict[str, Any]) -> None:
         """The arm's table and the physics begin."""
@@ -90,9 +91,9 @@ class Body(Nobody):
         if self._latched is None or since % LATCH_US == 0:
             self._latched = servo_from_pulses(pulses)
         while self.outcome == RUNNING and (self._step + 1) * dt * 1e6 <= since:
-            row = min(self._step, self._episodes._wrist.shape[1] - 1)
+            row = min(self._step, self._wrist.shape[1] - 1)
             simulation.command(self._latched[None], dt)
-            simulation.advance(self._episodes._wrist[:, row : row + 1])
+            simulation.advance(self._wrist[:, row : row + 1])
             self._step += 1
             if self._step % substeps == 0:
                 state = simulation.state()

@@ -76,6 +76,7 @@ class Episodes:
         observation_space: observation space of one world.
         randomizations: randomization of future episodes, one per world.
         action_space: action space of one world.
+        times: ends of an episode's physics steps [s].
         outcome: status of each episode, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
     """
 
@@ -108,7 +109,7 @@ class Episodes:
         self._substeps = round(self.dt / self.simulation.engine.dt)
         steps = round(task.duration * CONTROL_HZ)
         times = np.cumsum(np.full(steps * self._substeps, self.simulation.engine.dt))
-        self._times = tuple(times.tolist())
+        self.times = tuple(times.tolist())
         self._clock = self._by_step(times)
         more = {"privileged": task.privileged_terms, **task.sensed_terms}
         self._layout = Layout((*task.terms, *more.get(options.obs, ())), num_worlds)
@@ -226,7 +227,7 @@ class Episodes:
         for world, setup in zip(worlds, setups, strict=True):
             self.setups[world] = setup
             self._rotation[world] = setup.hand_rotation
-            self._wrist[world] = self._by_step(self.task.wrist_path(setup, self._times))
+            self._wrist[world] = self._by_step(self.task.wrist_path(setup, self.times))
             start = self._start_of(*setup.synergy.tolist())
             self._servo[world], self._predicted[world], self._last_action[world] = start
         index = np.asarray(worlds)
