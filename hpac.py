@@ -6,6 +6,7 @@ NumPy."""
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -152,6 +153,9 @@ COMMANDS = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    # Modules of the current folder, such as the one that registers `--env mymodule:My-v0`. Last, so
+    # that a file there hides no library.
+    sys.path.append(os.getcwd())
     return run(lambda: _main(sys.argv[1:] if argv is None else argv))
 
 

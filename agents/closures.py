@@ -139,7 +139,7 @@ class Worlds:
         self.observed = self.episodes.observation_space.shape[0] + self._told.shape[1]
         self.first_seen = np.zeros((count, self.observed), np.float32)
         self._came_to = self.first_seen[:, self.deployed :].copy()
-        self._close = task.phases.index("close")
+        self._close = task.phases.index("close") if "close" in task.phases else self.phases
         self._closures = recipe.closures
         self._decisions = np.zeros((count, len(self._closures.names)))
         self._steps = np.zeros(count, dtype=int)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium.spaces import Box
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 from torch import nn
@@ -31,7 +32,7 @@ from hpac_gym.evaluation.environment import versions
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
-from hpac_gym.registration import GRASP
+from hpac_gym.registration import GRASP, full_id
 
 ENGINE = "mujoco"
 SAVE_EVERY_S = 60.0
@@ -205,11 +206,16 @@ def algorithm_of(name: str) -> type[BaseAlgorithm]:
         ) from None
 
 
-def learner_of(contender: Contender, share: Callable[[], float]) -> BaseAlgorithm:
+def learner_of(
+    contender: Contender, share: Callable[[], float], env_id: str = GRASP
+) -> BaseAlgorithm:
     """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1."""
     algorithm = algorithm_of(contender.algorithm)
     squashed = contender.algorithm != "ppo"
-    worlds = HandVecEnv(GRASP, contender.num_envs, engine=ENGINE)
+    worlds = HandVecEnv(full_id(env_id), contender.num_envs, engine=ENGINE)
+    if not isinstance(worlds.observation_space, Box):
+        worlds.close()
+        raise RecipeError(f"env is '{env_id}': its observation is not a vector")
     decisions = Decisions(worlds, contender.action_repeat, None if squashed else BOUND)
     own = {
         name: value
@@ -284,7 +290,7 @@ def actor_of(model: BaseAlgorithm) -> Actor:
     )
 
 
-def race(contender: Contender, out: Path, time_limit: float) -> None:
+def race(contender: Contender, out: Path, time_limit: float, env_id: str = GRASP) -> None:
     """Train a contender in the folder `out` for `time_limit` seconds of processor time.
 
     Raises:
@@ -296,11 +302,11 @@ def race(contender: Contender, out: Path, time_limit: float) -> None:
         raise RunError(f"folder '{out}' already holds a run: name another one")
     writable_folder(out)
     torch.set_num_threads(1)
-    target = target_of(GRASP, engine=ENGINE)
+    target = target_of(env_id, engine=ENGINE)
     progress = Progress(
         out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time
     )
-    model = learner_of(contender, lambda: progress.share)
+    model = learner_of(contender, lambda: progress.share, env_id)
 
     def save() -> None:
         actor = actor_of(model)
@@ -354,12 +360,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--minutes", type=minutes, default=15.0, help="processor time of the training"
     )
+    parser.add_argument("--env", default=GRASP, help="environment: id, or module:id")
     add_settings(parser, "settings of the algorithm", CONTENDERS)
     args = parser.parse_args(argv)
     race(
         with_settings(CONTENDERS[args.contender], given_settings(args, Contender)),
         args.out,
         60 * args.minutes,
+        args.env,
     )
     return 0
 

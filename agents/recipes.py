@@ -14,7 +14,7 @@ from agents import RecipeError
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, row_of
 
 Settings = TypeVar("Settings")
 _KINDS = {
@@ -138,7 +138,9 @@ class Recipe:
         RecipeError: A setting is out of bounds or not one of its choices.
     """
 
-    env_id: str = choice(GRASP, "environment", (GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE))
+    env_id: str = field(
+        default=GRASP, metadata={"meaning": "environment: id, or module:id of one's own task"}
+    )
     set_ups: tuple[str, ...] = choice(
         ("mujoco/twin",), "comma-separated engines and bodies with equal shares of worlds", SET_UPS
     )
@@ -208,6 +210,9 @@ class Recipe:
 
     def __post_init__(self) -> None:
         check(self)
+        object.__setattr__(self, "env_id", self.env_id.removeprefix("hpac_gym:"))
+        if row_of(self.env_id).id == POSTURE:
+            raise RecipeError(f"env_id is '{self.env_id}': a posture is no closure")
         if self.spread and self.env_id != GRASP_TYPE:
             raise RecipeError(
                 f"spread is {self.spread:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}"

@@ -24,9 +24,9 @@ MISTAKES = [
     (
         "train",
         GRASP + " --env-id Nothing-v3",
-        "env_id is 'Nothing-v3': it must be one of HPAC-Grasp-v0, HPAC-GraspAny-v1, "
-        "HPAC-GraspType-v0, HPAC-PickPlace-v0",
+        "no environment 'Nothing-v3': there are HPAC-Grasp-v0, HPAC-GraspAny-v1",
     ),
+    ("train", GRASP + " --env-id HPAC-Posture-v1", "env_id is 'HPAC-Posture-v1': a posture is no"),
     ("train", GRASP + " --gamma 0.9", "unrecognized arguments: --gamma"),
     ("train", "grasp --out {folder}/file/run", "cannot write to folder"),
     ("train", "grasp --out /proc/run", "cannot write to folder '/proc/run'"),

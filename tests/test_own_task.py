@@ -1,0 +1,236 @@
+"""docs/own_task.md as a new user follows it: its programs run, and its tasks go wherever an id goes."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AsyncVectorEnv
+
+import hpac_gym
+from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, make_task
+from hpac_gym.envs.registered import options_of_id
+from hpac_gym.errors import EnvError, HpacError, ParameterError
+from hpac_gym.physics.simulation import is_installed
+from hpac_gym.tasks.task import Task
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
+WEIGHT, CHANGED, FRESH, USED = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+COMMANDS = re.search(r"```\n(hpac evaluate.*?)```", PAGE, flags=re.DOTALL)[1].splitlines()
+IDS = ("My-Gentle-v0", "My-Touch-v0")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def folder(tmp_path_factory):
+    """The folder of the user, with his module, which is imported here too."""
+    where = tmp_path_factory.mktemp("own")
+    (where / "mytasks.py").write_text(f"{CHANGED}\n{FRESH}")
+    sys.path.append(str(where))
+    yield where
+    sys.path.remove(str(where))
+
+
+def run(folder: Path, *words: str) -> str:
+    """What a Python program prints in that folder."""
+    # The installed `hpac` has not the folder on its path, as `python -m` has.
+    own = ["-P"] if "hpac" in words else []
+    done = subprocess.run(
+        [sys.executable, *own, *words],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def to_the_end(env: gymnasium.Env) -> Iterator[tuple]:
+    """The steps of the running episode with closing fingers, up to its last one."""
+    over = False
+    while not over:
+        returned = env.step(np.array([0.0, 0.6, 0.6, 0.6, 0.6, 0.5], np.float32))
+        over = returned[2]
+        yield returned
+
+
+def test_the_page_is_short_and_a_task_from_nothing_fits_on_a_screen():
+    assert len(PAGE.split()) <= 500
+    assert len(FRESH.splitlines()) <= 50
+
+
+def test_a_weight_is_one_number():
+    names: dict = {}
+    exec(WEIGHT, names)
+    with names["env"] as env:
+        assert env.unwrapped.task.config.weights.effort == -0.1
+        assert env.unwrapped.task.config.weights.carry == Grasp().config.weights.carry
+
+
+def test_a_changed_task_has_its_reward_term_its_sampling_and_its_entry():
+    with (
+        gymnasium.make("mytasks:My-Gentle-v0", limit=0.0, randomize="nominal") as env,
+        gymnasium.make("HPAC-Grasp-v0") as plain,
+    ):
+        seen, info = env.reset(seed=3)
+        before, _ = plain.reset(seed=3)
+        np.testing.assert_array_equal(seen[:-1], before)
+        assert seen[-1] in (0.0, 1.0)
+        mass, other = (each.unwrapped.episodes.setups[0].object.mass for each in (env, plain))
+        assert mass == other / 2
+        forces = []
+        for _, reward, *_, info in to_the_end(env):
+            forces.append(info["contact_force"])
+            assert info["reward_terms"]["squeeze"] == pytest.approx(-0.01 * forces[-1])
+            assert reward == pytest.approx(sum(info["reward_terms"].values()))
+        assert max(forces) > 0
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_batch_gives_what_single_environments_give(env_id):
+    batch = gymnasium.make_vec(f"mytasks:{env_id}", 3, engine="mujoco")
+    assert type(batch) is HandVectorEnv
+    seen, _ = batch.reset(seed=[7, 8, 9])
+    with gymnasium.make(f"mytasks:{env_id}", engine="mujoco") as env:
+        assert type(env.unwrapped) is HandEnv
+        assert env.spec.max_episode_steps == batch.spec.max_episode_steps
+        alone, _ = env.reset(seed=9)
+        for action in np.random.default_rng(0).uniform(-1, 1, (10, 3, 6)).astype(np.float32):
+            np.testing.assert_array_equal(seen[2], alone)
+            seen, rewards, terminated, *_ = batch.step(action)
+            alone, reward, over, *_ = env.step(action[2])
+            assert (reward, over) == (rewards[2], terminated[2])
+    batch.close()
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_state_is_saved_with_that_of_the_task(env_id):
+    """Without the task's own arrays, the touch of `Touch` would go on from elsewhere."""
+    with gymnasium.make(f"mytasks:{env_id}", engine="mujoco") as made:
+        env = made.unwrapped
+        env.reset(seed=0)
+        state = next(env.save_state() for *_, info in to_the_end(env) if info["contact_force"] > 0)
+        first = [returned[1:3] for returned in to_the_end(env)]
+        env.restore_state(state)
+        assert [returned[1:3] for returned in to_the_end(env)] == first
+        assert len(first) > 5
+
+
+def test_a_spec_survives_json_and_the_defaults_are_those_of_register():
+    with gymnasium.make("mytasks:My-Gentle-v0", limit=2.0) as env:
+        again = EnvSpec.from_json(env.spec.to_json())
+        assert again.kwargs["randomize"] == "hand"
+        with gymnasium.make(again) as other:
+            assert other.unwrapped.task.limit == 2.0
+            assert other.unwrapped.randomization == env.unwrapped.randomization
+            assert other.unwrapped.randomization.slack != (0.0, 0.0)
+    told = {option.name: option.default for option in options_of_id("My-Gentle-v0")}
+    assert told["limit"] == 4.0
+    assert told["randomize"] == "hand"
+
+
+@pytest.mark.pybullet
+def test_on_pybullet_make_vec_makes_processes():
+    envs = gymnasium.make_vec("mytasks:My-Touch-v0", 2, engine="pybullet", hold=0.2)
+    assert type(envs) is AsyncVectorEnv
+    assert envs.get_attr("obs") == ("deploy", "deploy")
+    envs.reset(seed=0)
+    assert np.isfinite(envs.step(envs.action_space.sample())[1]).all()
+    envs.close()
+
+
+def test_the_commands_take_it(folder):
+    evaluate, record, _ = (line.split() for line in COMMANDS)
+    few = ["--episodes", "6", "--engine", "mujoco", "--workers", "2", "--json"]
+    judged = json.loads(run(folder, "-m", *evaluate, *few))
+    assert set(judged["policies"]) == {"scripted", "random"}
+    assert judged["env_id"] == "mytasks:My-Gentle-v0"
+    assert judged["policies"]["scripted"]["success_rate"] > 0
+    told = run(folder, "-m", *record, "--episodes", "2", "--engine", "mujoco")
+    assert told.startswith("2 episodes, ")
+    assert (folder / "touches").is_dir()
+
+
+@pytest.mark.slow
+def test_learners_take_it(folder):
+    race = COMMANDS[2].split()[1:]
+    run(folder, *race, "--minutes", "0.05", "--num-envs", "4", "--hidden", "8")
+    judged = run(
+        folder, "-m", "hpac", "evaluate", "--policy", "runs/gentle/policy.zip", "--episodes", "2",
+        "--engine", "mujoco", "--no-baselines",
+    )  # fmt: skip
+    assert "learned" in judged
+    short = ["--episodes", "40", "--random-episodes", "20", "--num-envs", "8", "--hidden", "8"]
+    train = ["agents.train", "grasp", "--env-id", "mytasks:My-Touch-v0", "--out", "runs/touch"]
+    run(folder, "-m", *train, *short, "--checkpoint-every", "20", "--batch-size", "8",
+        "--actor-batch-size", "8")  # fmt: skip
+    assert (folder / "runs" / "touch" / "policy.zip").exists()
+    used = USED.replace("100_000", "64").replace("64,", "2,").replace("16,", "2,")
+    run(folder, "-c", used)
+
+
+class NoTerms(Task):
+    duration = 1.0
+
+    def setup(self, rng, hand):
+        raise NotImplementedError
+
+    def judge(self, state, dt):
+        raise NotImplementedError
+
+
+class Half(Task):
+    duration = 1.0
+
+
+@pytest.mark.parametrize(
+    ("task", "steps", "error", "message"),
+    [
+        (Grasp(), None, ParameterError, "must be a class or a function that makes a task"),
+        ("mytasks", None, ParameterError, "'mytasks' must be a class .* 'module:name'"),
+        (Grasp, 0, ParameterError, "max_episode_steps = 0 must be a whole number"),
+        (Grasp, 1.5, ParameterError, r"max_episode_steps = 1\.5 must"),
+        (Grasp, 30, ParameterError, "lasts 64 steps: Wrong-v0 has at most 29"),
+        (NoTerms, None, ParameterError, "NoTerms has no terms, reward_terms"),
+        (Half, None, TypeError, "abstract.*judge.*setup"),
+        (lambda: 3, None, ParameterError, "Wrong-v0 needs a .*Task: int has no duration"),
+    ],
+    ids=str,
+)
+@pytest.mark.filterwarnings("ignore:.*Overriding environment")
+def test_what_is_no_task_is_refused(task, steps, error, message):
+    with pytest.raises(error, match=message):  # noqa: PT012
+        hpac_gym.register("Wrong-v0", task, max_episode_steps=steps)
+        gymnasium.make("Wrong-v0")
+
+
+def test_an_id_of_the_package_or_of_nobody_is_refused():
+    with pytest.raises(ParameterError, match="'HPAC-Grasp-v0' is an id of hpac_gym"):
+        hpac_gym.register("HPAC-Grasp-v0", Grasp)
+    for wrong in ("Mine-v0", "nosuchmodule:Mine-v0"):
+        with pytest.raises(EnvError, match=f"no environment '{wrong}'") as error:
+            make_task(wrong)
+        assert isinstance(error.value, HpacError)
+        assert "\n" not in str(error.value)
+
+
+def test_an_unknown_option_is_named():
+    with pytest.raises(TypeError, match="limits"):
+        gymnasium.make("mytasks:My-Gentle-v0", limits=3)
+
+
+def test_importing_the_package_loads_no_physics():
+    heavy = ("scipy", "mujoco", "pybullet", "torch", "trimesh", "hpac_gym.tasks", "hpac_gym.envs")
+    script = f"import sys, hpac_gym; print([m for m in sys.modules if m.startswith({heavy!r})])"
+    assert run(ROOT, "-c", script) == "[]\n"
+    assert is_installed("mujoco")
