@@ -9,9 +9,9 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import register_all
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
-from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig
+from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig, GraspAnySetup
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
-from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
+from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig, GraspTypeSetup
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig, ScriptedPickPlace
 from hpac_gym.tasks.posture import Posture, PostureConfig
 from hpac_gym.tasks.scripted import ScriptedClosure
@@ -25,11 +25,13 @@ __all__ = [
     "Grasp",
     "GraspAny",
     "GraspAnyConfig",
+    "GraspAnySetup",
     "GraspByName",
     "GraspByType",
     "GraspConfig",
     "GraspError",
     "GraspTypeConfig",
+    "GraspTypeSetup",
     "HandEnv",
     "HandVectorEnv",
     "ObjectSpec",

@@ -167,14 +167,14 @@ class Episodes:
         self,
         worlds: Sequence[int],
         generators: Sequence[np.random.Generator],
-        given: SceneSetup | None = None,
+        given: Sequence[SceneSetup] | None = None,
     ) -> list[Mapping[str, Array]]:
         """Start episodes in some worlds.
 
         Args:
             worlds: indices of the worlds.
             generators: random generator of each of them; a world's episodes depend only on its own.
-            given: setup to use instead of a drawn one.
+            given: setups of the worlds to use instead of drawn ones.
 
         Returns:
             Values drawn by the randomization, by name, for each of the worlds.
@@ -189,14 +189,15 @@ class Episodes:
         setups = []
         values = []
         cameras = []
-        for world, generator in zip(worlds, generators, strict=True):
+        chosen = given or [None] * len(worlds)
+        for world, generator, own in zip(worlds, generators, chosen, strict=True):
             setup_rng, camera_rng = generator.spawn(2)
             drawn = self.randomizations[world].draw(setup_rng)
-            setup = given or self.task.setup(setup_rng, options.hand)
-            if given is None and any(zero := options.hand.calibration.servo_zero):
+            setup = own or self.task.setup(setup_rng, options.hand)
+            if own is None and any(zero := options.hand.calibration.servo_zero):
                 zero = tuple(np.add(setup.hand_settings.servo_zero, zero).tolist())
                 setup = replace(setup, hand_settings=replace(setup.hand_settings, servo_zero=zero))
-            if inertia and (given is None or setup.hand_settings == _NO_CHOICE):
+            if inertia and (own is None or setup.hand_settings == _NO_CHOICE):
                 setup = replace(setup, hand_settings=replace(setup.hand_settings, **inertia))
             setups.append(changed_setup(setup, drawn))
             values.append(drawn)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, VIEW_TARGET, Episodes, Transmit, open_episodes
-from hpac_gym.envs.options import RENDER_MODES, checked_options, setup_of
+from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
 from hpac_gym.envs.randomization import Randomization, randomization
 from hpac_gym.errors import EpisodeError, ShapeError
 from hpac_gym.model import ServoCommand
@@ -127,7 +127,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             WorkspaceError: A goal that leaves the bounds of the observation.
         """
         self._running = False
-        given = setup_of(options, self.task, self.hand)
+        given = setups_of(options, self.task, self.hand)
         super().reset(seed=seed)
         drawn = self.episodes.reset([0], [self.np_random], given)[0]
         self._running = True

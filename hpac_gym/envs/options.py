@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, fields, replace
+from numbers import Real
 from os import PathLike
 from typing import Any
 
@@ -20,7 +21,7 @@ from hpac_gym.physics.simulation import ENGINES, default_engine
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import settings_from
 from hpac_gym.tasks.options import Option, check_choice
-from hpac_gym.tasks.task import Task
+from hpac_gym.tasks.task import GoalSetup, Task
 
 MODELS = EXACT, CALIBRATED = "hand", "calibrated"
 RENDER_MODES = ["human", "rgb_array"]
@@ -174,12 +175,15 @@ def check_num_envs(num_envs: int) -> None:
         raise ParameterError(f"num_envs = {num_envs} must be a whole number of at least 1")
 
 
-def setup_of(options: Mapping[str, Any] | None, task: Task, hand: Hand) -> SceneSetup | None:
-    """Setup given by the options of a `reset`, or None.
+def setups_of(
+    options: Mapping[str, Any] | None, task: Task, hand: Hand, num_envs: int = 1
+) -> list[SceneSetup] | None:
+    """Setups of n environments given by the options of a `reset`, or None: one for all of them, or,
+    if n is greater than 1, a list with one for each.
 
     Raises:
-        ParameterError: Unknown option, or an invalid setup.
-        ShapeError: An array of the setup, its yaw, or a goal has the wrong shape, NaN or infinity.
+        ParameterError: Unknown option, wrong number of setups, or an invalid one.
+        ShapeError: An array of a setup, its yaw, or a goal has the wrong shape, NaN or infinity.
         WorkspaceError: A goal that leaves the bounds of the observation.
     """
     name = "goal" if task.goal_terms else "setup"
@@ -188,15 +192,26 @@ def setup_of(options: Mapping[str, Any] | None, task: Task, hand: Hand) -> Scene
     given = (options or {}).get(name)
     if given is None:
         return None
-    if task.goal_terms:
-        term = task.goal_terms[0]
-        size = len(JOINTS)
-        low = np.full(size, term.low)
-        high = np.full(size, term.high)
-        goal = as_bounded_array(
-            as_finite_vector(given, size, "goal"), low, high, JOINTS, "goal", "rad"
-        )
-        return SceneSetup(None, hand=hand, goal=goal)
+    one = _setup_of_goal if task.goal_terms else _checked_setup
+    # A goal may itself be a list of numbers.
+    listed = isinstance(given, list | tuple) and not all(isinstance(x, Real) for x in given)
+    if num_envs == 1 or not listed:
+        return [one(given, task, hand)] * num_envs
+    if len(given) != num_envs:
+        raise ParameterError(f"{len(given)} {name}s were given for {num_envs} environments")
+    return [one(entry, task, hand) for entry in given]
+
+
+def _setup_of_goal(given: Any, task: Task, hand: Hand) -> GoalSetup:
+    term = task.goal_terms[0]
+    size = len(JOINTS)
+    low = np.full(size, term.low)
+    high = np.full(size, term.high)
+    goal = as_bounded_array(as_finite_vector(given, size, "goal"), low, high, JOINTS, "goal", "rad")
+    return GoalSetup(None, hand=hand, goal=goal)
+
+
+def _checked_setup(given: Any, task: Task, hand: Hand) -> SceneSetup:
     if not (isinstance(given, SceneSetup) and isinstance(given.object, ObjectSpec)):
         raise ParameterError(
             f"option 'setup' must be a SceneSetup with an ObjectSpec, not {given!r}"

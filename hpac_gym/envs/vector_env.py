@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import GoalEnv
-from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setup_of
+from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model.checks import as_array
@@ -111,8 +111,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
         Args:
             seed: one seed per environment, or the first of consecutive seeds.
-            options: those of `HandEnv.reset`, the same for all; and `reset_mask`, shape (n,), to
-                reset only some environments.
+            options: those of `HandEnv.reset`, the same for all or a list with a setup or a goal for
+                each; and `reset_mask`, shape (n,), to reset only some environments.
 
         Raises:
             ParameterError: Wrong number of seeds, an invalid mask, or an option that
@@ -129,7 +129,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         if len(seeds) != self.num_envs:
             raise ParameterError(f"{len(seeds)} seeds were given for {self.num_envs} environments")
         self._running = False
-        given = setup_of(options, self.task, self.hand)
+        given = setups_of(options, self.task, self.hand, self.num_envs)
         worlds = np.flatnonzero(mask).tolist()
         for world in worlds:
             if seeds[world] is not None:
@@ -156,7 +156,9 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     def _restart(self, worlds: list[int], infos: dict[str, Any], given: Any = None) -> None:
         """Start episodes in some worlds, and add their infos."""
-        drawn = self.episodes.reset(worlds, [self._generators[world] for world in worlds], given)
+        generators = [self._generators[world] for world in worlds]
+        chosen = given and [given[world] for world in worlds]
+        drawn = self.episodes.reset(worlds, generators, chosen)
         self._steps[worlds] = 0
         self._over[worlds] = False
         begun = np.zeros(self.num_envs, dtype=bool)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,9 +66,14 @@ class PhysicsWarning(UserWarning):
     """An episode ended as a failure because its simulation failed."""
 
 
+Kind = TypeVar("Kind", bound="SceneSetup")
+
+
 @dataclass(frozen=True, slots=True)
 class SceneSetup:
-    """Initial state of one episode: hand, object and their surroundings."""
+    """Initial state of one episode: hand, object and their surroundings. A task whose episodes have
+    more than a scene has a subclass of it.
+    """
 
     object: ObjectSpec | None
     """Object to grasp; None for the hand alone, fixed at its palm, without object, support, table
@@ -94,19 +99,15 @@ class SceneSetup:
     """Target position of the object's centre, on its own post, in the initial hand frame, shape
     (3,) [m]; None for no target.
     """
-    goal: Array | None = None
-    """Goal joint angles of a posture task, shape (15,) [rad]; the physics ignores it."""
     fixed: bool = False
     """True fixes the object in the world, without a support, as an obstacle for measurements."""
     rest_height: float | None = None
     """Height of the object's centre above its support [m]; None computes it from the bounding box.
     """
-    pull: Array | None = None
-    """World direction of a force that a task may apply at the end of an episode, shape (3,); the
-    physics ignores it.
-    """
-    grasp: str | None = None
-    """Name of the requested grasp type; the physics ignores it."""
+
+    def to(self, kind: type[Kind], **more: Any) -> Kind:
+        """The same scene as a setup of a subclass, with `more` of its fields."""
+        return kind(**{entry.name: getattr(self, entry.name) for entry in fields(self)} | more)
 
     @property
     def hand_rotation(self) -> Array:

@@ -153,6 +153,19 @@ class GraspAnyConfig:
         return (*self.timetable.ends[:SIDES], sides, sides + self.ramp_time)
 
 
+@dataclass(frozen=True, slots=True)
+class GraspAnySetup(SceneSetup):
+    """A setup of `GraspAny`; without a pull, as in a plain `SceneSetup`, the force is downwards."""
+
+    pull: Array | None = None
+    """World direction of the force ramp, a unit vector, shape (3,)."""
+
+
+def _pull_of(setup: SceneSetup) -> Array:
+    pull = getattr(setup, "pull", None)
+    return DOWN if pull is None else pull
+
+
 OBJECTS_OPTION = Option(
     "split from which objects are drawn; the other two must not be used in training", SPLITS
 )
@@ -260,7 +273,7 @@ class GraspAny(Task):
                 -1.0,
                 1.0,
                 "world direction of the final force ramp",
-                lambda setup: DOWN if setup.pull is None else setup.pull,
+                _pull_of,
                 fixed=True,
             ),
         )
@@ -336,7 +349,7 @@ class GraspAny(Task):
         spec = ObjectSpec(model.shape, extents, scale**3 * mass, friction, model, scale)
         turn = placing.best_turn(pose.size) + np.pi * rng.integers(2)
         pull = rng.standard_normal(3)
-        setup = SceneSetup(
+        setup = GraspAnySetup(
             spec,
             yaw=turn,
             synergy=open_hand(config.thumb_preshape),
@@ -392,7 +405,7 @@ class GraspAny(Task):
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         index = np.asarray(worlds)
         self._mass[index, 0] = [setup.object.mass for setup in setups]
-        self._pull[index] = [DOWN if setup.pull is None else setup.pull for setup in setups]
+        self._pull[index] = [_pull_of(setup) for setup in setups]
         self._place[index] = [setup.position for setup in setups]
         self._names[index] = [
             spec.model.name if spec.model else spec.shape

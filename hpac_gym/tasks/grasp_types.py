@@ -251,6 +251,14 @@ class GraspTypeConfig:
         check_bounds(self, "config")
 
 
+@dataclass(frozen=True, slots=True)
+class GraspTypeSetup(SceneSetup):
+    """A setup of `GraspByType`."""
+
+    grasp: str | None = None
+    """Name of the requested grasp type."""
+
+
 TYPES_OPTION = Option(
     "the types that an episode may ask for: all sixteen, those to train on, those held out, one, or several",
     (*TYPE_SPLITS, *GRASP_TYPES),
@@ -369,9 +377,8 @@ class GraspByType(Grasp):
         start = self.draw(rng).start
         variants = list(start.held_out) if self.objects == "test" else [NOMINAL]
         variant = start.variant(variants[rng.integers(len(variants))])
-        setup = replace(
-            setup_of_grasp(start, variant, rng, hand, self.config.spread), grasp=start.name
-        )
+        drawn = setup_of_grasp(start, variant, rng, hand, self.config.spread)
+        setup = drawn.to(GraspTypeSetup, grasp=start.name)
         if not self.wrist_actions:
             return setup
         return _elsewhere(
@@ -402,17 +409,16 @@ class GraspByType(Grasp):
         """
         super().start(worlds, setups)
         for world, setup in zip(worlds, setups, strict=True):
-            if setup.grasp not in GRASP_TYPES:
-                raise ParameterError(
-                    f"setup grasp {setup.grasp!r} is not one of {', '.join(GRASP_TYPES)}"
-                )
-            rule = GRASP_TYPES[setup.grasp].rule.scaled(setup.object.scale)
+            name = getattr(setup, "grasp", None)
+            if name not in GRASP_TYPES:
+                raise ParameterError(f"setup grasp {name!r} is not one of {', '.join(GRASP_TYPES)}")
+            rule = GRASP_TYPES[name].rule.scaled(setup.object.scale)
             parts = np.array(rule.asked_parts)
             self._touch[world] = parts > 0
             self._never[world] = parts < 0
             self._counts[world] = (rule.fingers, rule.digits)
             self._rules[world] = rule
-            self._types[world] = setup.grasp
+            self._types[world] = name
             self._missed[world] = NOTHING
             self._seen[world] = ()
             self._hand[world] = setup.hand_rotation

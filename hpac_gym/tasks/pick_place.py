@@ -19,7 +19,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.config import check_bounds, settings_from
-from hpac_gym.tasks.grasp import PALM_SURFACE, GraspWeights
+from hpac_gym.tasks.grasp import PALM_SURFACE
 from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.options import config_option
 from hpac_gym.tasks.phases import CONTROL_HZ, moved, phase_at
@@ -129,10 +129,17 @@ class PickPlaceTimetable:
 
 
 @dataclass(frozen=True, slots=True)
-class PickPlaceWeights(GraspWeights):
+class PickPlaceWeights:
     """Weights of the dense reward terms."""
 
+    thumb: float = 0.1
+    finger: float = 0.05
+    opposed: float = 0.2
+    push: float = -0.3
+    carry: float = 0.5
+    effort: float = -0.01
     success: float = 20.0
+    failure: float = -5.0
     place: float = 0.5
     release: float = 0.5
 

@@ -26,7 +26,7 @@ from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera
 from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.options import config_option
 from hpac_gym.tasks.scripted import Script
-from hpac_gym.tasks.task import RUNNING, Task, setting
+from hpac_gym.tasks.task import RUNNING, GoalSetup, Task, setting
 from hpac_gym.tasks.terms import COMMAND_TERMS, HAND_TERMS, Layout, Moment, RewardTerm, Term
 
 TOLERANCE = 0.05
@@ -157,7 +157,7 @@ class Posture(Task):
         synergy = rng.uniform(hand.synergy_min, highest)
         while synergy[mp] > BLOCKED_MP and BLOCKED_CMC[0] < synergy[cmc] < BLOCKED_CMC[1]:
             synergy = rng.uniform(hand.synergy_min, highest)
-        return SceneSetup(None, hand=hand, goal=joints_from_synergy(synergy, hand))
+        return GoalSetup(None, hand=hand, goal=joints_from_synergy(synergy, hand))
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         self.goal[np.asarray(worlds)] = [setup.goal for setup in setups]

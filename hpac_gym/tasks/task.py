@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import dataclass, field
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -29,6 +29,14 @@ from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 OUTCOMES = ("running", "success", "failure")
 RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))
 _OUTCOMES = np.array(OUTCOMES, dtype=object)
+
+
+@dataclass(frozen=True, slots=True)
+class GoalSetup(SceneSetup):
+    """A setup of a task with goals."""
+
+    goal: Array | None = None
+    """Goal joint angles, shape (15,) [rad]."""
 
 
 class Task(ABC):

@@ -10,6 +10,7 @@ import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.hands import hand_set
+from hpac_gym.envs import GraspAnySetup
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
 from hpac_gym.errors import ParameterError
@@ -36,7 +37,7 @@ def make(**options) -> gymnasium.Env:
 
 def easy(**change) -> SceneSetup:
     """A can that the closed hand keeps, pulled down in the end."""
-    return replace(a_setup(), pull=np.array([0.0, 0.0, -1.0]), **change)
+    return a_setup().to(GraspAnySetup, **{"pull": np.array([0.0, 0.0, -1.0])} | change)
 
 
 def closing(

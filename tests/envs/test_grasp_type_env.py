@@ -2,12 +2,11 @@
 in test_gate.py.
 """
 
-from dataclasses import replace
-
 import gymnasium
 import numpy as np
 import pytest
 
+from hpac_gym.envs import GraspTypeSetup
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.tasks.grasp_types import (
@@ -184,7 +183,7 @@ def test_an_episode_that_is_given_names_its_type():
             ParameterError, match="setup grasp None is not one of large_cylinder, small_cylinder"
         ):
             env.reset(options={"setup": EASY})
-        _, info = env.reset(options={"setup": replace(EASY, grasp="small_cylinder")})
+        _, info = env.reset(options={"setup": EASY.to(GraspTypeSetup, grasp="small_cylinder")})
         assert info["type"] == "small_cylinder"
 
 

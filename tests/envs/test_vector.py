@@ -414,6 +414,35 @@ def test_a_reset_that_is_refused_leaves_no_episode_running(envs):
         envs.step(actions()[0])
 
 
+def test_a_batch_takes_a_setup_for_each():
+    setups = [replace(EASY, yaw=0.1 * place) for place in range(3)]
+    envs = ours()
+    seen, _ = envs.reset(seed=0, options={"setup": setups})
+    for place, setup in enumerate(setups):
+        alone, _ = envs.reset(seed=[place] * 3, options={"setup": setup})
+        np.testing.assert_array_equal(seen[place], alone[place])
+    assert [setup.yaw for setup in envs.episodes.setups] == [setups[2].yaw] * 3
+    mask = np.array([False, True, False])
+    envs.reset(options={"setup": setups, "reset_mask": mask})
+    assert [setup.yaw for setup in envs.episodes.setups] == [0.2, 0.1, 0.2]
+    with pytest.raises(ParameterError, match="2 setups were given for 3 environments"):
+        envs.reset(options={"setup": setups[:2]})
+    with pytest.raises(ParameterError, match=r"must be a SceneSetup .* not None"):
+        envs.reset(options={"setup": [*setups[:2], None]})
+    envs.close()
+
+
+def test_a_batch_takes_a_goal_for_each():
+    envs = ours(POSTURE)
+    goals = [np.full(15, 0.1 * place) for place in range(3)]
+    seen, _ = envs.reset(seed=0, options={"goal": goals})
+    np.testing.assert_allclose(seen["desired_goal"], goals, atol=1e-6)
+    for one in (goals[1], goals[1].tolist()):
+        seen, _ = envs.reset(options={"goal": one})
+        np.testing.assert_allclose(seen["desired_goal"], [goals[1]] * 3, atol=1e-6)
+    envs.close()
+
+
 def test_a_closed_vector_says_so(envs):
     envs.reset(seed=0)
     envs.close()
