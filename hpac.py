@@ -108,6 +108,12 @@ COMMANDS = (
     ),
     Command(
         "hand",
+        "virtual",
+        "a hand for those who have none: the real firmware and a simulated body",
+        "hpac_gym.virtual.commands:add_arguments",
+    ),
+    Command(
+        "hand",
         "wiggle",
         "move one servo at a time next to its name",
         "hpac_gym.bridge.commands:add_wiggle",

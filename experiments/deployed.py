@@ -16,16 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.bridge import BridgeError, HandLink, StreamCounts, VirtualHand, servo_from_pulses
-from hpac_gym.bridge.hands import VirtualTransport
+from hpac_gym.bridge import BridgeError, HandLink, StreamCounts
 from hpac_gym.command import run_module, whole_number
-from hpac_gym.deploy.arm import Nobody
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.errors import DeployError
-from hpac_gym.deploy.observer import Observer, Pose
+from hpac_gym.deploy.observer import Observer
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -36,151 +32,49 @@ from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, write_text
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
-from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.task import RUNNING, SUCCESS
+from hpac_gym.tasks.task import SUCCESS
+from hpac_gym.virtual.body import LockStep
+from hpac_gym.virtual.wire import BadTransport, Faults
 
-LATCH_US = 20_000
-"""Period of a servo's pulses [µs]."""
 LINKS = {
-    "good": {},
-    "2 ms jitter": {"jitter": 0.002},
-    "16 ms latency": {"latency": 0.016},
-    "5 % lost": {"loss": 0.05},
-    "all three": {"jitter": 0.002, "latency": 0.016, "loss": 0.05},
+    "good": Faults(),
+    "2 ms jitter": Faults(jitter=0.002),
+    "16 ms latency": Faults(latency=0.016),
+    "5 % lost": Faults(loss=0.05),
+    "all three": Faults(jitter=0.002, latency=0.016, loss=0.05),
 }
-"""What is wrong with the link [s, share of the frames in each direction]."""
+"""What is wrong with the link."""
 OUT = Path("docs/results/experiments/deployed.json")
 
 
-class Body(Nobody):
-    """A simulated hand that follows the pulses of the firmware, and an arm that moves it; also the
-    source of the object's pose.
-    """
-
-    def __init__(self, env: HandEnv, seed: int, noise: CameraNoise = CameraNoise()) -> None:
-        env.reset(seed=seed)
-        self._episodes = env.episodes
-        self._task = env.task
-        self._noise = noise
-        self._rng = np.random.default_rng([seed, 9])
-        self._began_us: int | None = None
-        self._step = 0
-        self._latched: np.ndarray | None = None
-        self._now_us = 0
-        self.outcome = RUNNING
-        setup = self._episodes.setups[0]
-        error = 1 + noise.size * self._rng.standard_normal()
-        half = tuple(side * error for side in setup.object.half_extents)
-        self.seen_object = ObjectSpec(setup.object.shape, half, 0.1, 0.8)
-        self.setup = setup
-        self._wrist = env.task.wrist_path(setup, env.episodes.times)[None]
-
-    def ready(self, wait: Any, told: dict[str, Any]) -> None:
-        """The arm's table and the physics begin."""
-        self._began_us = self._now_us
-
-    def on_pulses(self, now_us: int, pulses: np.ndarray) -> None:
-        """Advance the physics to the firmware's time."""
-        self._now_us = now_us
-        if self._began_us is None or not pulses.all():
-            return
-        simulation = self._episodes.simulation
-        dt = simulation.engine.dt
-        substeps = round(self._episodes.dt / dt)
-        since = now_us - self._began_us
-        if self._latched is None or since % LATCH_US == 0:
-            self._latched = servo_from_pulses(pulses)
-        while self.outcome == RUNNING and (self._step + 1) * dt * 1e6 <= since:
-            row = min(self._step, self._wrist.shape[1] - 1)
-            simulation.command(self._latched[None], dt)
-            simulation.advance(self._wrist[:, row : row + 1])
-            self._step += 1
-            if self._step % substeps == 0:
-                state = simulation.state()
-                self._task.watch(state, self._episodes.dt, simulation.engine.contacts)
-                self.outcome = int(self._task.judge(state, self._episodes.dt)[0])
-
-    def latest(self) -> tuple[Pose, float]:
-        """The object as a camera sees it."""
-        state = self._episodes.simulation.state()
-        place = state.object_pos[0] + self._noise.position * self._rng.standard_normal(3)
-        turn = Rotation.from_rotvec(self._noise.angle * self._rng.standard_normal(3))
-        seen = turn * Rotation.from_matrix(state.object_rotation[0])
-        return Pose(place, tuple(seen.as_quat().tolist())), 0.0
-
-
-class Link(VirtualTransport):
-    """A link on which frames are lost in both directions, the host's are late by up to `jitter`, and
-    the hand's by `latency`, once the hand is armed.
-    """
-
-    def __init__(
-        self,
-        hand: VirtualHand,
-        rng: np.random.Generator,
-        loss: float = 0.0,
-        jitter: float = 0.0,
-        latency: float = 0.0,
-    ) -> None:
-        super().__init__(hand)
-        self.bad = False
-        self._rng = rng
-        self._loss = loss
-        self._jitter = jitter
-        self._latency = latency
-        self._out: list[tuple[float, bytes]] = []
-        self._back: list[tuple[float, bytes]] = []
-
-    def _arrives(self) -> bool:
-        return not self.bad or self._rng.random() >= self._loss
-
-    def write(self, data: bytes) -> None:
-        if self._arrives():
-            late = self._rng.uniform(0, self._jitter) if self.bad else 0.0
-            self._out.append((self.now() + late, data))
-
-    def read(self, timeout: float) -> bytes:
-        until = self.now() + timeout
-        while True:
-            while self._out and self._out[0][0] <= self.now():
-                super().write(self._out.pop(0)[1])
-            if self._back and self._back[0][0] <= self.now():
-                return self._back.pop(0)[1]
-            if self.now() >= until:
-                return b""
-            due = min([until, *(at for at, _ in (*self._out[:1], *self._back[:1]))])
-            data = super().read(max(due - self.now(), 1e-6))
-            for frame in filter(None, data.split(b"\0")):
-                if self._arrives():
-                    at = self.now() + self.bad * self._latency
-                    self._back.append((at, b"\0" + frame + b"\0"))
-
-
 def through_the_wire(
-    env: HandEnv, policy_name: str, env_id: str, seed: int, wrong: dict[str, float]
+    env: HandEnv, policy_name: str, env_id: str, seed: int, faults: Faults
 ) -> tuple[bool, StreamCounts]:
-    """One episode on the firmware and a simulated body."""
-    body = Body(env, seed)
-    hand = VirtualHand(on_pulses=body.on_pulses)
-    observer = Observer(env_id, body.seen_object)
-    observer.setup = replace(body.setup, object=body.seen_object)
+    """One episode on the firmware and a simulated body; the link is good until the hand closes and
+    after the last command.
+    """
+    world = LockStep(env, seed)
+    observer = Observer(env_id, world.seen_object)
+    observer.setup = replace(world.body.setup, object=world.seen_object)
     policy = load_policy(policy_name, observer)
-    made = Link(hand, np.random.default_rng([seed, 8]), **wrong)
+    wire = BadTransport(world.hand, np.random.default_rng([seed, 8]), Faults())
     counts = StreamCounts()
 
     def begin(figures: dict[str, Any]) -> None:
         nonlocal counts
-        made.bad = figures["step"] < observer.steps - 1
+        wire.there.faults = wire.back.faults = (
+            faults if figures["step"] < observer.steps - 1 else Faults()
+        )
         counts = figures["counts"]
 
-    with HandLink(lambda: made) as link:
+    with HandLink(lambda: wire) as link:
         try:
             run_episode(
-                link, observer, policy, body, body, Log(None), hold=0.1, seconds=0.2, live=begin
+                link, observer, policy, world, world, Log(None), hold=0.1, seconds=0.2, live=begin
             )
         except (DeployError, BridgeError):
-            made.bad = False
-    return body.outcome == SUCCESS, counts
+            wire.there.faults = wire.back.faults = Faults()
+    return world.body.outcome == SUCCESS, counts
 
 
 def in_the_environment(env: HandEnv, policy_name: str, seed: int) -> bool:
@@ -189,7 +83,7 @@ def in_the_environment(env: HandEnv, policy_name: str, seed: int) -> bool:
     return last.success
 
 
-def pairs(policy: str, wrong: dict[str, float], seeds: Sequence[int]) -> list[tuple]:
+def pairs(policy: str, faults: Faults, seeds: Sequence[int]) -> list[tuple]:
     """Success in the environment and through the wire, and the counts of the stream, by seed."""
     env_id = env_id_of(policy)
     with make_env(env_id, engine="mujoco") as made:
@@ -198,7 +92,7 @@ def pairs(policy: str, wrong: dict[str, float], seeds: Sequence[int]) -> list[tu
         rows = []
         for seed in seeds:
             alone = in_the_environment(made, policy, seed)
-            held, counts = through_the_wire(env, policy, env_id, seed, wrong)
+            held, counts = through_the_wire(env, policy, env_id, seed, faults)
             rows.append((alone, held, counts.sent, counts.refused, counts.lost))
     return rows
 

@@ -31,6 +31,7 @@ ROOMS = {
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime", "stable_baselines3"},
     "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
     "deploy": {"numpy", "scipy", "gymnasium", "matplotlib"},
+    "virtual": {"numpy", "scipy"},
     "posture": {"numpy", "matplotlib"},
     "show": {"numpy", "imageio"},
     "hpac_gym": set(),

@@ -31,6 +31,8 @@ from hpac_gym.model import SERVOS, Hand
 
 _START_TIMEOUT = 5.0
 _END_TIMEOUT = 1.0
+_LONGEST_LOG = 1 << 24
+"""Bytes after which the log of a board that somebody reads begins anew."""
 _Pulses = ctypes.c_uint32 * len(SERVOS)
 
 
@@ -49,13 +51,13 @@ class HostBoard:
     def __init__(self, arguments: tuple[str, ...] = ()) -> None:
         self._arguments = arguments
         self._pulses = np.zeros(len(SERVOS), dtype=np.int64)
-        self._read_to = 0
 
     def __enter__(self) -> HostBoard:
         program = firmware_file("hpac_host")
         self._owner = os.getpid()
         self._folder = Path(tempfile.mkdtemp(prefix="hpac_host_"))
         self._log = self._folder / "pulses.csv"
+        self._read_to = 0
         self.process = subprocess.Popen(
             [program, "--pulses", self._log, "--parent", str(self._owner), *self._arguments],
             stdin=subprocess.DEVNULL,
@@ -112,6 +114,9 @@ class HostBoard:
             log.seek(self._read_to)
             lines, newline, _ = log.read().rpartition(b"\n")
         self._read_to += len(lines) + len(newline)
+        if self._read_to > _LONGEST_LOG:
+            os.truncate(self._log, 0)
+            self._read_to = 0
         rows = [[int(value) for value in line.split(b",")] for line in lines.splitlines()]
         return np.array(rows, dtype=np.int64).reshape(-1, 1 + len(SERVOS))
 
@@ -182,6 +187,8 @@ class VirtualHand:
         config: servo table, see `default_config`.
         on_pulses: called as `on_pulses(now_us, pulses)` after every tick; widths as in `pulses`.
         start_us: initial value of the clock [µs].
+        quiet_until_us: time before which `on_pulses` is not called, and at which there is a tick
+            [µs]: what needs the pulses only now and then sets it, and runs several times faster.
     """
 
     def __init__(
@@ -191,6 +198,7 @@ class VirtualHand:
         reset: Reset = Reset.power_on,
         on_pulses: Callable[[int, np.ndarray], None] | None = None,
         start_us: int = 0,
+        quiet_until_us: int = 0,
     ) -> None:
         self._library = load_library()
         self._hand = ctypes.create_string_buffer(self._library.hpac_library_hand_size())
@@ -201,6 +209,7 @@ class VirtualHand:
         self._on_pulses = on_pulses
         self.now_us = start_us
         """Virtual time [µs]."""
+        self.quiet_until_us = quiet_until_us
         self.plugged = True
         """Set to False to simulate an unplugged cable: every transport then raises `PortError`."""
         self.restart(reset)
@@ -237,7 +246,10 @@ class VirtualHand:
     def tick(self) -> None:
         """Call the firmware's tick, as the board does every period."""
         self._library.hpac_hand_tick(self._hand, self._config, self.now_us, self._pulses)
-        if self._on_pulses:
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._on_pulses and self.now_us >= self.quiet_until_us:
             self._on_pulses(self.now_us, self.pulses())
 
     def run(self, seconds: float) -> bytes:
@@ -247,14 +259,13 @@ class VirtualHand:
         said = self.transmit()
         until_us = self.now_us + math.ceil(seconds * 1e6)
         while not said and self.now_us < until_us:
+            stop_us = until_us
             if self._on_pulses:
-                self.now_us = min(self.now_us + self._period_us, until_us)
-                self.tick()
-            else:
-                until = (until_us, self._period_us, self._pulses)
-                self.now_us = self._library.hpac_library_run(
-                    self._hand, self._config, self.now_us, *until
-                )
+                stop_us = min(until_us, max(self.quiet_until_us, self.now_us + self._period_us))
+            self.now_us = self._library.hpac_library_run(
+                self._hand, self._config, self.now_us, stop_us, self._period_us, self._pulses
+            )
+            self._tell()
             said = self.transmit()
         return said
 

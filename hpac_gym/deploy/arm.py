@@ -13,9 +13,10 @@ from typing import Any, Protocol
 from hpac_gym.deploy.errors import DeployError
 
 PACKET = "hpac_arm"
-"""Name of the version field of both packets, one a datagram: told is ``{"hpac_arm": 1, "phase":
-"lift", "time": 1.2, "offset": [x, y, z]}``, with the wrist's offset from its start along the world's
-axes [m]; answered to the first one is ``{"hpac_arm": 1, "ready": true}``.
+"""Name of the version field of both packets, one a datagram: told in every step is ``{"hpac_arm": 1,
+"phase": "lift", "time": 1.2, "offset": [x, y, z]}``, with the time since the hand began to close [s]
+and the wrist's offset from its start along the world's axes [m]; answered to those of the phase
+``ready``, which come until then, is ``{"hpac_arm": 1, "ready": true}``.
 """
 VERSION = 1
 
@@ -28,7 +29,7 @@ class Arm(Protocol):
         ...
 
     def tell(self, told: dict[str, Any]) -> None:
-        """Take note of a phase that begins, or of a new offset of the wrist; never waits."""
+        """Take note of the phase and of the wrist's offset, in every step; never waits."""
         ...
 
     def close(self) -> None:
@@ -51,6 +52,8 @@ class Nobody:
 class Person:
     """A person with the Enter key, to whom every phase is told."""
 
+    _phase = ""
+
     def ready(self, wait: Callable[[float], None], told: dict[str, Any]) -> None:
         """Wait for Enter."""
         import select
@@ -64,9 +67,10 @@ class Person:
             raise DeployError("nobody can press Enter: standard input is closed")
 
     def tell(self, told: dict[str, Any]) -> None:
-        """Print a phase."""
-        if "phase" in told:
-            print(f"\narm: {told['phase']}", file=sys.stderr, flush=True)
+        """Print a phase that begins."""
+        if told["phase"] != self._phase:
+            self._phase = told["phase"]
+            print(f"\narm: {self._phase}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Nothing to do."""

@@ -132,15 +132,13 @@ def run_episode(
         arm.ready(link.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
         stream.begin()
         begun = clock()
-        phase = ""
         closing = observer.phase()
         for step in range(observer.steps):
             stream.wait()
             if step:
                 pose = _pose_now(source, pose, oldest, observer.phase() == closing)
-            if observer.phase() != phase:
-                phase = observer.phase()
-                arm.tell(_told(observer, phase))
+            phase = observer.phase()
+            arm.tell(_told(observer, phase))
             observation = observer.see(pose)
             given, memory = policy.predict(observation, memory, np.array([step == 0]))
             action = _checked(given, observer)

@@ -389,9 +389,10 @@ def test_an_arm_is_told_every_phase_and_says_when_it_is_ready():
         remote.ready = lambda *_: None
         run_episode(link, observer, policy, Fixed(PLACE), remote, Log(None), seconds=0.1, hold=0.0)
     assert len(asked) == 3
-    phases = [json.loads(arm.recv(4096)) for _ in observer.task.phases]
-    assert [packet["phase"] for packet in phases] == list(observer.task.phases)
-    assert phases[2]["offset"][2] == pytest.approx(0.12)
+    told = [json.loads(arm.recv(4096)) for _ in range(observer.steps)]
+    assert list(dict.fromkeys(packet["phase"] for packet in told)) == list(observer.task.phases)
+    assert [packet["time"] for packet in told] == pytest.approx(np.arange(observer.steps) / 20)
+    assert max(packet["offset"][2] for packet in told) == pytest.approx(0.14, abs=0.002)
     remote.close()
     arm.close()
 
@@ -414,15 +415,14 @@ def test_an_object_in_another_place_than_it_is_seen_is_not_held():
         env = made.unwrapped
         held = 0
         for seed in range(3_000_000, 3_000_006):
-            body = deployed.Body(env, seed)
-            hand = VirtualHand(on_pulses=body.on_pulses)
-            observer = Observer(GRASP, body.seen_object)
-            observer.setup = replace(body.setup, object=body.seen_object)
+            world = deployed.LockStep(env, seed)
+            observer = Observer(GRASP, world.seen_object)
+            observer.setup = replace(world.body.setup, object=world.seen_object)
             wrong = Fixed(Pose(np.array([0.08, -0.06, 0.18])))
-            with HandLink(hand.connect) as link:
+            with HandLink(world.hand.connect) as link:
                 policy = load_policy("grasp", observer)
-                run_episode(link, observer, policy, wrong, body, Log(None), seconds=0.1, hold=0.1)
-            held += body.outcome == 1
+                run_episode(link, observer, policy, wrong, world, Log(None), seconds=0.1, hold=0.1)
+            held += world.body.outcome == 1
     assert held <= 4
 
 

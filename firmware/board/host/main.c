@@ -213,7 +213,7 @@ int main(int count, char **arguments)
     if (port < 0) {
         return fail("cannot open a pseudo-terminal");
     }
-    if (options.pulses_path != NULL && (pulse_log = fopen(options.pulses_path, "w")) == NULL) {
+    if (options.pulses_path != NULL && (pulse_log = fopen(options.pulses_path, "a")) == NULL) {
         return fail(options.pulses_path);
     }
     printf("%s\n", ptsname(port));

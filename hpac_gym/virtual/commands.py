@@ -1,0 +1,291 @@
+"""``hpac virtual``: a hand for those who have none, behind a port like that of a real one.
+
+The real firmware runs in a process of its own behind a pseudo-terminal. Its pulses drive a simulated
+body with an object; an arm does what `hpac deploy --arm` tells it; a camera sends poses."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import select
+import signal
+import socket
+import time
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hpac_gym.body.geometry import HPAC_GEOMETRY
+from hpac_gym.body.hands import hand_set
+from hpac_gym.bridge import HostBoard
+from hpac_gym.command import whole_number
+from hpac_gym.deploy import arm as arms
+from hpac_gym.deploy import poses
+from hpac_gym.deploy.commands import object_of
+from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
+from hpac_gym.errors import ParameterError
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.model import DIGITS, HPAC, SERVOS, synergy_from_servo
+from hpac_gym.physics.engine import PhysicsError, SceneSetup
+from hpac_gym.tasks.task import OUTCOMES, RUNNING
+from hpac_gym.virtual.body import Body
+from hpac_gym.virtual.wire import Faults, Relay
+
+POSE_HZ = 60
+"""Poses a second, and looks at the pulses."""
+POLICIES = {GRASP: "grasp", GRASP_ANY: "grasp-any", PICK_PLACE: "pick-place"}
+"""Environments whose scenes there are, and the shipped policy of each."""
+CAN = "cylinder:0.02,0.05"
+"""The object where nothing else is asked for."""
+FRICTION = (0.0, 5e-3)
+SKIN = (0.8, 1.2)
+"""Ranges of a hidden hand's Coulomb friction of the joints [N·m] and of the factor of its skin's
+friction, beside what `hpac_gym.body.hands` draws; those of the randomization `hand`.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac virtual`."""
+    parser.add_argument(
+        "--env", default=GRASP, choices=POLICIES, metavar="ID", help=f"scene ({GRASP})"
+    )
+    parser.add_argument("--grasp", metavar="NAME", help="scene of one of the sixteen named grasps")
+    parser.add_argument(
+        "--object", metavar="SHAPE:M,M", help=f"the object ({CAN}; with --seed one that is drawn)"
+    )
+    parser.add_argument(
+        "--seed", type=whole_number(0), help="draw a hand that is not the nominal one, and a scene"
+    )
+    parser.add_argument(
+        "--reveal", action="store_true", help="tell at once, not at the end, what was drawn"
+    )
+    parser.add_argument("--pose-port", type=int, default=0, help="UDP port that poses go to (free)")
+    parser.add_argument("--arm-port", type=int, default=0, help="UDP port of the arm (a free one)")
+    for name, help_text in (
+        ("loss", "share of the frames that are lost, in each direction"),
+        ("damage", "share of the frames that are damaged"),
+        ("jitter", "the host's frames are late by up to this [s]"),
+        ("latency", "the hand's frames are late by this [s], 0.016 for many USB adapters"),
+    ):
+        parser.add_argument(f"--{name}", type=float, default=0.0, metavar="X", help=help_text)
+    parser.add_argument(
+        "--reset-on-open", action="store_true", help="the board restarts when its port is opened"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Be a hand until Ctrl-C."""
+    faults = Faults(options.loss, options.damage, options.jitter, options.latency)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    with ExitStack() as stack:
+        env = stack.enter_context(_env(options))
+        setup = scene(env.unwrapped, options.env, options.seed)
+        body = Body(env.unwrapped, options.seed or 0, setup)
+        board = stack.enter_context(HostBoard(("--boot-text",) if options.reset_on_open else ()))
+        relay = None
+        if faults != Faults() or options.reset_on_open:
+            relay = Relay(board, faults, options.seed or 0, options.reset_on_open)
+            stack.callback(relay.close)
+        hand = Virtual(body, board, relay, options.arm_port, options.pose_port)
+        stack.callback(hand.close)
+        try:
+            print(_greeting(options, hand, setup), flush=True)
+            while True:
+                hand.turn()
+        except KeyboardInterrupt:
+            print()
+        if not options.reveal:
+            print(_revealed(options.seed, setup), flush=True)
+    return 0
+
+
+def _env(options: argparse.Namespace) -> Any:
+    more: dict[str, Any] = {}
+    if options.env != GRASP and (options.grasp or options.object):
+        raise ParameterError(
+            f"--grasp and --object are of {GRASP}; {options.env} has its own object"
+        )
+    if options.grasp:
+        more["grasp"] = options.grasp
+    elif options.env == GRASP and (options.object or options.seed is None):
+        more["object"] = object_of(options.object or CAN)
+    return make_env(options.env, engine="mujoco", body="light", **more)
+
+
+def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
+    """The scene of a seed, with the hand open; a seed hides a hand from the set ``train`` in it."""
+    env.reset(seed=seed or 0)
+    setup = env.episodes.setups[0]
+    if env_id != GRASP:  # an `Observer` has drawn the same orientation and target
+        drawn = env.task.setup(np.random.default_rng(0), HPAC)
+        setup = replace(drawn, hand_settings=setup.hand_settings)
+    if seed is not None:
+        rng = np.random.default_rng([seed, 7])
+        variants = hand_set("train")
+        variant = variants[rng.integers(len(variants))]
+        settings = replace(
+            variant.over(setup.hand_settings),
+            joint_friction=rng.uniform(*FRICTION),
+            contact_friction=setup.hand_settings.contact_friction * rng.uniform(*SKIN),
+        )
+        setup = replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=settings)
+    rest = np.clip(0.0, setup.hand.servo_min, setup.hand.servo_max)
+    return replace(setup, synergy=synergy_from_servo(rest, setup.hand))
+
+
+class Virtual:
+    """A body, the board that drives it, its arm and its camera, in real time.
+
+    Args:
+        body: the body.
+        board: the running firmware.
+        relay: a bad wire in front of it.
+        arm_port: UDP port at which the arm is told; 0 is a free one.
+        pose_port: UDP port to which poses are sent; 0 is a free one.
+
+    Raises:
+        ParameterError: A port cannot be opened.
+
+    Attributes:
+        port: the hand's port.
+        arm_port, pose_port: the UDP ports.
+    """
+
+    def __init__(
+        self, body: Body, board: HostBoard, relay: Relay | None, arm_port: int, pose_port: int
+    ) -> None:
+        self.body = body
+        self.port = relay.port if relay else board.port
+        self._board = board
+        self._relay = relay
+        self._arm = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._arm.setblocking(False)
+        self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._camera.setblocking(False)
+        try:
+            self._arm.bind(("127.0.0.1", arm_port))
+            self.pose_port = pose_port or _free_port()
+            self._camera.connect(("127.0.0.1", self.pose_port))
+        except (OSError, OverflowError) as error:
+            self.close()
+            raise ParameterError(f"UDP port {arm_port or pose_port}: {error}") from None
+        self.arm_port = self._arm.getsockname()[1]
+        self._began = time.monotonic()
+        self._due = 0.0
+        self._phase = ""
+        self._episodes = 0
+        self._told = RUNNING
+
+    def turn(self) -> None:
+        """Wait until there is something to do, and do it; to be called again and again."""
+        now = time.monotonic() - self._began
+        until = min(self._due, self._relay.due() if self._relay else np.inf)
+        watched = [self._arm, *(self._relay.descriptors() if self._relay else ())]
+        select.select(watched, [], [], max(until - now, 0.0))
+        now = time.monotonic() - self._began
+        if self._relay:
+            self._relay.turn(now)
+        self._hear(round(1e6 * now))
+        if now >= self._due:
+            self._due = max(self._due + 1 / POSE_HZ, now)
+            try:
+                self.body.follow(round(1e6 * now), self._board.pulses())
+            except PhysicsError as error:
+                print(f"{error}; everything is put back", flush=True)
+                self.body.place(self.body.setup)
+            state = self.body.state()
+            self.body.tidy_up(state)
+            pose = self.body.seen(state)
+            packet = {poses.PACKET: poses.VERSION, "position": pose.position.tolist()}
+            with suppress(OSError):  # nobody listens
+                self._camera.send(json.dumps(packet | {"quaternion": pose.quaternion}).encode())
+            self._judge()
+
+    def _hear(self, now_us: int) -> None:
+        """The arm does what it is told; what is no packet is ignored."""
+        while True:
+            try:
+                data, address = self._arm.recvfrom(4096)
+            except OSError:
+                return
+            try:
+                told = json.loads(data)
+                if told[arms.PACKET] != arms.VERSION:
+                    continue
+                if told["phase"] != "ready":
+                    self.body.tell(told)
+                elif self._phase != "ready":
+                    self.body.begin(now_us)
+                    self._told = RUNNING
+                    self._episodes += 1
+                self._phase = told["phase"]
+                if self._phase == "ready":
+                    answer = json.dumps({arms.PACKET: arms.VERSION, "ready": True})
+                    self._arm.sendto(answer.encode(), address)
+            except (OSError, ValueError, KeyError, TypeError):
+                continue
+
+    def _judge(self) -> None:
+        """Tell the outcome of an episode once."""
+        if self.body.outcome not in (RUNNING, self._told):
+            self._told = self.body.outcome
+            print(f"episode {self._episodes}: {OUTCOMES[self._told]}", flush=True)
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._arm.close()
+        self._camera.close()
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def _greeting(options: argparse.Namespace, hand: Virtual, setup: SceneSetup) -> str:
+    """The hand's port, and what to type in a second terminal."""
+    item = setup.object
+    half = {"cylinder": item.half_extents[1:], "sphere": item.half_extents[:1]}
+    sizes = ",".join(f"{size:.4g}" for size in half.get(item.shape, item.half_extents))
+    policy = f"scripted --grasp {options.grasp}" if options.grasp else POLICIES[options.env]
+    words = (
+        f"hpac deploy {policy} --port {hand.port} --object {item.shape}:{sizes}"
+        f" --pose udp:{hand.pose_port} --arm udp:127.0.0.1:{hand.arm_port}"
+    )
+    lines = [f"virtual hand at {hand.port}; Ctrl-C ends it. In a second terminal:", "", words, ""]
+    if options.reveal:
+        lines.append(_revealed(options.seed, setup))
+    return "\n".join(lines)
+
+
+def _revealed(seed: int | None, setup: SceneSetup) -> str:
+    """What was drawn, in words."""
+    item = setup.object
+    lines = [
+        f"object: {item.shape}, half sizes {[round(1e3 * x, 1) for x in item.half_extents]} mm, "
+        f"{1e3 * item.mass:.0f} g, friction {item.friction:.2f}"
+    ]
+    if seed is None:
+        return "\n".join([*lines, "hand: the nominal one; --seed draws another"])
+    given = setup.hand_settings
+    size = (
+        setup.geometry.digits[2].phalanges[0].length / HPAC_GEOMETRY.digits[2].phalanges[0].length
+    )
+    lines += [
+        f"hand {setup.hand.name}, {size:.0%} of the nominal size, joint friction {1e3 * given.joint_friction:.1f} mN·m, "
+        f"skin friction {given.contact_friction:.2f}",
+        _row("slack [mm]", DIGITS, np.array(given.slack) * 1e3),
+        _row("strength", DIGITS, given.strength),
+        _row("servo zero [deg]", SERVOS, np.degrees(given.servo_zero)),
+    ]
+    return "\n".join(lines)
+
+
+def _row(what: str, names: Any, values: Any) -> str:
+    return f"{what}: " + ", ".join(
+        f"{name} {value:.2g}" for name, value in zip(names, values, strict=True)
+    )

@@ -1,0 +1,318 @@
+"""A virtual hand: in real time behind its port, and in lock-step with what can go wrong with a wire."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hpac
+from hpac_gym.bridge import HandLink, VirtualHand, pulses_from_servo
+from hpac_gym.deploy.episode import Log, run_episode
+from hpac_gym.deploy.observer import Observer
+from hpac_gym.envs.options import GRASP, GRASP_ANY
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.model import ServoCommand
+from hpac_gym.policies.loading import load_policy
+from hpac_gym.tasks.task import RUNNING, SUCCESS
+from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
+from hpac_gym.virtual.body import Path as WristPath
+from hpac_gym.virtual.commands import scene
+from hpac_gym.virtual.wire import BadTransport, Faults, Way
+from tests.processes import wait_for
+
+SEEDS = range(3_000_000, 3_000_006)
+
+
+@pytest.fixture(scope="module")
+def env():
+    made = make_env(GRASP, engine="mujoco", body="light")
+    yield made.unwrapped
+    made.close()
+
+
+@contextmanager
+def running(*words):
+    """`hpac virtual`, its port and the words of the command that it prints."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hpac", "virtual", *words], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        greeting = process.stdout.readline()
+        process.stdout.readline()
+        yield process, greeting.split()[3].rstrip(";"), process.stdout.readline().split()[1:]
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+# --- in real time
+
+
+def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):
+    with running("--object", "cylinder:0.02,0.05") as (process, port, words):
+        log = tmp_path / "log.jsonl"
+        done = subprocess.run(
+            [sys.executable, "-m", "hpac", *words, "--log", log, "--hold", "0.2"],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        assert " 0 refused" in done.stdout
+        process.stdout.readline()
+        assert process.stdout.readline() == "episode 1: success\n"
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=10)
+        assert process.returncode == 0
+        assert "object: cylinder" in said
+    steps = [json.loads(line) for line in log.read_text().splitlines()][1:-1]
+    closing = [step["position"] for step in steps if step["phase"] == "close"]
+    assert np.ptp(closing, axis=0).max() > 0  # poses came, with their noise
+    assert not Path(port).exists()
+
+
+def test_a_virtual_hand_that_is_killed_leaves_no_board():
+    with running() as (process, port, _):
+        assert Path(port).exists()
+        process.kill()
+        wait_for(lambda: not Path(port).exists(), 10)
+
+
+def test_a_hidden_hand_is_told_at_the_end_alone():
+    with running("--seed", "4") as (process, _, _):
+        os.kill(process.pid, signal.SIGTERM)
+        said, _ = process.communicate(timeout=10)
+    assert "hand H-PAC train_27, 91% of the nominal size" in said
+    assert "servo zero [deg]: thumb_mp" in said
+
+
+def test_a_board_that_restarts_when_its_port_is_opened_is_reached_over_a_bad_wire():
+    with running("--reset-on-open", "--latency", "0.005", "--damage", "0.02") as (_, port, _):
+        for _ in range(2):
+            with HandLink(port) as link:
+                link.arm()
+                link.move(ServoCommand(np.full(6, 0.2), 1.0))
+                link.wait()
+                np.testing.assert_allclose(link.status().servo, 0.2, atol=1e-3)
+                link.clear()
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--loss", "2"], "loss 2 must be in [0, 1]"),
+        (["--latency", "-1"], "latency -1 must be in [0, 10]"),
+        (["--grasp", "none"], "no grasp 'none'"),
+        (["--object", "ball"], "--object 'ball' is not one of"),
+        (["--env", GRASP_ANY, "--grasp", "rod"], f"--grasp and --object are of {GRASP}"),
+        (["--arm-port", "99999"], "UDP port 99999"),
+    ],
+)
+def test_wrong_words_are_one_line(words, says, capsys):
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        assert hpac.main(["virtual", *words]) == 2
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+    said = capsys.readouterr().err
+    assert says in said
+    assert len(said.splitlines()) == 1
+
+
+# --- in lock-step
+
+
+def through(env, faults, seeds=SEEDS, by_table=True, policy="grasp"):
+    """Episodes that succeeded, and the counts of their streams."""
+    held = 0
+    counts = []
+    for seed in seeds:
+        world = LockStep(env, seed, by_table=by_table)
+        observer = Observer(GRASP, world.seen_object)
+        wire = BadTransport(world.hand, np.random.default_rng(seed), Faults())
+
+        def spoil(figures, wire=wire, last=observer.steps - 1):
+            wire.there.faults = wire.back.faults = faults if figures["step"] < last else Faults()
+
+        with HandLink(lambda wire=wire: wire) as link:
+            chosen = load_policy(policy, observer)
+            counts.append(
+                run_episode(
+                    link,
+                    observer,
+                    chosen,
+                    world,
+                    world,
+                    Log(None),
+                    hold=0.3,
+                    seconds=0.1,
+                    live=spoil,
+                )
+            )
+        held += world.body.outcome == SUCCESS
+    return held, counts
+
+
+@pytest.mark.parametrize(
+    ("faults", "at_least"),
+    [
+        (Faults(), 5),
+        (Faults(loss=0.05), 4),
+        (Faults(jitter=0.002, latency=0.016), 4),
+        (Faults(damage=0.1), 4),
+    ],
+)
+def test_a_grasp_survives_a_bad_wire(env, faults, at_least):
+    held, counts = through(env, faults)
+    assert held >= at_least
+    assert sum(count.refused for count in counts) == 0
+    spoiled = faults.loss + faults.damage
+    assert bool(sum(count.lost for count in counts)) == bool(spoiled)
+
+
+def test_a_hand_that_does_not_close_holds_nothing(env):
+    """The control of the test above."""
+    held, _ = through(env, Faults(), policy="tests.virtual.test_virtual:never_closing")
+    assert held == 0
+
+
+def never_closing(env):
+    class Open:
+        def reset(self, seed):
+            pass
+
+        def act(self, observation):
+            return np.array([-1.0, -1, -1, -1, -1, 0.5])
+
+    return Open()
+
+
+def test_an_arm_that_is_told_carries_as_one_with_a_table(env):
+    held, _ = through(env, Faults(), by_table=False)
+    assert held >= 5
+
+
+def test_the_arm_follows_smoothly_what_it_is_told():
+    path = WristPath()
+    times = np.arange(0, 1.0, 0.05)
+    for time_told in times:
+        path.tell(time_told, np.array([0.02 * np.sin(7 * time_told) ** 2, 0, 0]))
+    fine = np.arange(0.1, 0.9, 0.005)
+    followed = np.array([path.at(t)[0] for t in fine])
+    np.testing.assert_allclose(followed, 0.02 * np.sin(7 * fine) ** 2, atol=5e-4)
+    assert np.abs(np.diff(followed, 2)).max() < 2 * 0.02 * 2 * 49 * 0.005**2
+    assert path.at(5.0)[0] == path.at(0.95)[0]
+    assert not path.at(-0.1).any()
+
+
+def test_a_body_lifts_its_wrist_when_it_is_told_and_stands_again_after_the_episode(env):
+    body = Body(env, 0, scene(env, GRASP, None))
+    rest = pulses_from_servo(np.zeros(6))
+    body.follow(100_000, rest)
+    body.begin(100_000)
+    for step in range(20):
+        body.tell({"time": step / 20, "offset": [0.0, 0.0, 0.01 * step]})
+        body.follow(100_000 + 50_000 * (step + 1), rest)
+    late = 0.95 - LATE
+    assert body.state().palm_offset[0, 2] == pytest.approx(0.2 * (late + 0.05), abs=0.005)
+    body.follow(1_200_000, 0 * rest)
+    body.tidy_up(body.state())
+    assert not body.state().palm_offset[0].any()
+    assert body.outcome == RUNNING
+
+
+def test_servos_look_at_their_pulses_every_20_ms(env):
+    body = Body(env, 0, scene(env, GRASP, None))
+    wide = pulses_from_servo(np.full(6, 0.5))
+    body.follow(0, pulses_from_servo(np.zeros(6)))
+    body.follow(LATCH_US - 1_000, wide)
+    assert body.state().horn[0].max() < 0.01
+    body.follow(2 * LATCH_US - 1, wide)
+    assert 0.05 < body.state().horn[0].max() <= 0.5  # 8 rad/s for 20 ms
+
+
+def test_without_pulses_the_hand_stays_and_the_time_goes_on(env):
+    body = Body(env, 0, scene(env, GRASP, None))
+    body.follow(0, pulses_from_servo(np.full(6, 0.5)))
+    body.follow(300_000, np.zeros(6))
+    np.testing.assert_allclose(body.state().horn[0], 0.5, atol=0.01)
+    assert body.state().time[0] == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_quiet_virtual_hand_calls_only_when_it_is_asked_to_and_moves_the_same():
+    calls = []
+    courses = []
+    for quiet in (False, True):
+        hand = VirtualHand()
+
+        def note(now_us, pulses, hand=hand, quiet=quiet):
+            calls.append(now_us)
+            if quiet:
+                hand.quiet_until_us = now_us + LATCH_US
+
+        hand._on_pulses = note
+        with HandLink(hand.connect) as link:
+            link.arm()
+            link.move(ServoCommand(np.full(6, 0.2), 0.5))
+            link.wait()
+            courses.append((hand.now_us, *hand.pulses()))
+        calls.append(None)
+    assert courses[0] == courses[1]
+    first = calls.index(None)
+    assert len(calls) - first < first / 10
+
+
+# --- the wire
+
+
+def test_a_wire_loses_damages_and_delays_whole_frames():
+    rng = np.random.default_rng(0)
+    sent = b"".join(b"\0" + bytes([number]) * 9 + b"\0" for number in range(1, 201))
+    way = Way(rng, Faults(loss=0.2, damage=0.3), to_hand=True)
+    way.send(0.0, sent[:7])
+    way.send(0.0, sent[7:])
+    came = [frame for frame in way.arrived(0.0).split(b"\0") if frame]
+    whole = [frame for frame in came if len(set(frame)) == 1 and len(frame) == 9]
+    assert 130 < len(came) < 190
+    assert 0.55 < len(whole) / len(came) < 0.85
+    late = Way(rng, Faults(latency=0.016), to_hand=False)
+    late.send(1.0, b"abc\0")
+    assert late.due == pytest.approx(1.016)
+    assert late.arrived(1.015) == b""
+    assert late.arrived(1.016) == b"\0abc\0"
+    jittery = Way(rng, Faults(jitter=0.01), to_hand=True)
+    for number in range(1, 50):
+        jittery.send(0.001 * number, bytes([number]) + b"\0")
+    order = [frame[0] for frame in jittery.arrived(1.0).split(b"\0") if frame]
+    assert order == sorted(order)
+    assert len(order) == 49
+
+
+def test_what_is_no_packet_moves_no_arm():
+    with running() as (process, _, words):
+        address = words[-1].split(":")
+        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        sender.connect((address[1], int(address[2])))
+        sender.settimeout(5)
+        for wrong in (
+            b"\xff",
+            b"{}",
+            b"[]",
+            b'{"hpac_arm": 2}',
+            b'{"hpac_arm": 1, "phase": "lift"}',
+        ):
+            sender.send(wrong)
+        sender.send(b'{"hpac_arm": 1, "phase": "ready"}')
+        assert json.loads(sender.recv(4096)) == {"hpac_arm": 1, "ready": True}
+        time.sleep(0.1)
+        assert process.poll() is None
+        sender.close()
