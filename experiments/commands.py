@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from experiments.bench import JointCamera, Protocol, metal_sweeps
-from experiments.populations import NINE, Workshop, build
+from experiments.populations import ALL_BELOW_DEG, NINE, Workshop, build
 from experiments.quasistatic import Built, hand_course
 from experiments.results import Column, Part, range_of, rows_of, table
-from hpac_gym.calibration.accuracy import ALL_BELOW_DEG
 from hpac_gym.calibration.identification import identify
 from hpac_gym.model import (
     HPAC,

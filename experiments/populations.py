@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from experiments.quasistatic import Built, Metal, hand_course
 from experiments.results import Column, Part, log_ticks, range_of, rows_of, table
-from hpac_gym.calibration.accuracy import ALL_BELOW_DEG, EVALUATED
+from hpac_gym.calibration.accuracy import EVALUATED
 from hpac_gym.model import (
     HPAC,
     JOINTS,
@@ -29,6 +29,8 @@ from hpac_gym.progress import progress
 
 POINTS = 41
 """Number of servo angles at which a hand is evaluated, over the servos' range."""
+ALL_BELOW_DEG = 0.23
+"""The paper: "all nine evaluated joints achieve an MAE below 0.23°"."""
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, POINTS)
 NINE = [JOINTS.index(name) for name in EVALUATED]
 _DRIVEN = [JOINTS.index(name) for name in JOINTS if name.endswith(("_mp", "_mcp"))]

@@ -11,8 +11,8 @@ import numpy as np
 
 from experiments.reference import Reference
 from hpac_gym.calibration import sweep as of_record
-from hpac_gym.calibration.accuracy import workspace
-from hpac_gym.calibration.processing import points, processed
+from hpac_gym.calibration.accuracy import residuals
+from hpac_gym.calibration.processing import Points, points, processed
 from hpac_gym.calibration.record import Sweep, write_sweep
 from hpac_gym.command import run_module
 from hpac_gym.figures import label
@@ -29,6 +29,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     of_record.add_common_arguments(parser)
     parser.set_defaults(run=run)
+
+
+def workspace(points: Points) -> dict[str, tuple[float, float]]:
+    """Table I from a sweep: smallest and largest angle of each joint while its servo moved
+    [rad].
+    """
+    return {
+        name: (float(found.measured.min()), float(found.measured.max()))
+        for name, found in residuals(points).items()
+    }
 
 
 def run(arguments: argparse.Namespace) -> int:

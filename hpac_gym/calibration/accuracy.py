@@ -1,6 +1,4 @@
-"""Accuracy of a model on a sweep: residuals, mean absolute errors, the measured workspace, and the
-figures.
-"""
+"""Accuracy of a model on a sweep: residuals, mean absolute errors, and the figures."""
 
 from __future__ import annotations
 
@@ -31,9 +29,6 @@ EVALUATED = tuple(name for name in JOINTS if name.endswith(("_ip", "_pip", "_dip
 
 FIGURE = tuple(name for name in JOINTS if name != "thumb_cmc")
 """The joints of the paper's figure of mean errors: the nine, MP and MCP."""
-
-ALL_BELOW_DEG = 0.23
-"""The paper: "all nine evaluated joints achieve an MAE below 0.23°"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,45 +87,6 @@ def accuracy(found: dict[str, Residuals]) -> Accuracy:
         }
 
     return Accuracy(mae_deg=errors(np.mean), max_residual_deg=errors(np.max))
-
-
-PRINTED = (
-    "index DIP 1.15 ± 0.05° uncompensated",
-    "index DIP 0.18 ± 0.05° compensated",
-    "largest residual 2.0 ± 0.1°, the index DIP's",
-    "all nine joints below 0.23° compensated",
-    "largest reduction at the index DIP, every joint improves",
-)
-"""Figures that the paper prints for its hand, with margins chosen by this project."""
-
-
-def met(errors: Accuracy) -> dict[str, bool]:
-    """Whether a sweep shows each of the `PRINTED` figures."""
-    before, after = (
-        {name: errors.mae_deg[kind][name] for name in EVALUATED}
-        for kind in ("uncompensated", "compensated")
-    )
-    largest = {name: errors.max_residual_deg["uncompensated"][name] for name in EVALUATED}
-    gain = {name: before[name] - after[name] for name in EVALUATED}
-    facts = (
-        abs(before["index_dip"] - 1.15) <= 0.05,
-        abs(after["index_dip"] - 0.18) <= 0.05,
-        max(largest, key=lambda name: largest[name]) == "index_dip"
-        and abs(largest["index_dip"] - 2.0) <= 0.1,
-        max(after.values()) < ALL_BELOW_DEG,
-        max(gain, key=lambda name: gain[name]) == "index_dip" and min(gain.values()) > 0,
-    )
-    return dict(zip(PRINTED, facts, strict=True))
-
-
-def workspace(points: Points) -> dict[str, tuple[float, float]]:
-    """Table I from a sweep: smallest and largest angle of each joint while its servo moved
-    [rad].
-    """
-    return {
-        name: (float(found.measured.min()), float(found.measured.max()))
-        for name, found in residuals(points).items()
-    }
 
 
 # The paper's two figures -----------------------------------------------------------------

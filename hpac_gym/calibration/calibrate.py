@@ -275,7 +275,6 @@ def summary(
                 "outliers": fit.samples.outliers,
                 "stops_rad": fit.samples.stops,
                 "points_at_stops": fit.samples.at_stops,
-                "not_told_apart": [list(group) for group in fit.confounded],
                 "missing": list(fit.samples.missing),
             }
             for name, fit in found.fits.items()
@@ -356,9 +355,6 @@ def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
         for joint, angle in samples.stops.items()
     ]
     lines += [f"Not measured: {', '.join(samples.missing)}."] if samples.missing else []
-    for first, *others in fit.confounded:
-        apart = f"; it is confounded with {', '.join(others)}" if others else ""
-        lines.append(f"The record hardly determines {first}{apart}.")
     return [*lines, ""]
 
 

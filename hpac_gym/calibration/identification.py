@@ -74,7 +74,6 @@ HELD_OUT_EVERY = 4
 _OUTLIER = 3.0  # standard deviations, beyond which the loss of a point is linear
 _CONTRADICTION = 3.0  # standard deviations of the prior, beyond which known radii are contradicted
 _BOUND = 4.0  # standard deviations of the prior
-_TIED = 0.5  # correlation of two estimates' errors above which they are confounded
 _STRAIGHT = np.pi - 0.02  # rad, included angle of aligned guides
 _NOTHING = 1e-7  # value of a combination that the paper's model does not have
 
@@ -112,8 +111,6 @@ class DigitFit:
     """Scatter of the points about the fit, relative to that expected from the samples; 1 for a
     perfect model.
     """
-    confounded: tuple[tuple[str, ...], ...]
-    """Poorly identified combinations, each followed by those with which it is confounded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,9 +471,7 @@ def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool
     found = result.x[:count]
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
     swept = digit_with(base, prior.values(found))
-    return DigitFit(
-        swept, _estimates(prior, found, covariance), samples, scale, _confounded(prior, covariance)
-    )
+    return DigitFit(swept, _estimates(prior, found, covariance), samples, scale)
 
 
 def _check_radii(fit: DigitFit, prior: _Prior) -> None:
@@ -501,24 +496,6 @@ def _estimates(prior: _Prior, solution: Array, covariance: Array) -> tuple[Estim
         Estimate(item.name, item.formula, *map(float, numbers))
         for item, *numbers in zip(prior.known, value, low, high, told, away, strict=True)
     )
-
-
-def _confounded(prior: _Prior, covariance: Array) -> tuple[tuple[str, ...], ...]:
-    """Combinations that keep over half of their prior uncertainty, each with those of correlated
-    error.
-    """
-    names = [item.name for item in prior.known]
-    deviation = np.sqrt(np.diag(covariance))
-    correlation = np.abs(covariance / np.outer(deviation, deviation))
-    groups = []
-    for row in np.flatnonzero(deviation > 0.5 * prior.sigma):
-        partners = [
-            name
-            for name, part in zip(names, correlation[row], strict=True)
-            if part > _TIED and name != names[row]
-        ]
-        groups.append((names[row], *partners))
-    return tuple(groups)
 
 
 def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estimate, Estimate]:

@@ -10,21 +10,18 @@ import pytest
 
 from experiments import sweep as command
 from experiments.bench import JointCamera, Protocol
-from experiments.reference import Reference
+from experiments.reference import PRINTED, Reference, met
 from experiments.rig import Rig
 from hpac_gym.calibration import processing
 from hpac_gym.calibration import sweep as of_record
 from hpac_gym.calibration.accuracy import (
     EVALUATED,
     FIGURE,
-    PRINTED,
     Accuracy,
     accuracy,
-    met,
     residual_figure,
     residual_limit,
     residuals,
-    workspace,
 )
 from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import Sweep, read_sweep, write_sweep
@@ -176,7 +173,7 @@ def test_a_separate_sweep_yields_a_table_in_the_form_of_table_1():
     """
     rig = REFERENCE.rig.with_protocol(points=2, rest=0.5)
     sweep = rig.sweep(np.random.default_rng(0), servos=("thumb_mp", "ring_mcp", "thumb_cmc"))
-    table = workspace(points(processed(sweep)))
+    table = command.workspace(points(processed(sweep)))
     assert tuple(table) == tuple(name for name in JOINTS if name.startswith(("thumb", "ring")))
     for name, (low, high) in table.items():
         assert low == pytest.approx(0.0, abs=0.01)
