@@ -35,9 +35,7 @@ from hpac_gym.evaluation.statistics import (
 )
 from hpac_gym.output import markdown, writable_file, write_text
 from hpac_gym.physics.simulation import is_installed
-from hpac_gym.policies import read_policy
-from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
 from hpac_gym.policies.made_for import made_for
 from hpac_gym.policies.policy_file import policy_path
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
@@ -143,6 +141,7 @@ def header(args: argparse.Namespace) -> Results:
         )
     seeds = list(range(RUNS if budget else 1))
     names = [args.policy.replace("{seed}", str(seed)) for seed in seeds]
+    normalize = [_seeded(args.normalize, seed) for seed in seeds]
     left_out = [
         split
         for split, options in splits_of(args.env).items()
@@ -156,14 +155,18 @@ def header(args: argparse.Namespace) -> Results:
         if split in left_out:
             continue
         with make_env(args.env, **_options(args.env, split, args.obs)) as env:
-            for name in names:
-                load_policy(name, env)
+            for name, statistics in zip(names, normalize, strict=True):
+                load_policy(name, env, statistics)
     return {
         "schema": SCHEMA,
         "env_id": args.env,
         "env_sha256": env_hash(args.env),
         "policy": args.policy,
-        "files": [_file(name) for name in names if policy_path(name).is_file()],
+        "files": [
+            _file(name, statistics)
+            for name, statistics in zip(names, normalize, strict=True)
+            if policy_path(name).is_file()
+        ],
         "about": args.about,
         "budget": budget,
         "training_seeds": args.training_seeds if budget else None,
@@ -173,6 +176,7 @@ def header(args: argparse.Namespace) -> Results:
         "first_seed": BENCHMARK_SEED,
         "versions": versions(),
         **({"left_out": left_out} if left_out else {}),
+        **({"normalize": args.normalize} if args.normalize else {}),
     }
 
 
@@ -194,13 +198,15 @@ def _options(env_id: str, split: str, obs: str) -> dict[str, str]:
     return splits_of(env_id)[split] | ({} if obs == "deploy" else {"obs": obs})
 
 
-def _file(name: str) -> dict[str, Any]:
-    told = read_policy(name).about
+def _seeded(name: str | None, seed: int) -> str | None:
+    return name and name.replace("{seed}", str(seed))
+
+
+def _file(name: str, normalize: str | None) -> dict[str, Any]:
+    told = about(name, normalize)
     digest = hashlib.sha256(policy_path(name).read_bytes()).hexdigest()
-    return {
-        "sha256": digest,
-        **{key: told[key] for key in ("algorithm", "env_steps", "seed") if key in told},
-    }
+    keys = ("algorithm", "env_steps", "seed", "normalize_sha256")
+    return {"sha256": digest, **{key: told[key] for key in keys if key in told}}
 
 
 def judge(head: Results, split: str, seed: int, workers: int) -> Results:
@@ -214,6 +220,7 @@ def judge(head: Results, split: str, seed: int, workers: int) -> Results:
         seed_start=head["first_seed"],
         workers=workers,
         options=options,
+        normalize=_seeded(head.get("normalize"), seed),
     )
     episodes = next(iter(result.episodes.values()))
     won = sum(episode.success for episode in episodes)
@@ -478,9 +485,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("env", nargs="?", help=f"one of {', '.join(SPLITS)}")
     parser.add_argument(
         "--policy",
-        help=f"{', '.join(BASELINES)}, a shipped policy, a policy file, module:function or module:function:text; "
-        "{seed} in it stands for the seed of a run",
+        help=f"{NAMES}; {{seed}} in it stands for the seed of a run",
     )
+    parser.add_argument("--normalize", help=f"{NORMALIZE}; {{seed}} as in --policy")
     parser.add_argument(
         "--budget", choices=("0", "1e5", "1e6", "1e7"), default="0", help="steps of each training"
     )

@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.errors import PolicyError
+from hpac_gym.errors import PolicyError, install
 
 NONE = "none"
 """Instead of a file of statistics: the model was trained without."""
@@ -173,7 +173,8 @@ def _policy(path: Path, _changed: int) -> tuple[Any, bool]:
         from stable_baselines3.common.save_util import load_from_zip_file
 
         unneeded = dict.fromkeys(set(data) - set(_NEEDED))
-        data, parameters, _ = load_from_zip_file(path, custom_objects=unneeded, device="cpu")
+        found, parameters, _ = load_from_zip_file(path, custom_objects=unneeded, device="cpu")
+        data = found or {}
         policy = data.get("policy")  # SBX saves it whole
         if policy is None:
             make = data["policy_class"]
@@ -185,7 +186,7 @@ def _policy(path: Path, _changed: int) -> tuple[Any, bool]:
             policy.set_training_mode(False)
     except ModuleNotFoundError as error:
         raise PolicyError(
-            f"model '{path}' needs {error.name}, which is not installed: pip install 'hpac_gym[train]'"
+            f"model '{path}' needs {error.name}, which is not installed: {install('train')}"
         ) from None
     except Exception as error:  # a damaged file can make its reader raise anything
         raise PolicyError(f"model '{path}' is damaged: {error!r}".splitlines()[0]) from None

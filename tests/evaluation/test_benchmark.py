@@ -6,8 +6,11 @@ import copy
 import json
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from agents.closures import SHORT
 from hpac_gym.envs import GraspAny
@@ -101,6 +104,23 @@ def test_what_nobody_trained_has_one_run_with_its_wilson_interval(tmp_path, caps
     assert main(["--check", str(tmp_path / "random.json"), "--json"]) == 0
     (told,) = json.loads(capsys.readouterr().out)["files"]
     assert (told["faults"], told["summary"]) == ([], results["summary"])
+
+
+def test_five_models_of_stable_baselines3_are_judged_with_their_statistics(tmp_path, capsys):
+    """Named apart from them, since none lies beside its model."""
+    for seed in range(5):
+        envs = VecNormalize(DummyVecEnv([lambda: gymnasium.make(TINY)]))
+        model = PPO("MlpPolicy", envs, n_steps=16, batch_size=16, seed=seed, device="cpu").learn(16)
+        model.save(tmp_path / f"{seed}" / "model.zip")
+        envs.save(str(tmp_path / f"statistics_{seed}.pkl"))
+    words = ("--normalize", f"{tmp_path}/statistics_{{seed}}.pkl", "--budget", "1e5")
+    results = submit(tmp_path / "out.json", *words, policy=f"{tmp_path}/{{seed}}/model.zip")
+    assert not list(faults(results))
+    assert len({file["sha256"] for file in results["files"]}) == 5
+    assert len({file["normalize_sha256"] for file in results["files"]}) == 5
+    assert [file["env_steps"] for file in results["files"]] == [16] * 5
+    with pytest.raises(PolicyError, match="was trained on normalised observations"):
+        submit(tmp_path / "other.json", "--budget", "1e5", policy=f"{tmp_path}/{{seed}}/model.zip")
 
 
 def test_an_interrupted_call_goes_on_after_its_last_cell(tmp_path, monkeypatch, trained):

@@ -186,4 +186,4 @@ sys.exit(hpac.main(["evaluate", "--policy", "{saved}/model.zip", "--env", "{TINY
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "stable_baselines3" in line
-    assert "pip install 'hpac_gym[train]'" in line
+    assert "pip install '.[train]'" in line
