@@ -14,20 +14,22 @@ from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv
 
 from hpac_gym.errors import EnvError
+from hpac_gym.evaluation.options import object_of
 from hpac_gym.registration import register_all
 
 LIBRARIES = ("hpac_gym", "numpy", "gymnasium", "mujoco-core", "pybullet", "torch")
 
 
 def make_env(env_id: str, **options: Any) -> gymnasium.Env[Any, Any]:
-    """Create the environment of an id, ``name-v0`` or ``module:name-v0``.
+    """Create the environment of an id, ``name-v0`` or ``module:name-v0``; an object may be given as
+    in `hpac_gym.evaluation.options.object_of`.
 
     Raises:
         EnvError: The id is unknown, an option is invalid, or the action is not a flat box of −1…1.
     """
     register_all()  # which a command leaves to those that make environments
     with _refusing(env_id, options):
-        env = gymnasium.make(env_id, disable_env_checker=True, **options)
+        env = gymnasium.make(env_id, disable_env_checker=True, **_with_object(options))
     space = env.action_space
     if not (
         isinstance(space, Box)
@@ -49,7 +51,12 @@ def make_envs(env_id: str, count: int, **options: Any) -> VectorEnv[Any, Any, An
     """
     register_all()
     with _refusing(env_id, options):
-        return gymnasium.make_vec(env_id, count, autoreset_mode="Disabled", **options)
+        return gymnasium.make_vec(env_id, count, autoreset_mode="Disabled", **_with_object(options))
+
+
+def _with_object(options: Mapping[str, Any]) -> dict[str, Any]:
+    given = options.get("object")
+    return {**options} | ({"object": object_of(given)} if isinstance(given, str) else {})
 
 
 @contextmanager

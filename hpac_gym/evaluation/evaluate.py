@@ -286,7 +286,7 @@ def run(args: argparse.Namespace) -> int:
         summary["policy"] = told[0]
     elif told:
         summary["files"] = told
-    text = json.dumps(summary, indent=2, default=str)
+    text = json.dumps(summary, indent=2)
     print(text if args.json else table(summary), flush=True)
     if args.out:
         write_text(args.out, text + "\n")

@@ -60,7 +60,8 @@ def add_env_options(
 
 
 def env_options(args: argparse.Namespace, env_id: str) -> dict[str, Any]:
-    """The options that were given, as arguments of `gymnasium.make` for an id.
+    """The options that were given, as `make_env` takes them for an id and a results file tells
+    them.
 
     Raises:
         ParameterError: An ``--object`` or ``--set`` has another form.
@@ -70,8 +71,8 @@ def env_options(args: argparse.Namespace, env_id: str) -> dict[str, Any]:
     }
     if "grasp" in found and env_id.rpartition(":")[2] == GRASP_TYPE:
         found["types"] = found.pop("grasp")
-    if "object" in found:
-        found["object"] = object_of(found["object"])
+    if "object" in found and isinstance(given := object_of(found["object"]), dict):
+        found["object"] = given
     return with_set(found, args.set)
 
 

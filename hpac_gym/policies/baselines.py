@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError
+from hpac_gym.policies.made_for import id_of
 from hpac_gym.policies.policy import EpisodePolicy, Memory
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspByType, ScriptedGraspType
 from hpac_gym.tasks.posture import ScriptedPosture
@@ -55,9 +56,10 @@ def one_closure(env: gymnasium.Env[Any, Any], name: str) -> ScriptedPolicy:
     """
     if name not in GRASP_TYPES:
         raise PolicyError(f"no grasp type '{name}': there are {', '.join(GRASP_TYPES)}")
-    if not isinstance(env.unwrapped.task, GraspByType):
-        raise PolicyError(f"one closure of {name} needs HPAC-GraspType-v0, not {env.spec.id}")
-    return ScriptedPolicy(env, ScriptedGraspType(env.unwrapped.task, name))
+    task = getattr(env.unwrapped, "task", None)
+    if not isinstance(task, GraspByType):
+        raise PolicyError(f"one closure of {name} needs HPAC-GraspType-v0, not {id_of(env)}")
+    return ScriptedPolicy(env, ScriptedGraspType(task, name))
 
 
 def constant_posture(env: gymnasium.Env[Any, Any]) -> ScriptedPolicy:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,13 +79,12 @@ class Closures:
         unknown = set(ranges) - {entry.name for entry in fields(cls)}
         if unknown:
             raise PolicyError(f"a closure has no {', '.join(sorted(unknown))}")
+        given: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in ranges.items()
+        }
         try:
-            return cls(
-                **{
-                    name: tuple(value) if isinstance(value, list) else value
-                    for name, value in ranges.items()
-                }
-            )
+            return cls(**given)
         except (TypeError, ValueError) as error:
             raise PolicyError(f"invalid closure ranges: {error}") from None
 
@@ -98,16 +98,17 @@ class Closures:
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest value of each number, shape (2, len(names))."""
         ranges = [self.goal] * len(SERVOS) + [self.duration, self.thumb_delay]
-        ranges += [self.begin, self.release] if self.begin is not None else []
-        ranges += (
-            [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS) if self.wrist is not None else []
-        )
+        if self.begin is not None and self.release is not None:
+            ranges += [self.begin, self.release]
+        if self.wrist is not None:
+            ranges += [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS)
         return np.array(ranges).T
 
     def decisions(self, values: ArrayLike) -> NDArray[np.float64]:
         """The numbers of closures scaled to decisions, −1…1, both of shape (..., len(names))."""
         low, high = self.bounds
-        return 2 * (np.asarray(values) - low) / (high - low) - 1
+        decided: NDArray[np.float64] = 2 * (np.asarray(values) - low) / (high - low) - 1
+        return decided
 
     def actions(self, decisions: ArrayLike, steps: ArrayLike) -> NDArray[np.float64]:
         """Actions of n closures at given control steps.

@@ -13,6 +13,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError, install
 from hpac_gym.output import replacing, writable_folder
@@ -141,14 +142,14 @@ def read_card(folder: Path) -> dict[str, Any]:
         PolicyError: It is missing or damaged.
     """
     try:
-        told = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        told: dict[str, Any] = json.loads((folder / CARD).read_text(encoding="utf-8"))
         str.rpartition(told["env_id"], ":")
         return told
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise PolicyError(f"'{folder}' is not an exported policy: {error}") from None
 
 
-def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
+def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
     """Load an exported policy for an environment.
 
     Raises:
@@ -183,8 +184,10 @@ def read_onnx(folder: Path, env: gymnasium.Env) -> LearnedPolicy:
             f"'{folder}' is not an exported policy: {str(error).splitlines()[0]}"
         ) from None
 
-    def decide(observation: np.ndarray) -> np.ndarray:
-        return session.run(None, {"observation": np.asarray(observation, np.float32)[None]})[0][0]
+    def decide(observation: NDArray[Any]) -> NDArray[np.float32]:
+        seen = np.asarray(observation, np.float32)[None]
+        decided: NDArray[np.float32] = session.run(None, {"observation": seen})[0][0]
+        return decided
 
     return LearnedPolicy(decide, repeat, closures)
 
@@ -198,7 +201,7 @@ def export(
         path: the policy file.
         out: the folder.
         evaluation: output of `hpac evaluate --out` for this policy, copied into the card.
-        film: video of the policy (MP4), such as ``grasps.mp4`` of `agents.replay`, copied into the
+        film: video of the policy (MP4), such as one of ``hpac show --record``, copied into the
             folder.
 
     Raises:
@@ -230,7 +233,7 @@ def export(
 
 def _evaluation(path: Path, sha256: str) -> dict[str, Any]:
     try:
-        judged = json.loads(path.read_text(encoding="utf-8"))
+        judged: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if "files" in judged:
             raise PolicyError(
                 f"'{path}' compares {len(judged['files'])} policies: evaluate this one alone"
@@ -361,7 +364,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--film",
         type=Path,
-        help="MP4 file that shows the policy, such as grasps.mp4 of agents.replay",
+        help="MP4 file that shows the policy, such as one of hpac show --record",
     )
     parser.set_defaults(run=_export)
 

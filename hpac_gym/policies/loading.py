@@ -11,7 +11,7 @@ from gymnasium.spaces import Box, Dict, Space
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
 from hpac_gym.policies.export import read_card, read_onnx
-from hpac_gym.policies.made_for import require_fit
+from hpac_gym.policies.made_for import id_of, require_fit
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
 from hpac_gym.policies.sb3 import about_model, is_model, read_model
@@ -41,7 +41,8 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
             environment.
     """
     if name in BASELINES:
-        return BASELINES[name](env)
+        baseline: Policy = BASELINES[name](env)
+        return baseline
     path = policy_path(name)
     if path.is_dir():
         return read_onnx(path, env)
@@ -86,7 +87,7 @@ def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
         PolicyError: The file is missing, damaged, or made for another environment.
     """
     policy = read_policy(name)
-    env_id = env.spec.id
+    env_id = id_of(env)
     try:
         require_fit(
             f"policy file '{name}'", policy.about["env_id"], policy.about.get("made_for", {}), env
@@ -101,7 +102,7 @@ def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
         raise PolicyError(
             f"policy file '{name}' takes a vector, {env_id} observes {env.observation_space}"
         )
-    wanted = observed, env.action_space.shape[0]
+    wanted = observed, vector_size(env.action_space)
     if policy.sizes != wanted:
         raise PolicyError(
             f"policy file '{name}' maps {policy.sizes} values, {env_id} needs {wanted}"
@@ -114,6 +115,7 @@ def vector_size(space: Space[Any]) -> int | None:
     else, such as pictures.
     """
     parts = list(space.values()) if isinstance(space, Dict) else [space]
-    if all(isinstance(part, Box) and len(part.shape) == 1 for part in parts):
-        return sum(part.shape[0] for part in parts)
+    shapes = [part.shape for part in parts if isinstance(part, Box)]
+    if len(shapes) == len(parts) and all(len(shape) == 1 for shape in shapes):
+        return sum(size for (size,) in shapes)
     return None

@@ -16,7 +16,7 @@ from hpac_gym.model import HPAC, SERVOS, Hand, hand_to_toml
 from hpac_gym.tasks.task import CONTROL_HZ
 
 
-def made_for(env: gymnasium.Env) -> dict[str, Any]:
+def made_for(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     """The properties of an environment that its policies rely on; empty for environments of other
     packages.
 
@@ -72,7 +72,7 @@ def difference(file: Mapping[str, Any], here: Mapping[str, Any]) -> str | None:
     return None
 
 
-def other_hand(file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
+def other_hand(file: Mapping[str, Any], env: gymnasium.Env[Any, Any]) -> str | None:
     """A remark that a policy was made with the model of another hand; None if it was not."""
     made_with = file.get("hand_sha256")
     hand = _model(env)
@@ -82,19 +82,27 @@ def other_hand(file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
     return f"was made with {was}, and acts here with the model of '{hand.name}'"
 
 
-def misfit(env_id: str, file: Mapping[str, Any], env: gymnasium.Env) -> str | None:
+def misfit(env_id: str, file: Mapping[str, Any], env: gymnasium.Env[Any, Any]) -> str | None:
     """Why a policy made for the environment `env_id`, described by `file`, does not fit another
     one; None if it does.
 
     An id may be given with or without the module that registers it.
     """
-    if env_id.rpartition(":")[2] != env.spec.id.rpartition(":")[2]:
-        return f"was trained on {env_id}, not on {env.spec.id}"
+    here = id_of(env)
+    if env_id.rpartition(":")[2] != here.rpartition(":")[2]:
+        return f"was trained on {env_id}, not on {here}"
     differs = difference(file, made_for(env))
-    return differs and f"does not fit {env.spec.id}: {differs}"
+    return differs and f"does not fit {here}: {differs}"
 
 
-def require_fit(what: str, env_id: str, file: Mapping[str, Any], env: gymnasium.Env) -> None:
+def id_of(env: gymnasium.Env[Any, Any]) -> str:
+    """The id of an environment; the name of its class if it was made without one."""
+    return env.spec.id if env.spec else type(env.unwrapped).__name__
+
+
+def require_fit(
+    what: str, env_id: str, file: Mapping[str, Any], env: gymnasium.Env[Any, Any]
+) -> None:
     """Refuse a policy that was made for another interface; warn of one made with another hand.
 
     Args:
@@ -112,7 +120,7 @@ def require_fit(what: str, env_id: str, file: Mapping[str, Any], env: gymnasium.
         warnings.warn(f"{what} {remark}", stacklevel=3)
 
 
-def _model(env: gymnasium.Env) -> Hand:
+def _model(env: gymnasium.Env[Any, Any]) -> Hand:
     """The model of an environment; the nominal one where every episode has its own."""
     model = getattr(env.unwrapped, "model", HPAC)
     return model if isinstance(model, Hand) else HPAC

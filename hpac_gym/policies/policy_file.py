@@ -65,7 +65,8 @@ class Actor:
         bounded = np.clip(
             last_weight.astype(float) @ value + last_bias, -self.mean_clip, self.mean_clip
         )
-        return np.tanh(bounded).astype(np.float32)
+        action: NDArray[np.float32] = np.tanh(bounded).astype(np.float32)
+        return action
 
     @property
     def sizes(self) -> tuple[int, int]:
@@ -83,7 +84,8 @@ class PolicyFile:
     @property
     def action_repeat(self) -> int:
         """Number of control steps for which each action is held, as in training."""
-        return self.about.get("action_repeat", 1)
+        steps: int = self.about.get("action_repeat", 1)
+        return steps
 
     @property
     def closures(self) -> Closures | None:
@@ -120,7 +122,7 @@ def write_policy(path: str | os.PathLike[str], policy: PolicyFile) -> None:
     if Path(path).suffix != SUFFIX:
         raise PolicyError(f"the name of policy file '{path}' must end in {SUFFIX}")
     actor = policy.actor
-    arrays = {
+    arrays: dict[str, Any] = {
         "observation_mean": actor.observation_mean,
         "observation_scale": actor.observation_scale,
         "observation_clip": np.float64(actor.observation_clip),

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.errors import PolicyError, install
+from hpac_gym.policies.made_for import id_of
 
 NONE = "none"
 """Instead of a file of statistics: the model was trained without."""
@@ -151,8 +152,7 @@ def read_model(path: Path, env: gymnasium.Env[Any, Any], normalize: str | None =
     for name in ("observation_space", "action_space"):
         ours = getattr(env, name)
         if (theirs := getattr(policy, name)) != ours:
-            told = env.spec.id if env.spec else "the environment"
-            raise PolicyError(f"model '{path}' has the {name} {theirs}, {told} has {ours}")
+            raise PolicyError(f"model '{path}' has the {name} {theirs}, {id_of(env)} has {ours}")
     if statistics is None:
         if normalised and normalize != NONE:
             raise PolicyError(

@@ -9,7 +9,7 @@ import hpac
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.options import OPTIONS, add_env_options, env_options
+from hpac_gym.evaluation.options import OPTIONS, add_env_options, env_options, object_of
 
 GRASP = "HPAC-Grasp-v0"
 
@@ -48,8 +48,10 @@ def test_a_value_is_json_or_else_text(text, value):
 
 
 def test_an_object_is_a_shape_with_its_sizes_or_a_file():
-    ball = options("--object", "sphere:0.03")["object"]
-    assert ball == ObjectSpec("sphere", (0.03, 0.03, 0.03), mass=0.1, friction=0.8)
+    assert options("--object", "sphere:0.03") == {"object": "sphere:0.03"}
+    assert object_of("sphere:0.03") == ObjectSpec(
+        "sphere", (0.03, 0.03, 0.03), mass=0.1, friction=0.8
+    )
     found = options(
         "--object", "mug.stl", "--set", "object.mass=0.3", "--set", "object.scale=0.001"
     )
