@@ -109,6 +109,7 @@ class Body:
             setup = replace(setup, synergy=synergy)
         self._env.reset(seed=self._seed, options=None if setup is None else {"setup": setup})
         self.setup: SceneSetup = self._env.episodes.setups[0]
+        self._table = self._env.task.wrist_path(self.setup, self._env.episodes.times)
         self.outcome = RUNNING
         self._path = Path()
         self._began_us: float | None = None
@@ -164,8 +165,7 @@ class Body:
     def _wrist(self, steps: int, dt: float) -> Array:
         """Offsets of the wrist in the next physics steps, shape (steps, 3) [m]."""
         if self._by_table:
-            table = self._env.task.wrist_path(self.setup, self._env.episodes.times)
-            return table[np.minimum(self._step + np.arange(steps), len(table) - 1)]
+            return self._table[np.minimum(self._step + np.arange(steps), len(self._table) - 1)]
         if self._began_us is None:
             return np.zeros((steps, 3))
         since = (self._at_us - self._began_us) * 1e-6
