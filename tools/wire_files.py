@@ -303,7 +303,7 @@ def vectors_header(rows: Vectors) -> str:
 
 def _type_name(field: protocol.Field) -> str:
     name = f"{'i' if field.signed else 'u'}{8 * field.size}"
-    return f"{name}[{field.count}]" if field.is_array else name
+    return f"{name}[{field.count}]" if field.count > 1 else name
 
 
 def wire_files(hand: Hand = HPAC) -> dict[Path, str]:

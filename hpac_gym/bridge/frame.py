@@ -117,7 +117,7 @@ def decode(encoded: bytes) -> Frame:
         )
     values = iter(_payload(message).unpack_from(body, HEADER_LENGTH))
     fields = {
-        part.name: tuple(islice(values, part.count)) if part.is_array else next(values)
+        part.name: tuple(islice(values, part.count)) if part.count > 1 else next(values)
         for part in message.fields
     }
     return Frame(message.name, seq, flags, fields)

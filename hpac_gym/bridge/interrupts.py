@@ -114,20 +114,10 @@ class _Interrupts:
             watcher = threading.Thread(target=_watch, args=(self._came, _WAKE), daemon=True)
             watcher.start()
         self._links.add(link)
-        self._mask(signal.SIG_BLOCK)
 
     def link_closed(self, link: Any) -> None:
         """Take a link out of protection."""
         self._links.discard(link)
-        if link.thread is threading.current_thread():
-            self._mask(signal.SIG_UNBLOCK)
-
-    def _mask(self, how: int) -> None:
-        """Leave the signals to the main thread, which alone handles them: it would not wake up for
-        one that the system delivers to a thread that drives a hand.
-        """
-        if threading.current_thread() is not threading.main_thread():
-            signal.pthread_sigmask(how, self._before)
 
     def deliver(self, already_ending: bool) -> None:
         """Raise the delayed signal, unless the program is already ending because of an earlier

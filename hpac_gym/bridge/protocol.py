@@ -31,7 +31,6 @@ class Field:
     size: int
     count: int
     offset: int
-    is_array: bool
 
     @property
     def struct_format(self) -> str:
@@ -64,16 +63,8 @@ def _read_fields(pairs: list[list[str]]) -> tuple[Field, ...]:
     fields: list[Field] = []
     for name, type_name in pairs:
         sign, bits, count = _TYPE.findall(type_name)[0]
-        fields.append(
-            Field(
-                name,
-                sign == "i",
-                int(bits) // 8,
-                int(count or 1),
-                _length(tuple(fields)),
-                bool(count),
-            )
-        )
+        offset = _length(tuple(fields))
+        fields.append(Field(name, sign == "i", int(bits) // 8, int(count or 1), offset))
     return tuple(fields)
 
 

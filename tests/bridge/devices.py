@@ -8,7 +8,7 @@ HELLO_OF_A_HAND = Frame(
     "device_hello",
     seq=1,
     fields={
-        field.name: (0,) * field.count if field.is_array else 0
+        field.name: (0,) * field.count if field.count > 1 else 0
         for field in MESSAGES["device_hello"].fields
     },
 )

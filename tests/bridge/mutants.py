@@ -1,4 +1,4 @@
-"""Generated faults in `hpac_gym/bridge`, each of which the bridge's tests must notice.
+"""Generated faults in `hpac_gym/bridge` and `tools/evidence`, each of which the bridge's tests must notice.
 
     python tests/bridge/mutants.py --count 200 --seed 1
 
@@ -33,9 +33,9 @@ import pytest
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parents[2]
-BRIDGE = Path("hpac_gym/bridge")
-LEFT_OUT = {"__init__.py", "protocol.py"}
-"""Nothing to break, or compared with the generated files."""
+PLACES = (Path("hpac_gym/bridge"), Path("tools/evidence"))
+LEFT_OUT = {"__init__.py", "protocol.py", "codes.py", "user_programs.py"}
+"""Nothing to break, compared with the generated files, or run by slow tests."""
 TESTS = {
     "conversation": "frame reports patience link exits commands protocol bad_devices host_board evidence conform",
     "evidence": "oracle evidence conform",
@@ -155,7 +155,9 @@ class Watch:
     def tell(self, test: str) -> None:
         """Tell that a test begins, or by an empty name that all have passed."""
         sys.settrace(None)
-        ours = [code for code in self._called if str(BRIDGE) in code.co_filename]
+        ours = [
+            code for code in self._called if any(str(place) in code.co_filename for place in PLACES)
+        ]
         self._tell(
             (
                 test,
@@ -289,7 +291,8 @@ def main() -> int:
     before = (
         options.record.read_text().split() if options.record and options.record.exists() else []
     )
-    paths = [path for path in sorted((ROOT / BRIDGE).rglob("*.py")) if path.name not in LEFT_OUT]
+    paths = sorted(path for place in PLACES for path in (ROOT / place).rglob("*.py"))
+    paths = [path for path in paths if path.name not in LEFT_OUT]
     paths = [path for path in paths if ("evidence" in path.parts) == (options.part == "evidence")]
     texts = {path: path.read_text() for path in paths}
     everything = [(path, *site) for path, text in texts.items() for site in sites(ast.parse(text))]
@@ -305,7 +308,10 @@ def main() -> int:
             if time.monotonic() - start > 60 * options.minutes:
                 break
             mutated, what = mutate(texts[path], kind, number)
-            where = f"{path.relative_to(ROOT / BRIDGE)} {what}"
+            bridge = ROOT / PLACES[0]
+            where = (
+                f"{path.relative_to(bridge if bridge in path.parents else ROOT / 'tools')} {what}"
+            )
             if re.sub(r"line \d+: ", "", where) in EQUIVALENT:
                 equivalent += 1
                 continue

@@ -33,7 +33,7 @@ def _field_values(field):
     bits = 8 * field.size
     low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if field.signed else (0, (1 << bits) - 1)
     integer = st.integers(low, high)
-    return st.tuples(*[integer] * field.count) if field.is_array else integer
+    return st.tuples(*[integer] * field.count) if field.count > 1 else integer
 
 
 @st.composite

@@ -397,7 +397,7 @@ def test_an_oracle_that_saw_nothing_has_tried_nothing():
 @pytest.mark.parametrize("name", MESSAGES)
 def test_the_oracles_codec_is_the_codec(name):
     fields = {
-        field.name: (1, 0, 200, 3, 4, 5)[: field.count] if field.is_array else 77
+        field.name: (1, 0, 200, 3, 4, 5)[: field.count] if field.count > 1 else 77
         for field in MESSAGES[name].fields
     }
     data = encode(Frame(name, 0x1234, 1, fields))

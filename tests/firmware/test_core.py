@@ -81,7 +81,7 @@ def test_every_message_is_answered_in_the_layout_that_python_expects(data):
     message = data.draw(st.sampled_from([m for m in MESSAGES.values() if m.from_host]))
     fields = {
         field.name: tuple(data.draw(st.integers(0, 127)) for _ in range(field.count))
-        if field.is_array
+        if field.count > 1
         else 99
         for field in message.fields
     }

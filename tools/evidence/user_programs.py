@@ -166,6 +166,10 @@ async def both():
     await task
 asyncio.run(both())
 """,
+}
+"""Ways to open a link that release the hand on their way out, by name."""
+
+KEPT = {
     "fork, child ends": """
 with HandLink(PORT) as link:
     drive(link)
@@ -174,10 +178,6 @@ with HandLink(PORT) as link:
     os.wait()
     link.heartbeat()
 """,
-}
-"""Ways to open a link that release the hand on their way out, by name."""
-
-KEPT = {
     "forgotten": """
 global link
 link = HandLink(PORT)
@@ -236,7 +236,7 @@ with HandLink(PORT) as link:
     drive(link)
 """,
 }
-"""Ways that release it at the end of the program, or of another thread."""
+"""Ways that release it at the end of the program or of another thread, or whose child must end."""
 
 STOPS = ("pass", "link.estop()", "link.close()", "sys.exit(1)")
 
