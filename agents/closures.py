@@ -136,7 +136,7 @@ class Worlds:
         )
         self.deployed = sum(len(term.labels) for term in task.terms)
         self.phases = len(task.phases)
-        self.observed = self.episodes.observation_space.shape[0] + self._told.shape[1]
+        self.observed = self.episodes.observations.space.shape[0] + self._told.shape[1]
         self.first_seen = np.zeros((count, self.observed), np.float32)
         self._came_to = self.first_seen[:, self.deployed :].copy()
         self._close = task.phases.index("close") if "close" in task.phases else self.phases

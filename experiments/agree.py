@@ -75,28 +75,27 @@ class Trial:
 
 def run_trials(policy: str, variant: Variant, seeds: Sequence[int], randomize: str) -> list[Trial]:
     """Episodes of one policy in one variant, in an environment of their own."""
-    from hpac_gym.envs.episodes import change_physics
+    from hpac_gym.envs import Grasp, HandEnv
     from hpac_gym.evaluation.episodes import run_episodes, single
+    from hpac_gym.physics.simulation import make_engine
     from hpac_gym.policies.loading import load_policy
 
-    with gymnasium.make(
-        GRASP, engine=variant.engine, body=variant.body, randomize=randomize
-    ) as env:
-        task = env.unwrapped.task
-        actor = load_policy(policy, env)
-        trials = []
-        if variant.variation:
-            change_physics(env.unwrapped, VARIATIONS[variant.variation])
-        draw = task.setup
+    class Moved(Grasp):
+        """The task of `GRASP`, with its objects displaced."""
 
-        def moved(rng, hand):
-            setup = draw(rng, hand)
+        def setup(self, rng, hand):
+            setup = super().setup(rng, hand)
             return replace(setup, position=setup.position + np.array([variant.moved, 0.0, 0.0]))
 
-        task.setup = moved
+    world = VARIATIONS.get(variant.variation, WorldSettings())
+    physics = make_engine(variant.engine, 1, world)
+    with HandEnv(Moved(), physics=physics, body=variant.body, randomize=randomize) as env:
+        env.spec = gymnasium.spec(GRASP)
+        actor = load_policy(policy, env)
+        trials = []
         for seed in seeds:
             *_, last = run_episodes(single(env), [actor], [seed])
-            trials.append(Trial(last.success, env.unwrapped.episodes.setups[0].object.shape))
+            trials.append(Trial(last.success, env.episodes.setups[0].object.shape))
         return trials
 
 

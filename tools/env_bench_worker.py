@@ -24,46 +24,71 @@ HELD_STEPS = 40
 BLOCKS = 5
 
 
+class Stopwatch:
+    """An engine whose `advance` and `state` are timed.
+
+    Args:
+        engine: the engine.
+
+    Attributes:
+        inside: processor time in these calls so far [s].
+    """
+
+    def __init__(self, engine: Any) -> None:
+        self._engine = engine
+        self.inside = 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._engine, name)
+
+    def _timed(self, call: Any, *arguments: Any) -> Any:
+        start = process_time()
+        result = call(*arguments)
+        self.inside += process_time() - start
+        return result
+
+    def advance(self, *tables: Any) -> None:
+        """As the engine's."""
+        self._timed(self._engine.advance, *tables)
+
+    def state(self) -> Any:
+        """As the engine's."""
+        return self._timed(self._engine.state)
+
+
 class Hands:
-    """n hands that hold the same can: every step is in contact."""
+    """n hands that hold the same can: every step is in contact. One hand is a single environment, as
+    `gymnasium.make` makes it.
+    """
 
     def __init__(self, engine: str, num_envs: int, threads: int, physics_hz: int) -> None:
         from hpac_gym.body.objects import ObjectSpec
-        from hpac_gym.envs import Grasp, HandVectorEnv
-        from hpac_gym.envs.episodes import change_physics
+        from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv
         from hpac_gym.physics.engine import SceneSetup
         from hpac_gym.physics.settings import WorldSettings
+        from hpac_gym.physics.simulation import make_engine
 
         can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
         opposed = np.array([0, 0, 0, 0, 0, 1.2])
         self.options = {"setup": SceneSetup(can, np.array([0.048, 0.004, 0.112]), 0.0, opposed)}
         if hasattr(os, "sched_setaffinity"):  # an engine uses one thread per available processor
             os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
-        self.env = HandVectorEnv(Grasp(), num_envs, engine=engine)
-        if physics_hz != WorldSettings().physics_hz:
-            change_physics(self.env, WorldSettings(physics_hz))
+        self.physics = Stopwatch(make_engine(engine, num_envs, WorldSettings(physics_hz)))
+        self.num_envs = num_envs
+        self.env = (
+            HandEnv(Grasp(), physics=self.physics)
+            if num_envs == 1
+            else HandVectorEnv(Grasp(), num_envs, physics=self.physics)
+        )
         self.opened = np.array([-1, -1, -1, -1, -1, 0.5])
         self.closed = np.array([0.3, 1, 1, 1, 1, 0.5])
-        self.inside = 0.0
         self.step_of_episode = 0
-        physics = self.env.episodes.simulation.engine
-        physics.advance = self._timed(physics.advance)
-        physics.state = self._timed(physics.state)
         self.env.reset(seed=0)
-
-    def _timed(self, call: Any) -> Any:
-        def timed(*arguments: Any) -> Any:
-            start = process_time()
-            result = call(*arguments)
-            self.inside += process_time() - start
-            return result
-
-        return timed
 
     def _step(self) -> None:
         share = min(self.step_of_episode / 16, 1.0)
-        action = self.closed * share + self.opened * (1 - share)
-        self.env.step(np.tile(action, (self.env.num_envs, 1)).astype(np.float32))
+        action = (self.closed * share + self.opened * (1 - share)).astype(np.float32)
+        self.env.step(action if self.num_envs == 1 else np.tile(action, (self.num_envs, 1)))
         self.step_of_episode += 1
 
     def measure(self, steps: int) -> dict[str, float]:
@@ -75,14 +100,14 @@ class Hands:
                 self.step_of_episode = 0
                 for _ in range(WARM_UP_STEPS):
                     self._step()
-            self.inside = 0.0
+            self.physics.inside = 0.0
             start = process_time()
             began = perf_counter()
             self._step()
             cpu = cpu + process_time() - start
             wall = wall + perf_counter() - began
-            inside = inside + self.inside
-        env_steps = steps * self.env.num_envs
+            inside = inside + self.physics.inside
+        env_steps = steps * self.num_envs
         return {
             "per_cpu_second": env_steps / cpu,
             "per_second": env_steps / wall,
@@ -98,7 +123,7 @@ class Hands:
             start = process_time()
             self.env.reset(seed=block * count + number)
             times[block, number] = process_time() - start
-        return {"reset_ms": 1e3 * float(np.median(times, axis=1).min()) / self.env.num_envs}
+        return {"reset_ms": 1e3 * float(np.median(times, axis=1).min()) / self.num_envs}
 
 
 class Peer:

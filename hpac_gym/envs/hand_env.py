@@ -9,16 +9,17 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.envs.episodes import CONTROL_HZ, VIEW_TARGET, Episodes, Transmit, open_episodes
+from hpac_gym.envs.commands import Transmit
+from hpac_gym.envs.episodes import Episodes, open_episodes
+from hpac_gym.envs.observations import Observation
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
+from hpac_gym.envs.pictures import VIEW_TARGET
 from hpac_gym.envs.randomization import Randomization, randomization
 from hpac_gym.errors import EpisodeError, ShapeError
 from hpac_gym.model import ServoCommand
 from hpac_gym.model.checks import Array, as_array
-from hpac_gym.physics.engine import SceneState, Viewpoint
-from hpac_gym.tasks.task import RUNNING, Task
-
-Observation = NDArray[np.float32] | dict[str, NDArray]
+from hpac_gym.physics.engine import Engine, SceneState, Viewpoint
+from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, Task
 
 
 class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
@@ -30,6 +31,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         render_mode: None, "rgb_array" or "human".
         transmit: function applied to a command on its way to the simulated servos, such as the wire
             and the firmware; None is the identity. Observations use the original command.
+        physics: an engine of one world instead of the one that the options name, for measurements.
         options: hand, reward, noise, obs, randomize, engine, body; see
             `hpac_gym.envs.options.Options`.
 
@@ -45,6 +47,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         task: Task,
         render_mode: str | None = None,
         transmit: Transmit | None = None,
+        physics: Engine | None = None,
         **options: Any,
     ) -> None:
         self.task = task
@@ -54,8 +57,8 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.hand = chosen.hand
         self.model = chosen.model
         self.obs = chosen.obs
-        self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit)
-        self.observation_space = self._episodes.observation_space
+        self._episodes: Episodes | None = Episodes(task, 1, chosen, transmit, physics)
+        self.observation_space = self._episodes.observations.space
         self.action_space = self._episodes.action_space
         self.dt = self._episodes.dt
         self._running = False
@@ -98,12 +101,12 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     @property
     def slices(self) -> dict[str, slice]:
         """Slices of the observation vector, by field name."""
-        return self.episodes.slices
+        return self.episodes.observations.slices
 
     @property
     def command(self) -> ServoCommand:
         """Last servo command, as a bridge sends it to the real hand."""
-        return self._begun().command
+        return self._begun().commands.command
 
     def _begun(self) -> Episodes:
         if self.episodes.now is None:
@@ -131,8 +134,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         super().reset(seed=seed)
         drawn = self.episodes.reset([0], [self.np_random], given)[0]
         self._running = True
-        if self.render_mode == "human":
-            self.episodes.show()
+        self.episodes.pictures.show()
         return self._observe(), self._info() | {
             "randomized": {name: list(value) for name, value in drawn.items()}
         }
@@ -161,8 +163,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ShapeError(f"action must have shape ({size},), not {action.shape}")
         reward = float(episodes.step(action[None])[0])
         self._running = bool(episodes.outcome[0] == RUNNING)
-        if self.render_mode == "human":
-            self.episodes.show()
+        self.episodes.pictures.show()
         return self._observe(), reward, not self._running, False, self._info()
 
     def save_state(self) -> Any:
@@ -217,14 +218,14 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             EpisodeError: Before `reset`, or after `close`.
         """
-        seen = self.episodes.pictures(self.render_mode)
+        seen = self.episodes.pictures.render()
         return seen[0] if seen else None
 
     def picture(self, viewpoint: Viewpoint, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
         """RGB image from any viewpoint, centred on a point of the hand frame, shape (3,) [m]; needs
         a render mode.
         """
-        return self._begun().picture(0, viewpoint, centre)
+        return self._begun().pictures.take(0, viewpoint, centre)
 
     def close(self) -> None:
         """Release the physics. Closing twice is allowed."""
@@ -234,18 +235,24 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._running = False
 
 
-class GoalEnv(HandEnv):
-    """`HandEnv` of a task with goals, with the functions that hindsight replay needs. Goals are
-    joint angles, shape (..., 15) [rad].
+class GoalRewards:
+    """The functions that hindsight replay needs of a task with goals, which are joint angles, shape
+    (..., 15) [rad].
+
+    Args:
+        task: the task.
+        reward: "dense" or "sparse".
     """
+
+    def __init__(self, task: Task, reward: str) -> None:
+        self._task = task
+        self._dense = reward == "dense"
 
     def compute_reward(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
     ) -> NDArray[np.float64]:
         """Reward of achieved postures for given goals; `info` is ignored."""
-        return self.task.goal_reward(
-            achieved_goal, desired_goal, self.episodes.options.reward == "dense"
-        )
+        return self._task.goal_reward(achieved_goal, desired_goal, self._dense)
 
     def compute_terminated(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
@@ -260,3 +267,16 @@ class GoalEnv(HandEnv):
     ) -> NDArray[np.bool_]:
         """Always False: only the time limit truncates an episode."""
         return self.compute_terminated(achieved_goal, desired_goal, info)
+
+
+class GoalEnv(HandEnv):
+    """`HandEnv` of a task with goals: its `compute_reward`, `compute_terminated` and
+    `compute_truncated` are those of `GoalRewards`.
+    """
+
+    def __init__(self, task: Task, *given: Any, **options: Any) -> None:
+        super().__init__(task, *given, **options)
+        goals = GoalRewards(task, self.episodes.options.reward)
+        self.compute_reward = goals.compute_reward
+        self.compute_terminated = goals.compute_terminated
+        self.compute_truncated = goals.compute_truncated

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,11 +12,13 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
-from hpac_gym.envs.hand_env import GoalEnv
+from hpac_gym.envs.hand_env import GoalRewards
 from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
+from hpac_gym.envs.vector_infos import begin, check_arguments, mask_of, of_last_step, of_step
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
 from hpac_gym.model.checks import as_array
+from hpac_gym.physics.engine import Engine
 from hpac_gym.tasks.task import RUNNING, Task
 
 ATTRIBUTES = (
@@ -45,6 +47,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         autoreset_mode: when a finished environment is reset, as in Gymnasium's vector environments.
         max_episode_steps: truncates episodes; None leaves their length to the task.
         render_mode: None, "rgb_array", or "human", which shows the first environment.
+        physics: an engine of n worlds instead of the one that the options name, for measurements.
         options: those of `HandEnv`, without `transmit`.
 
     Raises:
@@ -62,16 +65,12 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
+        physics: Engine | None = None,
         **options: Any,
     ) -> None:
         self._episodes: Episodes | None = None
         check_num_envs(num_envs)
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ParameterError(f"max_episode_steps = {max_episode_steps} must be at least 1")
-        if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:
-            raise ParameterError(
-                f"autoreset_mode {autoreset_mode!r} is not one of {[mode.value for mode in AutoresetMode]}"
-            )
+        check_arguments(autoreset_mode, max_episode_steps)
         self.task = task
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -82,16 +81,16 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         self.hand = chosen.hand
         self.model = chosen.model
         self.obs = chosen.obs
-        self._episodes = Episodes(task, num_envs, chosen)
+        self._episodes = Episodes(task, num_envs, chosen, engine=physics)
+        self._goals = GoalRewards(task, chosen.reward) if task.goal_terms else None
         self.dt = self._episodes.dt
         self.single_action_space = self._episodes.action_space
-        self.single_observation_space = self._episodes.observation_space
+        self.single_observation_space = self._episodes.observations.space
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._generators = [seeding.np_random()[0] for _ in range(num_envs)]
         self._steps = np.zeros(num_envs, dtype=int)
         self._over = np.ones(num_envs, dtype=bool)
-        self._everywhere = np.ones(num_envs, dtype=bool)
         self._running = False
 
     episodes = property(open_episodes)
@@ -99,7 +98,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
     @property
     def slices(self) -> dict[str, slice]:
         """Slices of an observation vector, by field name."""
-        return self.episodes.slices
+        return self.episodes.observations.slices
 
     def reset(
         self,
@@ -119,7 +118,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
                 `HandEnv.reset` refuses.
         """
         episodes = self.episodes
-        mask, options = self._mask(options)
+        mask, options = mask_of(options, self.num_envs, self._running)
         seeds = [seed] * self.num_envs if seed is None else seed
         seeds = (
             [seed + place for place in range(self.num_envs)]
@@ -137,22 +136,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         infos: dict[str, Any] = {}
         self._restart(worlds, infos, given)
         self._running = True
-        self._show()
+        self.episodes.pictures.show()
         return episodes.observe(), infos
-
-    def _mask(
-        self, options: dict[str, Any] | None
-    ) -> tuple[NDArray[np.bool_], dict[str, Any] | None]:
-        if not isinstance(options, dict) or "reset_mask" not in options:
-            return self._everywhere, options
-        mask = np.asarray(options["reset_mask"])
-        if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
-            raise ParameterError(
-                f"reset_mask {mask!r} must be {self.num_envs} booleans, at least one of them True"
-            )
-        if not self._running and not mask.all():
-            raise ParameterError("reset_mask must be True everywhere: no episode is running yet")
-        return mask, {name: value for name, value in options.items() if name != "reset_mask"}
 
     def _restart(self, worlds: list[int], infos: dict[str, Any], given: Any = None) -> None:
         """Start episodes in some worlds, and add their infos."""
@@ -161,17 +146,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         drawn = self.episodes.reset(worlds, generators, chosen)
         self._steps[worlds] = 0
         self._over[worlds] = False
-        begun = np.zeros(self.num_envs, dtype=bool)
-        begun[worlds] = True
-        for name, column in _masked(self.episodes.report(), begun).items():
-            infos[name] = np.where(begun, column, infos[name]) if name in infos else column
-        terms: dict[str, Any] = {} if self.task.goal_terms else {"reward_terms": {}}
-        for world, values in zip(worlds, drawn, strict=True):
-            self._add_info(
-                infos,
-                terms | {"randomized": {name: list(value) for name, value in values.items()}},
-                world,
-            )
+        begin(infos, self.episodes, worlds, drawn, self._add_info)
 
     def step(self, actions: NDArray) -> tuple[Any, NDArray, NDArray, NDArray, dict[str, Any]]:
         """Carry out one action in every environment for one control period.
@@ -210,46 +185,15 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         for ended in (rewards, terminated, truncated):
             ended[stale] = 0
         self._over = terminated | truncated
-        infos = self._infos(~stale, terminated)
+        infos = of_step(episodes, ~stale, terminated, self._add_info)
         worlds = np.flatnonzero(stale).tolist()
         if self._mode is AutoresetMode.SAME_STEP and self._over.any():
             worlds = np.flatnonzero(self._over).tolist()
-            infos = self._finish(worlds, terminated)
+            infos = of_last_step(episodes, self._over, terminated, self._add_info)
         if worlds:
             self._restart(worlds, infos)
-        self._show()
+        self.episodes.pictures.show()
         return episodes.observe(), rewards, terminated, truncated, infos
-
-    # Infos
-    # -----------------------------------------------------------------------------------------------------------
-
-    def _infos(self, stepped: NDArray[np.bool_], terminated: NDArray[np.bool_]) -> dict[str, Any]:
-        """Infos of the environments that were stepped, as arrays with masks."""
-        infos = _masked(self.episodes.report(), stepped)
-        if not self.task.goal_terms:
-            terms = _masked(self.episodes.terms, stepped) if stepped.any() else {}
-            infos |= {"reward_terms": terms, "_reward_terms": stepped.copy()}
-        for world in np.flatnonzero(terminated):
-            self._add_info(infos, {"epsilon": self.episodes.quality(world)}, world)
-        return infos
-
-    def _finish(self, worlds: Iterable[int], terminated: NDArray[np.bool_]) -> dict[str, Any]:
-        """Infos of a step in which episodes end and are reset (autoreset in the same step)."""
-        last = self.episodes.observe()
-        over = self._over
-        ended: dict[str, Any] = {}
-        for world in worlds:
-            seen = (
-                {name: part[world] for name, part in last.items()}
-                if isinstance(last, dict)
-                else last[world]
-            )
-            self._add_info(ended, {"final_obs": seen}, world)
-        ended |= {"final_info": self._infos(over.copy(), terminated), "_final_info": over.copy()}
-        return ended | self._infos(~over, np.zeros_like(terminated))
-
-    # Interface
-    # -------------------------------------------------------------------------------------------------------
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """RGB image of every environment; None without a render mode, and with "human", which shows
@@ -258,12 +202,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         Raises:
             EpisodeError: Before `reset`, or after `close`.
         """
-        seen = self.episodes.pictures(self.render_mode)
+        seen = self.episodes.pictures.render()
         return tuple(seen) if seen else None
-
-    def _show(self) -> None:
-        if self.render_mode == "human":
-            self.episodes.show()
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """An attribute of each environment, as a `HandEnv` has it.
@@ -315,13 +255,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """
         if name == "render":
             return self.render() or (None,) * self.num_envs
-        if self.task.goal_terms and name in (
-            "compute_reward",
-            "compute_terminated",
-            "compute_truncated",
-        ):
-            # These methods depend only on the task and the options.
-            return (getattr(GoalEnv, name)(self, *args, **kwargs),) * self.num_envs
+        if self._goals is not None and name.startswith("compute_") and hasattr(self._goals, name):
+            return (getattr(self._goals, name)(*args, **kwargs),) * self.num_envs
         return self.get_attr(name)
 
     def close_extras(self, **_: Any) -> None:
@@ -329,14 +264,3 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         if self._episodes is not None:
             self._episodes.close()
         self._episodes = None
-
-
-def _masked(columns: dict[str, NDArray], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Arrays by name with their masks; entries outside the mask are zero, or None in object
-    arrays.
-    """
-    found: dict[str, Any] = {}
-    for name, values in columns.items():
-        empty = None if values.dtype == object else values.dtype.type(0)
-        found |= {name: np.where(mask, values, empty), f"_{name}": mask.copy()}
-    return found

@@ -30,6 +30,8 @@ class Servos:
         dt: physics step [s].
     """
 
+    changing = ("horn", "_start", "_way", "_elapsed", "_duration", "_past")
+
     def __init__(self, num_worlds: int, dt: float) -> None:
         self._dt = dt
         self.horn = np.zeros((num_worlds, len(SERVOS)))

@@ -34,6 +34,8 @@ class Simulation:
         servos: the servos of all worlds.
     """
 
+    changing = ("servos",)
+
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         self.servos = Servos(engine.num_worlds, engine.dt)

@@ -42,6 +42,8 @@ class ObjectCamera:
         noise: measurement noise.
     """
 
+    changing = ("_rng", "_draw")
+
     def __init__(self, num_worlds: int, noise: CameraNoise) -> None:
         self._noise = noise
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
@@ -93,6 +95,8 @@ class MarkerCamera:
         num_worlds: n.
         noise: standard deviation of an angle [rad].
     """
+
+    changing = ("_rng", "_draw")
 
     def __init__(self, num_worlds: int, noise: float) -> None:
         self._noise = noise

@@ -165,6 +165,7 @@ class Grasp(Task):
 
     phases = PHASES
     privileged_terms = PRIVILEGED_TERMS
+    changing = ("grip", "_place", "_moved", "_lifted")
     config_class = GraspConfig
 
     def __init__(
@@ -275,7 +276,7 @@ class Grasp(Task):
 
         def value(now: Moment) -> Array:
             return np.where(
-                now.phase == CLOSE,
+                now.began == CLOSE,
                 weight * np.minimum(self._moved / self.config.drop_distance, 1.0),
                 0.0,
             )
@@ -285,7 +286,7 @@ class Grasp(Task):
         )
 
     def _carry(self, now: Moment) -> Array:
-        return np.where(now.phase == CLOSE, 0.0, self.config.weights.carry * self.grip.firmness)
+        return np.where(now.began == CLOSE, 0.0, self.config.weights.carry * self.grip.firmness)
 
 
 class GraspByName(Grasp):

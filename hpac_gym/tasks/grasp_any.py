@@ -197,6 +197,10 @@ class GraspAny(Task):
     """
 
     phases = PHASES
+    changing = (
+        *("grip", "holding_force", "turn", "sides", "_place", "_phase", "_grasped"),
+        *("_touch", "_gained", "_distance", "_pushed"),
+    )
     viewpoint = Viewpoint(yaw_deg=120.0)
     sensed_terms: ClassVar = {"load": LOAD_TERMS, "points": ()}
 
@@ -286,17 +290,17 @@ class GraspAny(Task):
                 "contact",
                 f"while closing, change of the contact score in this step: {weights.thumb:g} for the thumb, "
                 f"{weights.finger:g} for each finger, {weights.opposed:g} when they oppose each other",
-                lambda now: np.where(now.phase == CLOSE, self._gained, 0.0),
+                lambda now: np.where(now.began == CLOSE, self._gained, 0.0),
             ),
             RewardTerm(
                 "push",
                 f"while closing: {weights.push:g} · growth of the object's displacement as a fraction of `reach`",
-                lambda now: np.where(now.phase == CLOSE, weights.push * self._pushed, 0.0),
+                lambda now: np.where(now.began == CLOSE, weights.push * self._pushed, 0.0),
             ),
             RewardTerm(
                 "carry",
                 f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support",
-                lambda now: np.where(now.phase == CLOSE, 0.0, weights.carry * now.grip.firmness),
+                lambda now: np.where(now.began == CLOSE, 0.0, weights.carry * now.grip.firmness),
             ),
             RewardTerm(
                 "force",

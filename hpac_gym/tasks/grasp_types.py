@@ -295,6 +295,10 @@ class GraspByType(Grasp):
     """
 
     config_class = GraspTypeConfig
+    changing = (
+        *(*Grasp.changing, "held", "free", "kept", "_touch", "_never", "_counts"),
+        *("_hand", "_rotation", "_seen", "_rules", "_types", "_missed"),
+    )
 
     def __init__(
         self,
@@ -325,7 +329,7 @@ class GraspByType(Grasp):
                 "contact",
                 f"while closing: {weights.touch:g} · fraction of the required parts that touch the object, {weights.avoid:g} "
                 "for each forbidden part that touches it",
-                lambda now: np.where(now.phase == CLOSE, self._paid_touch(now.state), 0.0),
+                lambda now: np.where(now.began == CLOSE, self._paid_touch(now.state), 0.0),
             ),
             self._push_term(),
             RewardTerm(
@@ -333,7 +337,7 @@ class GraspByType(Grasp):
                 f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support, "
                 "times the score of the type's rule: the mean over its clauses at the last evaluation",
                 lambda now: np.where(
-                    now.phase == CLOSE, 0.0, weights.carry * self.grip.firmness * self.kept
+                    now.began == CLOSE, 0.0, weights.carry * self.grip.firmness * self.kept
                 ),
             ),
             effort_term(weights),

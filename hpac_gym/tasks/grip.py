@@ -35,6 +35,8 @@ class Grip:
             (n,) [m].
     """
 
+    changing = ("carrying", "time", "slip", "_missed", "_origin", "_now")
+
     def __init__(self, num_worlds: int) -> None:
         self.carrying = np.zeros(num_worlds, dtype=bool)
         self.time = np.zeros(num_worlds)

@@ -219,6 +219,7 @@ class PickPlace(Task):
     """
 
     phases = PHASES
+    changing = ("grip", "_grasped_at", "_astray", "_lowered", "_standing")
     viewpoint = Viewpoint(distance=0.62, yaw_deg=115.0, pitch_deg=-25.0)
     privileged_terms = PRIVILEGED_TERMS
 
@@ -367,11 +368,11 @@ class PickPlace(Task):
 
     def _push(self, now: Moment) -> Array:
         share = np.minimum(self._astray / self.config.drop_distance, 1.0)
-        return np.where(now.phase <= CLOSE, self.config.weights.push * share, 0.0)
+        return np.where(now.began <= CLOSE, self.config.weights.push * share, 0.0)
 
     def _carry(self, now: Moment) -> Array:
         return np.where(
-            (now.phase <= CLOSE) | self._lowered,
+            (now.began <= CLOSE) | self._lowered,
             0.0,
             self.config.weights.carry * (self.grip.time > 0),
         )
@@ -380,7 +381,7 @@ class PickPlace(Task):
         weights = self.config.weights
         free = ~now.state.touching.any(axis=1)
         return np.where(
-            (now.phase == PLACE) & self._standing, weights.place + weights.release * free, 0.0
+            (now.began == PLACE) & self._standing, weights.place + weights.release * free, 0.0
         )
 
 

@@ -95,6 +95,7 @@ class Posture(Task):
     """
 
     endless = True
+    changing = ("_error",)
     unused = ("noise",)
     terms = COMMAND_TERMS
     privileged_terms = HAND_TERMS

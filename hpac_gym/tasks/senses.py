@@ -105,6 +105,8 @@ class Senses:
         servos: feedback of the servos.
     """
 
+    changing = ("_camera", "_rng", "_count", "_seen")
+
     def __init__(
         self,
         num_worlds: int,

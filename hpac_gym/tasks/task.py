@@ -77,6 +77,11 @@ class Task(ABC):
     """True if only the time limit ends an episode."""
     unused: tuple[str, ...] = ()
     """Options of every environment that mean nothing to this task."""
+    changing: tuple[str, ...] = ("grip",)
+    """Names of the attributes that change in an episode, for snapshots: arrays, numbers, generators
+    and objects with such names of their own. `hpac_gym.envs.snapshots.undeclared` finds a forgotten
+    one.
+    """
 
     @property
     def observations(self) -> tuple[str, ...]:
@@ -198,7 +203,7 @@ def contact_term(weights: Weights, phase: int) -> RewardTerm:
     return RewardTerm(
         "contact",
         meaning,
-        lambda now: np.where(now.phase == phase, contact_score(weights, now.state.touching), 0.0),
+        lambda now: np.where(now.began == phase, contact_score(weights, now.state.touching), 0.0),
     )
 
 

@@ -56,6 +56,8 @@ class Moment:
     """Grip of the hand on the object; None for a task without an object."""
     outcome: NDArray[np.int_] | None = None
     """Status of each episode, an index into `OUTCOMES`, shape (n,)."""
+    began: NDArray[np.int_] | None = None
+    """Index of the phase in which the control step began, to which its reward belongs, shape (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -422,6 +424,8 @@ class Layout:
         space: bounds of one world's vector.
         slices: slice of each term's entries, by the term's name.
     """
+
+    changing = ("_values",)
 
     def __init__(self, terms: Sequence[Term], num_worlds: int) -> None:
         low = np.concatenate([np.full(len(term.labels), term.low) for term in terms])

@@ -109,7 +109,7 @@ class Body:
             setup = replace(setup, synergy=synergy)
         self._env.reset(seed=self._seed, options=None if setup is None else {"setup": setup})
         self.setup: SceneSetup = self._env.episodes.setups[0]
-        self._table = self._env.task.wrist_path(self.setup, self._env.episodes.times)
+        self._table = self._env.task.wrist_path(self.setup, self._env.episodes.wrists.times)
         self.outcome = RUNNING
         self._path = Path()
         self._began_us: float | None = None

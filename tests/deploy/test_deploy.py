@@ -55,7 +55,7 @@ def test_an_observer_sees_what_the_environment_observes(name):
         observer = Observer(name, setup.object)
         observer.setup = setup
         observer.start()
-        seen_at = env.episodes.slices.get("object_seen")  # of the camera of `GRASP_ANY` alone
+        seen_at = env.slices.get("object_seen")  # of the camera of `GRASP_ANY` alone
         for _ in range(20):
             state = env.state
             turn = Rotation.from_matrix(state.object_rotation[0]).as_quat()

@@ -134,7 +134,9 @@ def test_only_the_first_action_moves_the_wrist_and_shapes_the_hand_at_once():
         env.step(action)
         setup = env.unwrapped.episodes.setups[0]
         assert setup is not begun
-        np.testing.assert_allclose(env.unwrapped.episodes._last_action[0], action[:6], atol=1e-6)
+        np.testing.assert_allclose(
+            env.unwrapped.episodes.commands.last_action[0], action[:6], atol=1e-6
+        )
         np.testing.assert_allclose(setup.synergy[0], 0.75 * 1.25, rtol=0.1)
         env.step(-action)
         assert env.unwrapped.episodes.setups[0] is setup

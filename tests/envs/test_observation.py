@@ -6,7 +6,7 @@ import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, HandEnv, ScriptedClosure
-from hpac_gym.envs.episodes import IMAGE_SIZE
+from hpac_gym.envs.observations import IMAGE_SIZE
 from hpac_gym.model import HPAC, elastic_joints_from_servo
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grip import MAX_SLIP

@@ -2,11 +2,15 @@
 bit.
 """
 
+from functools import partial
+
 import gymnasium
 import numpy as np
 import pytest
 
 import hpac_gym  # noqa: F401  registers the environments
+from hpac_gym.envs import Grasp, HandEnv
+from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
@@ -117,3 +121,57 @@ def test_nothing_is_saved_of_a_hand_at_the_far_end_of_a_wire():
     with pytest.raises(EpisodeError, match="transmit"):
         env.save_state()
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        (GRASP, {"obs": "privileged", "randomize": "full"}),
+        (GRASP, {"grasp": "tip_pinch"}),
+        ("HPAC-GraspAny-v1", {"obs": "load", "wrist": "free", "hands": "train"}),
+        ("HPAC-GraspAny-v1", {"obs": "points", "hands": "test", "model": "calibrated"}),
+        ("HPAC-GraspType-v0", {"types": "large_cylinder"}),
+        (PICK_PLACE, {"randomize": "link"}),
+        (POSTURE, {}),
+    ],
+    ids=str,
+)
+def test_everything_that_changes_in_an_episode_is_declared(name, options):
+    with gymnasium.make(name, engine="mujoco", **options) as env:
+        env.reset(seed=5)
+        actions = closing(60, np.random.default_rng(3))
+        more = env.action_space.shape[0] - 6
+        place = np.full((60, more), 0.5, np.float32)
+        if more == 6:
+            place[:] = wrist_choice(GRASP_TYPES[options["types"]].start)
+        actions = np.concatenate([actions, place], axis=1)
+        assert undeclared(env.unwrapped.episodes, lambda: told(env, actions)) == []
+
+
+class Forgetful(Grasp):
+    """A task that counts its steps and does not say so."""
+
+    def prepare(self, num_worlds, noise):
+        self.count = np.zeros(num_worlds, dtype=int)
+        return super().prepare(num_worlds, noise)
+
+    def judge(self, state, dt):
+        self.count = self.count + 1
+        return super().judge(state, dt)
+
+
+class Mindful(Forgetful):
+    changing = (*Forgetful.changing, "count")
+
+
+def test_a_task_that_forgets_a_part_of_its_state_is_refused():
+    for task, forgotten in ((Forgetful(), ["task.count"]), (Mindful(), [])):
+        env = HandEnv(task, engine="mujoco")
+        env.reset(seed=0)
+        step = partial(env.step, np.zeros(6))
+        assert undeclared(env.episodes, step) == forgotten
+        saved = env.save_state()
+        step()
+        env.restore_state(saved)
+        assert (task.count[0] == 1) == (not forgotten)
+        env.close()

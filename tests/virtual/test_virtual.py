@@ -17,10 +17,10 @@ import hpac
 from hpac_gym.bridge import HandLink, VirtualHand, pulses_from_servo
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.observer import Observer
-from hpac_gym.envs.options import GRASP, GRASP_ANY
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import ServoCommand
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
 from hpac_gym.virtual.body import Path as WristPath

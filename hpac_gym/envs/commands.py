@@ -1,0 +1,165 @@
+"""The commands of n hands: from actions to the servo angles that arrive at them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.envs.models import model_of
+from hpac_gym.errors import WorkspaceError
+from hpac_gym.model import (
+    HPAC,
+    JOINTS,
+    SERVOS,
+    Hand,
+    ServoCommand,
+    action_from_synergy,
+    elastic_joints_from_servo,
+    servo_from_synergy,
+    streamed_servo,
+)
+from hpac_gym.model.checks import Array, as_bounded_array
+from hpac_gym.model.maps import CommandMap
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.tasks.task import CONTROL_HZ
+
+Transmit = Callable[[ServoCommand], ServoCommand]
+_ACTION_TOLERANCE = 1e-6
+
+
+class Commands:
+    """The commands of n hands, each of one control period.
+
+    Args:
+        num_worlds: n.
+        model: the hand with which commands are computed, or the name of one for every episode's hand.
+        choices: names of an action's entries beyond those of the servos.
+        transmit: function applied to a command on its way to the servos, for n = 1; None is the
+            identity.
+
+    Attributes:
+        servo: commanded servo angles, shape (n, 6) [rad].
+        predicted: joint angles that the model predicts for them, shape (n, 15) [rad].
+        last_action: last action on the servos, shape (n, 6).
+    """
+
+    changing = ("servo", "predicted", "last_action", "_arrived", "_flexing", "_losses")
+
+    def __init__(
+        self,
+        num_worlds: int,
+        model: Hand | str,
+        choices: tuple[str, ...],
+        transmit: Transmit | None,
+    ) -> None:
+        self._model = model
+        self._choices = choices
+        self.transmit = transmit
+        self.servo = np.zeros((num_worlds, len(SERVOS)))
+        self.predicted = np.zeros((num_worlds, len(JOINTS)))
+        self.last_action = np.zeros((num_worlds, len(SERVOS)))
+        self._arrived = self.servo.copy()
+        self._flexing = np.ones((num_worlds, len(SERVOS)), dtype=bool)
+        self._lost_share = np.zeros(num_worlds)
+        self._losses: list[np.random.Generator | None] = [None] * num_worlds
+        self._map = CommandMap(model if isinstance(model, Hand) else HPAC, num_worlds)
+        # Most tasks begin with the same posture.
+        self._start_of = lru_cache(maxsize=16)(partial(_start_of, self._map.bounds))
+
+    def lose(self, world: int, share: float, rng: np.random.Generator | None) -> None:
+        """Let a share of a world's commands be lost from now on, as drawn from `rng`."""
+        self._lost_share[world] = share
+        self._losses[world] = rng
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Begin episodes in some worlds: hands at rest at the synergies of their setups."""
+        self.predicted = self.predicted.copy()  # the previous `Moment` keeps its array
+        for world, setup in zip(worlds, setups, strict=True):
+            start = self._start_of(*setup.synergy.tolist())
+            self.servo[world], self.predicted[world], self.last_action[world] = start
+        index = np.asarray(worlds)
+        self._flexing[index] = True
+        if isinstance(self._model, str):
+            self._map.take(worlds, [model_of(self._model, setup) for setup in setups])
+        if self._map.inverts_files:
+            synergy = np.stack([setup.synergy for setup in setups])
+            self.servo[index] = self._map.servo_from_synergy(synergy, self._flexing[index], index)
+            self.predicted[index] = self._map.joints_from_servo(self.servo, self._flexing)[index]
+        self._arrived[index] = self.servo[index]
+
+    def target(self, actions: NDArray) -> Array:
+        """Servo angles that actions, shape (n, 6), or more columns with a free wrist, ask for, shape
+        (n, 6) [rad].
+
+        Raises:
+            ShapeError: Wrong shape.
+            WorkspaceError: NaN, or an action that leaves −1…1: wrap in
+                `gymnasium.wrappers.ClipAction`.
+        """
+        servos = actions[:, : len(SERVOS)]
+        if self._map.inverts_files:
+            change = servos - self.last_action
+            self._flexing = np.where(change == 0, self._flexing, change > 0)
+        try:
+            target = self._map.servo_from_action(servos, self._flexing)
+            if self._choices:
+                one = np.ones(len(self._choices))
+                chosen = actions[:, len(SERVOS) :]
+                as_bounded_array(
+                    chosen, -one, one, self._choices, "action", "(no unit)", _ACTION_TOLERANCE
+                )
+        except WorkspaceError as error:
+            if np.isnan(actions).any():
+                raise
+            raise WorkspaceError(
+                f"{error}; wrap in gymnasium.wrappers.ClipAction, which clips it"
+            ) from None
+        return target
+
+    def stream(self, target: Array) -> Array:
+        """Command one control period of the move to a target, shape (n, 6) [rad]; returns the angles
+        that reach the servos: after a lost command they keep the previous ones.
+        """
+        self.servo = streamed_servo(self.servo, target, 1.0 / CONTROL_HZ, self._map.bounds)
+        lost = [
+            world
+            for world in np.flatnonzero(self._lost_share)
+            if self._losses[world].random() < self._lost_share[world]
+        ]
+        if self.transmit is not None and not lost:
+            self._arrived = self.transmit(self.command).servo[None].copy()
+        else:
+            arrived = self.servo.copy()
+            if lost:
+                arrived[lost] = self._arrived[lost]
+            self._arrived = arrived
+        return self._arrived
+
+    def record(self, actions: NDArray) -> Array:
+        """Note the actions on the servos that were carried out; returns their change, shape (n, 6)."""
+        servos = np.array(actions[:, : len(SERVOS)], dtype=float)  # the caller may reuse its array
+        change = servos - self.last_action
+        self.last_action = servos
+        self.predicted = self._map.joints_from_servo(self.servo, self._flexing)
+        return change
+
+    @property
+    def shown(self) -> Array:
+        """Commanded servo angles as a policy sees them, shape (n, 6) [rad]."""
+        return self._map.shown_servo(self.servo, self.predicted)
+
+    @property
+    def command(self) -> ServoCommand:
+        """Last servo command of world 0, as a bridge sends it to the real hand."""
+        return ServoCommand(self.servo[0], 1.0 / CONTROL_HZ)
+
+
+def _start_of(hand: Hand, *synergy: float) -> tuple[Array, Array, Array]:
+    """Servo angles [rad], predicted joint angles [rad] and action of a hand that starts at a
+    synergy [rad].
+    """
+    servo = servo_from_synergy(synergy, hand)
+    return servo, elastic_joints_from_servo(servo, hand), action_from_synergy(synergy, hand)

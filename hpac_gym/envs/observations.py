@@ -1,0 +1,93 @@
+"""The observations of n worlds: the vector of a task's terms, goals, and what is not a vector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from gymnasium import Space, spaces
+from numpy.typing import NDArray
+
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.tasks.senses import POINTS, POINTS_BOUND
+from hpac_gym.tasks.task import Task
+from hpac_gym.tasks.terms import Layout, Moment
+
+IMAGE_SIZE = 84
+"""Width and height of an observed picture [px]."""
+Observation = NDArray[np.float32] | dict[str, NDArray]
+
+
+class Observations:
+    """The observations of n worlds.
+
+    Args:
+        task: has the terms.
+        obs: kind of observation, as the option of that name.
+        num_worlds: n.
+
+    Attributes:
+        space: observation space of one world.
+        slices: slices of the observation vector, by field name.
+    """
+
+    changing = ("_layout", "_goals", "_achieved", "_desired")
+
+    def __init__(self, task: Task, obs: str, num_worlds: int) -> None:
+        self._task = task
+        self._obs = obs
+        more = {"privileged": task.privileged_terms, **task.sensed_terms}
+        self._layout = Layout((*task.terms, *more.get(obs, ())), num_worlds)
+        self._goals = Layout(task.goal_terms, num_worlds) if task.goal_terms else None
+        self._achieved = self._desired = np.zeros(0)
+        self._vector = "observation" if self._goals else "deploy"
+        self.slices = dict(self._layout.slices)
+        self.space = self._space()
+
+    def _space(self) -> Space:
+        parts: dict[str, Space] = {self._vector: self._layout.space}
+        if self._goals:
+            parts |= {"achieved_goal": self._goals.space, "desired_goal": self._goals.space}
+        if self._obs == "image":
+            parts["image"] = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+        if self._obs == "points":
+            parts["points"] = spaces.Box(-POINTS_BOUND, POINTS_BOUND, (POINTS, 4), np.float32)
+        return self._layout.space if set(parts) == {"deploy"} else spaces.Dict(parts)
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Begin episodes in some worlds."""
+        for layout in filter(None, (self._layout, self._goals)):
+            layout.start(worlds, setups)
+
+    def measure(self, now: Moment) -> None:
+        """Tell a task with goals how far the hands are from them."""
+        if self._goals:
+            box = self._goals.space
+            self._achieved = self._goals.see(now)
+            self._desired = np.minimum(
+                np.maximum(self._task.goal, box.low), box.high, dtype=np.float32
+            )
+            self._task.measure(self._achieved, self._desired)
+
+    def see(
+        self, now: Moment, pictures: Callable[[int], NDArray], points: Callable[[], NDArray]
+    ) -> Observation:
+        """Observations, with a leading axis n.
+
+        Args:
+            now: n worlds after a control step.
+            pictures: makes square pictures of a width [px], shape (n, width, width, 3), where they
+                are observed.
+            points: makes the camera's points, shape (n, `POINTS`, 4), where they are observed.
+        """
+        vector = self._layout.see(now)
+        if isinstance(self.space, spaces.Box):
+            return vector
+        parts = {self._vector: vector}
+        if self._goals:
+            parts |= {"achieved_goal": self._achieved, "desired_goal": self._desired}
+        if self._obs == "image":
+            parts["image"] = pictures(IMAGE_SIZE)
+        if self._obs == "points":
+            parts["points"] = points()
+        return parts

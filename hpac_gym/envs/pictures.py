@@ -1,0 +1,71 @@
+"""Pictures of the worlds of `Episodes`, and the page of `render_mode="human"`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.envs.page import Page
+from hpac_gym.errors import EpisodeError
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
+
+VIEW_TARGET = np.array([0.03, 0.0, 0.10])
+"""Point in the hand frame on which images are centred [m]."""
+
+
+class Pictures:
+    """Pictures of the worlds of episodes, from a viewpoint that follows the wrist.
+
+    Args:
+        episodes: the `Episodes`, of which these are a part.
+        render_mode: None, "rgb_array" or "human".
+    """
+
+    def __init__(self, episodes: Any, render_mode: str | None) -> None:
+        self._episodes = episodes
+        self._mode = render_mode
+        self._page: Page | None = None
+
+    def take(
+        self, world: int, viewpoint: Viewpoint | None = None, centre: Array = VIEW_TARGET
+    ) -> NDArray[np.uint8]:
+        """RGB image of a world, shape (height, width, 3), centred on a point of the hand frame,
+        shape (3,) [m].
+        """
+        episodes = self._episodes
+        place = episodes.now.state.palm_offset[world]
+        place = HAND_POSITION + place + episodes.setups[world].hand_rotation @ centre
+        viewpoint = viewpoint or episodes.task.viewpoint
+        return episodes.simulation.engine.picture(world, viewpoint, place)
+
+    def all(self, **size: int) -> list[NDArray[np.uint8]]:
+        """An image of every world, with another `width` and `height` [px] if given."""
+        viewpoint = replace(self._episodes.task.viewpoint, **size)
+        return [self.take(world, viewpoint) for world in range(len(self._episodes.setups))]
+
+    def render(self) -> list[NDArray[np.uint8]] | None:
+        """What `render` returns: an image of every world; None without a render mode, and with
+        "human", which shows every step by itself.
+
+        Raises:
+            EpisodeError: Before the first `reset`.
+        """
+        if self._mode is not None and self._episodes.now is None:
+            raise EpisodeError("nothing to render: call reset() first")
+        return self.all() if self._mode == "rgb_array" else None
+
+    def show(self) -> None:
+        """With "human", show an image of world 0 on the page, in real time."""
+        if self._mode == "human":
+            self._page = self._page or Page()
+            self._page.show(self.take(0))
+
+    def close(self) -> None:
+        """Close the page. Closing twice is allowed."""
+        if self._page is not None:
+            self._page.close()
+        self._page = None

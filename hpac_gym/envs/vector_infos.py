@@ -1,0 +1,108 @@
+"""Infos of a vector environment, as arrays with masks, and the checks of its arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from hpac_gym.envs.episodes import Episodes
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+
+Mask = NDArray[np.bool_]
+Add = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]
+"""`gymnasium.vector.VectorEnv._add_info`: adds the info of one environment."""
+
+
+def masked(columns: Mapping[str, NDArray], mask: Mask) -> dict[str, Any]:
+    """Arrays by name with their masks; entries outside the mask are zero, or None in object
+    arrays.
+    """
+    found: dict[str, Any] = {}
+    for name, values in columns.items():
+        empty = None if values.dtype == object else values.dtype.type(0)
+        found |= {name: np.where(mask, values, empty), f"_{name}": mask.copy()}
+    return found
+
+
+def begin(
+    infos: dict[str, Any],
+    episodes: Episodes,
+    worlds: Sequence[int],
+    drawn: Sequence[Mapping[str, Array]],
+    add: Add,
+) -> None:
+    """Add the infos of episodes that begin in some worlds, with the values drawn for them."""
+    begun = np.zeros(len(episodes.setups), dtype=bool)
+    begun[worlds] = True
+    for name, column in masked(episodes.report(), begun).items():
+        infos[name] = np.where(begun, column, infos[name]) if name in infos else column
+    terms: dict[str, Any] = {} if episodes.task.goal_terms else {"reward_terms": {}}
+    for world, values in zip(worlds, drawn, strict=True):
+        randomized = {name: list(value) for name, value in values.items()}
+        add(infos, terms | {"randomized": randomized}, world)
+
+
+def of_step(episodes: Episodes, stepped: Mask, terminated: Mask, add: Add) -> dict[str, Any]:
+    """Infos of the environments that were stepped."""
+    infos = masked(episodes.report(), stepped)
+    if not episodes.task.goal_terms:
+        terms = masked(episodes.terms, stepped) if stepped.any() else {}
+        infos |= {"reward_terms": terms, "_reward_terms": stepped.copy()}
+    for world in np.flatnonzero(terminated):
+        add(infos, {"epsilon": episodes.quality(world)}, world)
+    return infos
+
+
+def of_last_step(episodes: Episodes, over: Mask, terminated: Mask, add: Add) -> dict[str, Any]:
+    """Infos of a step in which episodes end and are reset (autoreset in the same step)."""
+    last = episodes.observe()
+    ended: dict[str, Any] = {}
+    for world in np.flatnonzero(over):
+        seen = (
+            {name: part[world] for name, part in last.items()}
+            if isinstance(last, dict)
+            else last[world]
+        )
+        add(ended, {"final_obs": seen}, world)
+    final = of_step(episodes, over.copy(), terminated, add)
+    ended |= {"final_info": final, "_final_info": over.copy()}
+    return ended | of_step(episodes, ~over, np.zeros_like(terminated), add)
+
+
+def check_arguments(autoreset_mode: AutoresetMode | str, max_episode_steps: int | None) -> None:
+    """Refuse arguments of a vector environment.
+
+    Raises:
+        ParameterError: Unknown mode, or a number of steps below 1.
+    """
+    if max_episode_steps is not None and max_episode_steps < 1:
+        raise ParameterError(f"max_episode_steps = {max_episode_steps} must be at least 1")
+    if autoreset_mode not in list(AutoresetMode) + [mode.value for mode in AutoresetMode]:
+        raise ParameterError(
+            f"autoreset_mode {autoreset_mode!r} is not one of {[mode.value for mode in AutoresetMode]}"
+        )
+
+
+def mask_of(
+    options: dict[str, Any] | None, num_envs: int, running: bool
+) -> tuple[Mask, dict[str, Any] | None]:
+    """The environments that a reset with these options resets, and its other options.
+
+    Raises:
+        ParameterError: An invalid mask.
+    """
+    if not isinstance(options, dict) or "reset_mask" not in options:
+        return np.ones(num_envs, dtype=bool), options
+    mask = np.asarray(options["reset_mask"])
+    if mask.dtype != bool or mask.shape != (num_envs,) or not mask.any():
+        raise ParameterError(
+            f"reset_mask {mask!r} must be {num_envs} booleans, at least one of them True"
+        )
+    if not running and not mask.all():
+        raise ParameterError("reset_mask must be True everywhere: no episode is running yet")
+    return mask, {name: value for name, value in options.items() if name != "reset_mask"}

@@ -1,0 +1,66 @@
+"""The scripted motion of n wrists, and forces on their objects, as tables by control step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.tasks.task import CONTROL_HZ, Task
+
+
+class Wrists:
+    """The motion that a task scripts for the wrists of n worlds.
+
+    Args:
+        task: has the wrist's path and the forces on the objects.
+        num_worlds: n.
+        dt: physics step [s].
+
+    Raises:
+        ParameterError: The physics' rate is no multiple of the commands'.
+
+    Attributes:
+        times: ends of an episode's physics steps [s].
+        step: number of control steps of the running episodes, shape (n,).
+    """
+
+    changing = ("step", "_way")
+
+    def __init__(self, task: Task, num_worlds: int, dt: float) -> None:
+        if (rate := round(1 / dt)) % CONTROL_HZ:
+            raise ParameterError(
+                f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands"
+            )
+        self._task = task
+        self._substeps = rate // CONTROL_HZ
+        times = np.cumsum(np.full(round(task.duration * CONTROL_HZ) * self._substeps, dt))
+        self.times = tuple(times.tolist())
+        self.step = np.zeros(num_worlds, dtype=int)
+        self._worlds = np.arange(num_worlds)
+        self._clock = self._by_step(times)
+        self._way = np.zeros((num_worlds, *self._clock.shape, 3))
+
+    def _by_step(self, table: Array) -> Array:
+        """A table with a row for each physics step, by control steps: shape (steps + 1, k, ...),
+        the last of which is for all after the episode's end.
+        """
+        after = np.repeat(table[-1:], self._substeps, axis=0)
+        return np.concatenate([table, after]).reshape(-1, self._substeps, *table.shape[1:])
+
+    def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        """Begin episodes in some worlds."""
+        self.step[np.asarray(worlds)] = 0
+        for world, setup in zip(worlds, setups, strict=True):
+            self._way[world] = self._by_step(self._task.wrist_path(setup, self.times))
+
+    def advance(self) -> tuple[Array, Array | None]:
+        """Advance by one control step; returns offsets of the wrists, shape (n, k, 3) [m], and forces
+        on the objects, shape (n, k, 3) [N], or None.
+        """
+        step = np.minimum(self.step, len(self._clock) - 1)
+        self.step += 1
+        return self._way[self._worlds, step], self._task.push(self._clock[step])
