@@ -25,12 +25,14 @@ from math import cos, sin, sqrt
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpac_gym.model import JOINT_INDEX, JOINTS, SERVO_INDEX, Digit, Hand
+from hpac_gym.model import JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Digit, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.settings import Damping
 
 _CMC = SERVO_INDEX["thumb_cmc"]
 _CMC_JOINT = JOINT_INDEX["thumb_cmc"]
+ROOTS = [JOINT_INDEX[joint] for joint in SERVOS[:-1]]
+"""Joints that the five drives pull."""
 
 
 def coupling_rows(hand: Hand) -> tuple[Array, Array]:
@@ -60,6 +62,36 @@ def spring_rows(hand: Hand) -> tuple[Array, Array]:
     for row, digit in zip(rows, hand.digits.values(), strict=True):
         row[[JOINT_INDEX[name] for name in digit.joints]] = digit.joint_radius
     return rows, np.array([digit.spring_stiffness for digit in hand.digits.values()])
+
+
+def drive_arms(hand: Hand) -> Array:
+    """Moment arms of the drives on their flexed root joints, shape (5,) [m]."""
+    included = hand.guide_alpha - hand.synergy_max[:_CMC]
+    chord = np.sqrt(hand.guide_sum - hand.guide_product * np.cos(included))
+    return 0.5 * hand.guide_product * np.sin(included) / chord
+
+
+def viscosities(hand: Hand, inertia: Array, ratio: float) -> tuple[Array, Array]:
+    """The damping law of both engines: an element of stiffness k that moves the mass m is damped by
+    2 ζ √(k m).
+
+    Args:
+        hand: the model's parameters.
+        inertia: joint-space inertia at a typical posture, shape (15, 15) [kg·m²].
+        ratio: ζ.
+
+    Returns:
+        Damping of the nine couplings and the five drives, whose roots are flexed [N·s/m], then of
+        the CMC [N·m·s/rad], and their mobilities 1/m [1/kg, 1/(kg·m²)], shapes (15,).
+    """
+    compliance = np.linalg.inv(inertia)
+    rows, stiffness = coupling_rows(hand)
+    coupling = np.einsum("ij,jk,ik->i", rows, compliance, rows)
+    drive = drive_arms(hand) ** 2 * compliance[ROOTS, ROOTS]
+    mobility = np.hstack([coupling, drive, compliance[_CMC_JOINT, _CMC_JOINT]])
+    drives = [digit.drive_stiffness for digit in hand.digits.values()]
+    stiffness = np.hstack([stiffness, drives, hand.cmc_stiffness])
+    return 2 * ratio * np.sqrt(stiffness / mobility), mobility
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,40 +195,30 @@ class Tendons:
         strength: ArrayLike = 1.0,
     ) -> None:
         self.hand = hand
-        compliance = np.linalg.inv(mass_matrix)
-
-        def viscosity(stiffness: Array, mobility: Array) -> Array:
-            explicit = 2 * damping.ratio * np.sqrt(stiffness / mobility)
-            return explicit / (1 + explicit * dt * mobility)
-
+        viscosity, mobility = viscosities(hand, mass_matrix, damping.ratio)
+        viscosity /= 1 + viscosity * dt * mobility
         rows, stiffness = coupling_rows(hand)
-        mobility = np.einsum("ij,jk,ik->i", rows, compliance, rows)
         springs, spring_stiffness = spring_rows(hand)
         stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (
             spring_stiffness[:, None] * springs
         )
-        viscosity_matrix = rows.T @ (
-            viscosity(stiffness, mobility)[:, None] * rows
-        ) + damping.joint * np.eye(len(JOINTS))
+        viscosity_matrix = rows.T @ (viscosity[: len(rows), None] * rows) + damping.joint * np.eye(
+            len(JOINTS)
+        )
         self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
         self._coupling = stiffness[:, None] * rows
         self._levers = np.abs(rows).T
         self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
         self._state = np.empty(2 * len(JOINTS))
 
-        def damped(drive: Drive, flexed: float) -> Drive:
-            _, arm = drive.chord_and_arm(flexed)
-            mobility = arm**2 * compliance[drive.joint, drive.joint]
-            coefficient = float(viscosity(np.float64(drive.stiffness), mobility))
-            return replace(drive, viscosity=coefficient, brake=damping.overrun * coefficient)
-
         slacks, shares = (
             np.broadcast_to(given, len(hand.digits)).tolist() for given in (slack, strength)
         )
-        undamped = map(Drive.of, hand.digits.values(), slacks, shares)
-        self.drives = tuple(map(damped, undamped, hand.synergy_max[:_CMC].tolist()))
-        cmc = viscosity(np.array(hand.cmc_stiffness), compliance[_CMC_JOINT, _CMC_JOINT])
-        self._cmc_viscosity = float(cmc)
+        *damped, self._cmc_viscosity = viscosity[len(rows) :].tolist()
+        self.drives = tuple(
+            replace(Drive.of(*given), viscosity=value, brake=damping.overrun * value)
+            for *given, value in zip(hand.digits.values(), slacks, shares, damped, strict=True)
+        )
 
     def stiffness_matrix(self, synergy: Array) -> Array:
         """Stiffness of the joints with all drives taut, −∂torque/∂angle, shape (15, 15) [N·m/rad].
