@@ -6,32 +6,28 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hpac_gym.envs import snapshots
 from hpac_gym.envs.commands import Commands, Transmit
 from hpac_gym.envs.observations import Observation, Observations
 from hpac_gym.envs.options import CALIBRATED, Options
 from hpac_gym.envs.pictures import Pictures
-from hpac_gym.envs.randomization import changed_setup, stream
+from hpac_gym.envs.starts import start_of
 from hpac_gym.envs.wrists import Wrists
 from hpac_gym.errors import EpisodeError, ParameterError
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import Engine, PhysicsError, PhysicsWarning, SceneSetup, SceneState
-from hpac_gym.physics.settings import BODIES, HandSettings
+from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.options import check_choice
 from hpac_gym.tasks.quality import grasp_quality
 from hpac_gym.tasks.task import CONTROL_HZ, FAILURE, RUNNING, Task
 from hpac_gym.tasks.terms import Moment
-
-_NO_CHOICE = HandSettings()
 
 
 class Episodes:
@@ -50,28 +46,19 @@ class Episodes:
             multiple of the commands'.
 
     Attributes:
-        commands: the servos' commands.
-        wrists: the scripted motion of the wrists.
         observations: what is observed, with the observation space of one world.
-        pictures: pictures of the worlds.
         action_space: action space of one world.
         randomizations: randomization of future episodes, one per world.
         setups: the running episodes, one per world.
+        episode: a token of its own for what was started by the last `reset`.
         outcome: status of each episode, an index into `hpac_gym.tasks.task.OUTCOMES`, shape (n,).
         now: the worlds after the last step; None before the first `reset`.
         terms: terms of the last step's dense reward, shape (n,), by name.
     """
 
     changing = (
-        "task",
-        "simulation",
-        "commands",
-        "observations",
-        "outcome",
-        "terms",
-        "wrists",
-        "_camera",
-        "_down",
+        *("task", "simulation", "commands", "wrists", "observations", "outcome", "terms"),
+        *("_camera", "_down"),
     )
 
     def __init__(
@@ -82,11 +69,7 @@ class Episodes:
         transmit: Transmit | None = None,
         engine: Engine | None = None,
     ) -> None:
-        check_choice("obs", options.obs, task.observations)
-        if options.model == CALIBRATED and task.hands != "test":
-            raise ParameterError(
-                f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"
-            )
+        _check(task, options)
         self.task = task
         self.options = options
         visuals = options.visuals or options.obs == "image"
@@ -114,7 +97,7 @@ class Episodes:
         self._down = np.zeros((num_worlds, 3))
         self.now: Moment | None = None
         self.terms: dict[str, Array] = {}
-        self._episode = object()
+        self.episode = object()
 
     def reset(
         self,
@@ -132,32 +115,21 @@ class Episodes:
         Returns:
             Values drawn by the randomization, by name, for each of the worlds.
         """
-        setups = []
-        values = []
-        cameras = []
         chosen = given or [None] * len(worlds)
-        for world, generator, own in zip(worlds, generators, chosen, strict=True):
-            setup_rng, camera_rng = generator.spawn(2)
-            drawn = self.randomizations[world].draw(setup_rng)
-            setup = own or self.task.setup(setup_rng, self.options.hand)
-            setup = _with_options(setup, self.options, drawn=own is None)
-            setups.append(changed_setup(setup, drawn))
-            values.append(drawn)
-            cameras.append(
-                (world, setups[-1], float(drawn.get("sensor_noise", [1.0])[0]), camera_rng)
-            )
-            share = float(drawn.get("dropped_frames", [0.0])[0])
-            self.commands.lose(world, share, stream(setup_rng, "losses") if share else None)
-        for camera in cameras:
-            self._camera.start(*camera)
-        self._begin(worlds, setups)
-        index = np.asarray(worlds)
-        self.outcome[index] = RUNNING
+        starts = [
+            start_of(self.task, self.options, self.randomizations[world], generator, own)
+            for world, generator, own in zip(worlds, generators, chosen, strict=True)
+        ]
+        for world, start in zip(worlds, starts, strict=True):
+            self.commands.lose(world, *start.loss)
+            self._camera.start(world, start.setup, *start.noise)
+        self._begin(worlds, [start.setup for start in starts])
+        self.outcome[np.asarray(worlds)] = RUNNING
         self.terms = {}
-        self._episode = object()
+        self.episode = object()
         still = np.zeros_like(self.commands.last_action)
         self._look(self.simulation.state(), still, worlds)
-        return values
+        return [start.drawn for start in starts]
 
     def _begin(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Set up the scenes of some worlds."""
@@ -180,9 +152,7 @@ class Episodes:
             Rewards, shape (n,).
 
         Raises:
-            ShapeError: Wrong shape.
-            WorkspaceError: NaN, or an action that leaves −1…1: wrap in
-                `gymnasium.wrappers.ClipAction`.
+            ShapeError, WorkspaceError: As `Commands.target`.
             PhysicsError: A simulation failed, and the engine cannot continue.
 
         Warns:
@@ -248,27 +218,6 @@ class Episodes:
         )
         self.observations.measure(self.now)
 
-    def save(self) -> Any:
-        """A snapshot of a single world, which `restore` continues bit-exactly."""
-        engine = self.simulation.engine
-        return self._episode, self.setups[0], self.now, engine.save(0), snapshots.save(self)
-
-    def restore(self, snapshot: Any) -> None:
-        """Restore the world to a snapshot, which is not modified.
-
-        Raises:
-            EpisodeError: The snapshot is of another episode, or of another environment.
-        """
-        episode, setup, now, physics, values = snapshot
-        if episode is not self._episode:
-            raise EpisodeError(
-                "a state can be restored only in the episode that it was saved in, not after another reset()"
-            )
-        self.setups[0] = setup  # the wrist may have been placed since then
-        self.simulation.engine.restore(0, physics)
-        snapshots.restore(self, values)
-        self.now = now
-
     def observe(self) -> Observation:
         """Current observations, with a leading axis n."""
         return self.observations.see(
@@ -277,34 +226,28 @@ class Episodes:
             lambda: self._camera.points(self.now.state),
         )
 
-    def report(self) -> dict[str, Any]:
-        """Entries of `info`: arrays of shape (n,), by name."""
-        return dict(self.task.report(self.now))
-
-    def quality(self, world: int) -> float:
-        """Grasp quality epsilon of a world [N]; since it takes milliseconds, it is reported only in
-        an episode's last step.
-        """
-        if not self.now.state.touching[world].any():  # most failed episodes
-            return 0.0
-        return grasp_quality(self.simulation.engine.contacts(world), self.setups[world].object)
-
     def close(self) -> None:
         """Close the engine and the page. Closing twice is allowed."""
         self.simulation.engine.close()
         self.pictures.close()
 
 
-def _with_options(setup: SceneSetup, options: Options, drawn: bool) -> SceneSetup:
-    """The setup with the servo zeros and the body of the options; a given one keeps its own."""
-    settings = setup.hand_settings
-    if drawn and any(zero := options.hand.calibration.servo_zero):
-        zero = tuple(np.add(settings.servo_zero, zero).tolist())
-        settings = replace(settings, servo_zero=zero)
-    body = BODIES[options.body]
-    if body != _NO_CHOICE and (drawn or settings == _NO_CHOICE):
-        settings = replace(settings, armature=body.armature, hub_inertia=body.hub_inertia)
-    return setup if settings is setup.hand_settings else replace(setup, hand_settings=settings)
+def quality(episodes: Episodes, world: int) -> float:
+    """Grasp quality epsilon of a world [N]; since it takes milliseconds, it is reported only in an
+    episode's last step.
+    """
+    if not episodes.now.state.touching[world].any():  # most failed episodes
+        return 0.0
+    return grasp_quality(episodes.simulation.engine.contacts(world), episodes.setups[world].object)
+
+
+def _check(task: Task, options: Options) -> None:
+    """Refuse options that do not fit a task."""
+    check_choice("obs", options.obs, task.observations)
+    if options.model == CALIBRATED and task.hands != "test":
+        raise ParameterError(
+            f"model 'calibrated' is that of held-out hands: it needs hands='test', not {task.hands!r}"
+        )
 
 
 def open_episodes(env: Any) -> Episodes:

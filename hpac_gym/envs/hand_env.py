@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.envs.commands import Transmit
-from hpac_gym.envs.episodes import Episodes, open_episodes
+from hpac_gym.envs.episodes import Episodes, open_episodes, quality
 from hpac_gym.envs.observations import Observation
 from hpac_gym.envs.options import RENDER_MODES, checked_options, setups_of
 from hpac_gym.envs.pictures import VIEW_TARGET
 from hpac_gym.envs.randomization import Randomization, randomization
+from hpac_gym.envs.snapshots import restore_episode, save_episode
 from hpac_gym.errors import EpisodeError, ShapeError
 from hpac_gym.model import ServoCommand
 from hpac_gym.model.checks import Array, as_array
@@ -69,17 +70,14 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             TypeError: Always.
         """
-        raise TypeError(
-            f"a physics world cannot be copied or pickled: make a new {type(self).__name__}"
-        )
+        name = type(self).__name__
+        raise TypeError(f"a physics world cannot be copied or pickled: make a new {name}")
 
     episodes = property(open_episodes)
 
     @property
     def randomization(self) -> Randomization:
-        """Domain randomization in addition to the task's own draw; a new value takes effect at the
-        next `reset`.
-        """
+        """Domain randomization besides the task's own draw; a new value begins at `reset`."""
         return self.episodes.randomizations[0]
 
     @randomization.setter
@@ -88,9 +86,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def state(self) -> SceneState:
-        """The true state of the scene after the last step; arrays with a leading axis of one.
-        Policies must not use it.
-        """
+        """True state after the last step, with a leading axis of one; no policy may use it."""
         return self._begun().now.state
 
     @property
@@ -167,10 +163,8 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observe(), reward, not self._running, False, self._info()
 
     def save_state(self) -> Any:
-        """The state of the episode, for `restore_state`: physics, servos, task, camera and random
-        generators.
-
-        Wrappers have state of their own: step `env.unwrapped` while planning.
+        """The state of the episode, for `restore_state`. Wrappers have state of their own: step
+        `env.unwrapped` while planning.
 
         Raises:
             EpisodeError: Before `reset`, after `close`, or with `transmit`, whose receiver has a
@@ -180,7 +174,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise EpisodeError(
                 "a state cannot be saved with transmit: what is at the far end keeps its own"
             )
-        return self._running, self._begun().save()
+        return self._running, save_episode(self._begun())
 
     def restore_state(self, state: Any) -> None:
         """Restore a state from `save_state`, any number of times: the same actions then give the
@@ -191,7 +185,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
                 `close`.
         """
         running, snapshot = state
-        self._begun().restore(snapshot)
+        restore_episode(self._begun(), snapshot)
         self._running = running
 
     def _observe(self) -> Observation:
@@ -200,20 +194,18 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _info(self) -> dict[str, Any]:
         episodes = self.episodes
-        info = {name: values.tolist()[0] for name, values in episodes.report().items()}
+        report = self.task.report(episodes.now)
+        info = {name: values.tolist()[0] for name, values in report.items()}
         if not self.task.goal_terms:
-            info["reward_terms"] = (
-                {name: float(values[0]) for name, values in episodes.terms.items()}
-                if episodes.terms
-                else {}
-            )
+            info["reward_terms"] = {
+                name: float(values[0]) for name, values in episodes.terms.items()
+            }
         if episodes.outcome[0] != RUNNING:
-            info["epsilon"] = episodes.quality(0)
+            info["epsilon"] = quality(episodes, 0)
         return info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """RGB image, shape (360, 480, 3); None without a render mode, and with "human", which shows
-        every step by itself.
+        """RGB image, shape (360, 480, 3); None without a render mode and with "human".
 
         Raises:
             EpisodeError: Before `reset`, or after `close`.
@@ -222,9 +214,7 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return seen[0] if seen else None
 
     def picture(self, viewpoint: Viewpoint, centre: Array = VIEW_TARGET) -> NDArray[np.uint8]:
-        """RGB image from any viewpoint, centred on a point of the hand frame, shape (3,) [m]; needs
-        a render mode.
-        """
+        """RGB image, centred on a point of the hand frame, shape (3,) [m]; needs a render mode."""
         return self._begun().pictures.take(0, viewpoint, centre)
 
     def close(self) -> None:

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from hpac_gym.errors import EpisodeError
+
 
 def save(owner: Any) -> dict[str, Any]:
     """Copies of an object's state, by name."""
@@ -28,6 +30,30 @@ def restore(owner: Any, saved: dict[str, Any]) -> None:
             restore(part, value)
         else:
             setattr(owner, name, deepcopy(value))
+
+
+def save_episode(episodes: Any) -> Any:
+    """A snapshot of `Episodes` of one world, which `restore_episode` continues bit-exactly."""
+    engine = episodes.simulation.engine
+    parts = episodes.setups[0], episodes.now, engine.save(0), save(episodes)
+    return episodes.episode, *parts
+
+
+def restore_episode(episodes: Any, snapshot: Any) -> None:
+    """Restore `Episodes` of one world to a snapshot, which is not modified.
+
+    Raises:
+        EpisodeError: The snapshot is of another episode, or of another environment.
+    """
+    episode, setup, now, physics, values = snapshot
+    if episode is not episodes.episode:
+        raise EpisodeError(
+            "a state can be restored only in the episode that it was saved in, not after another reset()"
+        )
+    episodes.setups[0] = setup  # the wrist may have been placed since then
+    episodes.now = now
+    episodes.simulation.engine.restore(0, physics)
+    restore(episodes, values)
 
 
 def undeclared(owner: Any, act: Callable[[], object]) -> list[str]:

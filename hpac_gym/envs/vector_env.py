@@ -15,8 +15,16 @@ from hpac_gym.envs.episodes import CONTROL_HZ, Episodes, open_episodes
 from hpac_gym.envs.hand_env import GoalRewards
 from hpac_gym.envs.options import RENDER_MODES, check_num_envs, checked_options, setups_of
 from hpac_gym.envs.randomization import randomization
-from hpac_gym.envs.vector_infos import begin, check_arguments, mask_of, of_last_step, of_step
-from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError
+from hpac_gym.envs.vector_infos import (
+    begin,
+    check_arguments,
+    check_count,
+    mask_of,
+    of_last_step,
+    of_step,
+    seeds_of,
+)
+from hpac_gym.errors import EpisodeError, ShapeError, WorkspaceError
 from hpac_gym.model.checks import as_array
 from hpac_gym.physics.engine import Engine
 from hpac_gym.tasks.task import RUNNING, Task
@@ -38,8 +46,7 @@ ATTRIBUTES = (
 
 
 class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
-    """n hands with a task, in one process. Each behaves, to the bit, like a `HandEnv` with the same
-    seed.
+    """n hands with a task, in one process, each to the bit like a `HandEnv` with the same seed.
 
     Args:
         task: draws episodes, judges them and shapes the reward.
@@ -52,8 +59,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
 
     Raises:
         TypeError: An unknown option.
-        ParameterError: `num_envs` or `max_episode_steps` is below 1, or an option that `HandEnv`
-            refuses.
+        ParameterError: `num_envs` or `max_episode_steps` below 1, or an option refused by `HandEnv`.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": CONTROL_HZ}
@@ -114,19 +120,11 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
                 each; and `reset_mask`, shape (n,), to reset only some environments.
 
         Raises:
-            ParameterError: Wrong number of seeds, an invalid mask, or an option that
-                `HandEnv.reset` refuses.
+            ParameterError: Wrong seeds or mask, or an option that `HandEnv.reset` refuses.
         """
         episodes = self.episodes
         mask, options = mask_of(options, self.num_envs, self._running)
-        seeds = [seed] * self.num_envs if seed is None else seed
-        seeds = (
-            [seed + place for place in range(self.num_envs)]
-            if isinstance(seed, int | np.integer)
-            else seeds
-        )
-        if len(seeds) != self.num_envs:
-            raise ParameterError(f"{len(seeds)} seeds were given for {self.num_envs} environments")
+        seeds = seeds_of(seed, self.num_envs)
         self._running = False
         given = setups_of(options, self.task, self.hand, self.num_envs)
         worlds = np.flatnonzero(mask).tolist()
@@ -152,15 +150,13 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         """Carry out one action in every environment for one control period.
 
         Raises:
-            ShapeError: The actions do not have the shape of the action space.
-            WorkspaceError: An action has NaN, or leaves −1…1.
+            ShapeError, WorkspaceError: Wrong shape, NaN, or an action that leaves −1…1.
             EpisodeError: Before `reset`, after `close`, or without autoreset after the end of an
                 episode.
             PhysicsError: A world's simulation failed in PyBullet; the message names it.
 
         Warns:
-            PhysicsWarning: A world's simulation failed in MuJoCo: its episode ends as a failure,
-                and the others continue.
+            PhysicsWarning: A world's simulation failed in MuJoCo, and its episode as a failure.
         """
         episodes = self.episodes
         if not self._running or (self._mode is AutoresetMode.DISABLED and self._over.any()):
@@ -175,9 +171,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         try:
             rewards = np.asarray(episodes.step(actions), dtype=float)
         except WorkspaceError as error:
-            error.add_note(
-                f"in environment {int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))}"
-            )
+            world = int(np.argmin((np.abs(actions) <= 1.0 + 1e-6).all(axis=1)))
+            error.add_note(f"in environment {world}")
             raise
         self._steps += 1
         terminated = episodes.outcome != RUNNING
@@ -196,8 +191,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         return episodes.observe(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """RGB image of every environment; None without a render mode, and with "human", which shows
-        every step by itself.
+        """RGB image of every environment; None without a render mode and with "human".
 
         Raises:
             EpisodeError: Before `reset`, or after `close`.
@@ -220,11 +214,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
         ) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
-        """Set the `randomization` of every environment, from its next episode on.
-
-        Args:
-            name: "randomization"; nothing else can be set.
-            values: a list or tuple with one for each environment, or one for all.
+        """Set the `randomization` of every environment, from its next episode on: one for each in a
+        list or tuple, or one for all.
 
         Raises:
             AttributeError: Any other name.
@@ -235,20 +226,12 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
                 f"set_attr: {name!r} cannot be set in a running vector environment; 'randomization' can"
             )
         values = values if isinstance(values, list | tuple) else [values] * self.num_envs
-        if len(values) != self.num_envs:
-            raise ParameterError(
-                f"set_attr: {len(values)} values were given for {self.num_envs} environments"
-            )
+        check_count("values", values, self.num_envs)
         self.episodes.randomizations[:] = [randomization(value) for value in values]
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Results of a method of each environment, or its attribute values.
-
-        Args:
-            name: "render"; of a task with goals "compute_reward", "compute_terminated" or
-                "compute_truncated"; or one of `ATTRIBUTES`.
-            args: positional arguments of the method.
-            kwargs: keyword arguments of the method.
+        """Results of "render" in each environment, or of "compute_reward", "compute_terminated" or
+        "compute_truncated" in those of a task with goals; or the values of an attribute.
 
         Raises:
             AttributeError: Any other name.

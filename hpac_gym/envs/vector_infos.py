@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from hpac_gym.envs.episodes import Episodes
+from hpac_gym.envs.episodes import Episodes, quality
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 
@@ -39,7 +39,7 @@ def begin(
     """Add the infos of episodes that begin in some worlds, with the values drawn for them."""
     begun = np.zeros(len(episodes.setups), dtype=bool)
     begun[worlds] = True
-    for name, column in masked(episodes.report(), begun).items():
+    for name, column in masked(episodes.task.report(episodes.now), begun).items():
         infos[name] = np.where(begun, column, infos[name]) if name in infos else column
     terms: dict[str, Any] = {} if episodes.task.goal_terms else {"reward_terms": {}}
     for world, values in zip(worlds, drawn, strict=True):
@@ -49,12 +49,12 @@ def begin(
 
 def of_step(episodes: Episodes, stepped: Mask, terminated: Mask, add: Add) -> dict[str, Any]:
     """Infos of the environments that were stepped."""
-    infos = masked(episodes.report(), stepped)
+    infos = masked(episodes.task.report(episodes.now), stepped)
     if not episodes.task.goal_terms:
         terms = masked(episodes.terms, stepped) if stepped.any() else {}
         infos |= {"reward_terms": terms, "_reward_terms": stepped.copy()}
     for world in np.flatnonzero(terminated):
-        add(infos, {"epsilon": episodes.quality(world)}, world)
+        add(infos, {"epsilon": quality(episodes, world)}, world)
     return infos
 
 
@@ -106,3 +106,27 @@ def mask_of(
     if not running and not mask.all():
         raise ParameterError("reset_mask must be True everywhere: no episode is running yet")
     return mask, {name: value for name, value in options.items() if name != "reset_mask"}
+
+
+def seeds_of(seed: int | Sequence[int | None] | None, num_envs: int) -> Sequence[int | None]:
+    """One seed per environment, given by the first of consecutive seeds or one by one.
+
+    Raises:
+        ParameterError: Wrong number of seeds.
+    """
+    if seed is None:
+        return [None] * num_envs
+    if isinstance(seed, int | np.integer):
+        return range(seed, seed + num_envs)
+    check_count("seeds", seed, num_envs)
+    return seed
+
+
+def check_count(name: str, given: Sequence[Any], num_envs: int) -> None:
+    """Refuse values that are not one per environment.
+
+    Raises:
+        ParameterError: Wrong number.
+    """
+    if len(given) != num_envs:
+        raise ParameterError(f"{len(given)} {name} were given for {num_envs} environments")

@@ -96,7 +96,7 @@ class Hands:
             self.total += np.where(over, 0.0, episodes.step(act(step, first)))
             ended = (episodes.outcome != RUNNING) & ~over
             self.won |= ended & (episodes.outcome == SUCCESS)
-            self.force[ended] = episodes.report()["holding_force"][ended]
+            self.force[ended] = episodes.task.report(episodes.now)["holding_force"][ended]
             over |= ended
         assert over.all()
         return self

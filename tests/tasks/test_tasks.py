@@ -148,17 +148,19 @@ class Played:
         predicted = elastic_joints_from_servo(self.servo)
         seen = self.camera.look(state, range(n))
         down = np.tile([0.0, -1.0, 0.0], (n, 1))
+        phase = task.phase(state.time)
         now = Moment(
             state,
             self.servo,
             predicted,
             down,
-            task.phase(state.time),
+            phase,
             change,
             change,
             seen,
             task.grip,
             outcome,
+            phase,
         )
         if self.goals:
             task.measure(self.goals.see(now), task.goal.astype(np.float32))
@@ -263,9 +265,11 @@ def test_what_the_dense_reward_pays_and_costs_in_numbers():
     state.time[2:] = 1.5
     outcome = task.judge(state, DT)
     nothing = np.zeros((n, 6))
-    phase = task.phase(state.time)
+    began = task.phase(state.time)
+    later = began + 1  # rewards belong to the phase in which the step began
     now = Moment(
-        state, nothing, nothing, nothing, phase, nothing, np.eye(6)[:n], {}, task.grip, outcome
+        *(state, nothing, nothing, nothing, later, nothing, np.eye(6)[:n]),
+        *({}, task.grip, outcome, began),
     )
     paid = {term.name: term.value(now) for term in task.reward_terms}
     np.testing.assert_allclose(paid["contact"], [0.35, 0.0, 0.0, 0.0])

@@ -194,38 +194,9 @@ class MuJoCoEngine(Engine):
             state.object_spin[rows] = _turn(rotation, velocity[:, 3:])
 
     def contacts(self, world: int) -> Contacts:
-        group = self._group_of[world]
         setup = self._setups[world]
-        model, data = self.single(world)
-        points = []
-        normals = []
-        forces = []
-        links = []
-        wrench = np.zeros(6)
-        item = group.at.object_body
-        for index, contact in enumerate(data.contact):
-            bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-            if item not in bodies:
-                continue
-            other = bodies[1 - bodies.index(item)]
-            name = model.body(other).name
-            if name != "palm" and not name.endswith("_link"):
-                continue
-            # The normal points from the first geom to the second.
-            into = 1.0 if bodies[1] == item else -1.0
-            mujoco.mj_contactForce(model, data, index, wrench)
-            points.append(contact.pos + into * contact.frame[:3] * contact.dist / 2)
-            normals.append(into * contact.frame[:3])
-            forces.append(wrench[0])
-            links.append(name)
-        return Contacts(
-            np.array(points).reshape(-1, 3),
-            np.array(normals).reshape(-1, 3),
-            np.array(forces),
-            tuple(links),
-            data.body("object").xpos.copy(),
-            setup.hand_settings.contact_friction * setup.object.friction,
-        )
+        friction = setup.hand_settings.contact_friction * setup.object.friction
+        return _contacts(*self.single(world), self._group_of[world].at.object_body, friction)
 
     def single(self, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Model and data of one world, with all derived quantities computed from its state."""
@@ -270,6 +241,38 @@ class MuJoCoEngine(Engine):
 def _processors() -> int:
     """Number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData, item: int, friction: float) -> Contacts:
+    """Contacts between the hand and the body of an object, whose surfaces have a friction."""
+    points = []
+    normals = []
+    forces = []
+    links = []
+    wrench = np.zeros(6)
+    for index, contact in enumerate(data.contact):
+        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        if item not in bodies:
+            continue
+        other = bodies[1 - bodies.index(item)]
+        name = model.body(other).name
+        if name != "palm" and not name.endswith("_link"):
+            continue
+        # The normal points from the first geom to the second.
+        into = 1.0 if bodies[1] == item else -1.0
+        mujoco.mj_contactForce(model, data, index, wrench)
+        points.append(contact.pos + into * contact.frame[:3] * contact.dist / 2)
+        normals.append(into * contact.frame[:3])
+        forces.append(wrench[0])
+        links.append(name)
+    return Contacts(
+        np.array(points).reshape(-1, 3),
+        np.array(normals).reshape(-1, 3),
+        np.array(forces),
+        tuple(links),
+        data.body("object").xpos.copy(),
+        friction,
+    )
 
 
 def _turn(rotation: Array, vector: Array) -> Array:
