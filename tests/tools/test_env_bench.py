@@ -17,7 +17,7 @@ def engine(one: float, many: float, reset_ms: float) -> dict:
 
 
 REPORT = {
-    "engines": {"pybullet": engine(90.0, 100.0, 1.0), "mujoco": engine(200.0, 300.0, 0.3)},
+    "engines": {"pybullet": engine(130.0, 100.0, 1.0), "mujoco": engine(200.0, 300.0, 0.3)},
     "two_threads": 1.8,
     "two_processes_of_arithmetic": 1.9,
     "peers": {"HandManipulateBlock-v1": 100.0, "PandaPickAndPlace-v3": 80.0},
@@ -36,18 +36,34 @@ def changed(*path: str, value: float) -> dict:
 
 
 def test_every_mark_can_be_missed():
-    assert [kept for *_, kept in bench.marks(REPORT)] == [True] * 6
+    assert [kept for *_, kept in bench.marks(REPORT)] == [True] * 8
     cases = [
-        changed("engines", "pybullet", "env_steps_per_cpu_second", "1", value=143.0),
-        changed("peers", "PandaPickAndPlace-v3", value=101.0),
+        changed("engines", "pybullet", "env_steps_per_cpu_second", "1", value=129.0),
+        changed("engines", "mujoco", "env_steps_per_cpu_second", "1", value=199.0),
+        changed("engines", "pybullet", "env_steps_per_cpu_second", "64", value=143.0),
+        changed("engines", "mujoco", "env_steps_per_cpu_second", "64", value=299.0),
         changed("two_threads", value=1.79),
         changed("engines", "mujoco", "outside_engine", "64", value=0.101),
         changed("engines", "mujoco", "reset_ms", "1", value=0.301),
         changed("engines", "mujoco", "reset_ms", "64", value=0.301),
     ]
     for index, report in enumerate(cases):
-        assert [kept for *_, kept in bench.marks(report)] == [place != index for place in range(6)]
+        assert [kept for *_, kept in bench.marks(report)] == [place != index for place in range(8)]
         assert "\n".join(bench.lines(report)).count("✗") == 1
+
+
+def test_the_faster_peer_is_the_one_to_beat():
+    report = changed("peers", "PandaPickAndPlace-v3", value=101.0)
+    kept = {name: kept for name, *_, kept in bench.marks(report)}
+    assert all(kept[name] != ("faster peer" in name) for name in kept)
+
+
+def test_one_environment_is_printed_first_beside_the_peers():
+    text = bench.lines(REPORT)
+    assert text[1].startswith("one environment")
+    for line, name in zip(text[2:6], (*REPORT["engines"], *REPORT["peers"]), strict=True):
+        assert line.split()[0] == name
+    assert "130   engine's share 60%" in text[2]
 
 
 def test_a_machine_without_a_second_processor_gives_no_verdict_on_threads():
