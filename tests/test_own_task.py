@@ -15,6 +15,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AsyncVectorEnv
 
 import hpac_gym
+from agents import POLICY
 from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, make_task
 from hpac_gym.envs.registered import options_of_id
 from hpac_gym.errors import EnvError, HpacError, ParameterError
@@ -166,7 +167,7 @@ def test_learners_take_it(folder):
     race = COMMANDS[2].split()[1:]
     run(folder, *race, "--minutes", "0.05", "--num-envs", "4", "--hidden", "8")
     judged = run(
-        folder, "-m", "hpac", "evaluate", "--policy", "runs/gentle/policy.zip", "--episodes", "2",
+        folder, "-m", "hpac", "evaluate", "--policy", f"runs/gentle/{POLICY}", "--episodes", "2",
         "--engine", "mujoco", "--no-baselines",
     )  # fmt: skip
     assert "learned" in judged
@@ -174,7 +175,7 @@ def test_learners_take_it(folder):
     train = ["agents.train", "grasp", "--env-id", "mytasks:My-Touch-v0", "--out", "runs/touch"]
     run(folder, "-m", *train, *short, "--checkpoint-every", "20", "--batch-size", "8",
         "--actor-batch-size", "8")  # fmt: skip
-    assert (folder / "runs" / "touch" / "policy.zip").exists()
+    assert (folder / "runs" / "touch" / POLICY).exists()
     used = USED.replace("100_000", "64").replace("64,", "2,").replace("16,", "2,")
     run(folder, "-c", used)
 
@@ -205,7 +206,7 @@ class Half(Task):
         (Half, None, TypeError, "abstract.*judge.*setup"),
         (lambda: 3, None, ParameterError, "Wrong-v0 needs a .*Task: int has no duration"),
     ],
-    ids=str,
+    ids=lambda value: value if isinstance(value, str) else "",
 )
 @pytest.mark.filterwarnings("ignore:.*Overriding environment")
 def test_what_is_no_task_is_refused(task, steps, error, message):
