@@ -11,9 +11,12 @@ from hpac_gym.output import replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RED = "#c0392b"
-GREEN = "#1e8449"
-BLUE = "#2471a3"
+# Of Okabe and Ito: people who do not see red and green apart can tell them.
+RED = "#d55e00"
+GREEN = "#009e73"
+BLUE = "#0072b2"
+CYCLE = (BLUE, "#e69f00", GREEN, "#cc79a7", "#56b4e9", RED, "#000000")
+"""Colours of lines that a figure does not choose."""
 GREY = "#7f8c8d"
 
 
@@ -34,8 +37,11 @@ def require() -> None:
 
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure [inch]; this imports Matplotlib, an extra."""
+    from cycler import cycler
+    from matplotlib import rcParams
     from matplotlib.figure import Figure
 
+    rcParams["axes.prop_cycle"] = cycler(color=CYCLE)
     return Figure(figsize=(width, height), layout="constrained")
 
 

@@ -24,14 +24,13 @@ from hpac_gym.model import (
     reach,
 )
 from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
-from hpac_gym.physics.simulation import default_engine
 from hpac_gym.physics.stand import HAND, UPRIGHT, WORLD, HandOnStand
 from hpac_gym.progress import progress
 
 SHEET_COLUMNS = 6
 SETTLE = 0.5  # s after the move
 LOOK_AT = HAND_POSITION + np.array([0.03, 0.0, 0.10])  # m, the middle of the hand
-SHEET_CAMERA = Viewpoint(width=320, height=320, distance=0.34, yaw_deg=55.0, pitch_deg=-12.0)
+SHEET_CAMERA = Viewpoint(width=480, height=480, distance=0.30, yaw_deg=55.0, pitch_deg=-12.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -135,7 +134,7 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     save(
         figure,
         path,
-        f"{hand.name}, simulated in {default_engine()}, each posture commanded from the open hand",
+        f"{hand.name}, simulated in MuJoCo, from the open hand; in gestures the fingers close before the thumb",
         picture=True,
     )
 
@@ -149,10 +148,17 @@ def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
 
 
 def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand:
-    """Simulate a hand that moves from open to a posture; the caller closes it."""
-    sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals)
+    """Simulate a hand that moves from open to a posture; the caller closes it.
+
+    In a gesture the fingers close before the thumb, which would be in their way: a fist has it
+    beside them. With pictures the engine is MuJoCo, which draws smooth ones."""
+    sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals, "mujoco" if visuals else None)
     sim.reset(np.zeros(len(SERVOS)))
     command = command_to(item, hand)
+    if item.kind == "gesture":
+        fingers = np.where([name.startswith("thumb") for name in SERVOS], 0.0, command.servo)
+        sim.command(fingers, command.duration)
+        sim.step(command.duration)
     sim.command(command.servo, command.duration)
     sim.step(command.duration + SETTLE)
     return sim

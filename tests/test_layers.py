@@ -19,7 +19,7 @@ ROOMS = {
     "progress": {"tqdm"},
     "command": set(),
     "registration": {"gymnasium"},
-    "figures": {"matplotlib"},
+    "figures": {"matplotlib", "cycler"},
     "model": {"numpy"},
     "body": {"numpy", "coacd", "trimesh"},
     "bridge": {"numpy", "serial"},

@@ -1,6 +1,8 @@
 """Film strips of an environment with one row per episode: ``python -m tools.film_strip``.
 
-Each page of ``docs/environments`` gives the command for its picture.
+Each page of ``docs/environments`` gives the command for its picture. The camera of a task with an
+object stands still, so that a lift is seen. A row begins with what it shows and how it ended, and
+why; a row of postures begins with its goal.
 """
 
 from __future__ import annotations
@@ -8,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,49 +19,124 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from hpac_gym.command import Parser, run, whole_number
+from hpac_gym.envs.episodes import VIEW_TARGET, open_episodes
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.model import JOINT_INDEX, SERVOS, action_from_synergy
 from hpac_gym.output import replacing
+from hpac_gym.physics.engine import HAND_POSITION
+from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.policies import Policy
+from hpac_gym.policies.baselines import constant_posture
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.policies.policy import EpisodePolicy
+from hpac_gym.tasks.posture import TOLERANCE
 
 FRAME = (300, 225)
 """Size of a picture on the strip, without its caption above [px]."""
-CAPTION = 26
+FINER = 2
+"""Pixels rendered for each pixel of the strip, along both sides."""
+CAPTION = 24
+TITLE = 32
 BORDER = 2  # px
 INK = (40, 40, 40)
+FAILED = (176, 48, 32)
 RULE = (225, 225, 225)
+BACK_OFF = 1.35
+"""Factor of the distance of a task's camera, so that the lifted hand stays in the picture."""
+ORDINARY = 0.12
+"""Longest side of an object for which that is far enough [m]."""
+RAISED = np.array([0.0, 0.0, 0.05])
+"""Where that camera looks, above the hand's place at the start [m]."""
+WHY = {
+    "reach": "the hand hit it on its way",
+    "close": "pushed away while the hand closed",
+    "lift": "slipped out in the lift",
+    "shake": "slipped out in the shake",
+    "place": "lost on the way down, or not where it belongs",
+}
+"""Why an episode failed, by its phase."""
 
 
-class StraightToGoal(EpisodePolicy):
-    """Scripted policy for a goal environment: commands the goal's six driven joints from the first
-    step on.
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One episode: what it shows, how it ended, and its pictures with their captions."""
+
+    title: str
+    success: bool
+    pictures: list[Image.Image]
+
+
+def film_strip(env: gymnasium.Env, policy: Policy, seed: int, times: Sequence[float]) -> Row:
+    """Pictures of one episode after the control steps closest to these times [s], or at its end,
+    if that is earlier.
     """
-
-    def _act(self, observation: dict[str, np.ndarray], memory: None) -> tuple[np.ndarray, None]:
-        """The action that corresponds to the goal, shape (6,), −1…1."""
-        synergy = observation["desired_goal"][[JOINT_INDEX[name] for name in SERVOS]]
-        return np.clip(action_from_synergy(synergy), -1.0, 1.0).astype(np.float32), None
-
-
-def film_strip(
-    env: gymnasium.Env, policy: Policy, seed: int, times: Sequence[float]
-) -> list[Image.Image]:
-    """Pictures of one episode after the control steps closest to these times [s], up to its end."""
-    wanted = {max(1, round(time / env.unwrapped.dt)) for time in times}
-    pictures = []
+    bare = env.unwrapped
+    wanted = {max(1, round(time / bare.dt)) for time in times}
+    pictures: list[Image.Image] = []
+    carried = 0.0
     for step in run_episodes(single(env), [policy], [seed]):
-        if step.number in wanted:
-            picture = Image.new("RGB", (FRAME[0], CAPTION + FRAME[1]), "white")
-            picture.paste(
-                Image.fromarray(env.render()).resize(FRAME, Image.Resampling.LANCZOS), (0, CAPTION)
-            )
-            text = caption(step.number * env.unwrapped.dt, step.info)
-            ImageDraw.Draw(picture).text((8, 5), text, fill=INK, font=ImageFont.load_default(15))
-            pictures.append(picture)
-    return pictures
+        info = step.info
+        if step.number == 0:
+            target = camera_target(bare)
+            if target is None:
+                pictures.append(captioned(picture_of_goal(env, seed), "goal"))
+            continue
+        carried = max(carried, info.get("hold_time", 0.0))
+        ended = info.get("outcome", "running") != "running"
+        if step.number in wanted or (pictures and ended and step.number < max(wanted)):
+            pictures.append(captioned(taken(bare, target), caption(step.number * bare.dt, info)))
+    if not pictures[int(target is None) :]:
+        return Row("", False, [])
+    return Row(title_of(bare, info, carried), bool(info["is_success"]), pictures)
+
+
+def camera_target(bare: Any) -> np.ndarray | None:
+    """Where a camera that stands still looks [m]; None for a task without an object, whose hand
+    does not move either.
+    """
+    setup = open_episodes(bare).setups[0]
+    if setup.object is None:
+        return None
+    half_way = 0.0 if setup.target is None else (setup.target - setup.position) / 2
+    looked_at = setup.hand_rotation @ (VIEW_TARGET + half_way)
+    return HAND_POSITION + bare.state.palm_offset[0] + looked_at + RAISED
+
+
+def taken(bare: Any, target: np.ndarray | None) -> np.ndarray:
+    """A picture, several times as large as on the strip."""
+    view = bare.task.viewpoint
+    size = {"width": FINER * FRAME[0], "height": FINER * FRAME[1]}
+    if target is None:
+        return bare.picture(replace(view, **size))
+    setup = open_episodes(bare).setups[0]
+    back_off = BACK_OFF if setup.target is None else 1.15  # that camera is far already
+    longest = 2 * max(setup.object.half_extents)
+    distance = back_off * view.distance + max(0.0, longest - ORDINARY)
+    view = replace(view, distance=distance, **size)
+    return open_episodes(bare).simulation.engine.picture(0, view, target)
+
+
+def picture_of_goal(env: gymnasium.Env, seed: int) -> np.ndarray:
+    """The nominal hand in the posture that an episode asks for."""
+    goal = open_episodes(env.unwrapped).setups[0].goal
+    with gymnasium.make(
+        env.spec.id, engine=env.spec.kwargs["engine"], randomize="nominal", render_mode="rgb_array"
+    ) as nominal:
+        policy = constant_posture(nominal)
+        observation, _ = nominal.reset(seed=seed, options={"goal": goal})
+        memory = None
+        over = False
+        while not over:
+            action, memory = policy.predict(observation, memory)
+            observation, _, _, over, _ = nominal.step(action)
+        return taken(nominal.unwrapped, None)
+
+
+def captioned(pixels: np.ndarray, text: str) -> Image.Image:
+    """A picture of the strip with its caption above."""
+    picture = Image.new("RGB", (FRAME[0], CAPTION + FRAME[1]), "white")
+    picture.paste(Image.fromarray(pixels).resize(FRAME, Image.Resampling.LANCZOS), (0, CAPTION))
+    ImageDraw.Draw(picture).text((8, 4), text, fill=INK, font=ImageFont.load_default(15))
+    return picture
 
 
 def caption(time: float, info: dict[str, Any]) -> str:
@@ -71,20 +149,39 @@ def caption(time: float, info: dict[str, Any]) -> str:
     return ", ".join(words)
 
 
-def sheet(rows: Sequence[Sequence[Image.Image]]) -> Image.Image:
-    """The strips below each other; short ones are padded with white."""
+def title_of(bare: Any, info: dict[str, Any], carried: float) -> str:
+    """What an episode shows, how it ended, and why it failed; `carried` is for how long the hand had
+    the object [s].
+    """
+    if "largest_error" in info:
+        error = f"largest error {info['largest_error']:.2f} rad, {TOLERANCE:g} allowed"
+        return f"bring fifteen joints to the goal: {'success' if info['is_success'] else 'failure'}, {error}"
+    thing = open_episodes(bare).setups[0].object
+    size = " x ".join(f"{2e3 * half:.0f}" for half in thing.half_extents)
+    named = info.get("type") or info.get("object") or thing.shape
+    what = f"{named.replace('_', ' ')}, {size} mm, {1e3 * thing.mass:.0f} g"
+    if info["is_success"]:
+        return f"{what}: success"
+    missed = info.get("missed") if info.get("held") else None
+    if not missed and carried == 0 and info["phase"] not in ("reach", "close"):
+        missed = "the hand closed beside it"
+    return f"{what}: failure, {missed or WHY.get(info['phase'], 'lost')}"
+
+
+def sheet(rows: Sequence[Row]) -> Image.Image:
+    """The strips below each other, each under its title; short ones are padded with white."""
     width = FRAME[0] + BORDER
-    height = CAPTION + FRAME[1] + BORDER
-    image = Image.new(
-        "RGB", (max(map(len, rows)) * width - BORDER, len(rows) * height - BORDER), "white"
-    )
+    height = TITLE + CAPTION + FRAME[1] + BORDER
+    columns = max(len(row.pictures) for row in rows)
+    image = Image.new("RGB", (columns * width - BORDER, len(rows) * height - BORDER), "white")
     draw = ImageDraw.Draw(image)
-    for row, pictures in enumerate(rows):
-        for column, picture in enumerate(pictures):
-            draw.rectangle(
-                (column * width, row * height, (column + 1) * width, (row + 1) * height), fill=RULE
-            )
-            image.paste(picture, (column * width, row * height))
+    font = ImageFont.load_default(19)
+    for number, row in enumerate(rows):
+        top = number * height
+        draw.rectangle((0, top, image.width, top + TITLE), fill=RULE)
+        draw.text((8, top + 4), row.title, fill=INK if row.success else FAILED, font=font)
+        for column, picture in enumerate(row.pictures):
+            image.paste(picture, (column * width, top + TITLE))
     return image
 
 
@@ -98,6 +195,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         "--policy",
         default="scripted",
         help="scripted, random, or a policy file (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--engine", default="mujoco", choices=ENGINES, help="physics (default: %(default)s)"
     )
     parser.add_argument(
         "--seeds",
@@ -127,14 +227,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _draw(options: argparse.Namespace) -> int:
-    with gymnasium.make(options.id, render_mode="rgb_array") as env:
-        goals = (
-            isinstance(env.observation_space, gymnasium.spaces.Dict)
-            and options.policy == "scripted"
-        )
-        policy = StraightToGoal() if goals else load_policy(options.policy, env)
+    with gymnasium.make(options.id, engine=options.engine, render_mode="rgb_array") as env:
+        policy = load_policy(options.policy, env)
         rows = [film_strip(env, policy, seed, options.at) for seed in options.seeds]
-    if not any(rows):
+    if not any(row.pictures for row in rows):
         raise ParameterError(f"no episode has a control step at any of {options.at} s")
     with replacing(options.out) as temporary:
         sheet(rows).quantize(256, dither=Image.Dither.NONE).save(

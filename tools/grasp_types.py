@@ -11,21 +11,27 @@ import argparse
 import hashlib
 import json
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
+from PIL import Image
 
 from experiments.agree import VARIATIONS
+from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.grasp_types import run_types
+from hpac_gym.evaluation.pictures import VIEW, VIEW_CENTRE, Portrait, contact_sheet
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.model import POSTURES
-from hpac_gym.output import markdown
+from hpac_gym.output import markdown, replacing
 from hpac_gym.physics.engine import PARTS
 from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS
+from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, data_text
 
@@ -190,6 +196,33 @@ def contact_table() -> str:
     return markdown(["grasp", *PARTS], rows)
 
 
+def picture(path: Path) -> None:
+    """Draw each type at the end of its first held-out episode in MuJoCo that succeeds."""
+    portraits = {}
+    for name, kind in progress(GRASP_TYPES.items(), "pictures"):
+        longest = 2 * max(kind.start.object.half_extents)
+        view = replace(
+            VIEW, width=2 * VIEW.width, height=2 * VIEW.height, distance=0.36 + 0.8 * longest
+        )
+        with gymnasium.make(
+            "HPAC-GraspType-v0",
+            types=name,
+            wrist="script",
+            engine="mujoco",
+            render_mode="rgb_array",
+        ) as env:
+            policy = load_policy("scripted", env)
+            for seed in range(HELD_OUT_SEED, HELD_OUT_SEED + 100):
+                *_, last = run_episodes(single(env), [policy], [seed])
+                if last.success:
+                    break
+            pixels = Image.fromarray(env.unwrapped.picture(view, VIEW_CENTRE))
+            pixels = pixels.resize((VIEW.width, VIEW.height), Image.Resampling.LANCZOS)
+            portraits[name] = Portrait(np.asarray(pixels), last.success)
+    with replacing(path) as temporary:
+        contact_sheet(portraits).save(temporary, format="PNG", optimize=True)
+
+
 TABLES = {
     "types": rule_table,
     "contacts": contact_table,
@@ -232,7 +265,11 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, default=RESULTS, help="file to update (default: %(default)s)"
     )
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="draw all types instead")
     options = parser.parse_args()
+    if options.picture:
+        picture(options.picture)
+        return
     found = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
     cells = [
         (name, set_up, hand)

@@ -22,6 +22,7 @@ VIEW = Viewpoint(width=360, height=330, distance=0.45, yaw_deg=205.0, pitch_deg=
 VIEW_CENTRE = np.array([0.045, 0.0, 0.09])
 """Point that the camera looks at, in the hand frame [m]."""
 SHEET_COLUMNS = 4
+TITLE = 36  # px, above each picture
 INK = (40, 40, 40)
 WARNING = (176, 48, 32)
 
@@ -58,6 +59,7 @@ def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:
     name.
     """
     height, width = next(iter(portraits.values())).pixels.shape[:2]
+    height += TITLE
     rows = -(-len(portraits) // SHEET_COLUMNS)
     sheet = Image.new("RGB", (min(len(portraits), SHEET_COLUMNS) * width, rows * height), "white")
     draw = ImageDraw.Draw(sheet)
@@ -65,11 +67,10 @@ def contact_sheet(portraits: Mapping[str, Portrait]) -> Image.Image:
     for number, (name, seen) in enumerate(portraits.items()):
         left = number % SHEET_COLUMNS * width
         top = number // SHEET_COLUMNS * height
-        sheet.paste(Image.fromarray(seen.pixels), (left, top))
+        sheet.paste(Image.fromarray(seen.pixels), (left, top + TITLE))
         title = f"{POSTURES[name].panel} {name.replace('_', ' ')}"
-        draw.text((left + 12, top + 8), title, fill=INK, font=font)
-        if not seen.held:
-            draw.text((left + 12, top + 34), "not held", fill=WARNING, font=font)
+        words = title if seen.held else f"{title}: not held"
+        draw.text((left + 12, top + 6), words, fill=INK if seen.held else WARNING, font=font)
     return sheet
 
 

@@ -13,6 +13,7 @@ from PIL import Image
 
 from hpac import main
 from hpac_gym.envs import GRASPS
+from hpac_gym.evaluation.pictures import TITLE
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.policies.policy_file import SHIPPED
 from tests.processes import wait_for
@@ -57,7 +58,7 @@ def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
     assert len((tmp_path / "grasps.md").read_text().splitlines()) == 6
     sheet = Image.open(tmp_path / "contact_sheet.png")
     single = Image.open(tmp_path / "press.png")
-    assert sheet.size == (2 * single.width, single.height)
+    assert sheet.size == (2 * single.width, single.height + TITLE)
 
 
 def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys):

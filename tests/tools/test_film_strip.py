@@ -1,11 +1,13 @@
 """Film strips of episodes."""
 
 import gymnasium
+import numpy as np
 import pytest
 from PIL import Image
 
 import hpac_gym  # noqa: F401  registers the environments
-from tools.film_strip import BORDER, CAPTION, FRAME, StraightToGoal, caption, main
+from hpac_gym.policies.loading import load_policy
+from tools.film_strip import BORDER, CAPTION, FRAME, TITLE, Row, caption, film_strip, main, sheet
 
 
 def test_the_command_draws_a_row_an_episode_and_a_picture_a_time(tmp_path, capsys):
@@ -29,8 +31,8 @@ def test_the_command_draws_a_row_an_episode_and_a_picture_a_time(tmp_path, capsy
     )
     with Image.open(out) as strip:
         assert strip.size == (
-            3 * (FRAME[0] + BORDER) - BORDER,
-            2 * (FRAME[1] + CAPTION + BORDER) - BORDER,
+            4 * (FRAME[0] + BORDER) - BORDER,  # the goal, and a picture each time
+            2 * (TITLE + CAPTION + FRAME[1] + BORDER) - BORDER,
         )
     assert str(out) in capsys.readouterr().out
 
@@ -42,14 +44,44 @@ def test_no_time_within_the_episodes_is_one_line_and_no_picture(tmp_path, capsys
     assert "9" in capsys.readouterr().err
 
 
-def test_going_straight_to_a_goal_of_the_fingers_reaches_it():
-    with gymnasium.make("HPAC-Posture-v1", randomize="nominal") as env:
-        policy = StraightToGoal()
-        truncated = False
-        (observation, _) = env.reset(seed=7)
-        while not truncated:
-            observation, _, _, truncated, info = env.step(policy.predict(observation)[0])
-    assert info["is_success"]
+def strip(env_id: str, seed: int, *times: float, policy: str = "scripted") -> Row:
+    with gymnasium.make(env_id, engine="mujoco", render_mode="rgb_array") as env:
+        return film_strip(env, load_policy(policy, env), seed, times)
+
+
+def test_a_row_of_postures_begins_with_its_goal_and_tells_the_error():
+    row = strip("HPAC-Posture-v1", 7, 0.1, 2.0)
+    goal, start, end = (np.asarray(picture, float)[CAPTION:] for picture in row.pictures)
+    assert np.abs(goal - end).mean() < np.abs(goal - start).mean() / 3
+    assert row.success
+    assert row.title.startswith("bring fifteen joints to the goal: success, largest error 0.0")
+
+
+def test_a_failure_ends_its_row_with_the_end_and_says_why():
+    row = strip("HPAC-GraspAny-v1", 1_000_009, 0.05, 1.5, 3.5)
+    assert not row.success
+    assert row.title.endswith("failure, pushed away while the hand closed")
+    assert len(row.pictures) == 2
+    row = strip("HPAC-GraspAny-v1", 1_000_002, 0.05, 3.5)
+    assert row.title.endswith("failure, the hand closed beside it")
+
+
+def test_the_camera_stands_still_so_that_a_lift_is_seen():
+    """The hand is dark and white in a bright room: its pixels move up."""
+    row = strip("HPAC-Grasp-v0", 1_000_000, 1.15, 1.75)
+    heights = []
+    for picture in row.pictures:
+        pixels = np.asarray(picture.convert("HSV"), int)[CAPTION:]
+        orange = (pixels[..., 0] < 25) & (pixels[..., 1] > 180)  # the fingertips
+        heights.append(np.flatnonzero(orange.any(1)).mean())
+    assert heights[1] < heights[0] - 30
+
+
+def test_the_colour_of_a_title_tells_a_failure():
+    white = Image.new("RGB", (FRAME[0], CAPTION + FRAME[1]), "white")
+    drawn = [np.asarray(sheet([Row("words", won, [white])]), int) for won in (True, False)]
+    red = [(picture[..., 0] - picture[..., 2]).max() for picture in drawn]
+    assert red[0] < 20 < red[1]
 
 
 @pytest.mark.parametrize(
