@@ -24,11 +24,11 @@ from hpac_gym.command import whole_number
 from hpac_gym.deploy import arm as arms
 from hpac_gym.deploy import poses
 from hpac_gym.deploy.commands import object_of
-from hpac_gym.envs.options import GRASP, GRASP_ANY, PICK_PLACE
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import DIGITS, HPAC, SERVOS, synergy_from_servo
 from hpac_gym.physics.engine import PhysicsError, SceneSetup
+from hpac_gym.registration import GRASP, GRASP_ANY, PICK_PLACE
 from hpac_gym.tasks.task import OUTCOMES, RUNNING
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.wire import Faults, Relay
