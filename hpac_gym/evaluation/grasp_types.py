@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.envs import HandVectorEnv
-from hpac_gym.envs.episodes import change_physics
 from hpac_gym.evaluation.episodes import run_episodes
 from hpac_gym.model import HPAC, action_from_synergy
 from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.physics.simulation import make_engine
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.grasp_data import NamedGrasp
 from hpac_gym.tasks.grasp_types import GraspByType, GraspType
@@ -93,9 +93,8 @@ def run_types(
     """
     task = _Queue(types)
     count = min(num_worlds, len(types))
-    envs = HandVectorEnv(task, count, "Disabled", engine=engine, body=body, randomize=randomize)
-    if world != WorldSettings():
-        change_physics(envs, world)
+    physics = make_engine(engine, count, world)
+    envs = HandVectorEnv(task, count, "Disabled", physics=physics, body=body, randomize=randomize)
     policies = [_Straight() for _ in range(count)]
     close_end = round(task.timetable.ends[0] * CONTROL_HZ)
     jobs = iter(range(len(types)))
