@@ -19,7 +19,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from hpac_gym.command import Parser, run, whole_number
-from hpac_gym.envs.pictures import VIEW_TARGET, open_episodes
+from hpac_gym.envs.episodes import open_episodes
+from hpac_gym.envs.pictures import VIEW_TARGET
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.output import replacing
