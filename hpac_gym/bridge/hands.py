@@ -65,9 +65,9 @@ class HostBoard:
             text=True,
             start_new_session=True,  # Ctrl-C must not end the board before the host has released it
         )
-        self._said = cast("IO[str]", self.process.stdout)
-        ready, _, _ = select.select([self._said], [], [], _START_TIMEOUT)
-        self.port = self._said.readline().strip() if ready else ""
+        said = cast("IO[str]", self.process.stdout)
+        ready, _, _ = select.select([said], [], [], _START_TIMEOUT)
+        self.port = said.readline().strip() if ready else ""
         if not self.port:
             self.__exit__()
             raise PortError(f"{program} did not open a pseudo-terminal")
@@ -82,7 +82,7 @@ class HostBoard:
         except subprocess.TimeoutExpired:  # for example stopped in a debugger
             self.process.kill()
             self.process.wait()
-        self._said.close()
+        cast("IO[str]", self.process.stdout).close()
         rmtree(self._folder, ignore_errors=True)
 
     def connect(self) -> SerialTransport:

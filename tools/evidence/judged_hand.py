@@ -17,7 +17,7 @@ from tools.evidence.oracle import Oracle
 
 class JudgedHand(VirtualHand):
     """A virtual hand that an oracle checks; negative controls override its hooks `heard`, `shown`
-    and `tick`.
+    and `ticked`.
 
     Args:
         period_us: period of the board's ticks [µs].
@@ -26,7 +26,14 @@ class JudgedHand(VirtualHand):
 
     def __init__(self, period_us: int = 1000, start_us: int = 0) -> None:
         self.oracle = Oracle(period_us=period_us)
-        super().__init__(period_us, on_pulses=self.oracle.pulses, start_us=start_us)
+        super().__init__(period_us, on_pulses=self._judge, start_us=start_us)
+
+    def _judge(self, now_us: int, widths: np.ndarray) -> None:
+        self.oracle.pulses(now_us, widths)
+        self.ticked()
+
+    def ticked(self) -> None:
+        """Hook: called after every tick of the core."""
 
     def restart(self, reset: Reset = Reset.power_on, boot_count: int = 1) -> None:
         self.oracle.power_on()
@@ -80,13 +87,12 @@ class DeafToEstop(JudgedHand):
 class NoWatchdog(JudgedHand):
     """A hand that feeds its own watchdog."""
 
-    def tick(self) -> None:
+    def ticked(self) -> None:
         if self.oracle.session:
             feed = wire.frame(
                 wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.session), wire.NO_ACK
             )
             self._library.hpac_hand_receive(self._hand, self._config, self.now_us, feed, len(feed))
-        super().tick()
 
 
 class MovesOn(JudgedHand):
