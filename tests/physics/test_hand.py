@@ -4,6 +4,7 @@ to episode.
 
 import dataclasses
 import itertools
+from contextlib import closing
 
 import numpy as np
 import pybullet
@@ -16,6 +17,7 @@ from hpac_gym.physics.pybullet.scene import Scene
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import Simulation, make_engine
 from hpac_gym.tasks.grasp import Grasp
+from hpac_gym.tasks.grasp_any import GraspAny
 
 FREE = WorldSettings(gravity=0.0, collisions=False)
 
@@ -26,7 +28,7 @@ def scene():
     made = Scene(FREE, False)
     made.reset(SceneSetup(None))
     yield made
-    made.world.close()
+    made.close()
 
 
 def settled(setup: SceneSetup, synergy: np.ndarray, seconds: float) -> np.ndarray:
@@ -123,6 +125,36 @@ def test_a_hand_becomes_another_one_and_is_loaded_anew_for_another_armature_or_a
         scene.reset(start)
         hands.append(scene.hand)
     assert len({id(hand) for hand in hands}) == 3
+
+
+def closed(setup: SceneSetup, engine) -> np.ndarray:
+    """The state of a world in which a hand has closed for a third of a second."""
+    engine.reset([0], [setup])
+    servo = np.linspace(0.0, 1.2, 40)[None, :, None] * np.ones(6)
+    engine.advance(servo, np.zeros_like(servo), np.zeros((1, 40, 3)))
+    state = engine.state()
+    return np.concatenate([state.joint_pos[0], state.object_pos[0], state.contact_force[0]])
+
+
+def test_hands_of_two_orientations_stay_loaded_and_move_as_in_a_new_world():
+    rng = np.random.default_rng(4)
+    task = GraspAny()
+    by_turn = {}
+    while len(by_turn) < 2 or min(map(len, by_turn.values())) < 2:
+        setup = task.setup(rng)
+        by_turn.setdefault(setup.hand_quaternion, []).append(setup)
+    one, other = by_turn.values()
+    third = dataclasses.replace(one[0], hand_settings=HandSettings(armature=(4e-3, 2e-3, 1e-3)))
+    with closing(make_engine("pybullet")) as kept:
+        hands = []
+        for setup in (one[0], other[0], one[1], other[1], third, one[0], other[0]):
+            found = closed(setup, kept)
+            hands.append(kept.scenes[0].hand)
+            with closing(make_engine("pybullet")) as fresh:
+                np.testing.assert_array_equal(found, closed(setup, fresh))
+    assert hands[2] is hands[0]
+    assert hands[3] is hands[1]
+    assert len({id(hand) for hand in hands}) == 5  # a third one takes the place of the oldest
 
 
 def test_the_light_body_is_refused_with_what_to_do_instead():
