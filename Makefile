@@ -39,7 +39,7 @@ $(STAMP):
 	@$(PIP) torch==2.13.0
 	@echo "Set-up: the other dependencies and the project"
 	@$(PIP) hatchling
-	@$(PIP) --no-build-isolation --editable '.[train,sbx,study,camera,grasps,objects,video,onnx,data,nodes,docs,test]'
+	@$(PIP) --no-build-isolation --editable '.[train,sbx,study,camera,grasps,objects,video,view,onnx,data,nodes,docs,test]'
 	@rm -f $(VENV)/.setup-* && touch $@
 
 compiler:

@@ -42,6 +42,12 @@ GROUPS = {
 COMMANDS = (
     Command(
         "look",
+        "play",
+        "move a simulated hand by six sliders, in the browser",
+        "hpac_gym.virtual.play:add_arguments",
+    ),
+    Command(
+        "look",
         "posture",
         "show, draw or send a gesture or grasp shape of the paper",
         "hpac_gym.posture:add_arguments",

@@ -23,6 +23,7 @@ EXTRA_OF = {
     "tensorboard": "train",
     "torch": "train",
     "trimesh": "objects",
+    "viser": "view",
 }
 """The optional dependencies of this project by package: the name of the extra that installs it."""
 

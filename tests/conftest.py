@@ -13,9 +13,12 @@ from hypothesis import settings
 
 ROOT = Path(__file__).resolve().parents[1]
 PYBULLET = find_spec("pybullet") is not None
+CHROMIUM = Path("/usr/bin/chromium")
+BROWSER = CHROMIUM.exists() and bool(find_spec("playwright") and find_spec("viser"))
 LONGEST = "test_processor.py"
 """Comes first, so that no process of pytest-xdist waits for it at the end."""
 LEFT_OUT = pytest.StashKey[list[str]]()
+WITHOUT_BROWSER = pytest.StashKey[list[str]]()
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -62,6 +65,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     Comes after pytest has left out the slow ones, which are not counted again.
     """
     items.sort(key=lambda item: item.path.name != LONGEST)
+    if not BROWSER:
+        left = [item for item in items if item.get_closest_marker("browser")]
+        config.stash[WITHOUT_BROWSER] = [item.nodeid for item in left]
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if item not in left]
     if PYBULLET:
         return
     left = [item for item in items if item.get_closest_marker("pybullet") or _is_of_pybullet(item)]
@@ -79,19 +87,28 @@ def _is_of_pybullet(item: pytest.Item) -> bool:
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node) -> None:
     """Take over what a worker of pytest-xdist left out; all of them collect the same."""
-    node.config.stash[LEFT_OUT] = (
-        node.workeroutput.get("left_out", []) if hasattr(node, "workeroutput") else []
-    )
+    output = getattr(node, "workeroutput", {})
+    node.config.stash[LEFT_OUT] = output.get("left_out", [])
+    node.config.stash[WITHOUT_BROWSER] = output.get("without_browser", [])
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """Hand over what this worker of pytest-xdist left out."""
     if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["left_out"] = session.config.stash.get(LEFT_OUT, [])
+        stash = session.config.stash
+        session.config.workeroutput["left_out"] = stash.get(LEFT_OUT, [])
+        session.config.workeroutput["without_browser"] = stash.get(WITHOUT_BROWSER, [])
 
 
 def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     """Name and count what was left out."""
+    if pages := config.stash.get(WITHOUT_BROWSER, []):
+        terminalreporter.section(
+            f"left out: needs {CHROMIUM} and the extras browser and view, one of which is missing"
+        )
+        for name in pages:
+            terminalreporter.line(name)
+        terminalreporter.line(f"{len(pages)} tests left out")
     if PYBULLET:
         return
     files = sorted(

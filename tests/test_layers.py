@@ -30,6 +30,7 @@ ROOMS = {
     "envs": {"numpy", "gymnasium", "stable_baselines3"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime", "stable_baselines3"},
     "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
+    "view": {"numpy", "scipy", "viser"},
     "deploy": {"numpy", "scipy", "gymnasium", "matplotlib"},
     "virtual": {"numpy", "scipy"},
     "posture": {"numpy", "matplotlib"},

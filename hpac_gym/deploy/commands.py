@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--dry-run", action="store_true", help="print observation and first command; move nothing"
     )
+    parser.add_argument("--view", action="store_true", help="show the hand in the browser")
     parser.set_defaults(run=run)
 
 
@@ -96,6 +97,13 @@ def run(options: argparse.Namespace) -> int:
         print(
             f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
         )
+        live = [_live] if sys.stderr.isatty() else []
+        if options.view:
+            from hpac_gym.deploy.watching import Watch  # an extra
+
+            watch = Watch(link, observer.setup, hand)
+            stack.callback(watch.close)
+            live.append(watch.live)
         counts = run_episode(
             link,
             observer,
@@ -106,7 +114,7 @@ def run(options: argparse.Namespace) -> int:
             hold=options.hold,
             seconds=options.average,
             oldest=options.oldest,
-            live=_live if sys.stderr.isatty() else lambda _: None,
+            live=lambda figures: [show(figures) for show in live],
         )
     print(
         f"done: {counts.sent} commands, {counts.acknowledged} acknowledged, {counts.late} late, "

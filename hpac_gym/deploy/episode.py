@@ -156,7 +156,9 @@ def run_episode(
                 sent=servo,
                 hand=link.last_status.servo,
             )
-            live(figures | {"heat": float(link.last_status.heat.max()), "counts": counts})
+            seen = {"pose": pose, "offset": observer.wrist_offset()}
+            heat = float(link.last_status.heat.max())
+            live(figures | seen | {"heat": heat, "counts": counts})
         stream.wait()
         stream.close()
         link.sleep(hold)

@@ -48,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", type=Path, help="log of `hpac deploy`")
     parser.add_argument("--out", type=Path, metavar="PNG", help="a picture of both courses")
     parser.add_argument("--engine", default="mujoco", help="mujoco or pybullet (%(default)s)")
+    parser.add_argument("--view", action="store_true", help="play it in the browser until Ctrl-C")
     parser.set_defaults(run=run)
 
 
@@ -71,6 +72,11 @@ def run(options: argparse.Namespace) -> int:
     if options.out:
         save(figure_of(course), options.out)
         print(f"written: {options.out}")
+    if options.view:
+        from hpac_gym.deploy.watching import show_log  # an extra
+
+        observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"])
+        show_log(observer.setup, steps)
     return 0
 
 

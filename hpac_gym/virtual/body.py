@@ -130,9 +130,9 @@ class Body:
             self._began_us = self._at_us - 1e6 * told["time"] + 1e6 * LATE
         self._path.tell(told["time"], np.array(told["offset"]))
 
-    def follow(self, now_us: int, pulses: Array) -> None:
-        """Advance to a time [µs]. Servos look at their pulses, shape (6,) [ns], every 20 ms, and
-        stay where they are without any.
+    def follow(self, now_us: int, pulses: Array, by_hand: Array | None = None) -> None:
+        """Advance to a time [µs]. Servos look at their pulses, shape (6,) [ns], every 20 ms; without
+        any they stay where they are, or where somebody turns them by hand, shape (6,) [rad].
         """
         if now_us - self._at_us > LONGEST_GAP_US:
             self._at_us = now_us
@@ -140,9 +140,10 @@ class Body:
         self._powered &= bool(pulses.all())
         while self._latch_us <= now_us:
             self._advance(self._latch_us)
-            if pulses.all():
+            servo = servo_from_pulses(pulses) if pulses.all() else by_hand
+            if servo is not None:
                 simulation = self._env.episodes.simulation
-                simulation.command(servo_from_pulses(pulses)[None], simulation.engine.dt)
+                simulation.command(servo[None], simulation.engine.dt)
             self._latch_us += LATCH_US
         self._advance(now_us)
 

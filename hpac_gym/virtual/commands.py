@@ -11,15 +11,17 @@ import select
 import signal
 import socket
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.body.hands import hand_set
-from hpac_gym.bridge import HostBoard
+from hpac_gym.bridge import BridgeError, HostBoard, open_transport, servo_from_pulses
+from hpac_gym.bridge.stop import stop
 from hpac_gym.command import whole_number
 from hpac_gym.deploy import arm as arms
 from hpac_gym.deploy import poses
@@ -27,7 +29,8 @@ from hpac_gym.deploy.commands import object_of
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import DIGITS, HPAC, SERVOS, synergy_from_servo
-from hpac_gym.physics.engine import PhysicsError, SceneSetup
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import PhysicsError, SceneSetup, SceneState
 from hpac_gym.registration import GRASP, GRASP_ANY, PICK_PLACE
 from hpac_gym.tasks.task import OUTCOMES, RUNNING
 from hpac_gym.virtual.body import Body
@@ -39,6 +42,7 @@ POLICIES = {GRASP: "grasp", GRASP_ANY: "grasp-any", PICK_PLACE: "pick-place"}
 """Environments whose scenes there are, and the shipped policy of each."""
 CAN = "cylinder:0.02,0.05"
 """The object where nothing else is asked for."""
+ABOUT = "A virtual hand: the real firmware, whose pulses drive a simulated body."
 FRICTION = (0.0, 5e-3)
 SKIN = (0.8, 1.2)
 """Ranges of a hidden hand's Coulomb friction of the joints [N·m] and of the factor of its skin's
@@ -46,18 +50,25 @@ friction, beside what `hpac_gym.body.hands` draws; those of the randomization `h
 """
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `hpac virtual`."""
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """The arguments of a scene."""
     parser.add_argument(
         "--env", default=GRASP, choices=POLICIES, metavar="ID", help=f"scene ({GRASP})"
     )
     parser.add_argument("--grasp", metavar="NAME", help="scene of one of the sixteen named grasps")
     parser.add_argument(
-        "--object", metavar="SHAPE:M,M", help=f"the object ({CAN}; with --seed one that is drawn)"
+        "--object",
+        metavar="SHAPE:M,M",
+        help=f"the object ({CAN}; with --seed one that is drawn)",
     )
     parser.add_argument(
         "--seed", type=whole_number(0), help="draw a hand that is not the nominal one, and a scene"
     )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac virtual`."""
+    add_scene(parser)
     parser.add_argument(
         "--reveal", action="store_true", help="tell at once, not at the end, what was drawn"
     )
@@ -73,6 +84,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reset-on-open", action="store_true", help="the board restarts when its port is opened"
     )
+    parser.add_argument("--view", action="store_true", help="show it in the browser")
+    parser.add_argument("--no-browser", action="store_true", help="print the page's address only")
     parser.set_defaults(run=run)
 
 
@@ -81,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     faults = Faults(options.loss, options.damage, options.jitter, options.latency)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with ExitStack() as stack:
-        env = stack.enter_context(_env(options))
+        env = stack.enter_context(env_of(options))
         setup = scene(env.unwrapped, options.env, options.seed)
         body = Body(env.unwrapped, options.seed or 0, setup)
         board = stack.enter_context(HostBoard(("--boot-text",) if options.reset_on_open else ()))
@@ -91,6 +104,13 @@ def run(options: argparse.Namespace) -> int:
             stack.callback(relay.close)
         hand = Virtual(body, board, relay, options.arm_port, options.pose_port)
         stack.callback(hand.close)
+        if options.view:
+            from hpac_gym.view.page import HandPage  # an extra
+
+            hand.page = HandPage(
+                setup, ABOUT, stop=partial(_estop, board), browser=not options.no_browser
+            )
+            stack.callback(hand.page.close)
         try:
             print(_greeting(options, hand, setup), flush=True)
             while True:
@@ -102,7 +122,14 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _env(options: argparse.Namespace) -> Any:
+def _estop(board: HostBoard) -> None:
+    """Stop the hand from the page's thread, as `hpac estop` does."""
+    with suppress(BridgeError), closing(open_transport(board.port, lock=False)) as transport:
+        stop(transport)
+
+
+def env_of(options: argparse.Namespace) -> Any:
+    """The environment of a scene."""
     more: dict[str, Any] = {}
     if options.env != GRASP and (options.grasp or options.object):
         raise ParameterError(
@@ -151,6 +178,7 @@ class Virtual:
 
     Attributes:
         port: the hand's port.
+        page: a `hpac_gym.view.page.HandPage`, or None.
         arm_port, pose_port: the UDP ports.
     """
 
@@ -178,6 +206,7 @@ class Virtual:
         self._phase = ""
         self._episodes = 0
         self._told = RUNNING
+        self.page: Any = None
 
     def turn(self) -> None:
         """Wait until there is something to do, and do it; to be called again and again."""
@@ -191,8 +220,10 @@ class Virtual:
         self._hear(round(1e6 * now))
         if now >= self._due:
             self._due = max(self._due + 1 / POSE_HZ, now)
+            pulses = self._board.pulses()
+            by_hand = self.page.wanted() if self.page else None
             try:
-                self.body.follow(round(1e6 * now), self._board.pulses())
+                self.body.follow(round(1e6 * now), pulses, by_hand)
             except PhysicsError as error:
                 print(f"{error}; everything is put back", flush=True)
                 self.body.place(self.body.setup)
@@ -203,6 +234,22 @@ class Virtual:
             with suppress(OSError):  # nobody listens
                 self._camera.send(json.dumps(packet | {"quaternion": pose.quaternion}).encode())
             self._judge()
+            if self.page:
+                self._show(state, pulses)
+
+    def _show(self, state: SceneState, pulses: Array) -> None:
+        """Show the hand on the page, whose sliders drive it while no program does."""
+        from hpac_gym.view.page import Shown
+
+        if self.page.wants_object_back():
+            self.body.place(self.body.setup, state.horn[0])
+        if self.page.due():
+            driven = bool(pulses.any())
+            self.page.free(not driven)
+            servo = servo_from_pulses(pulses) if pulses.all() else self.page.wanted()
+            outcome = f"episode {self._episodes}: {OUTCOMES[self.body.outcome]}"
+            driver = "A program drives the hand. " if driven else "The sliders drive the hand. "
+            self.page.show(Shown.of_state(state, servo, driver + outcome * bool(self._episodes)))
 
     def _hear(self, now_us: int) -> None:
         """The arm does what it is told; what is no packet is ignored."""

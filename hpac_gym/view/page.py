@@ -1,0 +1,327 @@
+"""The page: a hand, its object and its tendons in the browser, with sliders where nothing else
+drives it."""
+
+from __future__ import annotations
+
+import io
+import sys
+import time
+import webbrowser
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+
+import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
+
+from hpac_gym.body.geometry import Phalanx, rotation_from_rpy
+from hpac_gym.model import (
+    DIGITS,
+    HPAC,
+    JOINT_INDEX,
+    SERVOS,
+    elastic_joints_from_servo,
+    rigid_joints_from_servo,
+)
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import (
+    GREEN,
+    GREY,
+    HAND_POSITION,
+    TABLE_HALF_EXTENTS,
+    WOOD,
+    SceneSetup,
+    SceneState,
+    support_boxes,
+)
+from hpac_gym.view.meshes import Mesh, hand_meshes, object_meshes, solid
+
+PICTURE_HZ = 20
+"""Pictures a second."""
+STRONG = 20.0
+"""Tension from which on a tendon has its strongest colour [N]."""
+SLACK_COLOR = np.array([70, 110, 190])
+PULLED_COLOR = np.array([255, 150, 20])
+"""Colours of a slack and of a pulled tendon, which differ for colour-blind people too, RGB."""
+GHOSTS = {
+    "rigid": ("rigid prediction", (230, 80, 160), rigid_joints_from_servo),
+    "elastic": ("elastic prediction", (60, 190, 120), elastic_joints_from_servo),
+}
+"""Predictions that can be laid over the hand: label, colour, function of the servos' angles."""
+_ROUND_RANGE = (np.ceil(100 * HPAC.servo_min) / 100, np.floor(100 * HPAC.servo_max) / 100)
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a picture shows."""
+
+    joint_pos: Array
+    """Joint angles, shape (15,) [rad]."""
+    servo: Array
+    """Commanded servo angles, of which the predictions are, shape (6,) [rad]."""
+    wrist: Array
+    """Offset of the wrist along the world's axes, shape (3,) [m]."""
+    tension: Array | None = None
+    """Tension of the driving tendons, shape (5,) [N]; None where nobody knows it."""
+    object_pos: Array | None = None
+    """Centre of the object in the hand's frame, shape (3,) [m]."""
+    object_rotation: Rotation | None = None
+    """From the object's axes to the hand's."""
+    text: str = ""
+    """A line below the figures."""
+
+    @classmethod
+    def of_state(cls, state: SceneState, servo: Array, text: str = "") -> Shown:
+        """The first world of a simulation, and the servos' commands, shape (6,) [rad]."""
+        return cls(
+            state.joint_pos[0],
+            servo,
+            state.palm_offset[0],
+            state.tension[0],
+            state.object_pos[0],
+            Rotation.from_matrix(state.object_rotation[0]),
+            text,
+        )
+
+
+class HandPage:
+    """A page on this computer alone, whose address is printed.
+
+    Args:
+        setup: the scene; its object may be None.
+        about: what is seen, in a sentence.
+        stop: called by the button that sends ESTOP; None is a page without one.
+        browser: open a browser.
+        supports: show what the object stands on; nobody knows it of a real hand.
+
+    Attributes:
+        address: URL of the page.
+        sliders: the six sliders. lift: one for the wrist's height, not shown at first.
+    """
+
+    def __init__(
+        self,
+        setup: SceneSetup,
+        about: str,
+        stop: Callable[[], None] | None = None,
+        browser: bool = False,
+        supports: bool = True,
+    ) -> None:
+        self._setup = setup
+        with redirect_stdout(io.StringIO()):  # its banner
+            self._server = viser.ViserServer("127.0.0.1", label="H-PAC hand", verbose=False)
+        self.address = f"http://127.0.0.1:{self._server.get_port()}/"
+        self._back = False
+        self._due = 0.0
+        self._text_due = 0.0
+        self._hand_turn = Rotation.from_quat(setup.hand_quaternion)
+        self._draw_scene(supports)
+        self._draw_controls(about, stop)
+        print(f"hpac_gym: the page is at {self.address}", file=sys.stderr, flush=True)
+        if browser:
+            webbrowser.open(self.address)
+
+    # Scene --------------------------------------------------------------------------------
+
+    def _draw_scene(self, supports: bool) -> None:
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(cast_shadow=False)
+        scene.add_light_ambient("/lamps/all", intensity=1.0)
+        scene.add_light_directional("/lamps/sun", intensity=1.2, position=(0.6, 1.0, 1.2))
+        centre = HAND_POSITION + self._hand_turn.apply([0.03, 0.0, 0.1])
+        aside = centre + np.array([-0.04, 0.0, -0.03])  # the panel covers the right
+        self._server.initial_camera.look_at = tuple(aside)
+        self._server.initial_camera.position = tuple(aside + np.array([0.06, 0.27, 0.13]))
+        self._server.initial_camera.up = (0.0, 0.0, 1.0)
+        self._hands = {name: _Links(self._server, self._setup, name) for name in ("", *GHOSTS)}
+        self._object = None
+        if self._setup.object is None:
+            return
+        self._object = scene.add_frame("/object", show_axes=False)
+        for index, mesh in enumerate(object_meshes(self._setup.object)):
+            _add(self._server, f"/object/{index}", mesh)
+        if not supports:
+            return
+        boxes, table, target, (x, y, z, w) = support_boxes(self._setup)
+        turn = Rotation.from_quat((x, y, z, w))
+        for index, (half, place) in enumerate(boxes):
+            box = solid("box", tuple(half), GREY[:3]).moved(place, turn)
+            _add(self._server, f"/support/{index}", box)
+        top = solid("box", TABLE_HALF_EXTENTS, WOOD[:3])
+        _add(self._server, "/support/table", top.moved(table))
+        if target is not None:
+            post = solid("box", tuple(target[0]), GREEN[:3])
+            _add(self._server, "/support/target", post.moved(target[1]))
+
+    # Controls -----------------------------------------------------------------------------
+
+    def _draw_controls(self, about: str, stop: Callable[[], None] | None) -> None:
+        gui = self._server.gui
+        gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
+        gui.set_panel_label("H-PAC hand")
+        gui.add_markdown(about)
+        self._figures = gui.add_markdown("")
+        if stop is not None:
+            button = gui.add_button("ESTOP over the wire", color="red")
+            button.on_click(lambda _: stop())
+            gui.add_markdown(
+                "*It stops the pulses if page, program and wire work: no safety device.*"
+            )
+        with gui.add_folder("Servos [rad]"):
+            self.sliders = [
+                gui.add_slider(name, low, high, 0.01, max(low, 0.0))
+                for name, low, high in zip(SERVOS, *_ROUND_RANGE, strict=True)
+            ]
+            self._open = gui.add_button("Open the hand")
+            self._open.on_click(lambda _: self._open_hand())
+        self.lift = gui.add_slider("lift [m]", 0.0, 0.12, 0.005, 0.0, visible=False)
+        again = gui.add_button("Put the object back", visible=self._object is not None)
+        again.on_click(lambda _: self._ask_back())
+        with gui.add_folder("Show"):
+            for name, (label, _, _) in GHOSTS.items():
+                box = gui.add_checkbox(label, False)
+                box.on_update(lambda event, name=name: self._hands[name].show(event.target.value))
+
+    def _open_hand(self) -> None:
+        for slider in self.sliders:
+            slider.value = max(slider.min, 0.0)
+
+    def _ask_back(self) -> None:
+        self._back = True
+
+    def wants_object_back(self) -> bool:
+        """Whether the button for it was pressed since the last question."""
+        wanted = self._back
+        self._back = False
+        return wanted
+
+    def wanted(self) -> Array:
+        """The servo angles of the sliders, shape (6,) [rad]."""
+        return np.array([slider.value for slider in self.sliders])
+
+    def free(self, free: bool) -> None:
+        """Let the sliders drive the hand, or only follow it."""
+        for control in (*self.sliders, self._open):
+            if control.disabled == free:
+                control.disabled = not free
+
+    # Pictures -----------------------------------------------------------------------------
+
+    def due(self) -> bool:
+        """Whether it is time for the next picture."""
+        return time.monotonic() >= self._due
+
+    def show(self, shown: Shown) -> None:
+        """Show a picture."""
+        now = time.monotonic()
+        self._due = now + 1 / PICTURE_HZ
+        with self._server.atomic():
+            hand = self._hands[""]
+            hand.pose(shown.joint_pos, shown.wrist)
+            for name, (_, _, predicted) in GHOSTS.items():
+                if self._hands[name].visible:
+                    self._hands[name].pose(predicted(shown.servo), shown.wrist)
+            if shown.tension is not None:
+                hand.pull(shown.tension)
+            if self._object is not None and shown.object_pos is not None:
+                place = HAND_POSITION + shown.wrist + self._hand_turn.apply(shown.object_pos)
+                self._object.position = tuple(place)
+                turn = self._hand_turn * (shown.object_rotation or Rotation.identity())
+                self._object.wxyz = turn.as_quat(scalar_first=True)
+            if self.sliders[0].disabled:
+                for slider, value in zip(self.sliders, shown.servo, strict=True):
+                    slider.value = round(float(np.clip(value, slider.min, slider.max)), 2)
+            if now >= self._text_due:
+                self._text_due = now + 0.25
+                self._figures.content = _figures(shown)
+        self._server.flush()
+
+    def close(self) -> None:
+        """Stop the server."""
+        with redirect_stdout(io.StringIO()):
+            self._server.stop()
+
+
+def _figures(shown: Shown) -> str:
+    """A table of the joints that servos drive, and their tendons."""
+    rows = ["| digit | joint [rad] | tendon [N] |", "| --- | --- | --- |"]
+    for i, (digit, servo) in enumerate(zip(DIGITS, SERVOS, strict=False)):
+        pull = "" if shown.tension is None else f"{abs(shown.tension[i]):.1f}"
+        rows.append(f"| {digit} | {shown.joint_pos[JOINT_INDEX[servo]]:.2f} | {pull} |")
+    return "\n".join(rows) + f"\n\n{shown.text}"
+
+
+def _add(server: viser.ViserServer, name: str, mesh: Mesh, **more: object) -> None:
+    color = tuple(round(255 * part) for part in mesh.color[:3])
+    given = {"color": color, "flat_shading": mesh.flat, "cast_shadow": False, **more}
+    server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, **given)
+
+
+class _Links:
+    """The links of the hand, or of a ghost that a prediction lays over it."""
+
+    def __init__(self, server: viser.ViserServer, setup: SceneSetup, ghost: str) -> None:
+        geometry = setup.geometry
+        self._joints = [JOINT_INDEX[phalanx.joint] for phalanx in geometry.phalanges]
+        self._turn = Rotation.from_matrix(
+            [rotation_from_rpy(phalanx.rpy) for phalanx in geometry.phalanges]
+        )
+        self._axes = np.array([phalanx.axis for phalanx in geometry.phalanges])
+        self.visible = not ghost
+        x, y, z, w = setup.hand_quaternion
+        root = f"/{ghost or 'hand'}"
+        self._palm = server.scene.add_frame(
+            root, show_axes=False, wxyz=(w, x, y, z), visible=self.visible
+        )
+        paths = {"palm": root}
+        self._frames = []
+        self._tendons: dict[str, list[viser.LineSegmentsHandle]] = {name: [] for name in DIGITS}
+        for phalanx in geometry.phalanges:
+            paths[phalanx.link] = path = f"{paths[phalanx.parent]}/{phalanx.link}"
+            self._frames.append(
+                server.scene.add_frame(path, show_axes=False, position=phalanx.origin)
+            )
+            if not ghost:
+                self._add_tendon(server, path, phalanx)
+        look = {"color": GHOSTS[ghost][1], "opacity": 0.35} if ghost else {}
+        for index, (link, mesh) in enumerate(hand_meshes(geometry)):
+            if not (ghost and link == "palm"):
+                _add(server, f"{paths[link]}/mesh_{index}", mesh, **look)
+        self._told = np.full(len(DIGITS), -1)
+
+    def _add_tendon(self, server: viser.ViserServer, path: str, phalanx: Phalanx) -> None:
+        """A tendon is drawn along the palmar side of a link."""
+        reach = 1.08 * phalanx.capsule.radius
+        ends = np.array([[[reach, 0.0, 0.0], [reach, 0.0, phalanx.capsule.end[2]]]])
+        line = server.scene.add_line_segments(
+            f"{path}/tendon", ends, tuple(SLACK_COLOR), thickness=0.0022
+        )
+        self._tendons[phalanx.joint.split("_")[0]].append(line)
+
+    def show(self, visible: bool) -> None:
+        """Show or hide the links."""
+        self.visible = visible
+        self._palm.visible = visible
+
+    def pose(self, joint_pos: Array, wrist: Array) -> None:
+        """Move the links."""
+        self._palm.position = tuple(HAND_POSITION + wrist)
+        flexed = Rotation.from_rotvec(self._axes * joint_pos[self._joints][:, None])
+        for frame, turn in zip(
+            self._frames, (self._turn * flexed).as_quat(scalar_first=True), strict=True
+        ):
+            frame.wxyz = turn
+
+    def pull(self, tension: Array) -> None:
+        """Colour the tendons by their tension, in sixteen steps."""
+        steps = np.rint(16 * np.clip(tension / STRONG, 0.0, 1.0)).astype(int)
+        for digit, lines in enumerate(self._tendons.values()):
+            if steps[digit] == self._told[digit]:
+                continue
+            color = SLACK_COLOR + steps[digit] / 16 * (PULLED_COLOR - SLACK_COLOR)
+            for line in lines:
+                line.colors = np.rint(color).astype(np.uint8)
+        self._told = steps

@@ -1,0 +1,156 @@
+"""The page: its solids everywhere, and the page itself in a browser where one is installed."""
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from hpac_gym.body.geometry import HPAC_GEOMETRY
+from hpac_gym.body.object_models import load_object_models
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.bridge import FaultError, HandLink
+from hpac_gym.model import ServoCommand
+from hpac_gym.view.meshes import hand_meshes, object_meshes, solid
+from tests.conftest import CHROMIUM
+from tests.processes import wait_for
+
+HALF = (0.02, 0.02, 0.05)
+
+
+def volume(mesh):
+    """By the divergence theorem: positive if every triangle is counter-clockwise from outside."""
+    corners = mesh.vertices[mesh.faces]
+    return np.linalg.det(corners).sum() / 6
+
+
+@pytest.mark.parametrize(
+    ("kind", "half", "expected"),
+    [
+        ("box", HALF, 8 * 0.02 * 0.02 * 0.05),
+        ("cylinder", HALF, np.pi * 0.02**2 * 0.1),
+        ("sphere", (0.02, 0.02, 0.02), 4 / 3 * np.pi * 0.02**3),
+        ("capsule", HALF, np.pi * 0.02**2 * (0.06 + 4 / 3 * 0.02)),
+    ],
+)
+def test_solids_have_their_volume_and_look_outwards(kind, half, expected):
+    mesh = solid(kind, half, (1, 1, 1))
+    assert volume(mesh) == pytest.approx(expected, rel=0.03)
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), half, rtol=0.02)
+
+
+def test_every_link_of_the_hand_and_every_object_is_drawn():
+    links = {link for link, _ in hand_meshes(HPAC_GEOMETRY)}
+    assert links == {"palm", *(phalanx.link for phalanx in HPAC_GEOMETRY.phalanges)}
+    assert all(volume(mesh) > 0 for _, mesh in hand_meshes(HPAC_GEOMETRY))
+    for name, model in load_object_models().items():
+        spec = ObjectSpec(model.shape, model.half_extents, model.mass, 0.8, name)
+        meshes = list(object_meshes(spec))
+        assert len(meshes) == len(model.solids)
+        assert all(volume(mesh) > 0 for mesh in meshes)
+        reach = np.max([np.abs(mesh.vertices).max(axis=0) for mesh in meshes], axis=0)
+        np.testing.assert_allclose(reach, model.half_extents, rtol=0.05)
+
+
+# --- in the browser
+
+
+@contextmanager
+def opened(*words):
+    """A command with a page, and its page in a browser; at the end no error was on its console."""
+    from playwright.sync_api import sync_playwright
+
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hpac", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"BROWSER": "true"},
+    )
+    errors = []
+    try:
+        greeting = [process.stdout.readline() for _ in range(3)] if words[0] == "virtual" else []
+        address = process.stderr.readline().split()[-1]
+        with sync_playwright() as playwright:
+            browser = playwright.chromium.launch(
+                executable_path=CHROMIUM, args=["--no-sandbox", "--use-angle=swiftshader"]
+            )
+            page = browser.new_page()
+            page.on("pageerror", lambda error: errors.append(f"{error}"))
+            page.on(
+                "console", lambda said: errors.append(said.text) if said.type == "error" else None
+            )
+            page.set_default_timeout(60_000)
+            page.goto(address)
+            page.wait_for_selector("[role=slider]", state="attached")
+            yield process, page, greeting
+            browser.close()
+        assert errors == []
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=20)
+
+
+def joint(page, digit):
+    """The angle that the page shows for a digit's driven joint [rad]."""
+    row = page.locator("table tr", has_text=digit).first.inner_text().split()
+    return float(row[1])
+
+
+def tension(page, digit):
+    return float(page.locator("table tr", has_text=digit).first.inner_text().split()[2])
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_a_slider_moves_the_hand_and_the_button_opens_it():
+    with opened("play", "--no-browser") as (_, page, _):
+        assert page.locator("[role=slider]:visible").count() == 7
+        assert joint(page, "index") < 0.05
+        page.locator("[role=slider]").nth(1).press("End")
+        wait_for(lambda: joint(page, "index") > 0.5, 60)
+        wait_for(lambda: tension(page, "index") > 1.0, 60)
+        assert joint(page, "ring") < 0.1
+        page.get_by_role("button", name="Open the hand").click()
+        wait_for(lambda: joint(page, "index") < 0.05, 60)
+        assert page.get_by_text("ESTOP").count() == 0  # nothing to stop
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_a_virtual_hand_is_driven_by_its_sliders_or_by_a_program_which_the_page_can_stop():
+    with opened("virtual", "--view", "--no-browser") as (_, page, greeting):
+        port = greeting[0].split()[3].rstrip(";")
+        page.locator("[role=slider]").nth(2).press("End")
+        wait_for(lambda: joint(page, "middle") > 0.5, 60)
+        page.get_by_text("no safety device").wait_for()
+        with HandLink(port) as link:
+            link.arm(watchdog=2.0)
+            link.move(ServoCommand(np.array([0, 0, 0, 0.8, 0, 0]), 2.0))
+            driven = page.get_by_text("A program drives the hand.")
+            # The link's sleep tells the firmware that its host is alive.
+            wait_for(lambda: link.sleep(0.1) or driven.count() == 1, 60)
+            wait_for(lambda: link.sleep(0.1) or joint(page, "ring") > 0.4, 60)
+            assert joint(page, "middle") < 0.2
+            page.get_by_role("button", name="ESTOP over the wire").click()
+            with pytest.raises(FaultError, match="estop"):
+                wait_for(lambda: link.sleep(0.1), 20)
+            page.get_by_text("The sliders drive the hand.").wait_for()
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_a_deployment_and_its_log_are_shown(tmp_path):
+    log = tmp_path / "log.jsonl"
+    grasp = ("grasp", "--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11")
+    words = ("deploy", *grasp, "--port", "host", "--log", str(log), "--hold", "25", "--view")
+    with opened(*words) as (_, page, _):
+        page.get_by_text("armed").wait_for()
+        wait_for(lambda: joint(page, "index") > 0.3, 20)
+    with opened("replay", str(log), "--view") as (_, page, _):
+        page.get_by_text("s, close").wait_for()
+        wait_for(lambda: joint(page, "index") > 0.3, 30)
+        assert page.locator("[role=slider]").first.get_attribute("data-disabled") == "true"
