@@ -103,7 +103,7 @@ COMMANDS = (
     Command(
         "hand",
         "sweep",
-        "the figures of the paper's experiment, of a record of a real hand",
+        "sweep a hand before a camera (--port), or take a record, and draw the paper's figures",
         "hpac_gym.calibration.sweep:add_arguments",
     ),
     Command(

@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from experiments.bench import CAMERA, PROTOCOL, JointCamera, Protocol, rest_pose
+from experiments.bench import CAMERA, PROTOCOL, JointCamera
 from experiments.quasistatic import Built, softened
 from hpac_gym.body.geometry import link_poses, load_geometry
 from hpac_gym.calibration.processing import points
+from hpac_gym.calibration.protocol import Protocol, rest_pose
 from hpac_gym.calibration.record import (
     EXTENDING,
     FLEXING,

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments.bench import THUMB_CLEAR
 from experiments.reference import Reference
 from experiments.results import Interval, Part, mean_of
 from hpac_gym.calibration.accuracy import EVALUATED
+from hpac_gym.calibration.protocol import THUMB_CLEAR
 from hpac_gym.figures import GREEN, RED
 from hpac_gym.model import (
     HPAC,

@@ -1,15 +1,20 @@
-"""``hpac sweep``: the figures of the paper's mapping-accuracy experiment, of a record of a hand."""
+"""``hpac sweep``: a record of a hand that is swept, or one that is there, and the figures of the paper's
+mapping-accuracy experiment of it.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
+from hpac_gym.bridge.commands import PORT_HELP
 from hpac_gym.calibration.accuracy import (
+    EVALUATED,
     Accuracy,
     accuracy,
     mae_figure,
@@ -18,15 +23,39 @@ from hpac_gym.calibration.accuracy import (
 )
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.processing import points, processed
-from hpac_gym.calibration.record import Sweep, read_sweep
+from hpac_gym.calibration.record import RecordError, Sweep, read_sweep
+from hpac_gym.command import whole_number
 from hpac_gym.figures import label, require, save
-from hpac_gym.model import HPAC, Hand, load_hand
+from hpac_gym.model import HPAC, SERVOS, Hand, load_hand
 from hpac_gym.output import markdown, write_text
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac sweep`."""
-    parser.add_argument("--record", type=Path, required=True, metavar="CSV", help="the record")
+    of = parser.add_mutually_exclusive_group(required=True)
+    of.add_argument("--port", help=f"sweep this hand into DIR/sweep.csv: {PORT_HELP}")
+    of.add_argument("--record", type=Path, metavar="CSV", help="take this record; nothing moves")
+    by = parser.add_mutually_exclusive_group()
+    by.add_argument(
+        "--camera",
+        metavar="N[,FILE]",
+        help="watch the tags of `hpac tags` with this camera, whose FILE `hpac tags --calibrate` writes",
+    )
+    by.add_argument(
+        "--angles",
+        type=Path,
+        metavar="CSV",
+        help="joint angles that another program writes meanwhile: time_s since 1970, joint_…_rad",
+    )
+    parser.add_argument(
+        "--servo",
+        choices=SERVOS,
+        action="append",
+        help="sweep only this servo; may be repeated; the others that DIR/sweep.csv has stay",
+    )
+    parser.add_argument(
+        "--trial", type=whole_number(0), default=0, help="number of the repetition (%(default)s)"
+    )
     add_common_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -49,16 +78,34 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Read a record, evaluate it, write figures and tables."""
+    """Sweep a hand or read a record, evaluate it, write figures and tables."""
     require()
     hand = load_hand(arguments.hand) if arguments.hand else HPAC
-    record = read_sweep(arguments.record)
+    path = arguments.record
+    if path is None:
+        from hpac_gym.calibration import driven  # takes a second to load
+
+        path = arguments.out / "sweep.csv"
+        if arguments.camera is None and arguments.angles is None:
+            raise RecordError("--port needs what measures the joints: --camera or --angles")
+        record = driven.record(
+            arguments.port,
+            path,
+            camera=arguments.camera,
+            angles=arguments.angles,
+            servos=arguments.servo or SERVOS,
+            trial=arguments.trial,
+            hand=hand,
+            ask=input if sys.stdin.isatty() else None,
+        )
+    else:
+        record = read_sweep(path)
     evaluate(
         record,
         hand,
         arguments,
-        caption=f"{arguments.record.name} against {hand.name}",
-        result={"hand": hand.name, "record": str(arguments.record)},
+        caption=f"{path.name} against {hand.name}",
+        result={"hand": hand.name, "record": str(path)},
         remarks=judged(record, hand),
     )
     return 0
@@ -91,6 +138,10 @@ def evaluate(
     if left_out:
         remarks = [*remarks, f"{left_out} samples lie far from their neighbours and are left out"]
     found = residuals(points(cleaned), hand)
+    if not found.keys() & set(EVALUATED):
+        raise RecordError(
+            f"the record measures none of the joints that the figures show: {', '.join(EVALUATED)}"
+        )
     errors = accuracy(found)
     result = result | {"remarks": remarks, **asdict(errors)}
     text = "\n".join(

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import json
 import threading
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from time import monotonic
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -60,11 +61,6 @@ class Lens:
     """
     object_board: tuple[float, ...] | None = None
     """The same of the object's board in the object's axes; None: flat on its top."""
-
-    GUESSED: ClassVar[str] = (
-        f"no file of the camera is given: a horizontal field of view of {FIELD_OF_VIEW_DEG:g}° is assumed, and no "
-        "distortion; `hpac tags --calibrate` measures them"
-    )
 
     def __post_init__(self) -> None:
         counts = {
@@ -130,6 +126,23 @@ def load_lens(path: Path) -> Lens:
         raise CameraError(f"camera {path}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError, CameraError) as error:
         raise CameraError(f"camera {path}: {error}") from None
+
+
+def lens_of(text: str) -> tuple[str, Lens]:
+    """The name of a camera and its numbers: ``N``, or ``N,FILE``; without a file they are guessed,
+    which a warning tells.
+
+    Raises:
+        CameraError: The file is none of a camera.
+    """
+    name, _, file = text.partition(",")
+    if not file:
+        warnings.warn(
+            f"no file of the camera is given: a horizontal field of view of {FIELD_OF_VIEW_DEG:g}° is assumed, "
+            "and no distortion; `hpac tags --calibrate` measures them",
+            stacklevel=2,
+        )
+    return name, load_lens(Path(file)) if file else Lens()
 
 
 @cache

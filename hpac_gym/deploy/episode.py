@@ -14,20 +14,17 @@ from typing import Any, Self, TextIO
 
 import numpy as np
 
-from hpac_gym.bridge import BridgeError, HandLink, StreamCounts
-from hpac_gym.bridge.errors import FaultError
+from hpac_gym.bridge import HandLink, StreamCounts
+from hpac_gym.bridge.gentle import go, open_hand, release
 from hpac_gym.deploy.arm import Arm
 from hpac_gym.deploy.errors import DeployError, PoseError
 from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.deploy.poses import Source, averaged
-from hpac_gym.model import SERVOS, ServoCommand, move_duration
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError
 from hpac_gym.policies import Policy
 from hpac_gym.tasks.task import CONTROL_HZ
 
-GENTLE = 0.25
-"""Share of the rate limit at which a hand goes to its start posture and opens."""
 WATCHDOG = 0.5
 """Longest silence before the hand relaxes by itself [s]."""
 AVERAGED = 0.5
@@ -126,7 +123,7 @@ def run_episode(
         pose = averaged(source, seconds, oldest, patience, link.sleep, clock)
         observer.start()
         memory: Any = None
-        _go(link, np.asarray(observer.servo))
+        go(link, np.asarray(observer.servo))
         stream = link.stream(1 / CONTROL_HZ)
         counts = stream.counts
         arm.ready(link.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
@@ -162,14 +159,10 @@ def run_episode(
         stream.wait()
         stream.close()
         link.sleep(hold)
-        _open(link)
+        open_hand(link)
         log.write(end="done", **asdict(counts))
     except BaseException as error:
-        with suppress(BridgeError):
-            if not isinstance(error, FaultError):
-                _open(link)
-        with suppress(BridgeError):
-            link.clear() if link.state == "armed" else None
+        release(link, error)
         with suppress(OutputError):
             log.write(end=f"{type(error).__name__}: {error}", **asdict(counts))
         raise
@@ -202,21 +195,6 @@ def _checked(given: Array, observer: Observer) -> Array:
     if action.shape != shape or not np.isfinite(action).all():
         raise DeployError(f"the policy's action must be {shape[0]} numbers, not {action.tolist()}")
     return np.clip(action, -1.0, 1.0)
-
-
-def _go(link: HandLink, servo: Array) -> None:
-    """Move slowly to some angles."""
-    least = move_duration(link.status().servo, servo)
-    link.move(ServoCommand(servo, least / GENTLE + 0.05))
-    link.wait()
-
-
-def _open(link: HandLink) -> None:
-    """Open slowly, from wherever the hand is."""
-    link.exchange.on_ack = None
-    link.exchange.refused = None
-    if link.status().state == "armed":
-        _go(link, np.zeros(len(SERVOS)))
 
 
 def _plain(value: Any) -> Any:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import csv
 import json
 import socket
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import monotonic, sleep
@@ -17,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.camera.detection import Device, Frames, Lens, Watch, detect, load_lens
+from hpac_gym.camera.detection import Device, Frames, Lens, Watch, detect, lens_of
 from hpac_gym.camera.poses import object_place
 from hpac_gym.deploy.errors import PoseError
 from hpac_gym.deploy.observer import UPRIGHT, Pose
@@ -216,10 +215,7 @@ def source_of(text: str, seen: ObjectSpec | None = None) -> Source:
     """
     kind, _, rest = text.partition(":")
     if kind == "camera" and rest:
-        camera, _, file = rest.partition(",")
-        if not file:
-            warnings.warn(Lens.GUESSED, stacklevel=2)
-        lens = load_lens(Path(file)) if file else Lens()
+        camera, lens = lens_of(rest)
         return Tags(Device(camera, lens.size), lens, seen.half_extents[2] if seen else 0.0)
     if kind == "udp" and rest.isdigit():
         return Packets(int(rest))

@@ -1,0 +1,44 @@
+"""Slow moves of an armed hand: to where a program begins, and open at its end, whatever happened."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+
+from hpac_gym.bridge.errors import BridgeError, FaultError
+from hpac_gym.bridge.link import HandLink
+from hpac_gym.model import SERVOS, ServoCommand, move_duration
+from hpac_gym.model.checks import Array
+
+GENTLE = 0.25
+"""Share of the rate limit at which a hand goes to its start posture and opens."""
+
+
+def go(link: HandLink, servo: Array) -> None:
+    """Move slowly to servo angles, shape (6,) [rad], and wait until they are reached. Errors as of
+    `HandLink.move`.
+    """
+    least = move_duration(link.status().servo, servo)
+    link.move(ServoCommand(servo, least / GENTLE + 0.05))
+    link.wait()
+
+
+def open_hand(link: HandLink) -> None:
+    """Open slowly, from wherever the hand is, if it is armed. Errors as of `HandLink.move`."""
+    link.exchange.on_ack = None
+    link.exchange.refused = None
+    if link.status().state == "armed":
+        go(link, np.zeros(len(SERVOS)))
+
+
+def release(link: HandLink, error: BaseException) -> None:
+    """After an error: open the hand slowly where it still follows, and disarm it; raises nothing of
+    the link.
+    """
+    with suppress(BridgeError):
+        if not isinstance(error, FaultError):
+            open_hand(link)
+    with suppress(BridgeError):
+        if link.state == "armed":
+            link.clear()

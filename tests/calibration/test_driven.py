@@ -1,0 +1,440 @@
+"""A hand that is swept and watched, in lock-step: driver → link → the firmware in virtual time → a
+simulated hand → rendered pictures of its tags → record. The hand ends open and without pulses whatever
+happens, and what was recorded is kept.
+"""
+
+import time
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import hpac
+from experiments.rig import Rig
+from experiments.watched import STRIP_LENS, Body
+from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
+from hpac_gym.calibration import driven, sweep
+from hpac_gym.calibration.driven import Driver, Eye, Segment, added, joined
+from hpac_gym.calibration.judging import judged
+from hpac_gym.calibration.protocol import Protocol
+from hpac_gym.calibration.record import (
+    EXTENDING,
+    FLEXING,
+    REST,
+    RecordError,
+    read_sweep,
+    write_sweep,
+)
+from hpac_gym.camera import CameraError
+from hpac_gym.camera.angles import turns
+from hpac_gym.camera.detection import Watch
+from hpac_gym.camera.sheet import CHAINS, STRIPS
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
+
+SHORT = Protocol(points=9, seconds_per_point=1.0, hold=0.5, rest=1.0, both_directions=True)
+SHORTER = Protocol(points=5, seconds_per_point=0.8, hold=0.5, rest=1.0, both_directions=True)
+RATE_HZ = 10.0
+
+
+class Rigged:
+    """A hand on a virtual wire, in its stand before the camera."""
+
+    def __init__(self, servo, seed=1):
+        self.body = Body(Rig(), seed)
+        self.body.mount(servo)
+        self.pulses = []
+        self.hand = VirtualHand(on_pulses=self.on_pulses)
+        self.segment = Segment(servo)
+
+    def on_pulses(self, now_us, pulses):
+        self.body.on_pulses(now_us, pulses)
+        self.pulses.append(pulses)
+
+    def sweep(self, look=None, protocol=SHORT):
+        with HandLink(self.hand.connect) as link:
+            Driver(link, look or self.body.look, HPAC, protocol, RATE_HZ).sweep(self.segment)
+        return self
+
+    def errors(self):
+        columns = [JOINT_INDEX[name] for name in CHAINS[self.segment.servo][1:]]
+        seen = self.segment.joint_pos[:, columns]
+        return np.degrees(np.abs(seen - np.array(self.body.true)[:, columns]))
+
+
+@pytest.fixture(scope="module")
+def index():
+    rigged = Rigged("index_mcp").sweep()
+    rigged.segment.angles_from_tags(STRIP_LENS)
+    return rigged
+
+
+def test_the_angles_of_a_picture_are_good_to_half_a_degree(index):
+    assert len(index.segment.time) == 200
+    errors = index.errors()
+    assert not np.isnan(errors).any()
+    assert np.median(errors) < 0.1
+    assert np.quantile(errors, 0.95) < 0.25
+    assert errors.max() < 0.5
+
+
+@pytest.mark.parametrize(
+    "servo",
+    [
+        "ring_mcp",
+        "thumb_mp",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("middle_mcp", "pinky_mcp", "thumb_cmc")
+        ),
+    ],
+)
+def test_so_are_those_of_every_other_servo(servo):
+    """From the other side, where flexion turns the tags the other way; and of the thumb."""
+    rigged = Rigged(servo, seed=2).sweep(protocol=SHORTER)
+    rigged.segment.angles_from_tags(STRIP_LENS)
+    errors = rigged.errors()
+    assert np.isnan(errors).mean() < 0.02
+    assert np.nanquantile(errors, 0.95) < 0.5
+    assert rigged.segment.joint_pos[:, JOINT_INDEX[servo]].max() > 0.8  # flexion is positive
+
+
+def test_a_record_has_what_calibration_wants(index):
+    record = index.segment.sweep()
+    assert judged(record, HPAC) == []
+    assert np.allclose(np.diff(record.time), 1 / RATE_HZ)
+    rest = np.flatnonzero(record.phase == REST)
+    assert rest[0] == 0
+    assert rest[-1] == len(record) - 1
+    assert (record.phase == REST).sum() == 20
+    for phase in (FLEXING, EXTENDING):
+        held = (record.phase == phase) & (record.point >= 0)
+        assert set(record.point[held]) == set(range(SHORT.points))
+        for point in range(SHORT.points):
+            servo = record.servo[held & (record.point == point), 1]
+            assert servo == pytest.approx(HPAC.servo_max[1] * point / 8, abs=2e-4)
+            assert len(servo) == 3
+    others = [i for i in range(6) if i != 1]
+    assert (record.servo[:, others] == 0).all()
+    assert np.isnan(record.joint_pos[:, 5:]).all()
+
+
+def test_neighbours_that_would_hide_the_tags_are_flexed_meanwhile():
+    rigged = Rigged("middle_mcp").sweep(dict, SHORTER)
+    servo = rigged.segment.sweep().servo[rigged.segment.sweep().phase != REST]
+    assert servo[:, 1] == pytest.approx(HPAC.servo_max[1], abs=1e-3)
+    assert (servo[:, [0, 3, 4, 5]] == 0).all()
+
+
+def test_at_rest_there_are_no_pulses_but_for_the_thumb():
+    for servo, pulsed in (("index_mcp", False), ("thumb_mp", True)):
+        rigged = Rigged(servo)
+        resting = []
+
+        def look(rigged=rigged, resting=resting):
+            resting.append(bool(rigged.pulses[-1].any()))
+            return {}
+
+        rigged.sweep(look, SHORTER)
+        at_rest = [phase == REST for phase, _ in rigged.segment.labels]
+        assert {on for on, rest in zip(resting, at_rest, strict=True) if rest} == {pulsed}
+        assert not rigged.pulses[-1].any()
+
+
+# --- safety
+
+
+class Fails:
+    """A look that fails at some picture."""
+
+    def __init__(self, rigged, at, error):
+        self._rigged = rigged
+        self._at = at
+        self._error = error
+
+    def __call__(self):
+        if len(self._rigged.segment.seen) == self._at:
+            raise self._error
+        return {}
+
+
+@pytest.mark.parametrize("at", [3, 40, 150, 195], ids=["rest", "flexion", "extension", "last rest"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), CameraError("gone"), ZeroDivisionError()])
+def test_every_error_opens_the_hand_disarms_it_and_keeps_what_there_is(at, error):
+    rigged = Rigged("index_mcp")
+    rigged.body._sim = None  # no physics: what the servos are told is enough
+    with pytest.raises(type(error)):
+        rigged.sweep(Fails(rigged, at, error))
+    assert not rigged.pulses[-1].any()
+    told = [pulses for pulses in rigged.pulses if pulses.all()]
+    if told:
+        assert servo_from_pulses(told[-1]) == pytest.approx(np.zeros(6), abs=1e-3)
+        steps = np.diff([servo_from_pulses(pulses) for pulses in told], axis=0)
+        assert np.abs(steps).max() < 2e-3 + 2e-3  # no jump: 2 rad/s and a step of the wire
+    assert len(rigged.segment.sweep()) == at
+
+
+def test_an_estop_ends_the_sweep_without_pulses():
+    rigged = Rigged("index_mcp")
+    rigged.body._sim = None
+    with HandLink(rigged.hand.connect) as link:
+
+        def look():
+            if len(rigged.segment.seen) == 40:
+                link.estop()
+            return {}
+
+        with pytest.raises(Exception, match=r"(?i)stop|fault"):
+            Driver(link, look, HPAC, SHORT, RATE_HZ).sweep(rigged.segment)
+        assert not rigged.hand.pulses().any()
+
+
+def test_a_latched_fault_is_told_and_nothing_moves():
+    rigged = Rigged("index_mcp")
+    rigged.body._sim = None
+    with HandLink(rigged.hand.connect) as link:
+        link.estop()
+        with pytest.raises(FaultError):
+            Driver(link, dict, HPAC, SHORT, RATE_HZ).sweep(rigged.segment)
+    assert not np.any(rigged.pulses)
+    assert len(rigged.segment.time) == 10  # the first rest
+
+
+# --- exchanged tags, and none
+
+
+@pytest.mark.parametrize(
+    ("glued", "says"),
+    [
+        ({1: 2, 2: 1}, "the record is refused: .* are labels exchanged"),
+        ({2: 3, 3: 2}, "the record is refused: .* are labels exchanged"),
+        ({1: 3, 3: 1}, "the record is refused: .* are labels exchanged"),
+        ({0: 1, 1: 0}, "must stand still and turns by .*: are tags exchanged"),
+        ({0: 3, 3: 0}, "must stand still and turns by .*: are tags exchanged"),
+    ],
+)
+def test_exchanged_tags_are_refused(index, glued, says):
+    tags = STRIPS["index_mcp"]
+    belongs = {tags[place].id: tags[other].id for place, other in glued.items()}
+    wrong = Segment("index_mcp", 0, index.segment.labels, index.segment.time)
+    wrong.commanded = index.segment.commanded
+    wrong.seen = [
+        {belongs.get(id, id): corners for id, corners in seen.items()}
+        for seen in index.segment.seen
+    ]
+
+    def found():
+        wrong.angles_from_tags(STRIP_LENS)
+        judged(wrong.sweep(), HPAC)
+
+    with pytest.raises((CameraError, RecordError), match=says):
+        found()
+
+
+def test_a_strip_of_another_digit_is_not_found(index):
+    wrong = Segment("middle_mcp", 0, index.segment.labels)
+    wrong.seen = index.segment.seen
+    with pytest.raises(CameraError, match=r"0 pictures show all tags .*: palm 0, middle_mcp 0"):
+        wrong.angles_from_tags(STRIP_LENS)
+
+
+def test_a_camera_that_is_moved_is_told(index):
+    seen = [dict(tags) for tags in index.segment.seen]
+    for number, tags in enumerate(seen):
+        for id, corners in tags.items():
+            tilt = np.array([[1.0, 0.0], [0.0, 1.0 - 0.3 * number / len(seen)]])
+            tags[id] = corners @ tilt
+    rest = np.array([phase == REST for phase, _ in index.segment.labels])
+    with pytest.raises(CameraError, match="pixels from a turn about one axis"):
+        turns(seen, STRIPS["index_mcp"], STRIP_LENS, rest)
+
+
+def test_pictures_without_a_tag_lose_that_angle_alone(index):
+    tag = STRIPS["index_mcp"][3].id
+    rest = np.array([phase == REST for phase, _ in index.segment.labels])
+    holed = [
+        {id: corners for id, corners in seen.items() if id != tag or number % 3}
+        for number, seen in enumerate(index.segment.seen)
+    ]
+    found = turns(holed, STRIPS["index_mcp"], STRIP_LENS, rest)
+    assert np.isnan(found.joint_pos[::3, 2]).all()
+    assert not np.isnan(found.joint_pos[:, :2]).any()
+    never_at_rest = [
+        seen if not r else {} for seen, r in zip(index.segment.seen, rest, strict=True)
+    ]
+    with pytest.raises(CameraError, match=r"tag 11 \(palm\) is not seen at rest"):
+        turns(never_at_rest, STRIPS["index_mcp"], STRIP_LENS, rest)
+
+
+class Stalled:
+    """A camera that hangs after one picture."""
+
+    def __init__(self):
+        self.left = 1
+
+    def read(self):
+        self.left -= 1
+        if self.left < 0:
+            time.sleep(0.5)
+            return None
+        return np.zeros((72, 128), np.uint8)
+
+    def release(self):
+        pass
+
+
+def test_a_stalled_camera_and_a_missing_strip_are_told(monkeypatch):
+    watch = Watch(Stalled(), lambda _: {11: np.zeros((4, 2))})
+    eye = Eye(watch)
+    with pytest.raises(CameraError, match=r"not seen: tag 12 \(index_mcp\), 13 \(index_pip\), 14"):
+        eye.wait_for("index_mcp", patience=0.1)
+    assert eye() == {11: pytest.approx(np.zeros((4, 2)))}
+    assert eye() is None  # the same picture
+    monkeypatch.setattr(driven, "OLDEST", 0.0)
+    with pytest.raises(CameraError, match="no picture for 0 s: "):
+        eye()
+    watch.close()
+
+
+# --- angles of another program
+
+
+def test_angles_of_another_program_are_joined_by_the_time_of_the_day(tmp_path):
+    path = tmp_path / "angles.csv"
+    lines = [f"{100 + 0.01 * k},{0.01 * k},{'' if k > 50 else 0.02 * k}" for k in range(101)]
+    path.write_text("time_s,joint_index_mcp_rad,joint_index_pip_rad\n" + "\n".join(lines))
+    segment = Segment("index_mcp", labels=[(REST, -1)] * 4, unix=[99.0, 100.105, 100.8, 101.05])
+    segment.time = [0.0, 0.1, 0.2, 0.3]
+    joined([segment], path)
+    mcp, pip = segment.joint_pos[:, [JOINT_INDEX["index_mcp"], JOINT_INDEX["index_pip"]]].T
+    np.testing.assert_allclose(mcp, [np.nan, 0.105, 0.8, 1.0], atol=1e-9)
+    np.testing.assert_allclose(pip, [np.nan, 0.21, np.nan, np.nan], atol=1e-9)
+    assert np.isnan(segment.joint_pos[:, JOINT_INDEX["thumb_ip"]]).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "No such file"),
+        ("", "no rows with time_s and any of joint_thumb_ip_rad"),
+        ("time_s,angle\n0,1\n", "no rows with time_s and any of"),
+        ("time_s,joint_index_mcp_rad\n0,one\n", "could not convert"),
+        ("time_s,joint_index_mcp_rad\n1,0\n0,0\n", "times must increase"),
+        ("time_s,joint_index_mcp_rad\n1,90\n", "within ±π rad"),
+    ],
+)
+def test_angles_that_are_none_are_one_line(tmp_path, text, says):
+    path = tmp_path / "angles.csv"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(RecordError, match=says):
+        joined([Segment("index_mcp")], path)
+
+
+# --- the file, and the command
+
+
+def test_segments_of_other_servos_and_trials_stay_in_the_file(tmp_path, index):
+    path = tmp_path / "sweep.csv"
+    write_sweep(path, added(path, [index.segment]))
+    again = Segment("index_mcp", 1, index.segment.labels, index.segment.time)
+    again.commanded = index.segment.commanded
+    write_sweep(path, added(path, [again]))
+    assert sorted(set(read_sweep(path).trial)) == [0, 1]
+    write_sweep(path, added(path, [index.segment]))
+    record = read_sweep(path)
+    assert len(record) == 2 * len(index.segment.time)
+    assert (record.swept == SERVO_INDEX["index_mcp"]).all()
+
+
+@pytest.fixture
+def wired(monkeypatch):
+    """The command on a hand in lock-step: its watch looks when it is asked."""
+    rigged = Rigged("index_mcp", seed=4)
+    latest = SimpleNamespace(latest=lambda: (rigged.body.look(), 0.0), close=lambda: None, fault="")
+    monkeypatch.setattr(driven, "connector", lambda *_: rigged.hand.connect)
+    monkeypatch.setattr(driven, "Device", lambda *_: None)
+    monkeypatch.setattr(driven, "Watch", lambda *_: latest)
+    monkeypatch.setattr(driven, "Driver", partial(Driver, protocol=SHORT, rate_hz=RATE_HZ))
+    return rigged
+
+
+WORDS = ("sweep", "--port", "any", "--servo", "index_mcp")
+
+
+def test_the_command_sweeps_draws_and_its_record_calibrates(wired, tmp_path, capsys):
+    lens = tmp_path / "camera.json"
+    lens.write_text(STRIP_LENS.to_json())
+    words = [*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path / "out")]
+    assert hpac.main(words) == 0, capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "its tags fit to 0.0" in told.err
+    assert "Index MCP" in told.out
+    path = tmp_path / "out" / "sweep.csv"
+    assert not wired.hand.pulses().any()
+    assert hpac.main(["calibrate", str(path), "--out", str(tmp_path / "hand.toml")]) == 0
+    assert "g_CMC" not in capsys.readouterr().out
+    assert (tmp_path / "out" / "residuals.png").exists()
+
+
+def test_the_command_takes_another_tracker_s_angles(wired, tmp_path, monkeypatch, capsys):
+    path = tmp_path / "angles.csv"
+    times = iter(np.arange(1000.0, 2000.0, 0.1))
+    monkeypatch.setattr(driven.time, "time", lambda: next(times))
+    rows = []
+
+    def keep(path, segments, keep=driven._keep):
+        if segments and segments[-1].time and not rows:
+            angles = [0.9 * servo[1] for servo in segments[-1].commanded]
+            rows.extend(zip(segments[-1].unix, angles, strict=True))
+            text = "\n".join(f"{at:.3f},{angle:.6f},{1.2 * angle:.6f}" for at, angle in rows)
+            (tmp_path / "angles.csv").write_text(
+                f"time_s,joint_index_mcp_rad,joint_index_pip_rad\n{text}\n"
+            )
+        keep(path, segments)
+
+    monkeypatch.setattr(driven, "_keep", keep)
+    out = tmp_path / "out"
+    assert hpac.main([*WORDS, "--angles", str(path), "--out", str(out)]) == 0
+    record = read_sweep(out / "sweep.csv")
+    np.testing.assert_allclose(record.joint_pos[:, 4], 0.9 * record.servo[:, 1], atol=1e-6)
+    assert np.isnan(record.joint_pos[:, :3]).all()
+
+
+def test_an_interrupted_command_keeps_its_record(wired, tmp_path, monkeypatch, capsys):
+    count = []
+
+    def look():
+        count.append(1)
+        if len(count) == 50:
+            raise KeyboardInterrupt
+        return {tag.id: np.zeros((4, 2)) for tag in STRIPS["index_mcp"]}
+
+    wired.body.look = look
+    out = tmp_path / "out"
+    with pytest.warns(UserWarning, match="field of view"):
+        assert hpac.main([*WORDS, "--camera", "0", "--out", str(out)]) == 130
+    assert "recorded: " in capsys.readouterr().err
+    record = read_sweep(out / "sweep.csv")
+    assert 40 < len(record) < 50
+    assert np.isnan(record.joint_pos).all()
+    assert not wired.hand.pulses().any()
+
+
+def test_a_sweep_without_eyes_is_refused_before_anything_moves(tmp_path, capsys):
+    assert hpac.main([*WORDS, "--out", str(tmp_path)]) == 2
+    assert "--port needs what measures the joints: --camera or --angles" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        hpac.main(["sweep", "--port", "any", "--record", "x.csv"])
+    (tmp_path / "sweep.csv").write_text("nonsense\n")
+    words = [*WORDS, "--angles", "x.csv", "--out", str(tmp_path)]
+    assert hpac.main(words) == 2
+    assert "row 1 must be '# hpac sweep, format 1'" in capsys.readouterr().err
+
+
+def test_every_servo_has_its_side_and_its_strip():
+    assert set(driven.SIDES) == set(SERVOS)
+    for servo in SERVOS:
+        assert len(STRIPS[servo]) == len(CHAINS[servo])
+        assert all(name in JOINTS for name in CHAINS[servo][1:])
+    assert sweep.add_arguments
