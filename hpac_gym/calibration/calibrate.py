@@ -54,7 +54,7 @@ reach 1.2°.
 """
 EFFECTIVE = (
     "The numbers are effective ones: in this combination they make the measured angles. What the fit does not have (pins, play, "
-    "the camera's scale) is in them, so none has an interval, and none is the hand's own.\n"
+    "the camera's scale) is in them, so none has an interval, and none is the hand's own."
 )
 _IDENTIFIED = (
     "d2",
@@ -318,6 +318,7 @@ def report(
             markdown(("joint", *told), [(label(name), *row) for name, row in cells.items()]),
             "",
         ]
+    lines += [EFFECTIVE, ""]
     for name, fit in found.fits.items():
         lines += _digit_report(name, fit, base)
     if found.cmc:
@@ -325,7 +326,6 @@ def report(
         lines += ["## thumb CMC", ""]
         lines += [f"Effective g_CMC {gain.value:.4f}, zero {np.degrees(zero.value):.2f}°.", ""]
     lines += [f"{name} keeps the design's parameters: {why}." for name, why in found.kept.items()]
-    lines += [EFFECTIVE] if found.fits else []
     lines += [f"Remark: {remark}{'' if remark.endswith('?') else '.'}" for remark in remarks]
     return "\n".join(lines) + "\n"
 

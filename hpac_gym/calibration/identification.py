@@ -210,15 +210,15 @@ def doubts(found: Identification, base: Hand) -> list[str]:
             )
         if fit.misfit > MISFIT:
             remarks.append(f"{scatter}: the hand, or the camera, does what the model does not have")
-        unusual = ", ".join(
-            f"{item.name} = {item.value:.4g} ({item.formula}, {item.away:.1f})"
+        unusual = " and ".join(
+            f"{item.name} = {item.value:.4g} ({item.formula}) is {item.away:.1f}"
             for item in fit.estimates
             if item.away > UNUSUAL and "friction" not in item.name
         )
         if unusual:
             remarks.append(
-                f"{name}: {unusual} more than {UNUSUAL:g} standard deviations from the design; are the servo's angles in "
-                "radians, and at their own points?"
+                f"{name}: {unusual} standard deviations from the design; are the servo's angles in radians, "
+                "and at their own points?"
             )
         design = values(SweptDigit(base.digits[name]))
         off = [

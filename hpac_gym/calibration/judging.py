@@ -6,7 +6,6 @@ import numpy as np
 
 from hpac_gym.calibration.processing import (
     FAR,
-    MOST_DRIFT,
     NEIGHBOURS,
     differing_rests,
     group_means,
@@ -105,7 +104,7 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
                 most = np.degrees(max(map(abs, differing.values())))
                 remarks.append(
                     f"{where}: the rests of {', '.join(differing)} differ by up to {most:.1f}°, more than "
-                    f"{np.degrees(MOST_DRIFT):.2f}°: did the digit not come back to its stops, or did the camera move? The first "
+                    "a camera drifts: did the digit not come back to its stops, or did the camera move? The first "
                     "rest counts, and a drift is fitted"
                 )
             found = _judged_joints(

@@ -33,10 +33,10 @@ LEAST_NOISE = np.deg2rad(0.02)
 """Lower bound of the assumed camera noise [rad]."""
 USUAL_DRIFT = np.deg2rad(0.2)
 """Standard deviation of a camera's drift in the course of a segment [rad], chosen."""
-MOST_DRIFT = np.deg2rad(0.75)
-"""Difference between a joint's first and last rest [rad], chosen, which a digit that did not come back
-to its stops exceeds, and a camera's drift does not.
-"""
+MOST_DRIFT = np.deg2rad(1.0) / 60
+LEAST_SHIFT = np.deg2rad(0.5)
+"""A digit did not come back to its stops if its rests differ by more than a camera drifts, `MOST_DRIFT`
+[rad/s], and by more than `LEAST_SHIFT` [rad]. Chosen: five standard deviations of a usual camera."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,18 +145,19 @@ def low_pass(values: Array, rate_hz: float, cutoff_hz: float) -> Array:
 
 
 def differing_rests(segment: Sweep) -> dict[str, float]:
-    """Swept joints whose last rest differs from the first by more than `MOST_DRIFT`, and by how much
-    [rad].
+    """Swept joints whose last rest differs from the first by more than a camera drifts, and by how
+    much [rad].
     """
     moving = np.flatnonzero(segment.phase != REST)
     rest = np.flatnonzero(segment.phase == REST)
+    most = max(MOST_DRIFT * np.ptp(segment.time), LEAST_SHIFT)
     found = {}
     for joint in joints_of_servo(int(segment.swept[0])) if moving.size else ():
         rests = (rest[rest < moving[0]], rest[rest > moving[-1]])
         first, last = (segment.joint_pos[rows, joint] for rows in rests)
         if np.isfinite(first).any() and np.isfinite(last).any():
             shift = float(np.nanmedian(last) - np.nanmedian(first))
-            if abs(shift) > MOST_DRIFT:
+            if abs(shift) > most:
                 found[JOINTS[joint]] = shift
     return found
 
