@@ -31,6 +31,7 @@ TABLES = sorted((DOCS / "results" / "tables").glob("*.json"))
 
 WORDS = {
     "docs/wire.md": 4_700,
+    "docs/study.md": 2_000,
     "docs/environments/README.md": 2_800,
     "docs/environments/grasp_any.md": 2_500,
     "docs/environments/grasp_type.md": 2_200,
