@@ -22,8 +22,9 @@ import torch
 from tqdm import tqdm
 
 from agents import RunError
-from agents.closures import Learner, Trials, sizes_of, worlds_of
+from agents.learner import Learner
 from agents.recipes import Recipe
+from agents.trials import Columns, Decider, Source, Trials, sizes_of, worlds_of
 from hpac_gym.errors import install
 from hpac_gym.evaluation.environment import other_versions, versions
 from hpac_gym.evaluation.seeds import training_seed
@@ -131,8 +132,8 @@ class Collector:
         return trials, steps, time.process_time() - begun
 
 
-class Collectors:
-    """Collectors on the nodes of a Ray cluster, with the interface of `Worlds`.
+class Collectors(Source):
+    """Collectors on the nodes of a Ray cluster.
 
     Each of the `count` collectors takes a free processor, spread over the nodes. A lost collector
     is replaced; its successor waits for a free processor if necessary, while the others continue. A
@@ -166,9 +167,7 @@ class Collectors:
         seed = training_seed(self._recipe.seed, self._done + place, self._recipe.num_envs)
         return place, self._make.remote(self._recipe, seed, versions())
 
-    def step(
-        self, learner: Learner, meanwhile: Callable[[], None] = lambda: None
-    ) -> tuple[np.ndarray, ...]:
+    def step(self, decider: Decider, meanwhile: Callable[[], None] = lambda: None) -> Columns:
         """Request chunks from idle collectors, call `meanwhile`, and wait briefly for a chunk.
 
         Returns:
@@ -178,7 +177,7 @@ class Collectors:
             RunError: A collector cannot start, or its program failed.
         """
         if self._idle:
-            known = self._ray.put(knowledge(learner))
+            known = self._ray.put(knowledge(decider))
             for place, collector in self._idle:
                 self._running[collector.collect.remote(known)] = place, collector
             self._idle.clear()

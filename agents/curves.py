@@ -9,7 +9,7 @@ import json
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from hpac_gym.output import replacing, write_text
 RESULTS = "results.json"
 CURVE = "progress.csv"
 PAGE = "results.md"
+BOARD = "tensorboard"
 PICTURE = "learning_curve.png"
 COLOURS = {"learned": "#1b6ca8", "scripted": "#c98a1b", "random": "#8a8a8a"}
 COLUMNS = ("episodes", "seconds", "success_rate", "window", "entropy")
@@ -63,6 +64,7 @@ class Progress:
         self.env_steps = env_steps
         self.stopped_by = None
         self._curve = folder / CURVE
+        self._board = board_of(folder, done)
         self._first = done
         self._most = episodes
         self._most_steps = most_steps
@@ -97,27 +99,30 @@ class Progress:
         """Share of the last trials that held; NaN before the first one has ended."""
         return sum(self._held) / len(self._held) if self._held else float("nan")
 
-    def add(self, held: list[bool], steps: int, entropy: float) -> bool:
-        """Record trials, control steps and the actor's entropy [nats per number]; returns whether
-        the training continues.
+    def add(self, held: list[bool], steps: int, metrics: Callable[[], Mapping[str, float]]) -> bool:
+        """Record trials and control steps, and from time to time the metrics of the learner;
+        returns whether the training continues.
         """
         held = held[: self._most - self.done]  # the run keeps no more
         self._held.extend(held)
         self.done += len(held)
         self.env_steps += steps
         if self.done >= self._written + ROW_EVERY:
-            self.write_row(entropy)
+            self.write_row(metrics())
         if self._clock() - self._started > self._time_limit:
             self.stopped_by = "time limit"
         self._show()
         return self.stopped_by is None and self.done < self._most
 
     def close(self) -> None:
-        """Close the progress bar."""
+        """Close the progress bar and the file for TensorBoard."""
         self._bar.close()
+        if self._board is not None:
+            self._board.close()
 
-    def write_row(self, entropy: float) -> None:
-        """Write a row of the learning curve, unless there was no trial since the last one.
+    def write_row(self, metrics: Mapping[str, float]) -> None:
+        """Write a row of the learning curve, and all metrics for TensorBoard, unless there was no
+        trial since the last one.
 
         Raises:
             RunError: The file cannot be written, or the disk is full.
@@ -130,13 +135,18 @@ class Progress:
             round(self.seconds, 1),
             round(self.success_rate, 4),
             len(self._held),
-            round(entropy, 3),
+            round(metrics.get("entropy", float("nan")), 3),
         )
         try:
             with self._curve.open("a", newline="") as file:
                 csv.writer(file).writerows([row] if file.tell() else [COLUMNS, row])
         except OSError as error:
             raise RunError(f"cannot write '{self._curve}': {error.strerror or error}") from error
+        if self._board is not None:
+            shown = {"success_rate": self.success_rate, **metrics}
+            for name, value in shown.items():
+                self._board.add_scalar(f"train/{name}", value, self.done)
+            self._board.flush()
 
     def _show(self) -> None:
         elapsed = self._clock() - self._started
@@ -158,6 +168,17 @@ class Progress:
         else:
             self._bar.set_postfix_str(text, refresh=False)
             self._bar.update(100 * self.share - self._bar.n)
+
+
+def board_of(folder: Path, done: int) -> Any:
+    """What writes for TensorBoard into a folder, from a number of trials on; None if it is not
+    installed.
+    """
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(folder / BOARD, purge_step=done + 1)
 
 
 def drop_rows_after(path: Path, episodes: int) -> None:

@@ -1,5 +1,5 @@
-"""From random weights to the wire: train a grasp, evaluate it, and replay it through the serial
-port and the firmware.
+"""From random weights to the wire: train a grasp, evaluate and film it, deploy it through a serial
+port on the firmware, and compare that with a simulation.
 
 ``make demo`` runs it; each step is a separate command, which is printed.
 """
@@ -16,7 +16,17 @@ from hpac_gym.output import writable_folder
 EVALUATION_MINUTES = (
     5.0  # enough for 400 episodes of three policies; a slower machine evaluates fewer
 )
-RESULTS = ("learning_curve.png", "results.md", "results.json", "grasps.mp4", "wire.jsonl")
+RESULTS = (
+    "learning_curve.png",
+    "results.md",
+    "results.json",
+    "deploy.jsonl",
+    "deploy.wire.jsonl",
+    "replay.png",
+    "grasps.mp4",
+)
+OBJECT = ("--object", "cylinder:0.027,0.05", "--pose", "0.048,0.004,0.112")
+"""What the camera would see on the deployment: a can in front of the open hand."""
 
 
 def steps(
@@ -24,35 +34,31 @@ def steps(
 ) -> list[tuple[str, list[str]]]:
     """Title, and module with arguments, of every step."""
     policy = str(out / "policy.hpac")
-    results = str(out / "results.json")
+    log = str(out / "deploy.jsonl")
     engine, body = RECIPES[recipe].set_ups[0].split("/")
     trained = ["--policy", policy, "--engine", engine, "--body", body]
-    train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed)]
-    judge = [
-        "hpac_gym.evaluation.evaluate",
-        *trained,
-        "--episodes",
-        str(episodes),
-        "--workers",
-        "2",
-    ]
+    train = ["agents.train", recipe, "--out", str(out), "--seed", str(seed), "--overwrite"]
+    judge = ["hpac", "evaluate", *trained, "--episodes", f"{episodes}", "--workers", "2"]
+    results = ["--time-limit", f"{EVALUATION_MINUTES:g}", "--out", str(out / "results.json")]
+    film = ["--episodes", "4", "--record", str(out / "grasps.mp4")]
     return [
-        (
-            "Train from random weights",
-            [*train, "--time-limit", f"{training_minutes:g}", "--overwrite"],
-        ),
-        (
-            "Judge it and the baselines",
-            [*judge, "--time-limit", f"{EVALUATION_MINUTES:g}", "--out", results],
-        ),
+        ("Train from random weights", [*train, "--time-limit", f"{training_minutes:g}"]),
+        ("Judge it and the baselines", [*judge, *results]),
         ("Draw the learning curve", ["agents.curves", str(out)]),
-        ("Replay it over the wire", ["agents.replay", *trained, "--out", str(out)]),
+        ("Film it", ["hpac", "show", *trained, *film]),
+        (
+            "Deploy it, through a serial port, on the firmware",
+            ["hpac", "deploy", policy, "--port", "host", *OBJECT, "--log", log],
+        ),
+        ("Compare the deployment", ["hpac", "replay", log, "--out", str(out / "replay.png")]),
     ]
 
 
 def main(argv: list[str] | None = None) -> int:
     parser = command_parser("agents.demo", __doc__)
-    parser.add_argument("--recipe", choices=sorted(RECIPES), default="grasp", help="how to train")
+    parser.add_argument(
+        "--recipe", choices=("grasp", "grasp-robust"), default="grasp", help="how to train"
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/demo"), help="folder of the results")
     parser.add_argument("--minutes", type=minutes, default=10.0, help="training time")
     parser.add_argument(

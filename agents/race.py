@@ -13,6 +13,7 @@ from inspect import signature
 from itertools import zip_longest
 from pathlib import Path
 from pkgutil import resolve_name
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,8 @@ from agents.recipes import add_settings, applies, check, given_settings, setting
 from hpac_gym.command import command_parser, minutes, run
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import install
-from hpac_gym.evaluation.environment import versions
+from hpac_gym.evaluation.environment import versions, with_object
+from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder
 from hpac_gym.policies import Actor, PolicyFile, write_policy
@@ -207,13 +209,22 @@ def algorithm_of(name: str) -> type[BaseAlgorithm]:
 
 
 def learner_of(
-    contender: Contender, share: Callable[[], float], env_id: str = GRASP
+    contender: Contender,
+    share: Callable[[], float],
+    env_id: str = GRASP,
+    options: Mapping[str, Any] = MappingProxyType({}),
 ) -> BaseAlgorithm:
-    """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1."""
+    """Create the algorithm with its worlds; `share` returns the elapsed share of its time, 0…1.
+
+    Raises:
+        RecipeError: The environment does not observe a vector, or its library is not installed.
+    """
     algorithm = algorithm_of(contender.algorithm)
     squashed = contender.algorithm != "ppo"
-    worlds = HandVecEnv(full_id(env_id), contender.num_envs, engine=ENGINE)
-    if not isinstance(worlds.observation_space, Box):
+    worlds = HandVecEnv(
+        full_id(env_id), contender.num_envs, **{"engine": ENGINE} | with_object(options)
+    )
+    if not isinstance(worlds.observation_space, Box) or worlds.observation_space.shape[1:]:
         worlds.close()
         raise RecipeError(f"env is '{env_id}': its observation is not a vector")
     decisions = Decisions(worlds, contender.action_repeat, None if squashed else BOUND)
@@ -290,7 +301,13 @@ def actor_of(model: BaseAlgorithm) -> Actor:
     )
 
 
-def race(contender: Contender, out: Path, time_limit: float, env_id: str = GRASP) -> None:
+def race(
+    contender: Contender,
+    out: Path,
+    time_limit: float,
+    env_id: str = GRASP,
+    options: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
     """Train a contender in the folder `out` for `time_limit` seconds of processor time.
 
     Raises:
@@ -302,11 +319,11 @@ def race(contender: Contender, out: Path, time_limit: float, env_id: str = GRASP
         raise RunError(f"folder '{out}' already holds a run: name another one")
     writable_folder(out)
     torch.set_num_threads(1)
-    target = target_of(env_id, engine=ENGINE)
+    target = target_of(env_id, **{"engine": ENGINE} | options)
     progress = Progress(
         out, sys.maxsize, sys.maxsize, time_limit=time_limit, clock=time.process_time
     )
-    model = learner_of(contender, lambda: progress.share, env_id)
+    model = learner_of(contender, lambda: progress.share, env_id, options)
 
     def save() -> None:
         actor = actor_of(model)
@@ -339,7 +356,12 @@ def race(contender: Contender, out: Path, time_limit: float, env_id: str = GRASP
             for told, done in zip(now["infos"], now["dones"], strict=True)
             if done
         ]
-        return progress.add(held, 0, float("nan"))  # no budget of control steps
+        return progress.add(held, 0, metrics)  # no budget of control steps
+
+    def metrics() -> dict[str, float]:
+        """What the algorithm has logged lately."""
+        told = model.logger.name_to_value.items()
+        return {name.removeprefix("train/"): value for name, value in told if np.isscalar(value)}
 
     try:
         model.learn(sys.maxsize, callback=step)
@@ -360,14 +382,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--minutes", type=minutes, default=15.0, help="processor time of the training"
     )
-    parser.add_argument("--env", default=GRASP, help="environment: id, or module:id")
+    add_env_options(parser, f"id, also module:My-v0 (default: {GRASP})")
     add_settings(parser, "settings of the algorithm", CONTENDERS)
     args = parser.parse_args(argv)
+    env_id = args.env or GRASP
     race(
         with_settings(CONTENDERS[args.contender], given_settings(args, Contender)),
         args.out,
         60 * args.minutes,
-        args.env,
+        env_id,
+        env_options(args, env_id),
     )
     return 0
 

@@ -12,9 +12,10 @@ from typing import Any, TypeVar, get_type_hints
 
 from agents import RecipeError
 from hpac_gym.envs.randomization import PRESETS
+from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies import Closures
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE, row_of
+from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE
 
 Settings = TypeVar("Settings")
 _KINDS = {
@@ -132,15 +133,16 @@ def with_settings(settings: Settings, texts: Mapping[str, str]) -> Settings:
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Settings of one training of closures; `agents.closures` explains them.
+    """Settings of one training of closures; `agents.learner` explains them.
 
     Raises:
         RecipeError: A setting is out of bounds or not one of its choices.
     """
 
-    env_id: str = field(
-        default=GRASP, metadata={"meaning": "environment: id, or module:id of one's own task"}
-    )
+    env_id: str = GRASP
+    """Any registered id whose task observes a vector."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the environment, as `hpac_gym.evaluation.options.env_options` gives them."""
     set_ups: tuple[str, ...] = choice(
         ("mujoco/twin",), "comma-separated engines and bodies with equal shares of worlds", SET_UPS
     )
@@ -156,7 +158,7 @@ class Recipe:
     seed: int = setting(0, "seed of the run", 0, 2**31 - 1)
     num_envs: int = setting(128, "number of parallel worlds", 1, 65_536)
     random_episodes: int = setting(2_500, "trials of random closures before the first update", 1)
-    spread: float = setting(
+    script_std: float = setting(
         0.0,
         "largest standard deviation of the first trials about the script, whose successes the actor "
         "imitates; 0: uniformly random closures, and critics instead of imitation",
@@ -174,22 +176,22 @@ class Recipe:
     hidden: tuple[int, ...] = setting((256, 256, 256), "widths of the layers", 1, 4_096)
     critics: int = setting(2, "number of critics", 1, 64)
     critic_obs: str = choice("privileged", "observation of the critics", ("privileged", "deploy"))
-    doubt: float = setting(
+    pessimism: float = setting(
         0.5,
         "standard deviations over the critics that are subtracted from their mean prediction",
         0,
         10,
     )
-    aftermath: float = setting(
+    auxiliary_coef: float = setting(
         4.0, "weight of the loss on the predicted state at the end of the closing", 0, 1e3
     )
-    easy_share: float = setting(
+    acceptance: float = setting(
         0.3, "least probability with which a trial of near-certain success is run", 0.01, 1
     )
-    entropy_first: float = setting(
+    target_entropy_first: float = setting(
         0.1, "target entropy of the actor at the beginning, in nats per number", -10, 0.69
     )
-    entropy_last: float = setting(-1.0, "target entropy of the actor at the end", -10, 0.69)
+    target_entropy_last: float = setting(-1.0, "target entropy of the actor at the end", -10, 0.69)
     begin: tuple[float, ...] = setting(
         (), "range of the control step at which a closure begins; empty: immediately", 0, 1e6
     )
@@ -210,12 +212,9 @@ class Recipe:
 
     def __post_init__(self) -> None:
         check(self)
-        object.__setattr__(self, "env_id", self.env_id.removeprefix("hpac_gym:"))
-        if row_of(self.env_id).id == POSTURE:
-            raise RecipeError(f"env_id is '{self.env_id}': a posture is no closure")
-        if self.spread and self.env_id != GRASP_TYPE:
+        if self.script_std and self.env_id != GRASP_TYPE:
             raise RecipeError(
-                f"spread is {self.spread:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}"
+                f"script_std is {self.script_std:g}: only {GRASP_TYPE} has a script for it, not {self.env_id}"
             )
         if not self.hidden or not self.set_ups:
             raise RecipeError("hidden and set_ups need at least one entry each")
@@ -260,7 +259,7 @@ RECIPES: Mapping[str, Recipe] = {
         env_id=GRASP_TYPE,
         episodes=3_000,
         random_episodes=1_000,
-        spread=0.1,
+        script_std=0.1,
         updates_per_episode=0.6,
     ),
     "pick-place": Recipe(env_id=PICK_PLACE, episodes=8_000, begin=(6, 18), release=(70, 95)),
@@ -268,21 +267,39 @@ RECIPES: Mapping[str, Recipe] = {
 
 
 def add_recipe(parser: ArgumentParser) -> None:
-    """Add an option for each setting of a recipe, for `recipe_of`."""
+    """Add the options of the environment and one for each setting of a recipe, for `recipe_of`."""
+    add_env_options(
+        parser,
+        "id, also module:My-v0 (default: the recipe's)",
+        but=("obs", "reward", "randomize", "hands"),
+    )
     add_settings(
         parser, "settings of the recipe, with the defaults of 'grasp'", {"grasp": RECIPES["grasp"]}
     )
 
 
 def recipe_of(args: Namespace) -> Recipe:
-    """The recipe named on the command line, with the settings given there.
+    """The recipe named on the command line, with the settings and the environment given there.
 
     Raises:
         RecipeError: The name is unknown, or a setting is invalid.
+        ParameterError: An option of the environment has another form.
     """
     if args.recipe not in RECIPES:
         raise RecipeError(f"unknown recipe '{args.recipe}': known are {', '.join(sorted(RECIPES))}")
-    return with_settings(RECIPES[args.recipe], given_settings(args, Recipe))
+    recipe = RECIPES[args.recipe]
+    given = given_settings(args, Recipe)
+    env_id = (args.env or recipe.env_id).removeprefix("hpac_gym:")
+    options = env_options(args, env_id)
+    chosen = {name: options.pop(name) for name in ("engine", "body") if name in options}
+    for name in ("randomize", "hands"):  # settings of the recipe
+        options.pop(name, None)
+    if chosen:
+        if "set_ups" in given:
+            raise RecipeError("--engine and --body name one set-up: give them or --set-ups")
+        engine, body = recipe.set_ups[0].split("/")
+        given["set_ups"] = f"{chosen.get('engine', engine)}/{chosen.get('body', body)}"
+    return with_settings(replace(recipe, env_id=env_id, options=options), given)
 
 
 def settings_of(saved: Mapping[str, Any]) -> Recipe:

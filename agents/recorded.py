@@ -10,19 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from agents import POLICY, RunError, target_of
-from agents.closures import Learner, Trials, sizes_of
 from agents.recipes import Recipe
 from agents.runs import latest_checkpoint
+from agents.trials import Columns, Decider, Source, Trials, sizes_of
 from hpac_gym.policies import Closures, read_policy
 
 COLUMNS = tuple(Trials(0, 1, 1, 1).columns)
-Columns = tuple[np.ndarray, ...]
-"""Columns of trials, in the order of `COLUMNS`."""
 
 
-class Recorded:
-    """The trials of the runs `recipe.trials_of` in random order, without the first `done`, with the
-    interface of `Worlds`.
+class Recorded(Source):
+    """The trials of the runs `recipe.trials_of` in random order, without the first `done`.
 
     Attributes:
         steps: control steps of as many trials as `step` returns, on average.
@@ -67,8 +64,10 @@ class Recorded:
                     raise ValueError(
                         f"its checkpoint has no {', '.join(sorted(missing))}; did it learn from other runs itself?"
                     )
-                seen, decisions, survived, came_to = (file[name] for name in COLUMNS)
-            target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
+                seen, decisions, survived, end_state = (file[name] for name in COLUMNS)
+            target = target_of(
+                recipe.env_id, **recipe.options, engine=recipe.set_ups[0].partition("/")[0]
+            )
             if {name: about[name] for name in target} != target or Closures.of(
                 about["closure"]
             ) != recipe.closures:
@@ -84,16 +83,16 @@ class Recorded:
         told = np.eye(len(ours), dtype=np.float32)[[ours.index(name) for name in theirs]][
             which, : self.observed - sensed
         ]
-        seen, came_to = (
+        seen, end_state = (
             np.hstack([part, told])
-            for part in (seen[:, :sensed], came_to[:, : sensed - self.deployed])
+            for part in (seen[:, :sensed], end_state[:, : sensed - self.deployed])
         )
-        return (seen, decisions, survived, came_to), about["env_steps"]
+        return (seen, decisions, survived, end_state), about["env_steps"]
 
     def start(self, seed: int) -> None:
         """Nothing: the order of the trials is that of the recipe's seed."""
 
-    def step(self, learner: Learner, meanwhile: Callable[[], None] = lambda: None) -> Columns:
+    def step(self, decider: Decider, meanwhile: Callable[[], None] = lambda: None) -> Columns:
         """Call `meanwhile`; returns the next trials, as arguments of `Trials.add`."""
         meanwhile()
         rows = slice(self._next, self._next + self._chunk)

@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agents import POLICY, RunError
-from agents.curves import CURVE, PAGE, PICTURE, RESULTS
+from agents.curves import BOARD, CURVE, PAGE, PICTURE, RESULTS
 from agents.recipes import Recipe, settings_of
 from hpac_gym.evaluation.environment import other_versions, versions
 
 if TYPE_CHECKING:
-    from agents.closures import Learner
+    from agents.learner import Learner
 
 RUN = "run.json"
 _PREFIX = "checkpoint-"
@@ -144,7 +144,7 @@ def remove_run(folder: Path) -> None:
     """
     for name in (RUN, POLICY, CURVE, PICTURE, RESULTS, PAGE):
         (folder / name).unlink(missing_ok=True)
-    for old in folder.glob(f"{_PREFIX}*"):
+    for old in (*folder.glob(f"{_PREFIX}*"), folder / BOARD):
         shutil.rmtree(old, ignore_errors=True)
     if kept := latest_checkpoint(folder):
         raise RunError(f"cannot remove checkpoint '{kept}' of the run before")

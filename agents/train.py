@@ -1,7 +1,8 @@
 """Train a policy: ``python -m agents.train grasp --out runs/NAME``.
 
 The folder gets ``policy.hpac`` (the policy) and ``learning_curve.png``, both updated at every
-checkpoint, ``progress.csv``, ``run.json`` (the settings) and the last checkpoint, from which
+checkpoint, ``progress.csv``, ``tensorboard`` (losses, calibration, entropy), ``run.json`` (the
+settings) and the last checkpoint, from which
 ``--resume`` continues. With ``--trials-of`` there is no picture. After every checkpoint new
 episodes begin, with random numbers of its own, so that a killed and resumed run ends with the same
 policy as an uninterrupted one."""
@@ -13,7 +14,7 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -38,14 +39,17 @@ from agents.runs import (
     save_checkpoint,
     saved_trials,
 )
+from agents.trials import Source, training_task
 from hpac_gym.command import INTERRUPTED, command_parser, minutes, run, whole_number
 from hpac_gym.errors import HpacError
 from hpac_gym.evaluation.environment import versions
+from hpac_gym.evaluation.options import env_options
 from hpac_gym.evaluation.seeds import training_seed
 from hpac_gym.output import writable_folder, write_text
 from hpac_gym.policies import PolicyFile, write_policy
 
 if TYPE_CHECKING:
+    from agents.learner import Learner
     from hpac_gym.tasks.task import Task
 
 
@@ -64,9 +68,9 @@ def train(
 
     ``fresh`` replaces a run in the folder, which is kept until everything that the new one needs
     was found. ``time_limit`` [s] ends the training cleanly, counted from ``started`` on the
-    monotonic clock. If ``nodes`` is positive, that many collectors of `agents.nodes` try the
+    monotonic clock. If ``nodes`` is positive, that many collectors of `agents.collectors` try the
     closures. ``make`` makes a task of the recipe for each of its set-ups; None is
-    `agents.closures.training_task`.
+    `agents.trials.training_task`.
 
     Raises:
         RunError: The training diverged, or its folder cannot be read or written.
@@ -74,38 +78,43 @@ def train(
     # Imported here: loading PyTorch takes seconds, which a mistyped argument should not cost.
     import torch
 
-    from agents.closures import Learner, training_task, worlds_of
+    from agents.learner import Learner
+    from agents.trials import worlds_of
 
     torch.set_num_threads(1)
     done = 0 if fresh else saved_trials(out)
+    sources: list[Source]
+    tried = {}
     if nodes:
         from agents.collectors import Collectors
 
-        all_worlds = [Collectors(recipe, nodes, done)]
+        sources = [Collectors(recipe, nodes, done)]
     elif recipe.trials_of:
         from agents.recorded import Recorded
 
-        all_worlds = [Recorded(recipe, done)]
+        recorded = Recorded(recipe, done)
+        sources = [recorded]
+        tried = recorded.tried
     else:
-        all_worlds = worlds_of(recipe, make or training_task)
-    first = all_worlds[0]
+        sources = [*worlds_of(recipe, make or training_task)]
+    first = sources[0]
     learner = Learner(recipe, first.observed, first.deployed, first.phases)
     state = {"seconds": 0.0, "env_steps": 0}
     if fresh:
         remove_run(out)
     elif checkpoint := latest_checkpoint(out):
-        state |= load_checkpoint(checkpoint, learner, first.tried if recipe.trials_of else {})
+        state |= load_checkpoint(checkpoint, learner, tried)
     write_text(out / RUN, json.dumps(asdict(recipe), indent=2) + "\n")
     drop_rows_after(out / CURVE, done)
-    target = target_of(recipe.env_id, engine=recipe.set_ups[0].partition("/")[0])
+    target = target_of(recipe.env_id, **recipe.options, engine=recipe.set_ups[0].partition("/")[0])
     spent = done, state["env_steps"], state["seconds"]
     progress = Progress(out, recipe.episodes, recipe.env_steps, *spent, time_limit, started)
     _stop_on_signal(progress)
 
     def begin_episodes() -> None:
         learner.reseed(training_seed(recipe.seed, learner.trials.count, 1))
-        for worlds in all_worlds:
-            worlds.start(training_seed(recipe.seed, learner.trials.count, recipe.num_envs))
+        for source in sources:
+            source.start(training_seed(recipe.seed, learner.trials.count, recipe.num_envs))
 
     def save() -> None:
         save_checkpoint(
@@ -122,7 +131,7 @@ def train(
             "versions": versions(),
         }
         write_policy(out / POLICY, PolicyFile(learner.policy(), about))
-        progress.write_row(learner.entropy)
+        progress.write_row(learner.metrics())
         if (
             not recipe.trials_of and (out / CURVE).exists()
         ):  # the successes of others say nothing about this policy
@@ -135,12 +144,7 @@ def train(
     going = done < recipe.episodes
     saved = done
     while going:
-        for worlds in all_worlds:
-            trials = worlds.step(learner, partial(learner.learn, progress.share))
-            learner.trials.add(*trials)
-            going = progress.add(
-                (trials[2] == worlds.phases).tolist(), worlds.steps, learner.entropy
-            )
+        going = learn_once(sources, learner, progress)
         going = going and progress.env_steps + recipe.num_envs <= recipe.env_steps
         if learner.trials.count >= saved + recipe.checkpoint_every:
             saved = learner.trials.count
@@ -148,8 +152,8 @@ def train(
             begin_episodes()
     progress.close()
     save()
-    for worlds in all_worlds:
-        worlds.close()
+    for source in sources:
+        source.close()
     print(
         f"{progress.stopped_by or 'done'} after {learner.trials.count:,} trials: {out / POLICY}",
         file=sys.stderr,
@@ -157,9 +161,30 @@ def train(
     return INTERRUPTED if progress.stopped_by == "interrupted" else 0
 
 
+def learn_once(sources: Sequence[Source], learner: Learner, progress: Progress) -> bool:
+    """One step of every source, with the updates that are due meanwhile; returns whether the
+    training continues. Repeated, this is the whole training.
+    """
+    going = True
+    for source in sources:
+        trials = source.step(learner, partial(learner.learn, progress.share))
+        learner.add(*trials)
+        held = (trials[2] == source.phases).tolist()
+        going = progress.add(held, source.steps, learner.metrics)
+    return going
+
+
 def main(argv: list[str] | None = None, make: Callable[[Recipe], Task] | None = None) -> int:
     """The command; ``make`` is as in `train`."""
     started = time.monotonic()
+    args = parsed(argv)
+    recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
+    limits = {"time_limit": 60 * args.time_limit, "started": started}
+    return train(recipe, args.out, fresh=not args.resume, nodes=args.nodes, make=make, **limits)
+
+
+def parsed(argv: list[str] | None = None) -> Namespace:
+    """The arguments of the command."""
     parser = command_parser("agents.train", __doc__)
     parser.add_argument(
         "recipe", nargs="?", help=f"one of {', '.join(sorted(RECIPES))}; needed unless --resume"
@@ -194,10 +219,7 @@ def main(argv: list[str] | None = None, make: Callable[[Recipe], Task] | None = 
         help="number of collectors on a Ray cluster",
     )
     add_recipe(parser)
-    args = parser.parse_args(argv)
-    recipe = _resumed_recipe(args) if args.resume else _fresh_recipe(args)
-    limits = {"time_limit": 60 * args.time_limit, "started": started}
-    return train(recipe, args.out, fresh=not args.resume, nodes=args.nodes, make=make, **limits)
+    return parser.parse_args(argv)
 
 
 def _fresh_recipe(args: Namespace) -> Recipe:
@@ -211,6 +233,7 @@ def _fresh_recipe(args: Namespace) -> Recipe:
         )
     if args.trials_of:
         recipe = _with_trials(recipe, args)
+    training_task(recipe)  # errors are raised here, before anything is written
     writable_folder(args.out)
     return recipe
 
@@ -237,7 +260,14 @@ def _with_trials(recipe: Recipe, args: Namespace) -> Recipe:
 
 def _resumed_recipe(args: Namespace) -> Recipe:
     given = given_settings(args, Recipe)
-    if args.recipe is not None or args.overwrite or args.trials_of or set(given) - {"episodes"}:
+    others = {"env": args.env} | env_options(args, args.env or "")
+    if (
+        args.recipe is not None
+        or args.overwrite
+        or args.trials_of
+        or any(others.values())
+        or set(given) - {"episodes"}
+    ):
         raise RecipeError("a resumed run keeps its settings: only --episodes can change")
     recipe = with_settings(recipe_in(args.out), given)
     if args.nodes and recipe.trials_of:

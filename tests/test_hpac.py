@@ -325,7 +325,7 @@ def test_the_help_of_every_command_needs_no_extra():
     assert "pip install '.[study]'" in python(BASE_INSTALL, refused, "sweep --record x").stderr
 
 
-@pytest.mark.parametrize("module", ["agents.race", "agents.replay", "tools.film_strip"])
+@pytest.mark.parametrize("module", ["agents.race", "tools.film_strip"])
 def test_a_module_outside_of_the_wheel_names_its_extra_in_one_line(module):
     script = (
         "import runpy, sys; sys.modules |= {'torch': None, 'PIL': None, 'imageio': None}; "

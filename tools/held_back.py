@@ -8,7 +8,8 @@ evaluated."""
 import sys
 from pathlib import Path
 
-from agents import POLICY, closures, train
+from agents import POLICY, train
+from agents.trials import training_task
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs import GraspAny
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
@@ -39,9 +40,7 @@ def main(argv: list[str] | None = None) -> int:
     args, settings = parser.parse_known_args(argv)
     if not (args.out / POLICY).exists():
         words = ["grasp-any", "--out", str(args.out), *settings]
-        if status := train.main(
-            words, make=lambda recipe: keep(closures.training_task(recipe), back=False)
-        ):
+        if status := train.main(words, make=lambda recipe: keep(training_task(recipe), back=False)):
             return status
     print("| objects | hands | success [%] |\n| --- | --- | --- |")
     for title, back, hands in (

@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from agents import POLICY, RunError
-from agents.closures import training_task
 from agents.recipes import RECIPES, Recipe
 from agents.reproduce import middle
 from agents.runs import RUN, recipe_in, saved_trials
 from agents.train import train
+from agents.trials import training_task
 from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.evaluation.evaluate import DEFAULT_ENV, evaluate
 from hpac_gym.model import HPAC, Hand

@@ -29,7 +29,7 @@ def make_env(env_id: str, **options: Any) -> gymnasium.Env[Any, Any]:
     """
     register_all()  # which a command leaves to those that make environments
     with _refusing(env_id, options):
-        env = gymnasium.make(env_id, disable_env_checker=True, **_with_object(options))
+        env = gymnasium.make(env_id, disable_env_checker=True, **with_object(options))
     space = env.action_space
     if not (
         isinstance(space, Box)
@@ -51,10 +51,11 @@ def make_envs(env_id: str, count: int, **options: Any) -> VectorEnv[Any, Any, An
     """
     register_all()
     with _refusing(env_id, options):
-        return gymnasium.make_vec(env_id, count, autoreset_mode="Disabled", **_with_object(options))
+        return gymnasium.make_vec(env_id, count, autoreset_mode="Disabled", **with_object(options))
 
 
-def _with_object(options: Mapping[str, Any]) -> dict[str, Any]:
+def with_object(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options with an object, if they name one in text, in the place of its text."""
     given = options.get("object")
     return {**options} | ({"object": object_of(given)} if isinstance(given, str) else {})
 

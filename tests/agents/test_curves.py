@@ -10,7 +10,7 @@ def go_on(folder, done: int, end: int) -> None:
     """Train from one number of trials to another, a thousand at a time, of which half hold."""
     progress = Progress(folder, 10_000, 10**9, done)
     while progress.done < end:
-        progress.add([True, False] * 500, 20_000, -0.5)
+        progress.add([True, False] * 500, 20_000, lambda: {"entropy": -0.5})
     progress.close()
 
 
@@ -28,7 +28,7 @@ def test_a_curve_reads_back_as_it_was_written(curve):
 
 def test_the_last_row_counts_no_trial_for_which_the_run_has_no_room(tmp_path):
     progress = Progress(tmp_path, 600, 10**9)
-    assert not progress.add([True] * 600 + [False] * 100, 1, -0.5)
+    assert not progress.add([True] * 600 + [False] * 100, 1, lambda: {"entropy": -0.5})
     columns = read_curve(tmp_path / "progress.csv")
     assert (columns["episodes"], columns["success_rate"], columns["window"]) == (600, 1.0, 600)
 

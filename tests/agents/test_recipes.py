@@ -45,11 +45,11 @@ def test_settings_of_every_kind_are_read_and_the_recipe_stays_as_it_was():
         ("release", "9,3", "release is (9.0, 3.0): it must be a lower and an upper bound"),
         ("release", "3,9", "begin and release are given together"),
         ("sizes", "1.2,0.8", "sizes is (1.2, 0.8): it must be a lower and an upper bound"),
-        ("doubt", "-1", "doubt is -1.0: it must lie in 0…10"),
+        ("pessimism", "-1", "pessimism is -1.0: it must lie in 0…10"),
         (
-            "spread",
+            "script_std",
             "0.1",
-            "spread is 0.1: only HPAC-GraspType-v0 has a script for it, not HPAC-Grasp-v0",
+            "script_std is 0.1: only HPAC-GraspType-v0 has a script for it, not HPAC-Grasp-v0",
         ),
         ("sizes", "0.8,1.2", "only HPAC-GraspAny-v1 has objects of other sizes, not HPAC-Grasp-v0"),
         ("hands", "test", "hands is 'test': it must be one of nominal, train"),
@@ -71,7 +71,7 @@ def test_what_a_run_saves_of_its_settings_makes_the_same_recipe(recipe):
     assert settings_of(json.loads(json.dumps(asdict(recipe)))) == recipe
 
 
-@pytest.mark.parametrize("change", [{"depth": 3}, {"doubt": None}])
+@pytest.mark.parametrize("change", [{"depth": 3}, {"pessimism": None}])
 def test_settings_of_another_version_are_refused_by_their_names(change):
     saved = {name: value for name, value in (asdict(GRASP) | change).items() if value is not None}
     with pytest.raises(

@@ -7,8 +7,8 @@ import pytest
 
 from agents import runs as runs_of
 from agents import train
-from agents.closures import Worlds
 from agents.recorded import COLUMNS, Recorded
+from agents.trials import Worlds
 from hpac_gym.policies import PolicyFile, read_policy, write_policy
 from tests.processes import once_alive
 
@@ -92,7 +92,7 @@ def test_it_learns_from_every_trial_once_without_physics(runs):
     for name, sensed in (
         ("seen", slice(0, -2)),
         ("decisions", slice(None)),
-        ("came_to", slice(0, -2)),
+        ("end_state", slice(0, -2)),
     ):
         apart = [parts[0][name], parts[1][name][:, sensed]]
         assert sorted(together[name][:, sensed].tolist()) == sorted(np.concatenate(apart).tolist())
@@ -107,7 +107,7 @@ def test_critics_are_told_the_set_ups_by_the_numbers_of_the_new_run(runs):
     on_light = {tuple(row) for row in light["decisions"][light["seen"][:, -2] == 1]}
     told = [tuple(row) in on_light for row in together["decisions"]]
     assert 0 < sum(told) < len(told)
-    for name in ("seen", "came_to"):
+    for name in ("seen", "end_state"):
         np.testing.assert_array_equal(together[name][:, -1], told)
         np.testing.assert_array_equal(together[name][:, -2], np.logical_not(told))
 

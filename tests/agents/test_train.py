@@ -20,8 +20,9 @@ import pytest
 
 from agents import RecipeError, RunError, train
 from agents import runs as runs_of
-from agents.closures import Learner, training_task, worlds_of
+from agents.learner import Learner
 from agents.recipes import RECIPES, with_settings
+from agents.trials import training_task, worlds_of
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import read_policy
 from tests.processes import once_alive, wait_for
@@ -61,7 +62,7 @@ RUNS = {
         *SMALL,
         "--random-episodes",
         4,
-        "--spread",
+        "--script-std",
         0.01,
     ],
 }
@@ -243,8 +244,9 @@ def test_a_new_run_keeps_nothing_of_the_one_that_it_replaces(tmp_path, monkeypat
         "progress.csv",
         "learning_curve.png",
         "checkpoint-000000012",
+        "tensorboard",
     }
-    for name in (leaves - {"checkpoint-000000012"}) | {"results.json", "results.md"}:
+    for name in (leaves - {"checkpoint-000000012", "tensorboard"}) | {"results.json", "results.md"}:
         (tmp_path / name).write_text("of the run before")
     (tmp_path / "checkpoint-000000900").mkdir()
     train_here(monkeypatch, "grasp", "--out", tmp_path, "--overwrite", *SMALL, "--episodes", 12)
@@ -271,8 +273,8 @@ def learner(recipe):
     rng = np.random.default_rng(0)
     made = Learner(recipe, observed=60, deployed=44, phases=4)
     seen = rng.standard_normal((30, 60))
-    came_to = rng.standard_normal((30, 16))
-    made.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), came_to)
+    end_state = rng.standard_normal((30, 16))
+    made.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), end_state)
     made.learn(0.5)
     return made
 
@@ -325,9 +327,9 @@ def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
     assert np.array_equal(other.policy()(seen), learner.policy()(seen))
 
 
-def test_the_exported_actor_acts_as_the_learner_does_without_its_spread(learner):
+def test_the_exported_actor_acts_as_the_learner_does_without_its_exploration(learner):
     narrow = copy.deepcopy(learner)
-    narrow.actor.log_std.bias.data.fill_(-100.0)  # clamped to the narrowest spread
+    narrow.actor.log_std.bias.data.fill_(-100.0)  # clamped to the narrowest distribution
     seen = np.random.default_rng(0).uniform(-3, 3, (20, 60)).astype(np.float32)
     acted = [learner.policy()(row[:44]) for row in seen]
     np.testing.assert_allclose(acted, narrow.decide(seen), atol=0.1)
@@ -339,7 +341,7 @@ class Patient:
     def decide(self, seen):
         return np.zeros((len(seen), 8))
 
-    def wanted(self, seen, decisions):
+    def accepted(self, seen, decisions):
         return np.arange(len(seen)) == len(seen) - 1
 
 
@@ -351,7 +353,7 @@ def started(recipe, seed):
 
 
 def test_set_ups_share_the_worlds_and_no_two_worlds_a_seed(monkeypatch):
-    monkeypatch.setattr("agents.closures.DRAWS", 1)
+    monkeypatch.setattr("agents.trials.DRAWS", 1)
     recipe = with_settings(
         RECIPES["grasp"], {"num_envs": "5", "set_ups": "mujoco/twin,mujoco/twin"}
     )
@@ -387,11 +389,11 @@ def test_weak_contacts_have_less_friction_of_the_skin_and_none_against_turning()
 def test_something_runs_beside_each_step_of_the_physics_and_a_trial_tells_how_its_closing_ended():
     [worlds] = started(with_settings(RECIPES["grasp"], {"num_envs": "2"}), 7)
     calls = []
-    seen, *_, came_to = worlds.step(Patient())
+    seen, *_, end_state = worlds.step(Patient())
     while not len(seen):
-        seen, *_, came_to = worlds.step(Patient(), lambda: calls.append(0))
+        seen, *_, end_state = worlds.step(Patient(), lambda: calls.append(0))
     assert len(calls) > 5
-    assert np.abs(came_to - seen[:, worlds.deployed :]).max() > 0.1, "not how it began"
+    assert np.abs(end_state - seen[:, worlds.deployed :]).max() > 0.1, "not how it began"
     worlds.close()
 
 
@@ -402,8 +404,80 @@ def test_trials_that_are_sure_to_succeed_are_tried_less_often(learner):
     lost = copy.deepcopy(learner)
     sure.critics.biases[-1].data.fill_(50.0)
     lost.critics.biases[-1].data.fill_(-50.0)
-    assert 0.25 < sure.wanted(seen, decisions).mean() < 0.35
-    assert lost.wanted(seen, decisions).all()
+    assert 0.25 < sure.accepted(seen, decisions).mean() < 0.35
+    assert lost.accepted(seen, decisions).all()
+
+
+def test_losses_calibration_entropy_and_acceptance_are_logged(trained):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    board = EventAccumulator(str(trained / "grasp" / "tensorboard"))
+    board.Reload()
+    logged = {name: board.Scalars(f"train/{name}")[-1] for name in LOGGED}
+    assert {entry.step for entry in logged.values()} == {24}
+    assert all(np.isfinite(entry.value) for entry in logged.values())
+    assert 0 <= logged["brier_score"].value <= 1
+    assert 0 < logged["acceptance"].value <= 1
+    assert logged["alpha"].value == pytest.approx(np.exp(-3), rel=0.1)
+
+
+LOGGED = (
+    "success_rate",
+    "entropy",
+    "target_entropy",
+    "alpha",
+    "survival_loss",
+    "auxiliary_loss",
+    "actor_loss",
+    "brier_score",
+    "acceptance",
+)
+
+
+def test_the_brier_score_is_that_of_the_predictions_for_new_trials(learner):
+    fresh = copy.deepcopy(learner)
+    fresh.metrics()
+    seen = np.zeros((10, 60), np.float32)
+    decisions = np.zeros((10, 8))
+    survived = np.array([4] * 3 + [0] * 7)
+    expected = np.mean((fresh.predicted(seen, decisions) - (survived == 4)) ** 2)
+    fresh.add(seen, decisions, survived, np.zeros((10, 16)))
+    assert fresh.metrics()["brier_score"] == pytest.approx(expected)
+    assert "brier_score" not in fresh.metrics(), "means are since the last call"
+
+
+def test_a_task_of_ones_own_is_trained_with_its_options(tmp_path, monkeypatch):
+    """A reward weight, an object and a hand of one's own reach the worlds and the policy file."""
+    (tmp_path / "my_task.py").write_text(
+        "import hpac_gym\nfrom hpac_gym.tasks.grasp import Grasp, GraspConfig\n"
+        "def made(gap=0.01):\n    return Grasp(GraspConfig(gap=(gap, gap)))\n"
+        "hpac_gym.register('Mine-v0', made, 65)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    out = tmp_path / "run"
+    tasks = []
+
+    def kept(recipe):
+        tasks.append(training_task(recipe))
+        return tasks[-1]
+
+    words = ["--env", "my_task:Mine-v0", "--set", "gap=0.02", "--out", out, *SMALL, "--episodes", 8]
+    train_here(monkeypatch, "grasp", *words, make=kept)
+    assert tasks[0].config.gap == (0.02, 0.02)
+    about = read_policy(out / "policy.hpac").about
+    assert about["env_id"] == "my_task:Mine-v0"
+    assert about["settings"]["options"] == {"gap": 0.02}
+    train_here(monkeypatch, "--resume", "--out", out, "--episodes", 10)
+
+
+def test_an_object_of_ones_own_is_what_is_trained_on(tmp_path, monkeypatch):
+    words = ["--object", "sphere:0.03", "--set", "config.weights.effort=-0.1", *SMALL]
+    recipe = train._fresh_recipe(train.parsed(["grasp", "--out", str(tmp_path), *map(str, words)]))
+    (worlds,) = started(recipe, 100)
+    worlds.step(Patient())
+    assert {setup.object.half_extents for setup in worlds.episodes.setups} == {(0.03,) * 3}
+    assert worlds.episodes.task.config.weights.effort == -0.1
+    worlds.close()
 
 
 @pytest.mark.parametrize("failing", ["numpy.savez", "os.fsync", "os.rename"])

@@ -12,7 +12,7 @@ import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from agents.closures import SHORT
+from agents.trials import SHORT
 from hpac_gym.envs import GraspAny
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from agents import POLICY, RunError
-from agents.closures import training_task
 from agents.recipes import RECIPES
 from agents.runs import RUN
+from agents.trials import training_task
 from tools import variants
 from tools.variants import GROW, NEAR, VARIANTS, NearFirst, task_maker
 

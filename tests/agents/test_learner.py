@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from agents import RunError
-from agents.closures import TYPE, Learner, Spread, scripted_decisions, training_task
+from agents.learner import TYPE, GaussianActor, Learner, scripted_decisions
 from agents.recipes import RECIPES, with_settings
+from agents.trials import training_task
 from hpac_gym.envs import GraspByType
 from hpac_gym.model import HPAC
 from hpac_gym.tasks.grasp_types import ScriptedGraspType
@@ -37,7 +38,7 @@ def survived(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
     return np.where(seen[:, SEEN] > 0.6, 0, near[:, 0] + (near[:, 0] & near[:, 1]).astype(int))
 
 
-def came_to(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
+def end_state(seen: np.ndarray, decisions: np.ndarray) -> np.ndarray:
     """By how far trials miss what is seen; the rest says nothing."""
     return np.pad(decisions[:, :2] - 0.6 * seen[:, :2], ((0, 0), (0, HIDDEN - 2)))
 
@@ -52,7 +53,7 @@ def learned(meaning, **settings: str) -> tuple[Learner, np.ndarray]:
     while learner.trials.count < recipe.episodes:
         seen = rng.uniform(-1, 1, (50, SEEN + HIDDEN)).astype(np.float32)
         decisions = learner.decide(seen)
-        learner.trials.add(seen, decisions, meaning(seen, decisions), came_to(seen, decisions))
+        learner.add(seen, decisions, meaning(seen, decisions), end_state(seen, decisions))
         learner.learn(learner.trials.count / recipe.episodes)
     seen = rng.uniform(-1, 1, (500, SEEN + HIDDEN)).astype(np.float32)
     policy = learner.policy()
@@ -104,15 +105,15 @@ def test_the_critics_predict_what_a_trial_comes_to(taught):
     )
     with torch.no_grad():
         predicted = (
-            learner.critics(values).mean(0)[:, 2:4].numpy() * learner.scale_came_to[:2]
-            + learner.mean_came_to[:2]
+            learner.critics(values).mean(0)[:, 2:4].numpy() * learner.scale_end_state[:2]
+            + learner.mean_end_state[:2]
         )
-    error = came_to(seen, decisions)[:, :2] - predicted
-    assert np.mean(error**2) < 0.3 * np.var(came_to(seen, decisions)[:, :2])
+    error = end_state(seen, decisions)[:, :2] - predicted
+    assert np.mean(error**2) < 0.3 * np.var(end_state(seen, decisions)[:, :2])
 
 
-def test_its_spread_narrows_to_the_entropy_that_it_aims_at(taught):
-    assert taught[0].entropy == pytest.approx(RECIPES["grasp"].entropy_last, abs=0.5)
+def test_the_actor_narrows_to_its_target_entropy(taught):
+    assert taught[0].entropy == pytest.approx(RECIPES["grasp"].target_entropy_last, abs=0.5)
 
 
 def test_a_training_that_diverges_ends_in_one_line(taught):
@@ -170,7 +171,7 @@ def test_the_actor_imitates_first_trials_about_the_script_that_succeeded_and_is_
     lost = copy.deepcopy(learner)
     lost.trials.add(seen, tried, np.zeros(600, int), np.zeros((600, HIDDEN)))
     with pytest.raises(
-        RunError, match=r"none of the first 600 trials held: a lower spread than 0\.1 may help"
+        RunError, match=r"none of the first 600 trials held: a lower script_std than 0\.1 may help"
     ):
         lost.learn(0.0)
     learner.trials.add(seen, tried, won.astype(int), np.zeros((600, HIDDEN)))
@@ -201,7 +202,7 @@ def test_a_recipe_trains_on_the_sizes_and_hands_that_it_asks_for(sizes, least, m
 
 
 def test_a_decision_that_was_rounded_to_1_can_be_imitated():
-    actor = Spread(SEEN, (16,), 3)
+    actor = GaussianActor(SEEN, (16,), 3)
     seen = torch.zeros(1, SEEN)
     assert torch.atanh(torch.ones(1)).isinf()  # so its density would not be finite
     density = actor(seen, torch.tensor([[1.0, -1.0, 0.5]]))[1]
