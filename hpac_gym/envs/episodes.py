@@ -79,6 +79,7 @@ class Episodes:
         engine = self.simulation.engine
         try:
             engine.require(BODIES[options.body])
+            task.obs = options.obs
             self._camera = task.prepare(num_worlds, options.noise)
             self.observations = Observations(task, options.obs, num_worlds)
             self.wrists = Wrists(task, num_worlds, engine.dt)

@@ -26,7 +26,7 @@ from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import Timetable, phase_at, wrist_table
 from hpac_gym.tasks.scripted import ScriptedGraspAny
-from hpac_gym.tasks.senses import LOAD_TERMS, Senses
+from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
 from hpac_gym.tasks.task import (
     CONTROL_HZ,
     FAILURE,
@@ -333,7 +333,8 @@ class GraspAny(Task):
         self.holding_force = np.zeros(num_worlds)
         self.turn = np.zeros(num_worlds)
         self.sides = np.zeros(num_worlds, dtype=int)
-        return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET)
+        servos = ServoSenses() if self.obs == "load" else None
+        return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET, servos)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: object, pose, mass, friction, wrist pose with errors, and direction of

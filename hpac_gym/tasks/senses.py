@@ -102,7 +102,7 @@ class Senses:
         noise: noise of the camera.
         view: viewpoint of the camera; it follows the wrist.
         centre: point at which it looks, in the hand frame, shape (3,) [m].
-        servos: feedback of the servos.
+        servos: feedback of the servos; None reads none.
     """
 
     changing = ("_camera", "_rng", "_count", "_seen")
@@ -113,7 +113,7 @@ class Senses:
         noise: CameraNoise,
         view: Viewpoint,
         centre: Array,
-        servos: ServoSenses = ServoSenses(),
+        servos: ServoSenses | None = ServoSenses(),
     ) -> None:
         self._camera = ObjectCamera(num_worlds, noise)
         self._view = view
@@ -157,9 +157,9 @@ class Senses:
         self._drives[world] = np.transpose(
             [[getattr(one, name) for name in _LAW] for one in drives]
         )
-        self._bias[world] = (
-            self._servos.load_bias * factor * self._rng[world].standard_normal(len(DIGITS))
-        )
+        if self._servos is not None:
+            deviation = self._servos.load_bias * factor
+            self._bias[world] = deviation * self._rng[world].standard_normal(len(DIGITS))
         self._count[world] = 0
 
     def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
@@ -191,7 +191,8 @@ class Senses:
         taken = rows[visible | first]  # in the first look the hand is not there yet
         for name in ("position", "up", "side", "half_extents"):
             self._seen[name][taken] = seen[name][taken]
-        self._read_servos(state, rows[self._count[rows] % self._servos.period == 0])
+        if self._servos is not None:
+            self._read_servos(state, rows[self._count[rows] % self._servos.period == 0])
         self._count[rows] += 1
         return {name: values.copy() for name, values in self._seen.items()}
 

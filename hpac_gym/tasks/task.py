@@ -77,6 +77,8 @@ class Task(ABC):
     """True if only the time limit ends an episode."""
     unused: tuple[str, ...] = ()
     """Options of every environment that mean nothing to this task."""
+    obs: str = "deploy"
+    """Kind of observation in use, which an environment sets before `prepare`."""
     changing: tuple[str, ...] = ("grip",)
     """Names of the attributes that change in an episode, for snapshots: arrays, numbers, generators
     and objects with such names of their own. `hpac_gym.envs.snapshots.undeclared` finds a forgotten
