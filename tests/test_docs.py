@@ -31,6 +31,7 @@ TABLES = sorted((DOCS / "results" / "tables").glob("*.json"))
 
 WORDS = {
     "docs/wire.md": 3_800,
+    "docs/study.md": 1_800,
     "docs/environments/README.md": 2_100,
     "docs/environments/grasp_any.md": 2_000,
     "docs/environments/grasp_type.md": 1_800,

@@ -20,6 +20,7 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import ServoCommand
 from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
@@ -186,12 +187,9 @@ def test_a_hand_that_does_not_close_holds_nothing(env):
 
 
 def never_closing(env):
-    class Open:
-        def reset(self, seed):
-            pass
-
-        def act(self, observation):
-            return np.array([-1.0, -1, -1, -1, -1, 0.5])
+    class Open(EpisodePolicy):
+        def _act(self, observation, memory):
+            return np.array([-1.0, -1, -1, -1, -1, 0.5]), memory
 
     return Open()
 
