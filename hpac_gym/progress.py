@@ -1,9 +1,11 @@
-"""A progress bar on standard error for loops that take longer than two seconds."""
+"""Progress on standard error of what takes longer than two seconds."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from threading import Event, Thread
 from typing import TypeVar
 
 from tqdm import tqdm
@@ -24,3 +26,27 @@ def progress(items: Iterable[Item], label: str, shown: bool = True) -> Iterable[
     """
     shown = shown and sys.stderr.isatty()
     return tqdm(items, label, delay=_PATIENCE, disable=not shown, dynamic_ncols=True)
+
+
+@contextmanager
+def waiting(label: str) -> Iterator[None]:
+    """Show a label and the elapsed time during the block, from two seconds on, if standard error is a
+    terminal. For one long call of a library, which must release Python's lock.
+    """
+    done = Event()
+
+    def show() -> None:
+        if not done.wait(_PATIENCE):
+            with tqdm(desc=label, bar_format="{desc}: {elapsed}", leave=False) as bar:
+                while not done.wait(0.5):
+                    bar.refresh()
+
+    thread = Thread(target=show, daemon=True)
+    if sys.stderr.isatty():
+        thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        if thread.is_alive():
+            thread.join()

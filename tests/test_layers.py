@@ -25,7 +25,7 @@ ROOMS = {
     "bridge": {"numpy", "serial"},
     "camera": {"numpy", "scipy", "cv2", "matplotlib"},
     "calibration": {"numpy", "scipy", "matplotlib"},
-    "physics": {"numpy", "pybullet", "mujoco"},
+    "physics": {"numpy", "scipy", "pybullet", "mujoco"},
     "tasks": {"numpy", "scipy", "gymnasium"},
     "envs": {"numpy", "gymnasium", "stable_baselines3"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime", "stable_baselines3"},

@@ -145,6 +145,11 @@ class ObjectModel:
     chosen: str = ""
     """Origin of the numbers that are not published; empty if all are."""
 
+    def __repr__(self) -> str:
+        """One line, without the solids."""
+        sides = " × ".join(f"{side:g}" for side in self.size)
+        return f"ObjectModel({self.name!r}, {sides} m, {self.mass:g} kg, {len(self.solids)} solids)"
+
     def __post_init__(self) -> None:
         total = sum(solid.mass for solid in self.solids)
         if not math.isclose(total, self.mass, rel_tol=1e-6):

@@ -5,16 +5,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from hpac_gym.body.object_models import ObjectModel, load_object_models
+from hpac_gym.body.object_models import ObjectModel, Solid, load_object_models
 
 Shape = Literal["cylinder", "box", "sphere"]
 SHAPES: tuple[Shape, ...] = ("cylinder", "box", "sphere")
 
+GREY = (0.45, 0.52, 0.62, 1.0)
+"""Colour of an object of one's own, RGBA."""
 WALL_THICKNESS = 0.003
 """Thickness of a support's walls [m]."""
 
@@ -63,6 +65,28 @@ class ObjectSpec:
             raise ValueError(
                 f"scale {self.scale:g} of {self.model.name}: an object of one's own has the scale 1 here"
             )
+
+    @property
+    def solid_model(self) -> ObjectModel:
+        """The object as a model of its own size and mass; that of a primitive has one solid."""
+        if self.model is None:
+            x, y, z = (2 * half for half in self.half_extents)
+            solid = Solid(self.shape, self.mass, (x, y, z), np.zeros(3), np.eye(3))
+            name = f"own {self.shape}"
+            return ObjectModel(name, name, (x, y, z), self.mass, self.shape, GREY, (solid,))
+        heavier = self.mass / self.model.mass
+        solids = tuple(
+            replace(
+                solid,
+                mass=heavier * solid.mass,
+                size=tuple(self.scale * side for side in solid.size),
+                center=self.scale * solid.center,
+                inner_radius=self.scale * solid.inner_radius,
+            )
+            for solid in self.model.solids
+        )
+        size = tuple(self.scale * side for side in self.model.size)
+        return replace(self.model, mass=self.mass, size=size, solids=solids)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -21,10 +21,11 @@ import numpy as np
 
 from hpac_gym.body.geometry import rotation_about, rotation_from_rpy
 from hpac_gym.body.object_models import Hull, ObjectModel, Solid, bounds_of
-from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.objects import GREY, ObjectSpec
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
+from hpac_gym.progress import waiting
 
 MESHES = (".stl", ".obj", ".ply", ".off")
 MIN_SIDE = 0.002
@@ -36,15 +37,24 @@ MAX_MASS = 5.0
 MAX_FRICTION = 2.0
 """Largest mass [kg] and Coulomb coefficient."""
 MAX_SCALE = 1000.0
-COLOR = (0.45, 0.52, 0.62, 1.0)
 
-_DECOMPOSITION = {
-    "threshold": 0.05,
-    "max_convex_hull": 32,
-    "decimate": True,
-    "max_ch_vertex": 64,
-    "seed": 0,
+_COMMON = {"max_convex_hull": 32, "decimate": True, "seed": 0}
+DETAILS = {
+    "coarse": _COMMON
+    | {
+        "threshold": 0.2,
+        "max_ch_vertex": 32,
+        "preprocess_resolution": 20,
+        "resolution": 300,
+        "mcts_nodes": 5,
+        "mcts_iterations": 5,
+        "mcts_max_depth": 1,
+    },
+    "fine": _COMMON | {"threshold": 0.05, "max_ch_vertex": 64},
 }
+"""Settings of CoACD by detail; chosen: seconds and minutes for a mug."""
+_MANY_FACES = 1000
+"""A coarse decomposition of more faces first remeshes them at its resolution."""
 _CONVEX = 0.99
 """A mesh that fills at least this fraction of its convex hull is not decomposed."""
 _UP = {"z": np.eye(3), "y": rotation_about((1, 0, 0), math.pi / 2)}
@@ -56,6 +66,7 @@ def own_object(
     friction: float = 0.6,
     scale: float = 1.0,
     up: str = "z",
+    detail: str = "coarse",
     folder: str | os.PathLike[str] | None = None,
 ) -> ObjectSpec:
     """Load an object from a file, for ``gymnasium.make("HPAC-Grasp-v0", object=...)`` or a
@@ -67,6 +78,7 @@ def own_object(
         friction: Coulomb coefficient of its surface, to be multiplied by the skin's.
         scale: factor from the file's lengths to metres: 0.001 for a mesh in mm.
         up: axis of the file that points up: "z" or "y".
+        detail: "coarse", or "fine" for a closer decomposition, which takes minutes for a mug.
         folder: folder in which the convex parts of meshes are cached, as ``{stem}.hulls.json``;
             None is beside each mesh.
 
@@ -86,13 +98,15 @@ def own_object(
     ):
         if name != "mass" or mass is not None:
             _check_positive(path, name, value, most)
-    if up not in list(_UP):
-        raise ParameterError(f"up {up!r} is not one of {', '.join(_UP)}")
+    for name, given, known in (("up", up, _UP), ("detail", detail, DETAILS)):
+        if given not in list(known):
+            raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
+    how = _Decomposition(DETAILS[detail], folder)
     if path.suffix.lower() == ".urdf":
-        solids, found = _of_urdf(path, scale, folder)
+        solids, found = _of_urdf(path, scale, how)
         mass = found if mass is None else mass
     else:
-        solids = _of_mesh(path, np.full(3, scale), folder)
+        solids = _of_mesh(path, np.full(3, scale), how)
     if mass is None:
         raise ParameterError(f"'{path}' says no mass: give one in kg")
     _check_positive(path, "mass", mass, MAX_MASS)
@@ -144,7 +158,7 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
         replace(solid, mass=density * solid.mass, center=solid.center - middle) for solid in solids
     )
     x, y, z = size.tolist()
-    model = ObjectModel(path.stem, f"own object {path.name}", (x, y, z), mass, "box", COLOR, parts)
+    model = ObjectModel(path.stem, f"own object {path.name}", (x, y, z), mass, "box", GREY, parts)
     return ObjectSpec("box", model.half_extents, mass, friction, model)
 
 
@@ -158,17 +172,25 @@ def _moved(solid: Solid, rotation: Array, place: Array) -> Solid:
 # Meshes ------------------------------------------------------------------------
 
 
-def _of_mesh(path: Path, scale: Array, folder: str | os.PathLike[str] | None) -> list[Solid]:
+@dataclass(frozen=True, slots=True)
+class _Decomposition:
+    """How meshes are decomposed, and where their parts are cached; None is beside each mesh."""
+
+    settings: Mapping[str, Any]
+    folder: str | os.PathLike[str] | None
+
+
+def _of_mesh(path: Path, scale: Array, how: _Decomposition) -> list[Solid]:
     """The convex parts of a mesh, each with its volume as its mass; a mirroring scale turns the
     faces over.
     """
     if path.suffix.lower() not in MESHES:
         raise ParameterError(f"'{path}' is not one of {', '.join(MESHES)}, nor a .urdf")
-    kept = (path.parent if folder is None else Path(folder)) / f"{path.stem}.hulls.json"
-    made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": _DECOMPOSITION}
+    kept = (path.parent if how.folder is None else Path(how.folder)) / f"{path.stem}.hulls.json"
+    made_from = {"sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "coacd": how.settings}
     parts = _kept(kept, made_from)
     if parts is None:
-        parts = _decomposed(path)
+        parts = _decomposed(path, how.settings)
         write_text(kept, json.dumps(made_from | {"parts": parts}))
     order = -1 if np.prod(scale) < 0 else 1
     return [
@@ -188,7 +210,7 @@ def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
     return found.get("parts") if same else None
 
 
-def _decomposed(path: Path) -> list:
+def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
     """Corners and faces of the convex parts of a mesh, in the file's unit."""
     try:
         import coacd
@@ -221,8 +243,16 @@ def _decomposed(path: Path) -> list:
     parts = [whole]
     if mesh.volume < _CONVEX * whole.volume:
         coacd.set_log_level("error")
-        found = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **_DECOMPOSITION)
+        remeshed = "preprocess_resolution" in settings and len(mesh.faces) > _MANY_FACES
+        settings = {**settings, "preprocess_mode": "on"} if remeshed else settings
+        with waiting(f"convex parts of {path.name}"):
+            found = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **settings)
         parts = [trimesh.convex.convex_hull(corners) for corners, _ in found]
+        if remeshed:  # which changes the size a little
+            low, high = trimesh.util.concatenate(parts).bounds
+            for part in parts:
+                share = (part.vertices - low) / (high - low)
+                part.vertices = mesh.bounds[0] + share * mesh.extents
     return [(part.vertices.tolist(), part.faces.tolist()) for part in parts]
 
 
@@ -235,15 +265,13 @@ def _hull(corners: Array, faces: Array) -> Solid:
 # URDF --------------------------------------------------------------------------
 
 
-def _of_urdf(
-    path: Path, scale: float, folder: str | os.PathLike[str] | None
-) -> tuple[list[Solid], float | None]:
+def _of_urdf(path: Path, scale: float, how: _Decomposition) -> tuple[list[Solid], float | None]:
     """Collision shapes of a URDF, each with its volume as its mass, and the sum of its link masses;
     None if it has none.
     """
     try:
         robot = Xml.parse(path).getroot()
-        solids, mass = _of_links(path, robot, folder)
+        solids, mass = _of_links(path, robot, how)
     except ParameterError:
         raise
     except (Xml.ParseError, AttributeError, IndexError, TypeError, ValueError) as error:
@@ -253,9 +281,7 @@ def _of_urdf(
     return [_scaled(solid, scale) for solid in solids], mass or None
 
 
-def _of_links(
-    path: Path, robot: Xml.Element, folder: str | os.PathLike[str] | None
-) -> tuple[list[Solid], float]:
+def _of_links(path: Path, robot: Xml.Element, how: _Decomposition) -> tuple[list[Solid], float]:
     parents = {}
     for joint in robot.findall("joint"):
         if joint.get("type") != "fixed":
@@ -278,7 +304,7 @@ def _of_links(
             raise ParameterError(f"joints of '{path}' form a ring through link {name!r}")
         for shape in link.findall("collision"):
             turn, offset = _origin(shape)
-            found = _of_geometry(path, shape.find("geometry")[0], folder)
+            found = _of_geometry(path, shape.find("geometry")[0], how)
             for solid in found:
                 if not np.all(np.array(solid.size) > 0):
                     sides = " x ".join(f"{side:g}" for side in solid.size)
@@ -300,15 +326,13 @@ def _origin(element: Xml.Element) -> tuple[Array, Array]:
     return rotation_from_rpy(rpy), np.array(xyz)
 
 
-def _of_geometry(
-    path: Path, form: Xml.Element, folder: str | os.PathLike[str] | None
-) -> list[Solid]:
+def _of_geometry(path: Path, form: Xml.Element, how: _Decomposition) -> list[Solid]:
     if form.tag == "mesh":
         name = form.get("filename", "")
         mesh = path.parent / name.removeprefix("file://")
         if not mesh.is_file():
             raise ParameterError(f"no mesh file '{mesh}', which '{path}' names")
-        return _of_mesh(mesh, np.array(_numbers(form.get("scale", "1 1 1"))), folder)
+        return _of_mesh(mesh, np.array(_numbers(form.get("scale", "1 1 1"))), how)
     if form.tag == "box":
         x, y, z = _numbers(form.get("size"))
         return [Solid("box", x * y * z, (x, y, z), np.zeros(3), np.eye(3))]

@@ -5,9 +5,12 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
+from hpac_gym.body.object_sets import RestingObject, resting
+from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import servo_from_synergy, synergy_from_servo
 from hpac_gym.model.checks import Array
@@ -133,3 +136,18 @@ def make_engine(
     else:
         from hpac_gym.physics.mujoco.engine import MuJoCoEngine as Chosen
     return Chosen(num_worlds, settings, visuals)
+
+
+@cache
+def resting_object(spec: ObjectSpec) -> RestingObject:
+    """An object with its stable poses, found by dropping it in MuJoCo.
+
+    Raises:
+        ParameterError: It has no stable pose, or MuJoCo is not installed.
+    """
+    if not is_installed("mujoco"):
+        raise ParameterError(f"the poses of an object need MuJoCo: {_INSTEAD['mujoco']}")
+    from hpac_gym.physics.mujoco.resting import poses_of
+
+    model = spec.solid_model
+    return resting(model, spec.friction, poses_of(model, spec.friction))

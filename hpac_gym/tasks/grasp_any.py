@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from hpac_gym.body.hands import hand_set
 from hpac_gym.body.object_sets import SPLITS, RestingPose, object_set
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.own_objects import as_object
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import GRAVITY
+from hpac_gym.physics.simulation import resting_object
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.config import check_bounds, settings_from
@@ -174,6 +176,12 @@ WRIST_OPTION = Option(
     "episode move it, by four numbers more",
     WRISTS,
 )
+OBJECT_OPTION = Option(
+    "object of every episode instead of a split's, in the stable poses that drops find; a dictionary "
+    "has the arguments of `own_object`",
+    (None,),
+    "`hpac_gym.body.objects.ObjectSpec`, dictionary",
+)
 HANDS_OPTION = Option(
     "*nominal* is `hand`; *train* draws one of 32 hands of other lengths, tendons and servos "
     "for every episode, *test* one of 8 others; no policy is told which, and nothing may be trained on the latter",
@@ -191,9 +199,11 @@ class GraspAny(Task):
         hands: "nominal" keeps the given hand; "train" and "test" draw one from that set of hands,
             without telling the policy.
         config: sampling ranges, success criteria and reward weights, or a mapping of some of them.
+        object: the object of every episode instead of a split's, in stable poses that are found by
+            dropping it; a dictionary holds the arguments of `own_object`.
 
     Raises:
-        ParameterError: Invalid config, or unknown split, wrist or set of hands.
+        ParameterError: Invalid config or object, or unknown split, wrist or set of hands.
     """
 
     phases = PHASES
@@ -212,6 +222,7 @@ class GraspAny(Task):
         config: Annotated[
             GraspAnyConfig | Mapping[str, Any] | None, config_option(GraspAnyConfig)
         ] = None,
+        object: Annotated[ObjectSpec | Mapping[str, Any] | None, OBJECT_OPTION] = None,
     ) -> None:
         check_choice("objects", objects, SPLITS)
         check_choice("wrist", wrist, WRISTS)
@@ -224,11 +235,22 @@ class GraspAny(Task):
         self._reach = {
             variant.geometry: placing.reach_of(variant, preshape) for variant in self._hands
         }
-        poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in object_set(objects))
+        if object is not None and objects != "train":
+            raise ParameterError(f"object and objects {objects!r} were given: give either")
+        entries = object_set(objects) if object is None else (resting_object(as_object(object)),)
+        poses = ((entry, tuple(filter(self._asked, entry.poses))) for entry in entries)
         self.objects = tuple(replace(entry, poses=kept) for entry, kept in poses if kept)
         if not self.objects:
             ranges = f"width = {config.width} m and flattest = {config.flattest} m"
-            raise ParameterError(f"config {ranges} exclude all {objects} objects")
+            poses = "; ".join(
+                " x ".join(f"{side:.3g}" for side in pose.size) for pose in entries[0].poses
+            )
+            left = (
+                f"all {objects} objects"
+                if object is None
+                else f"every pose of the object, {poses} m"
+            )
+            raise ParameterError(f"config {ranges} exclude {left}")
         self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
         self.duration = config.ends[-1]
         seen = Term(

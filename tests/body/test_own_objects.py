@@ -5,18 +5,22 @@ clear line.
 import json
 import pickle
 import sys
+import time
 from dataclasses import replace
 
+import coacd
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 
 from hpac_gym.body import own_objects
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
-from hpac_gym.envs import GraspError, ScriptedClosure
+from hpac_gym.envs import GraspAny, GraspError, ScriptedClosure
 from hpac_gym.errors import ParameterError
+from hpac_gym.model import HPAC
 from hpac_gym.physics.engine import SceneSetup, matrix_from_quaternion
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.simulation import ENGINES, make_engine
@@ -103,6 +107,85 @@ def test_a_mesh_becomes_convex_parts_with_its_volume_mass_and_inertia(ell, decom
         for (x, z), place in (foot, shaft)
     )
     assert model.inertia[1, 1] == pytest.approx(about_y, rel=0.01)
+
+
+def test_a_coarse_decomposition_is_the_default_and_a_fine_one_follows_the_mesh(
+    tmp_path, monkeypatch
+):
+    """A torus of 9,216 faces: coarse in seconds, with its hole; the setting is kept with its parts."""
+    path = tmp_path / "ring.stl"
+    trimesh.creation.torus(25.0, 8.0, major_sections=96, minor_sections=48).export(path)
+    asked = []
+    run_coacd = coacd.run_coacd
+    monkeypatch.setattr(
+        coacd, "run_coacd", lambda mesh, **how: asked.append(how) or run_coacd(mesh, **how)
+    )
+    begun = time.process_time()
+    model = own_object(path, mass=0.1, scale=0.001).model
+    assert time.process_time() - begun < 20.0
+    np.testing.assert_allclose(model.size, (0.066, 0.066, 0.016), atol=1e-4)
+    assert not any(contains(solid, np.zeros(3)) for solid in model.solids)
+    assert asked[0]["preprocess_mode"] == "on"
+    own_object(path, mass=0.1, scale=0.001)
+    assert len(asked) == 1
+    monkeypatch.setitem(own_objects.DETAILS, "fine", own_objects.DETAILS["coarse"] | {"seed": 1})
+    own_object(path, mass=0.1, scale=0.001, detail="fine")
+    assert [how["seed"] for how in asked] == [0, 1]
+    with pytest.raises(ParameterError, match="detail 'exact' is not one of coarse, fine"):
+        own_object(path, mass=0.1, scale=0.001, detail="exact")
+
+
+def contains(solid, place: np.ndarray) -> bool:
+    """Whether a hull has a point, shape (3,) [m], inside."""
+    corners = solid.hull.vertices[solid.hull.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return bool((np.einsum("fi,fi->f", normals, place - solid.center - corners[:, 0]) < 0).all())
+
+
+def test_an_own_object_prints_in_one_line(ell, decomposed):
+    told = repr(own_object(ell, mass=0.12, scale=0.001, folder=decomposed))
+    assert "model=ObjectModel('ell', 0.06 × 0.04 × 0.08 m, 0.12 kg, 2 solids)" in told
+    assert "\n" not in told
+    assert len(told) < 250
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ObjectSpec("cylinder", (0.03, 0.03, 0.06), 0.3, 0.7),
+        ObjectSpec("box", (0.03, 0.025, 0.06), 0.3, 0.7),
+        None,
+    ],
+    ids=str,
+)
+def test_grasp_any_takes_it_in_the_poses_in_which_it_comes_to_rest(given, ell, decomposed):
+    if given is None:
+        given = own_object(ell, mass=0.08, friction=0.9, scale=0.001, folder=decomposed)
+    task = GraspAny(object=given)
+    (thing,) = task.objects
+    assert thing.model.mass == pytest.approx(given.mass)
+    assert thing.friction == given.friction
+    assert sum(pose.share for pose in thing.poses) > 0.5
+    seen = {
+        (setup.object.model.name, setup.object_quaternion)
+        for setup in (task.setup(np.random.default_rng(seed), HPAC) for seed in range(20))
+    }
+    assert {name for name, _ in seen} == {thing.name}
+    assert 1 <= len(seen) <= len(thing.poses)
+
+
+def test_grasp_any_holds_a_can_of_ones_own_and_refuses_what_no_hand_spans():
+    can = ObjectSpec("cylinder", (0.03, 0.03, 0.06), 0.3, 0.7)
+    with gymnasium.make("HPAC-GraspAny-v1", object=can, engine="mujoco") as env:
+        held = [run(env, env.unwrapped.task.script(), seed=seed)[0][-1] for seed in range(8)]
+    assert sum(info["is_success"] for info in held) >= 5
+    assert {info["object"] for info in held} == {"own cylinder"}
+    with pytest.raises(ParameterError, match="exclude every pose of the object, 0"):
+        GraspAny(object=ObjectSpec("box", (0.1, 0.1, 0.1), 0.3, 0.7))
+    with pytest.raises(ParameterError, match=r"object and objects 'real' were given: give either"):
+        GraspAny("real", object=can)
+    with pytest.raises(ParameterError, match="object 3 is neither an ObjectSpec"):
+        GraspAny(object=3)
 
 
 def test_the_decomposition_is_kept_beside_the_file_or_where_it_is_asked_for(

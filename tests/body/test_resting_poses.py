@@ -6,8 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.body.object_sets import SPLITS, RestingPose, object_set
+from hpac_gym.physics.mujoco.resting import Found, Table, poses_of, stable_poses
 from hpac_gym.physics.simulation import ENGINES, make_engine
-from tools.resting_poses import Found, Table, poses_of, restless, stable_poses
+from tools.resting_poses import restless
 
 EVERY = [(thing, pose) for split in SPLITS for thing in object_set(split) for pose in thing.poses]
 SAMPLE = EVERY[5 :: len(EVERY) // 6][:6]
