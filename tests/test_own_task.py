@@ -172,7 +172,7 @@ def test_learners_take_it(folder):
     )  # fmt: skip
     assert "learned" in judged
     short = ["--episodes", "40", "--random-episodes", "20", "--num-envs", "8", "--hidden", "8"]
-    train = ["agents.train", "grasp", "--env-id", "mytasks:My-Touch-v0", "--out", "runs/touch"]
+    train = ["agents.train", "grasp", "--env", "mytasks:My-Touch-v0", "--out", "runs/touch"]
     run(folder, "-m", *train, *short, "--checkpoint-every", "20", "--batch-size", "8",
         "--actor-batch-size", "8")  # fmt: skip
     assert (folder / "runs" / "touch" / POLICY).exists()
