@@ -18,6 +18,7 @@ import hpac_gym
 from agents import POLICY
 from hpac_gym.envs import Grasp, HandEnv, HandVectorEnv, make_task
 from hpac_gym.envs.registered import options_of_id
+from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EnvError, HpacError, ParameterError
 from hpac_gym.physics.simulation import is_installed
 from hpac_gym.tasks.task import Task
@@ -115,7 +116,7 @@ def test_a_batch_gives_what_single_environments_give(env_id):
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_a_state_is_saved_with_that_of_the_task(env_id):
+def test_a_state_is_saved_with_that_of_the_task(env_id, monkeypatch):
     """Without the task's own arrays, the touch of `Touch` would go on from elsewhere."""
     with gymnasium.make(f"mytasks:{env_id}", engine="mujoco") as made:
         env = made.unwrapped
@@ -125,6 +126,12 @@ def test_a_state_is_saved_with_that_of_the_task(env_id):
         env.restore_state(state)
         assert [returned[1:3] for returned in to_the_end(env)] == first
         assert len(first) > 5
+        env.reset(seed=0)
+        assert undeclared(env.episodes, lambda: list(to_the_end(env))) == []
+        if env_id == "My-Touch-v0":
+            monkeypatch.setattr(type(env.task), "changing", Task.changing)
+            env.reset(seed=0)
+            assert undeclared(env.episodes, lambda: list(to_the_end(env))) == ["task._since"]
 
 
 def test_a_spec_survives_json_and_the_defaults_are_those_of_register():
