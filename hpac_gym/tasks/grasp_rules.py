@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -171,71 +172,19 @@ class Rule:
         """The rule's clauses in words, each with its score of a hold: 1 or more satisfies it, less
         does so in part.
         """
-        found: list[tuple[str, Callable[[Hold], float]]] = []
-        for part in self.touch:
-            found.append((f"{part} touches", lambda hold, part=part: hold.touched[part] / TOUCHES))
-        if self.fingers:
-            found.append(
-                (f"{self.fingers} fingers touch", lambda hold: hold.most(FINGERS, self.fingers))
-            )
-        if self.digits:
-            found.append(
-                (f"{self.digits} digits touch", lambda hold: hold.most(DIGITS, self.digits))
-            )
-        for part in self.never:
-            found.append(
-                (
-                    f"{part} does not touch",
-                    lambda hold, part=part: _at_most(hold.touched[part], SPARES),
-                )
-            )
-        if self.tips:
-            found.append(("only last links touch", lambda hold: _at_most(hold.off_tips, SPARES)))
-        if self.force:
-            found.append((f"held with {self.force:g} N", lambda hold: hold.force / self.force))
-        found.append(
-            (
-                f"turns by at most {self.turn_deg:g}°",
-                lambda hold: self.turn_deg / max(hold.turn_deg, 1e-9),
-            )
-        )
-        if self.tilt_deg < 180:
-            found.append(
-                (
-                    f"axis within {self.tilt_deg:g}°",
-                    lambda hold: self.tilt_deg / max(hold.tilt_deg, 1e-9),
-                )
-            )
-        if self.along:
-            found.append(
-                (f"held along {self.axis}", lambda hold: hold.along(self.axis) / self.along)
-            )
-        if self.across:
-            found.append(
-                (
-                    f"held across {self.axis}",
-                    lambda hold: _at_most(hold.along(self.axis), 1 - self.across),
-                )
-            )
-        if self.side:
-            found.append(
-                (f"side of the {self.side}", lambda hold: hold.on_side(self.side) / TOUCHES)
-            )
-        if self.press:
-            found.append(
-                (
-                    f"button pressed with {self.press:g} N",
-                    lambda hold: hold.pressed(self.button) / self.press,
-                )
-            )
-        for digit in self.through:
-            found.append(
-                (
-                    f"{digit} through an opening",
-                    lambda hold, digit=digit: hold.through(self.holes, digit) / TOUCHES,
-                )
-            )
-        return found
+        return [
+            (words.format(asked, rule=self), partial(score, rule=self, asked=asked))
+            for name, words, score in _CLAUSES
+            for asked in self._asked_of(name)
+        ]
+
+    def _asked_of(self, name: str) -> Sequence[Any]:
+        """What a field asks for: each of its parts, its number, or nothing with the default."""
+        given = getattr(self, name)
+        if isinstance(given, tuple):
+            return given
+        default = type(self).__dataclass_fields__[name].default
+        return [given] if given != default or name == "turn_deg" else []
 
     def clauses(self, hold: Hold) -> dict[str, float]:
         """Score of a hold for each clause of the rule: 1 satisfies it, less does so in part."""
@@ -244,6 +193,44 @@ class Rule:
     def kept(self, hold: Hold) -> bool:
         """True if a hold satisfies all clauses."""
         return all(value >= 1.0 for value in self.clauses(hold).values())
+
+
+_CLAUSES: tuple[tuple[str, str, Callable[..., float]], ...] = (
+    ("touch", "{0} touches", lambda hold, rule, asked: hold.touched[asked] / TOUCHES),
+    ("fingers", "{0} fingers touch", lambda hold, rule, asked: hold.most(FINGERS, asked)),
+    ("digits", "{0} digits touch", lambda hold, rule, asked: hold.most(DIGITS, asked)),
+    (
+        "never",
+        "{0} does not touch",
+        lambda hold, rule, asked: _at_most(hold.touched[asked], SPARES),
+    ),
+    ("tips", "only last links touch", lambda hold, rule, asked: _at_most(hold.off_tips, SPARES)),
+    ("force", "held with {0:g} N", lambda hold, rule, asked: hold.force / asked),
+    (
+        "turn_deg",
+        "turns by at most {0:g}°",
+        lambda hold, rule, asked: asked / max(hold.turn_deg, 1e-9),
+    ),
+    ("tilt_deg", "axis within {0:g}°", lambda hold, rule, asked: asked / max(hold.tilt_deg, 1e-9)),
+    ("along", "held along {rule.axis}", lambda hold, rule, asked: hold.along(rule.axis) / asked),
+    (
+        "across",
+        "held across {rule.axis}",
+        lambda hold, rule, asked: _at_most(hold.along(rule.axis), 1 - asked),
+    ),
+    ("side", "side of the {0}", lambda hold, rule, asked: hold.on_side(asked) / TOUCHES),
+    (
+        "press",
+        "button pressed with {0:g} N",
+        lambda hold, rule, asked: hold.pressed(rule.button) / asked,
+    ),
+    (
+        "through",
+        "{0} through an opening",
+        lambda hold, rule, asked: hold.through(rule.holes, asked) / TOUCHES,
+    ),
+)
+"""The clauses: the field that asks for one, its words, and its score of a hold."""
 
 
 def _at_most(value: float, limit: float) -> float:
