@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from experiments.quasistatic import Built, Metal, hand_course
 from experiments.results import Column, Part, log_ticks, range_of, rows_of, table
 from hpac_gym.calibration.accuracy import EVALUATED
+from hpac_gym.figures import new_figure
 from hpac_gym.model import (
     HPAC,
     JOINTS,
@@ -222,7 +223,7 @@ def populations(count: int, seed: int) -> Part:
 
 def population_figure(found: Mapping[str, PopulationErrors]) -> Figure:
     """Share of hands whose worst of nine joints is below an error, by manufacturing tolerance."""
-    figure = Figure(figsize=(9, 5), layout="constrained")
+    figure = new_figure(9, 5)
     axis = figure.subplots()
     for name, errors in found.items():
         axis.ecdf(errors.compensated.max(axis=1), label=name)

@@ -32,6 +32,7 @@ from experiments.rig import NEAR_STOP, rig_of
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.record import REST, Sweep, joints_of_servo
 from hpac_gym.calibration.samples import digit_samples
+from hpac_gym.figures import new_figure
 from hpac_gym.model import (
     HPAC,
     JOINT_INDEX,
@@ -307,7 +308,7 @@ def rivals(stem: str, count: int, seed: int, samples: tuple[int, ...] = SAMPLES)
 
 def race_figure(race: Race) -> Figure:
     """Error over the number of training points, with 95 % intervals."""
-    figure = Figure(figsize=(10, 5.5), layout="constrained")
+    figure = new_figure(10, 5.5)
     axis = figure.subplots()
     for name, table in race.trained.items():
         numbers = list(table)

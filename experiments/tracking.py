@@ -18,7 +18,7 @@ from experiments.reference import Reference
 from experiments.results import Interval, Part, mean_of
 from hpac_gym.calibration.accuracy import EVALUATED
 from hpac_gym.calibration.protocol import THUMB_CLEAR
-from hpac_gym.figures import GREEN, RED
+from hpac_gym.figures import GREEN, RED, new_figure
 from hpac_gym.model import (
     HPAC,
     JOINT_INDEX,
@@ -274,7 +274,7 @@ def tracking_figure(found: list[Tracked]) -> Figure:
     """Figure of the RMS error of the nine joints over the rate of the command, in open and closed
     loop.
     """
-    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    figure = new_figure(10, 4.5)
     axes = figure.subplots(1, len(PROFILES), sharey=True)
     for axis, profile in zip(axes, PROFILES, strict=True):
         for closed, color, name in (

@@ -12,7 +12,7 @@ from experiments.reference import Reference
 from experiments.results import Column, Interval, Part, mean_of, rows_of, table
 from hpac_gym.calibration.processing import Points, points, processed
 from hpac_gym.calibration.record import EXTENDING, FLEXING, Sweep, concatenate, joints_of_servo
-from hpac_gym.figures import BLUE, GREY, label
+from hpac_gym.figures import BLUE, GREY, label, new_figure
 from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
 from hpac_gym.progress import progress
@@ -120,14 +120,19 @@ def trials(reference: Reference, count: int, seed: int) -> Part:
 
 def hysteresis_figure(joints: dict[str, JointTrials]) -> Figure:
     """Figure of extension minus flexion over the servo's angle, one line per trial."""
-    figure = Figure(figsize=(13, 8), layout="constrained")
-    for axis, (name, joint) in zip(
-        figure.subplots(3, 5, sharey=True).flat, joints.items(), strict=False
-    ):
-        width = np.degrees(joint.extension - joint.flexion)
+    figure = new_figure(13, 8)
+    axes = figure.subplots(3, 5, sharey=True)
+    # At rest, the first point, they differ ten times as much: those points are cut off, and told.
+    widths = {name: np.degrees(joint.extension - joint.flexion) for name, joint in joints.items()}
+    rest = max(np.abs(width[:, 0]).max() for width in widths.values())
+    axes[0, 0].set_ylim(-0.15, 1.1 * max(width[:, 1:].max() for width in widths.values()))
+    for axis, (name, joint) in zip(axes.flat, joints.items(), strict=False):
+        width = widths[name]
         axis.plot(np.degrees(joint.servo), width.T, color=BLUE, linewidth=0.9, alpha=0.7)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
         axis.set_title(label(name), fontsize=9)
-    figure.supxlabel("servo angle [°]")
+    figure.supxlabel(
+        f"servo angle [°]; the first point, at rest, reaches {rest:.1f}° and is cut off"
+    )
     figure.supylabel("extension − flexion [°]")
     return figure

@@ -38,8 +38,8 @@ WORDS = {
     "docs/grasps.md": 1_800,
 }
 """Most words of the long pages, tables included. Others: `MOST_WORDS`."""
-MOST_WORDS = 1_650
-ALL_WORDS = 23_000
+MOST_WORDS = 1_800
+ALL_WORDS = 24_000
 """Most words of all pages, less the tables that are generated from the code and the data."""
 
 
