@@ -16,7 +16,7 @@ from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import COMMON, checked_options
 from hpac_gym.evaluation.environment import with_object
 from hpac_gym.registration import GRASP_ANY, GRASP_TYPE
-from hpac_gym.tasks.config import settings_from
+from hpac_gym.settings import settings_from
 from hpac_gym.tasks.phases import Timetable
 from hpac_gym.tasks.task import CONTROL_HZ, RUNNING, SUCCESS, Task
 

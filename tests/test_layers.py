@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # module imports its own room and the rooms before it. An engine's folder belongs to `physics`.
 ROOMS = {
     "errors": set(),
+    "settings": set(),
     "output": set(),
     "progress": {"tqdm"},
     "command": set(),

@@ -18,8 +18,8 @@ from hpac_gym.model.checks import as_bounded_array, as_finite_vector
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.physics.settings import BODIES, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, default_engine
+from hpac_gym.settings import settings_from
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.config import settings_from
 from hpac_gym.tasks.options import Option, check_choice
 from hpac_gym.tasks.task import GoalSetup, Task
 

@@ -19,8 +19,7 @@ from hpac_gym.model import DIGITS, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.model.variation import scaled_digit
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.tasks.config import check_bounds, settings_from
-from hpac_gym.tasks.task import setting
+from hpac_gym.settings import check_bounds, setting, settings_from
 
 Range = tuple[float, float]
 _SAME: Range = (1.0, 1.0)

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from math import inf, pi
 from types import MappingProxyType
 
+from hpac_gym.settings import check_bounds, setting
+
 GRAVITY = 9.81
 """Gravitational acceleration [m/s²]."""
 
@@ -16,23 +18,20 @@ class ServoSettings:
     """Data-sheet parameters of a servo.
 
     Raises:
-        ValueError: A speed that is not positive, or a negative dead band or lag.
+        ParameterError: A speed that is not positive, or a negative dead band or lag.
     """
 
-    speed: float = 8.0
+    speed: float = setting(8.0, bounds=(0.0, inf), above=True, unit="rad/s")
     """No-load speed of the horn [rad/s]; chosen: 0.13 s/60°, a common hobby servo."""
-    dead_band: float = 2e-3
+    dead_band: float = setting(2e-3, bounds=(0.0, inf), unit="rad")
     """Largest error that causes no motion [rad]; chosen: 1.3 µs of pulse, a digital servo."""
-    lag: float = 0.0
+    lag: float = setting(0.0, bounds=(0.0, inf), unit="s")
     """Delay from the ramp to the servo's response: transport, electronics, filtering [s]; rounded
     to physics steps.
     """
 
     def __post_init__(self) -> None:
-        if not (self.speed > 0 and self.dead_band >= 0 and self.lag >= 0):
-            raise ValueError(
-                f"servo speed {self.speed} rad/s must be positive, dead band {self.dead_band} rad and lag {self.lag} s at least 0"
-            )
+        check_bounds(self, "servo")
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,23 +39,20 @@ class Damping:
     """Damping of tendons and joints.
 
     Raises:
-        ValueError: A negative value.
+        ParameterError: A negative value.
     """
 
-    ratio: float = 0.3
+    ratio: float = setting(0.3, bounds=(0.0, inf))
     """Damping ratio of each tendon with the inertia that it moves."""
-    joint: float = 5e-3
+    joint: float = setting(5e-3, bounds=(0.0, inf), unit="N·m·s/rad")
     """Viscous friction of every joint [N·m·s/rad]."""
-    overrun: float = 1.0
+    overrun: float = setting(1.0, bounds=(0.0, inf))
     """Fraction of its damping that a slack drive keeps against flexion faster than its servo's. The
     twin's armature represents servos, which stop at their target: without this a finger would
     overshoot with inertia that is not its own."""
 
     def __post_init__(self) -> None:
-        if not (self.ratio >= 0 and self.joint >= 0 and self.overrun >= 0):
-            raise ValueError(
-                f"damping ratio {self.ratio}, joint damping {self.joint} N m s/rad and overrun {self.overrun} must be at least 0"
-            )
+        check_bounds(self, "damping")
 
 
 TIGHTEST = 1e-4
@@ -70,20 +66,20 @@ class HandSettings:
     """Settings of the simulated hand beyond the model's parameters.
 
     Raises:
-        ValueError: Slack, strength or servo zero has the wrong number of values or leaves its
+        ParameterError: Slack, strength or servo zero has the wrong number of values or leaves its
             bounds.
     """
 
     servo: ServoSettings = ServoSettings()
     damping: Damping = Damping()
-    slack: tuple[float, ...] = (0.0,) * 5
+    slack: tuple[float, ...] = setting((0.0,) * 5, bounds=(-TIGHTEST, inf), size=5, unit="m")
     """Slack that each driving tendon winds up before it pulls, by digit [m]; negative for a tendon
     that pulls at rest.
     """
-    strength: tuple[float, ...] = (1.0,) * 5
+    strength: tuple[float, ...] = setting((1.0,) * 5, bounds=(0.0, 1.0), size=5)
     """Fraction of its stall force that each driving tendon can exert, by digit; 0 is a dead digit.
     """
-    servo_zero: tuple[float, ...] = (0.0,) * 6
+    servo_zero: tuple[float, ...] = setting((0.0,) * 6, bounds=(-pi, pi), size=6, unit="rad")
     """True angle of each servo's horn when its encoder reads 0 [rad]."""
     joint_friction: float = 0.0
     """Coulomb friction of every joint [N·m]."""
@@ -102,17 +98,7 @@ class HandSettings:
     """Coulomb coefficient of the hand's skin, to be multiplied by the object's."""
 
     def __post_init__(self) -> None:
-        bounds = {
-            "slack": (5, -TIGHTEST, inf, "m"),
-            "strength": (5, 0.0, 1.0, "(no unit)"),
-            "servo_zero": (6, -pi, pi, "rad"),
-        }
-        for name, (size, low, high, unit) in bounds.items():
-            given = getattr(self, name)
-            if not (len(given) == size and all(low <= value <= high for value in given)):
-                raise ValueError(
-                    f"{name} = {given} {unit} must be {size} values in [{low:g}, {high:g}] {unit}"
-                )
+        check_bounds(self)
 
 
 BODIES: Mapping[str, HandSettings] = MappingProxyType(
@@ -138,55 +124,39 @@ class WorldSettings:
     """Settings of the integration; `docs/physics.md` has the measurements behind the numbers.
 
     Raises:
-        ValueError: A rate that is not positive, negative iterations or torsion, a wrist without
+        ParameterError: A rate that is not positive, negative iterations or torsion, a wrist without
             force, or an error reduction outside ]0, 1].
     """
 
-    physics_hz: int = 120
+    physics_hz: int = setting(120, bounds=(0, inf), above=True, unit="Hz")
     """Physics steps per second."""
-    gravity: float = GRAVITY
+    gravity: float = setting(GRAVITY, bounds=(-inf, inf), unit="m/s²")
     """Gravitational acceleration along −z [m/s²]."""
     collisions: bool = True
     """False lets the hand pass through itself and everything else."""
-    constraint_softness: float = 1e-6
+    constraint_softness: float = setting(1e-6, bounds=(0.0, inf))
     """Constraint force mixing of PyBullet's direct solver: just enough to make redundant contacts
     solvable.
     """
-    solver_iterations: int = 0
+    solver_iterations: int = setting(0, bounds=(0, inf))
     """Iterations of Bullet's iterative solver; 200 are enough. 0 selects its direct solver, which
     is faster, but holds an object that fingers squeeze out only within half of the friction
     cone."""
-    error_reduction: float = 0.4
+    error_reduction: float = setting(0.4, bounds=(0.0, 1.0), above=True)
     """Fraction of a penetration, or of a joint-limit violation, that a PyBullet step corrects
     (Bullet's ERP).
     """
-    torsion: float | None = None
+    torsion: float | None = setting(None, bounds=(0.0, inf), number=True, unit="m")
     """Torsional friction torque of a contact with the object, per newton of normal force [m]. None
     is the engine's own: 5 mm in MuJoCo (`hpac_gym.physics.mjcf.TORSION`), 0 in PyBullet, whose
     direct solver knows none."""
-    wrist_effort: float | None = None
+    wrist_effort: float | None = setting(None, bounds=(0.0, inf), above=True, number=True, unit="N")
     """Largest force of the wrist along each axis [N]. None is the engine's own:
     `hpac_gym.body.urdf.WRIST_EFFORT` in PyBullet, no limit in MuJoCo, where a limited wrist is
     softer and lags by a quarter of a millimetre under the hand's weight."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.physics_hz < inf:
-            raise ValueError(
-                f"physics_hz = {self.physics_hz} Hz must be finite and greater than 0 Hz"
-            )
-        if not -inf < self.gravity < inf:
-            raise ValueError(f"gravity = {self.gravity} m/s² must be finite")
-        if not (0 <= self.constraint_softness < inf and self.solver_iterations >= 0):
-            numbers = f"constraint_softness = {self.constraint_softness}, solver_iterations = {self.solver_iterations}"
-            raise ValueError(f"{numbers}: both must be finite and at least 0")
-        if not 0 < self.error_reduction <= 1:
-            raise ValueError(f"error_reduction = {self.error_reduction} must be a share in ]0, 1]")
-        if not 0 <= (self.torsion or 0.0) < inf:
-            raise ValueError(f"torsion = {self.torsion} m must be finite and at least 0 m")
-        if not (self.wrist_effort is None or 0 < self.wrist_effort < inf):
-            raise ValueError(
-                f"wrist_effort = {self.wrist_effort} N must be finite and greater than 0 N"
-            )
+        check_bounds(self)
 
     @property
     def dt(self) -> float:

@@ -16,8 +16,8 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
+from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.grasp_data import (
     GRASPS,
     NOMINAL,
@@ -39,7 +39,6 @@ from hpac_gym.tasks.task import (
     effort_term,
     open_hand,
     outcome_term,
-    setting,
 )
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,

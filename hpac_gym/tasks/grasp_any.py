@@ -21,9 +21,9 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.physics.simulation import resting_object
+from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import Timetable, phase_at, wrist_table
@@ -39,7 +39,6 @@ from hpac_gym.tasks.task import (
     effort_term,
     open_hand,
     outcome_term,
-    setting,
 )
 from hpac_gym.tasks.terms import (
     AXES,

@@ -43,8 +43,8 @@ from hpac_gym.physics.engine import (
     SceneState,
     matrix_from_quaternion,
 )
+from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.config import check_bounds
 from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_grasp
 from hpac_gym.tasks.grasp_data import NOMINAL, GraspError, NamedGrasp, grasps_from_toml
 from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, look_at
@@ -59,7 +59,6 @@ from hpac_gym.tasks.task import (
     THUMB_PART,
     effort_term,
     outcome_term,
-    setting,
 )
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,

@@ -17,8 +17,8 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, SERVO_INDEX, Hand, action_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
+from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.config import check_bounds, settings_from
 from hpac_gym.tasks.grasp import PALM_SURFACE
 from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.options import config_option
@@ -33,7 +33,6 @@ from hpac_gym.tasks.task import (
     effort_term,
     open_hand,
     outcome_term,
-    setting,
 )
 from hpac_gym.tasks.terms import (
     AXES,

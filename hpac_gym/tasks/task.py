@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -165,11 +165,6 @@ def open_hand(thumb_cmc: float) -> Array:
     synergy = np.zeros(len(SERVO_INDEX))
     synergy[SERVO_INDEX["thumb_cmc"]] = thumb_cmc
     return synergy
-
-
-def setting(default: Any, meaning: str, **more: Any) -> Any:
-    """A field of a config, with its meaning for the documentation and other metadata."""
-    return field(default=default, metadata={"meaning": meaning, **more})
 
 
 class Weights(Protocol):

@@ -111,12 +111,27 @@ def test_servos_arrive_together_and_on_time():
 @pytest.mark.parametrize(
     ("settings", "name", "value", "message"),
     [
-        (ServoSettings, "speed", 0.0, "servo speed 0.0 rad/s must be positive"),
-        (ServoSettings, "dead_band", -1.0, "dead band -1.0 rad"),
-        (Damping, "joint", -1.0, "joint damping -1.0 N m s/rad"),
-        (HandSettings, "slack", (-1e-3,) * 5, "slack = .* m must be 5 values in"),
-        (HandSettings, "strength", (1.0, 1.0, 1.2, 1.0, 1.0), "strength = .* must be 5 values in"),
-        (HandSettings, "servo_zero", (0.0,) * 5, "servo_zero = .* rad must be 6 values in"),
+        (
+            ServoSettings,
+            "speed",
+            0.0,
+            r"servo speed = 0.0 rad/s must be a number within \]0, inf\[ rad/s",
+        ),
+        (
+            ServoSettings,
+            "dead_band",
+            -1.0,
+            r"servo dead_band = -1.0 rad must be a number within \[0, inf\[ rad",
+        ),
+        (Damping, "joint", -1.0, r"damping joint = -1.0 N·m·s/rad"),
+        (HandSettings, "slack", (-1e-3,) * 5, "slack = .* m must be 5 values within"),
+        (
+            HandSettings,
+            "strength",
+            (1.0, 1.0, 1.2, 1.0, 1.0),
+            "strength = .* must be 5 values within",
+        ),
+        (HandSettings, "servo_zero", (0.0,) * 5, "servo_zero = .* rad must be 6 values within"),
         (WorldSettings, "physics_hz", 0, "physics_hz = 0 Hz"),
         (WorldSettings, "torsion", -1.0, "torsion = -1.0 m"),
         (WorldSettings, "wrist_effort", 0.0, "wrist_effort = 0.0 N"),

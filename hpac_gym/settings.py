@@ -1,0 +1,168 @@
+"""Frozen settings: checks of their bounds on construction, and settings from JSON-compatible
+mappings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache
+from numbers import Real
+from typing import Any, TypeVar
+
+from hpac_gym.errors import ParameterError
+
+Settings = TypeVar("Settings")
+
+
+_PLAIN = (float, int)
+
+
+def _are_numbers(given: object, count: int) -> bool:
+    values = given if isinstance(given, list | tuple) else ()
+    return len(values) == count and all(
+        type(value) in _PLAIN or (isinstance(value, Real) and not isinstance(value, bool))
+        for value in values
+    )
+
+
+def setting(default: Any, meaning: str = "", **more: Any) -> Any:
+    """A field of frozen settings.
+
+    Args:
+        default: its default: a number, a range, several values, or None.
+        meaning: its meaning for the documentation.
+        more: for `check_bounds`: `bounds`, lowest and highest value; `above` is True if the lowest
+            one is refused; `unit`; `size`, number of values; `number` is True for a number whose
+            default is None. Anything else is up to the caller.
+    """
+    return field(default=default, metadata={"meaning": meaning, **more})
+
+
+def check_bounds(settings: Any, name: str = "") -> None:
+    """Refuse numbers and ranges that leave the `bounds` of their field, and convert ranges to
+    tuples.
+
+    Args:
+        settings: a frozen dataclass whose fields are made by `setting`.
+        name: name of the settings in error messages.
+
+    Raises:
+        ParameterError: A field is not a number, an ordered pair of numbers or as many as it has to
+            be, or leaves its bounds; None is accepted where it is the default.
+    """
+    for row in _bounded(type(settings)):
+        given = getattr(settings, row.name)
+        if given is None and row.default is None:
+            continue
+        values = given if row.count > 1 else (given,)
+        if not _are_numbers(values, row.count) or not row.admits(values):
+            raise ParameterError(f"{name} {row.name} = {given!r} {row.told}".lstrip())
+        if row.count > 1 and not isinstance(given, tuple):
+            object.__setattr__(settings, row.name, tuple(given))
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounded:
+    """A field with bounds."""
+
+    name: str
+    default: Any
+    low: float
+    high: float
+    above: bool
+    count: int
+    """Number of values."""
+    ordered: bool
+    told: str
+    """What is allowed, in words."""
+
+    def admits(self, values: Sequence[float]) -> bool:
+        lowest = values[0] if self.count == 1 else min(values)
+        highest = values[0] if self.count == 1 else max(values)
+        return (
+            (self.low < lowest if self.above else self.low <= lowest)
+            and -math.inf < lowest
+            and highest <= self.high
+            and highest < math.inf
+            and not (self.ordered and values[0] > values[1])
+        )
+
+
+@cache
+def _bounded(kind: type) -> tuple[_Bounded, ...]:
+    rows = []
+    for entry in fields(kind):
+        told = entry.metadata
+        if "bounds" not in told:
+            continue
+        low, high = told["bounds"]
+        alone = told.get("number", isinstance(entry.default, int | float))
+        count = told.get("size", 1 if alone else 2)
+        ordered = not alone and "size" not in told
+        what = (
+            "a number" if alone else "a range (lowest, highest)" if ordered else f"{count} values"
+        )
+        unit = f" {told['unit']}" if "unit" in told else ""
+        begin = "]" if told.get("above") or low == -math.inf else "["
+        end = "[" if high == math.inf else "]"
+        words = f"{unit.strip()} must be {what} within {begin}{low:g}, {high:g}{end}{unit}".strip()
+        rows.append(
+            _Bounded(
+                entry.name, entry.default, low, high, bool(told.get("above")), count, ordered, words
+            )
+        )
+    return tuple(rows)
+
+
+def settings_from(default: Settings, given: Any, name: str) -> Settings:
+    """Settings from an instance, or from a mapping of some of their fields; the other fields keep
+    their defaults.
+
+    Args:
+        default: default settings, a frozen dataclass; the result for None.
+        given: settings of the same class; a mapping, nested where fields are settings themselves;
+            or None.
+        name: name of the settings in error messages.
+
+    Raises:
+        ParameterError: Wrong type, unknown field or refused value; the message names the field.
+    """
+    kind = type(default)
+    if given is None or isinstance(given, kind):
+        return default if given is None else given
+    if not isinstance(given, Mapping):
+        raise ParameterError(
+            f"{name} {given!r} is neither a {kind.__name__} nor a mapping of its fields"
+        )
+    values = dict(given)
+    known = {quantity.name: quantity for quantity in fields(kind)}
+    for key, value in given.items():
+        if key not in known:
+            raise ParameterError(f"{name} has no field {key!r}; it has {', '.join(known)}")
+        if (
+            "bounds" not in known[key].metadata
+        ):  # fields with bounds are checked by the settings themselves
+            values[key] = _value(getattr(default, key), value, f"{name} {key}")
+    try:
+        return replace(default, **values)
+    except ParameterError:
+        raise
+    except ValueError as error:
+        raise ParameterError(f"{name}: {error}") from None
+
+
+def _value(default: Any, given: Any, name: str) -> Any:
+    """Convert a value to the type of its default: settings, a number, or a tuple of as many
+    numbers.
+    """
+    if is_dataclass(default):
+        return settings_from(default, given, name)
+    if isinstance(default, float):
+        if not _are_numbers([given], 1) or not math.isfinite(given):
+            raise ParameterError(f"{name} = {given!r} must be a finite number")
+        return float(given)
+    if not _are_numbers(given, len(default)):
+        raise ParameterError(f"{name} = {given!r} must be {len(default)} numbers")
+    return tuple(map(float, given))
