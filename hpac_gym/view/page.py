@@ -134,7 +134,7 @@ class HandPage:
         centre = HAND_POSITION + self._hand_turn.apply([0.03, 0.0, 0.1])
         aside = centre + np.array([-0.04, 0.0, -0.03])  # the panel covers the right
         self._server.initial_camera.look_at = tuple(aside)
-        self._server.initial_camera.position = tuple(aside + np.array([0.06, 0.27, 0.13]))
+        self._server.initial_camera.position = tuple(aside + np.array([0.10, 0.26, 0.08]))
         self._server.initial_camera.up = (0.0, 0.0, 1.0)
         self._hands = {name: _Links(self._server, self._setup, name) for name in ("", *GHOSTS)}
         self._object = None
@@ -175,8 +175,11 @@ class HandPage:
                 gui.add_slider(name, low, high, 0.01, max(low, 0.0))
                 for name, low, high in zip(SERVOS, *_ROUND_RANGE, strict=True)
             ]
+            most = min(slider.max for slider in self.sliders[:-1])
+            self._all = gui.add_slider("all five", 0.0, most, 0.01, 0.0)
+            self._all.on_update(lambda _: self._flex(self._all.value))
             self._open = gui.add_button("Open the hand")
-            self._open.on_click(lambda _: self._open_hand())
+            self._open.on_click(lambda _: self._flex(0.0))
         self.lift = gui.add_slider("lift [m]", 0.0, 0.12, 0.005, 0.0, visible=False)
         again = gui.add_button("Put the object back", visible=self._object is not None)
         again.on_click(lambda _: self._ask_back())
@@ -185,9 +188,10 @@ class HandPage:
                 box = gui.add_checkbox(label, False)
                 box.on_update(lambda event, name=name: self._hands[name].show(event.target.value))
 
-    def _open_hand(self) -> None:
-        for slider in self.sliders:
-            slider.value = max(slider.min, 0.0)
+    def _flex(self, angle: float) -> None:
+        """Set the sliders of the five digits, less the one that turns the thumb."""
+        for slider in self.sliders[:-1]:
+            slider.value = angle
 
     def _ask_back(self) -> None:
         self._back = True
@@ -204,7 +208,7 @@ class HandPage:
 
     def free(self, free: bool) -> None:
         """Let the sliders drive the hand, or only follow it."""
-        for control in (*self.sliders, self._open):
+        for control in (*self.sliders, self._all, self._open):
             if control.disabled == free:
                 control.disabled = not free
 

@@ -42,6 +42,10 @@ POLICIES = {GRASP: "grasp", GRASP_ANY: "grasp-any", PICK_PLACE: "pick-place"}
 """Environments whose scenes there are, and the shipped policy of each."""
 CAN = "cylinder:0.02,0.05"
 """The object where nothing else is asked for."""
+IN_REACH = (0.0285, 0.0, 0.12)
+"""Place of the palm's side of the object in the hand's frame, without a seed [m]; chosen: the thumb
+does not touch a can there on its way, and the policy, and five digits that close together, hold it.
+"""
 ABOUT = "A virtual hand: the real firmware, whose pulses drive a simulated body."
 FRICTION = (0.0, 5e-3)
 SKIN = (0.8, 1.2)
@@ -159,6 +163,9 @@ def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
             contact_friction=setup.hand_settings.contact_friction * rng.uniform(*SKIN),
         )
         setup = replace(setup, hand=variant.hand, geometry=variant.geometry, hand_settings=settings)
+    elif env_id == GRASP and setup.object.model is None:
+        x, y, z = IN_REACH
+        setup = replace(setup, position=np.array([x + setup.object.half_extents[0], y, z]))
     rest = np.clip(0.0, setup.hand.servo_min, setup.hand.servo_max)
     return replace(setup, synergy=synergy_from_servo(rest, setup.hand))
 

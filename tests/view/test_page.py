@@ -108,12 +108,14 @@ def tension(page, digit):
 @pytest.mark.browser
 def test_a_slider_moves_the_hand_and_the_button_opens_it():
     with opened("play", "--no-browser") as (_, page, _):
-        assert page.locator("[role=slider]:visible").count() == 7
+        assert page.locator("[role=slider]:visible").count() == 8
         assert joint(page, "index") < 0.05
         page.locator("[role=slider]").nth(1).press("End")
         wait_for(lambda: joint(page, "index") > 0.5, 60)
         wait_for(lambda: tension(page, "index") > 1.0, 60)
         assert joint(page, "ring") < 0.1
+        page.locator("[role=slider]").nth(6).press("End")  # all five
+        wait_for(lambda: joint(page, "pinky") > 0.1, 60)
         page.get_by_role("button", name="Open the hand").click()
         wait_for(lambda: joint(page, "index") < 0.05, 60)
         assert page.get_by_text("ESTOP").count() == 0  # nothing to stop

@@ -15,17 +15,17 @@ import pytest
 
 import hpac
 from hpac_gym.bridge import HandLink, VirtualHand, pulses_from_servo
+from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import ServoCommand
 from hpac_gym.policies.loading import load_policy
-from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
 from hpac_gym.virtual.body import Path as WristPath
-from hpac_gym.virtual.commands import scene
+from hpac_gym.virtual.commands import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
 from tests.processes import wait_for
 
@@ -132,7 +132,7 @@ def test_wrong_words_are_one_line(words, says, capsys):
 # --- in lock-step
 
 
-def through(env, faults, seeds=SEEDS, by_table=True, policy="grasp"):
+def through(env, faults, seeds=SEEDS, by_table=True, policy=None):
     """Episodes that succeeded, and the counts of their streams."""
     held = 0
     counts = []
@@ -145,7 +145,7 @@ def through(env, faults, seeds=SEEDS, by_table=True, policy="grasp"):
             wire.there.faults = wire.back.faults = faults if figures["step"] < last else Faults()
 
         with HandLink(lambda wire=wire: wire) as link:
-            chosen = load_policy(policy, observer)
+            chosen = load_policy("grasp", observer) if policy is None else policy
             counts.append(
                 run_episode(
                     link,
@@ -180,23 +180,69 @@ def test_a_grasp_survives_a_bad_wire(env, faults, at_least):
     assert bool(sum(count.lost for count in counts)) == bool(spoiled)
 
 
+class Open:
+    """A policy that does not close."""
+
+    def reset(self, seed):
+        pass
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        return np.array([-1.0, -1, -1, -1, -1, 0.5]), None
+
+
 def test_a_hand_that_does_not_close_holds_nothing(env):
     """The control of the test above."""
-    held, _ = through(env, Faults(), policy="tests.virtual.test_virtual:never_closing")
+    held, _ = through(env, Faults(), policy=Open())
     assert held == 0
-
-
-def never_closing(env):
-    class Open(EpisodePolicy):
-        def _act(self, observation, memory):
-            return np.array([-1.0, -1, -1, -1, -1, 0.5]), memory
-
-    return Open()
 
 
 def test_an_arm_that_is_told_carries_as_one_with_a_table(env):
     held, _ = through(env, Faults(), by_table=False)
     assert held >= 5
+
+
+def test_five_digits_that_close_together_hold_and_lift_the_can_of_the_default_scene():
+    held = []
+    with make_env(GRASP, engine="mujoco", body="light", object=object_of(CAN)) as made:
+        body = Body(made.unwrapped, 0, scene(made.unwrapped, GRASP, None))
+        servo = np.array([0.0, 0, 0, 0, 0, 1.2])
+        for step in range(290):
+            servo[:-1] = 1.1 * np.clip(step / 60 - 0.8, 0, 1.5) / 1.5
+            height = 0.08 * np.clip(step / 60 - 3, 0, 1)
+            if step % 3 == 0:
+                body.tell({"time": step / 60, "offset": [0.0, 0.0, height]})
+            body.follow(round(step * 1e6 / 60), pulses_from_servo(servo))
+            held.append(not body.state().supported[0])
+        assert np.linalg.norm(body.state().object_pos[0]) < 0.15
+    assert all(held[-20:])
+    assert not any(held[5:40])
+
+
+class Whole(LockStep):
+    """As in real time: the physics runs before the arm is ready, too."""
+
+    def ready(self, wait, told):
+        self.body.begin(self.hand.now_us)
+
+    def _on_pulses(self, now_us, pulses):
+        self.body.follow(now_us, pulses)
+        self.hand.quiet_until_us = now_us + LATCH_US
+
+
+def test_the_policy_holds_the_can_of_the_default_scene():
+    can = object_of(CAN)
+    held = 0
+    with make_env(GRASP, engine="mujoco", body="light", object=can) as made:
+        setup = scene(made.unwrapped, GRASP, None)
+        for seed in range(3):
+            world = Whole(made.unwrapped, seed, setup, by_table=False)
+            world.hand.quiet_until_us = 0
+            observer = Observer(GRASP, can)
+            policy = load_policy("grasp", observer)
+            with HandLink(world.hand.connect) as link:
+                run_episode(link, observer, policy, world, world, Log(None), seconds=0.3, hold=0.5)
+            held += world.body.outcome == SUCCESS
+    assert held == 3
 
 
 def test_the_arm_follows_smoothly_what_it_is_told():
