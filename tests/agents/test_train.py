@@ -447,11 +447,11 @@ def test_the_brier_score_is_that_of_the_predictions_for_new_trials(learner):
 
 
 def test_a_task_of_ones_own_is_trained_with_its_options(tmp_path, monkeypatch):
-    """A reward weight, an object and a hand of one's own reach the worlds and the policy file."""
+    """What was set reaches the task of the worlds, the policy file and a resumed run."""
     (tmp_path / "my_task.py").write_text(
         "import hpac_gym\nfrom hpac_gym.tasks.grasp import Grasp, GraspConfig\n"
         "def made(gap=0.01):\n    return Grasp(GraspConfig(gap=(gap, gap)))\n"
-        "hpac_gym.register('Mine-v0', made, 65)\n"
+        "hpac_gym.register('Own-Gap-v0', made, 65)\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     out = tmp_path / "run"
@@ -461,11 +461,21 @@ def test_a_task_of_ones_own_is_trained_with_its_options(tmp_path, monkeypatch):
         tasks.append(training_task(recipe))
         return tasks[-1]
 
-    words = ["--env", "my_task:Mine-v0", "--set", "gap=0.02", "--out", out, *SMALL, "--episodes", 8]
+    words = [
+        "--env",
+        "my_task:Own-Gap-v0",
+        "--set",
+        "gap=0.02",
+        "--out",
+        out,
+        *SMALL,
+        "--episodes",
+        8,
+    ]
     train_here(monkeypatch, "grasp", *words, make=kept)
     assert tasks[0].config.gap == (0.02, 0.02)
     about = read_policy(out / "policy.hpac").about
-    assert about["env_id"] == "my_task:Mine-v0"
+    assert about["env_id"] == "my_task:Own-Gap-v0"
     assert about["settings"]["options"] == {"gap": 0.02}
     train_here(monkeypatch, "--resume", "--out", out, "--episodes", 10)
 
