@@ -127,8 +127,11 @@ class Pinhole:
             window[:] = (1 - mask) * window + (25 + 0.8 * card) * mask
         # An uneven light: from 60 to 100 % across the picture, in a direction of its own.
         turn = rng.uniform(0, 2 * np.pi)
-        x, y = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
-        light = 0.8 + 0.2 * (np.cos(turn) * x + np.sin(turn) * y) / np.sqrt(2)
-        picture = cv2.GaussianBlur(picture * light.astype(np.float32), (0, 0), blur)
-        picture += rng.normal(0.0, noise, picture.shape).astype(np.float32)
+        x = np.linspace(-1, 1, width, dtype=np.float32)
+        y = np.linspace(-1, 1, height, dtype=np.float32)[:, None]
+        picture *= np.float32(0.8) + np.float32(0.2 / np.sqrt(2)) * (
+            np.float32(np.cos(turn)) * x + np.float32(np.sin(turn)) * y
+        )
+        picture = cv2.GaussianBlur(picture, (0, 0), blur)
+        picture += np.float32(noise) * rng.standard_normal(picture.shape, dtype=np.float32)
         return np.clip(np.rint(picture), 0, 255).astype(np.uint8)

@@ -107,7 +107,7 @@ def quantiles(errors: Array) -> dict[str, float]:
 
 # The sweep of a hand ----------------------------------------------------------------
 
-PROTOCOL = Protocol(points=21, seconds_per_point=1.0, both_directions=True)
+PROTOCOL = Protocol(points=13, seconds_per_point=1.0, both_directions=True)
 RATE_HZ = 10.0
 """A shorter sweep than of a real hand, with fewer pictures (chosen)."""
 LATCH_US = 20_000
@@ -287,7 +287,7 @@ def watched_sweep(
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The command's options."""
     parser.add_argument("--pictures", type=whole_number(0), default=500)
-    parser.add_argument("--hands", type=whole_number(0), default=3)
+    parser.add_argument("--hands", type=whole_number(0), default=2)
     parser.add_argument("--seed", type=whole_number(0), default=0)
     parser.add_argument("--out", type=Path, default=OUT)
     parser.set_defaults(run=run)

@@ -45,6 +45,7 @@ from hpac_gym.model import (
     move_duration,
 )
 from hpac_gym.model.checks import Array
+from hpac_gym.output import writable_file
 
 PROTOCOL = Protocol(both_directions=True)
 RATE_HZ = 20.0
@@ -357,7 +358,9 @@ def record(
         CameraError, BridgeError, RecordError, OutputError: See there.
     """
     segments: list[Segment] = []
-    added(path, segments) if path.exists() else None
+    writable_file(path)
+    if path.exists():
+        read_sweep(path)
     with ExitStack() as stack:
         look: Look = dict
         lens = Lens()
@@ -384,7 +387,10 @@ def record(
                 segments.append(Segment(servo, trial))
                 driver.sweep(segments[-1])
                 if isinstance(look, Eye):
-                    misfit = segments[-1].angles_from_tags(lens)
+                    try:
+                        misfit = segments[-1].angles_from_tags(lens)
+                    except CameraError as error:
+                        raise CameraError(f"sweep of {servo}: {error}") from None
                     print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)
         finally:
             _keep(path, segments)

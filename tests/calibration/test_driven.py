@@ -421,6 +421,16 @@ def test_an_interrupted_command_keeps_its_record(wired, tmp_path, monkeypatch, c
     assert not wired.hand.pulses().any()
 
 
+def test_a_wrong_strip_leaves_the_record_without_its_angles_and_says_so(wired, tmp_path, capsys):
+    wired.body.exchanged = {0: 3, 3: 0}
+    lens = tmp_path / "camera.json"
+    lens.write_text(STRIP_LENS.to_json())
+    assert hpac.main([*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path)]) == 2
+    assert "error: sweep of index_mcp: tag 11 (palm) must stand still" in capsys.readouterr().err
+    assert np.isnan(read_sweep(tmp_path / "sweep.csv").joint_pos).all()
+    assert not wired.hand.pulses().any()
+
+
 def test_a_sweep_without_eyes_is_refused_before_anything_moves(tmp_path, capsys):
     assert hpac.main([*WORDS, "--out", str(tmp_path)]) == 2
     assert "--port needs what measures the joints: --camera or --angles" in capsys.readouterr().err

@@ -57,7 +57,9 @@ class PyBulletEngine(Engine):
             )
         self.num_worlds = num_worlds
         self.dt = settings.dt
-        self.scenes = [Scene(settings, visuals) for _ in range(num_worlds)]
+        # Beside an object and above one: for many worlds this would take too much memory.
+        stages = 2 if num_worlds == 1 else 1
+        self.scenes = [Scene(settings, visuals, stages) for _ in range(num_worlds)]
         self._setups: list[SceneSetup | None] = [None] * num_worlds
         self._time = [0.0] * num_worlds
         # Tables of each world's episode so far.

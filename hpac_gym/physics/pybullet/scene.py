@@ -25,8 +25,6 @@ from hpac_gym.physics.settings import WorldSettings
 
 _EPISODES = 200
 """Number of episodes after which the hand is loaded again."""
-_STAGES = 2
-"""Number of loaded hands that a scene keeps: beside an object, and above one."""
 LINK = 3
 POINT = 6
 NORMAL = 7
@@ -104,7 +102,12 @@ def start_of(setup: SceneSetup) -> tuple:
 
 class Scene:
     """One world of the engine, reset for every episode; a hand that starts otherwise, as in another
-    orientation, is on a `Stage` of its own.
+    orientation, may have a `Stage` of its own.
+
+    Args:
+        settings: settings of the world.
+        visuals: load visual shapes.
+        stages: number of loaded hands that are kept, each in a PyBullet world of 34 MB.
 
     Attributes:
         world: the PyBullet world of the current episode.
@@ -114,7 +117,8 @@ class Scene:
         target_post: the body at the setup's target; None without one.
     """
 
-    def __init__(self, settings: WorldSettings, visuals: bool) -> None:
+    def __init__(self, settings: WorldSettings, visuals: bool, stages: int = 1) -> None:
+        self._room = stages
         self._settings = settings
         self._visuals = visuals
         self._stages = [Stage(settings, visuals)]
@@ -156,7 +160,7 @@ class Scene:
         start = start_of(setup)
         stages = self._stages
         same = [stage for stage in stages if stage.start in (start, None)]
-        if not same and len(stages) < _STAGES:
+        if not same and len(stages) < self._room:
             same = [Stage(self._settings, self._visuals)]
         stage = same[0] if same else stages[0]
         self._stages = [*(other for other in stages if other is not stage), stage]
