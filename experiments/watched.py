@@ -37,7 +37,7 @@ from hpac_gym.camera.sheet import CHAINS, STRIPS
 from hpac_gym.command import run_module, whole_number
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.output import markdown, write_text
+from hpac_gym.output import write_text
 from hpac_gym.physics.stand import HandOnStand
 from hpac_gym.progress import progress
 
@@ -319,45 +319,7 @@ def run(arguments: argparse.Namespace) -> int:
         "hands": hands,
     }
     write_text(arguments.out, json.dumps(text, indent=1) + "\n")
-    head = (
-        "lens",
-        "missed",
-        "position: median [mm]",
-        "p95",
-        "max",
-        "rotation: median [°]",
-        "p95",
-        "max",
-    )
-    rows = [
-        (
-            cell["lens"],
-            f"{cell['missed']} of {cell['pictures']}",
-            *(f"{v:.2f}" for v in (*cell["position_mm"].values(), *cell["rotation_deg"].values())),
-        )
-        for cell in objects
-    ]
-    print(markdown(head, rows))
-    head = (
-        "hand",
-        "pictures",
-        "angle: median [°]",
-        "p95",
-        "max",
-        "file of the exact record [°]",
-        "of the pictures",
-    )
-    rows = [
-        (
-            number,
-            cell["pictures"],
-            *(f"{value:.3f}" for value in cell["angle_deg"].values()),
-            f"{cell['exact_file_deg']:.4f}",
-            f"{cell['file_deg']:.4f}",
-        )
-        for number, cell in enumerate(hands)
-    ]
-    print(markdown(head, rows))
+    print(arguments.out)
     return 0
 
 

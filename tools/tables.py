@@ -340,6 +340,49 @@ def deployed_table() -> str:
     return markdown(head, rows)
 
 
+def seen_objects_table() -> str:
+    """Errors of an object's pose, of `experiments.watched`."""
+    rows = []
+    for cell in _watched()["objects"]:
+        errors = (cell["position_mm"], cell["rotation_deg"])
+        missed = f"{cell['missed']} of {cell['pictures']}"
+        rows.append((cell["lens"], missed, *(_quantiles(error) for error in errors)))
+    head = ("camera", "missed", "position: p50, p95, max [mm]", "rotation: p50, p95, max [°]")
+    return markdown(head, rows)
+
+
+def seen_hands_table() -> str:
+    """Errors of the angles of swept hands, of `experiments.watched`."""
+    rows = [
+        (
+            number,
+            f"{cell['pictures']:,}",
+            _quantiles(cell["angle_deg"]),
+            f"{cell['exact_file_deg']:.3f}",
+            f"{cell['file_deg']:.3f}",
+        )
+        for number, cell in enumerate(_watched()["hands"])
+    ]
+    head = (
+        "hand",
+        "pictures",
+        "angle: p50, p95, max [°]",
+        "file of the true angles [°]",
+        "of the pictures [°]",
+    )
+    return markdown(head, rows)
+
+
+def _watched() -> dict[str, Any]:
+    file = DOCS / "results" / "experiments" / "watched.json"
+    read: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return read
+
+
+def _quantiles(error: dict[str, float]) -> str:
+    return ", ".join(f"{value:.2f}" for value in error.values())
+
+
 Makers = dict[str, Callable[[], str]]
 
 
@@ -378,6 +421,7 @@ PAGES: dict[str, Makers] = {
     "environments/pick_place.md": task_tables(PICK_PLACE),
     "environments/posture.md": task_tables(POSTURE),
     "benchmark.md": {"results": results_table},
+    "camera.md": {"objects": seen_objects_table, "hands": seen_hands_table},
     "deploy.md": {"deployed": deployed_table},
     "grasps.md": {
         "objects": object_table,

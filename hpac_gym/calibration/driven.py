@@ -114,7 +114,8 @@ class Segment:
         Raises:
             CameraError: As of `turns`.
         """
-        at_rest = np.array([phase == REST for phase, _ in self.labels], dtype=bool)
+        # Only before the sweep is the digit surely at its stops: friction may hold it back afterwards.
+        at_rest = np.logical_and.accumulate([phase == REST for phase, _ in self.labels])
         found = turns(self.seen, STRIPS[self.servo], lens, at_rest)
         self.joint_pos = np.full((len(self.time), len(JOINTS)), np.nan)
         self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = found.joint_pos
