@@ -255,11 +255,11 @@ def test_the_glossary_has_the_ten_words():
     ]
 
 
-def test_the_table_of_contents_has_every_page():
+def test_the_table_of_contents_has_every_page_once():
     trees = "\n".join(blocks(DOCS / "index.md", r"\{toctree\}"))
-    listed = {line for line in trees.splitlines() if line and not line.startswith(":")}
+    listed = [line for line in trees.splitlines() if line and not line.startswith(":")]
     pages = {name_of(page)[len("docs/") : -len(".md")] for page in PAGES if page.parent != ROOT}
-    assert listed == (pages - {"index"}) | {"measured"}
+    assert sorted(listed) == sorted((pages - {"index"}) | {"measured"})
 
 
 @pytest.mark.slow
