@@ -71,10 +71,16 @@ static void tick(run_t *run, uint32_t elapsed_us)
     figures.armed_ticks += run->oracle.state == 2u;
 }
 
-/* Bytes come at any time, not just after a tick. */
+/* Bytes come at any time, not just after a tick; but while servos start, whose moments the oracle knows to some microseconds
+ * only, the pins are looked at first. */
 static void feed(run_t *run, const uint8_t *bytes, size_t length)
 {
-    run->now_us += any(2) * any(1500);
+    uint32_t elapsed_us = any(2) * any(1500);
+    if (run->oracle.starting) {
+        tick(run, elapsed_us);
+    } else {
+        run->now_us += elapsed_us;
+    }
     hpac_hand_receive(&run->hand, &run->config, run->now_us, bytes, length);
     judge(run, bytes, length, NULL);
 }

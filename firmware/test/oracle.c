@@ -337,7 +337,7 @@ static void enter_fault(oracle_t *o, uint8_t fault, uint8_t servo)
     o->fault = fault;
     o->faults++;
     o->starting = false;
-    if (o->attached == 0u || action == DETACH) {
+    if ((o->attached == 0u && o->due == 0u) || action == DETACH) {
         detach(o);
     } else if (action == HOLD) {
         o->holding = true;
@@ -523,9 +523,6 @@ static void advance(oracle_t *o, uint64_t now_us)
     bool may_end = left < DOUBT_US && left > -DOUBT_US - step - o->ramp.late_us;
     o->in_doubt = ((o->starting || o->relaxing) && o->ramp.duration_us > 0 && may_end) || (o->starting && (may_start || o->due != 0u))
                   || (o->in_doubt && step < DOUBT_US);
-    if (o->due != 0u) {
-        watch_start(o);
-    }
     if (o->estop_pressed && o->fault != BY_ESTOP) {
         enter_fault(o, BY_ESTOP, NOBODY);
     }
@@ -536,6 +533,9 @@ static void advance(oracle_t *o, uint64_t now_us)
     o->supply_low_us = o->supply_mv != 0u && o->supply_mv < SUPPLY_MIN_MV ? o->supply_low_us + step : 0;
     if (o->state == ARMED && o->supply_low_us >= SUPPLY_LOW_US) {
         enter_fault(o, BY_SUPPLY, NOBODY);
+    }
+    if (o->due != 0u && (late > 0 || o->pulses != NULL)) { /* in the call of a fault, and without time, no servo starts */
+        watch_start(o);
     }
     start_servos(o);
     o->in_doubt = o->in_doubt || (o->relaxing && o->ramp.duration_us < DOUBT_US); /* in the hand there may be no way left */
