@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import NoReturn
 
 sys.modules.setdefault("hpac", sys.modules[__name__])  # read by hpac_gym, also for python -m hpac
@@ -168,7 +168,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Modules of the current folder, such as the one that registers `--env mymodule:My-v0`. Last, so
     # that a file there hides no library.
     sys.path.append(os.getcwd())
-    return run(lambda: _main(sys.argv[1:] if argv is None else argv))
+    words = sys.argv[1:] if argv is None else argv
+
+    def command() -> int:
+        arguments = parser_of(words).parse_args(words)
+        return arguments.run(arguments)
+
+    return run(command)
 
 
 def parser_of(argv: Sequence[str]) -> Parser:
@@ -185,7 +191,12 @@ def parser_of(argv: Sequence[str]) -> Parser:
         epilog="\n".join(lines)[1:] + "\n\n'hpac COMMAND --help' tells more.",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action=_Version)
+    parser.add_argument(
+        "--version",
+        action="version",
+        version=f"hpac_gym {__version__}",
+        help="show the version and exit",
+    )
     parser.add_argument("--completion", action=_Completion)
     subparsers = parser.add_subparsers(
         prog="hpac", metavar="COMMAND", required=True, help=argparse.SUPPRESS
@@ -193,16 +204,9 @@ def parser_of(argv: Sequence[str]) -> Parser:
     parsers = {row.name: subparsers.add_parser(row.name, description=row.help) for row in COMMANDS}
     name = next((word for word in argv if not word.startswith("-")), None)
     row = next((row for row in COMMANDS if row.name == name), None)
-    sys.path.append("")  # the folder of the user, for module:My-v0 and module:function
     if row is not None:
-        module, _, function = row.target.partition(":")
-        getattr(import_module(module), function)(parsers[row.name])
+        resolve_name(row.target)(parsers[row.name])
     return parser
-
-
-def _main(argv: Sequence[str]) -> int:
-    arguments = parser_of(argv).parse_args(argv)
-    return arguments.run(arguments)
 
 
 def completion() -> str:
@@ -210,8 +214,7 @@ def completion() -> str:
     cases = []
     for row in COMMANDS:
         parser = argparse.ArgumentParser()
-        module, _, function = row.target.partition(":")
-        getattr(import_module(module), function)(parser)
+        resolve_name(row.target)(parser)
         options = [name for action in parser._actions for name in action.option_strings]
         cases.append(f"    {row.name}) words='{' '.join(options)}' ;;")
     names = " ".join(row.name for row in COMMANDS)
@@ -235,17 +238,6 @@ class _Completion(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         print(completion())
-        parser.exit()
-
-
-class _Version(argparse.Action):
-    """Reads the version only when it is requested."""
-
-    def __init__(self, option_strings: Sequence[str], dest: str) -> None:
-        super().__init__(option_strings, dest, nargs=0, help="show the version and exit")
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        print(f"hpac_gym {__version__}")
         parser.exit()
 
 

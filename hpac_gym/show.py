@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import argparse
 import webbrowser
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -58,12 +59,11 @@ def run(options: argparse.Namespace) -> int:
             make_env(env_id, render_mode="rgb_array", **env_options(options, env_id))
         )
         actor = load_policy(policy, env, options.normalize)
-        screen = stack.enter_context(_Film(options.record) if options.record else _Screen())
-        if not options.record and not options.no_browser:
-            webbrowser.open(screen.address)
+        screen = _film(options.record) if options.record else _page(not options.no_browser)
+        show = stack.enter_context(screen)
         done = held = 0
         while done != count:
-            held += _episode(env, actor, options.seed + done, screen)
+            held += _episode(env, actor, options.seed + done, show)
             done += 1
             print(f"{policy} on {env_id}: {held} of {done} succeeded", flush=True)
     if options.record:
@@ -71,54 +71,31 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _episode(env: Any, actor: Any, seed: int, screen: Any) -> bool:
-    held = False
+def _episode(env: Any, actor: Any, seed: int, show: Callable[[np.ndarray], None]) -> bool:
     for step in run_episodes(single(env), [actor], [seed]):
-        screen.show(env.render())
+        show(env.render())
         held = step.success
     for _ in range(PAUSE):
-        screen.show(env.render())
+        show(env.render())
     return held
 
 
-class _Screen:
-    """The page in the browser, in real time."""
-
-    def __enter__(self) -> _Screen:
-        self._page = Page()
-        self.address = self._page.address
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._page.close()
-
-    def show(self, picture: np.ndarray) -> None:
-        """Show a picture."""
-        self._page.show(picture)
+@contextmanager
+def _page(browse: bool) -> Iterator[Callable[[np.ndarray], None]]:
+    """Shows pictures on the page in the browser, in real time."""
+    with closing(Page()) as page:
+        if browse:
+            webbrowser.open(page.address)
+        yield page.show
 
 
-class _Film:
-    """A film in a file."""
+@contextmanager
+def _film(path: Path) -> Iterator[Callable[[np.ndarray], None]]:
+    """Writes pictures into a film."""
+    if path.suffix not in FILMS:
+        raise OutputError(f"--record '{path}' must end in {' or '.join(FILMS)}")
+    import imageio.v2 as imageio  # an extra
 
-    def __init__(self, path: Path) -> None:
-        if path.suffix not in FILMS:
-            raise OutputError(f"--record '{path}' must end in {' or '.join(FILMS)}")
-        self._path = path
-        self._stack = ExitStack()
-
-    def __enter__(self) -> _Film:
-        import imageio.v2 as imageio  # an extra
-
-        temporary = self._stack.enter_context(replacing(self._path))
-        suffix = self._path.suffix
-        self._writer = self._stack.enter_context(
-            imageio.get_writer(temporary, format=suffix, **FILMS[suffix])
-        )
-        return self
-
-    def __exit__(self, *error: Any) -> None:
-        self._stack.__exit__(*error)
-
-    def show(self, picture: np.ndarray) -> None:
-        """Add a picture."""
-        self._writer.append_data(picture)
+    how = {"format": path.suffix, **FILMS[path.suffix]}
+    with replacing(path) as temporary, imageio.get_writer(temporary, **how) as film:
+        yield film.append_data

@@ -423,25 +423,21 @@ def check(paths: Sequence[Path], as_json: bool = False) -> int:
     exit status, 1 if there are faults.
     """
     files = [read(path) for path in paths]
-    bad = False
+    found = [list(faults(results)) for results in files]
+    rows = list(zip(map(str, paths), found, files, strict=True))
     if as_json:
         told = [
-            {"path": str(path), "faults": list(faults(results)), "summary": results.get("summary")}
-            for path, results in zip(paths, files, strict=True)
+            {"path": path, "faults": bad, "summary": results.get("summary")}
+            for path, bad, results in rows
         ]
         print(json.dumps({"files": told}))
-        return int(any(file["faults"] for file in told))
-    for path, results in zip(paths, files, strict=True):
-        found = list(faults(results))
-        bad |= bool(found)
-        print(
-            "\n".join(f"{path}: {fault}" for fault in found)
-            if found
-            else f"{path}: valid\n\n{table(results)}\n"
-        )
-    if not bad and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
+        return int(any(found))
+    for path, bad, results in rows:
+        told = "\n".join(f"{path}: {fault}" for fault in bad)
+        print(told or f"{path}: valid\n\n{table(results)}\n")
+    if not any(found) and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
         print(comparison(*files))
-    return int(bad)
+    return int(any(found))
 
 
 def judge_all(args: argparse.Namespace) -> Results:

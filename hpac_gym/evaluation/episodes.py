@@ -56,13 +56,13 @@ class Step:
     @property
     def info(self) -> dict[str, Any]:
         """The world's own infos, flat: entries without a value here are left out."""
-        told = {}
-        for name, values in self.infos.items():
-            mask = self.infos.get(f"_{name}")
-            if name[0] != "_" and not isinstance(values, Mapping):
-                if mask is None or mask[self.world]:
-                    told[name] = values[self.world]
-        return told
+        return {
+            name: values[self.world]
+            for name, values in self.infos.items()
+            if name[0] != "_"
+            and not isinstance(values, Mapping)
+            and ((mask := self.infos.get(f"_{name}")) is None or mask[self.world])
+        }
 
     @property
     def success(self) -> bool:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.body.own_objects import MESHES
 from hpac_gym.errors import ParameterError
 from hpac_gym.registration import GRASP_TYPE
 
@@ -16,7 +17,6 @@ MASS = 0.1
 FRICTION = 0.8
 """Of an object that is given by its shape (chosen) [kg, 1]."""
 SHAPES = {"cylinder": ("radius", "half height"), "sphere": ("radius",), "box": ("x", "y", "z")}
-MESHES = (".stl", ".obj", ".ply", ".off")
 OPTIONS = {
     "engine": "mujoco or pybullet",
     "body": "twin or light",

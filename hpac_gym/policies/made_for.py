@@ -82,19 +82,6 @@ def other_hand(file: Mapping[str, Any], env: gymnasium.Env[Any, Any]) -> str | N
     return f"was made with {was}, and acts here with the model of '{hand.name}'"
 
 
-def misfit(env_id: str, file: Mapping[str, Any], env: gymnasium.Env[Any, Any]) -> str | None:
-    """Why a policy made for the environment `env_id`, described by `file`, does not fit another
-    one; None if it does.
-
-    An id may be given with or without the module that registers it.
-    """
-    here = id_of(env)
-    if env_id.rpartition(":")[2] != here.rpartition(":")[2]:
-        return f"was trained on {env_id}, not on {here}"
-    differs = difference(file, made_for(env))
-    return differs and f"does not fit {here}: {differs}"
-
-
 def id_of(env: gymnasium.Env[Any, Any]) -> str:
     """The id of an environment; the name of its class if it was made without one."""
     return env.spec.id if env.spec else type(env.unwrapped).__name__
@@ -107,15 +94,19 @@ def require_fit(
 
     Args:
         what: the policy in the message, such as "policy file 'policy.hpac'".
-        env_id: id of the environment that it was made for.
+        env_id: id of the environment that it was made for, with or without the module that
+            registers it.
         file: its `made_for`.
         env: the environment in which it is to act.
 
     Raises:
         PolicyError: It was made for another environment, rate, action or observation.
     """
-    if told := misfit(env_id, file, env):
-        raise PolicyError(f"{what} {told}")
+    here = id_of(env)
+    if env_id.rpartition(":")[2] != here.rpartition(":")[2]:
+        raise PolicyError(f"{what} was trained on {env_id}, not on {here}")
+    if differs := difference(file, made_for(env)):
+        raise PolicyError(f"{what} does not fit {here}: {differs}")
     if remark := other_hand(file, env):
         warnings.warn(f"{what} {remark}", stacklevel=3)
 
