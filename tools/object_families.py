@@ -104,6 +104,11 @@ def ring(
     }
 
 
+def drawn(rng: np.random.Generator, *ranges: tuple[float, float]) -> list[float]:
+    """A number within each of these ranges, in their order."""
+    return [rng.uniform(*bounds) for bounds in ranges]
+
+
 def stack(*parts: tuple[Callable[..., Part], tuple[float, ...], float]) -> list[Part]:
     """Parts on top of each other, each given by its function, its lengths with the height last
     [mm], and its density.
@@ -117,9 +122,7 @@ def stack(*parts: tuple[Callable[..., Part], tuple[float, ...], float]) -> list[
 
 
 def bottle(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(19, 33)
-    neck = rng.uniform(9, 14)
-    fill = rng.uniform(0.15, 1.0)
+    radius, neck, fill = drawn(rng, (19, 33), (9, 14), (0.15, 1.0))
     return stack(
         (cylinder, (radius, rng.uniform(65, 130)), fill),
         (cylinder, ((radius + neck) / 2, rng.uniform(8, 18)), fill),
@@ -145,13 +148,9 @@ def carton(rng: np.random.Generator) -> list[Part]:
 
 
 def mug(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(29, 34.5)
-    height = rng.uniform(65, 110)
-    wall = rng.uniform(3, 5)
-    reach = rng.uniform(26, 38)
-    clay = rng.uniform(1.0, 2.3)
-    width = rng.uniform(8, 14)
-    bar = rng.uniform(6, 9)
+    radius, height, wall, reach, clay, width, bar = drawn(
+        rng, (29, 34.5), (65, 110), (3, 5), (26, 38), (1.0, 2.3), (8, 14), (6, 9)
+    )
     drop = rng.uniform(0.28, 0.36) * height
     return [
         ring(radius, wall, height, clay, staves=12),
@@ -162,10 +161,7 @@ def mug(rng: np.random.Generator) -> list[Part]:
 
 
 def cup(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(25, 34.5)
-    height = rng.uniform(65, 120)
-    wall = rng.uniform(2, 4)
-    made_of = rng.uniform(0.9, 2.5)
+    radius, height, wall, made_of = drawn(rng, (25, 34.5), (65, 120), (2, 4), (0.9, 2.5))
     wall_part = ring(radius, wall, height, made_of, staves=15)
     return [
         wall_part,
@@ -174,10 +170,7 @@ def cup(rng: np.random.Generator) -> list[Part]:
 
 
 def hammer(rng: np.random.Generator) -> list[Part]:
-    length = rng.uniform(170, 260)
-    thick = rng.uniform(20, 30)
-    head = rng.uniform(65, 105)
-    side = rng.uniform(18, 26)
+    length, thick, head, side = drawn(rng, (170, 260), (20, 30), (65, 105), (18, 26))
     handle = box(
         length, thick, rng.uniform(0.6, 1.0) * thick, rng.uniform(0.5, 1.1), (-length / 2, 0, 0)
     )
@@ -185,16 +178,13 @@ def hammer(rng: np.random.Generator) -> list[Part]:
 
 
 def screwdriver(rng: np.random.Generator) -> list[Part]:
-    handle = rng.uniform(75, 110)
-    shank = rng.uniform(60, 130)
+    handle, shank = drawn(rng, (75, 110), (60, 130))
     grip = cylinder(rng.uniform(11, 18), handle, rng.uniform(0.9, 1.3), (handle / 2, 0, 0), "x")
     return [grip, cylinder(rng.uniform(2.5, 4.5), shank, 7.85, (-shank / 2, 0, 0), "x")]
 
 
 def fruit(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(22, 33)
-    longer = rng.uniform(0.15, 0.55)
-    density = rng.uniform(0.2, 0.95)
+    radius, longer, density = drawn(rng, (22, 33), (0.15, 0.55), (0.2, 0.95))
     ends = rng.uniform(0.62, 0.85) * radius
     place = (1 + longer) * radius - ends
     return [ball(radius, density), *(ball(ends, density, (0, 0, z)) for z in (-place, place))]
@@ -205,10 +195,7 @@ def sports_ball(rng: np.random.Generator) -> list[Part]:
 
 
 def banana(rng: np.random.Generator) -> list[Part]:
-    bend = rng.uniform(90, 160)
-    length = rng.uniform(20, 30)
-    thick = rng.uniform(22, 36)
-    density = rng.uniform(0.4, 1.0)
+    bend, length, thick, density = drawn(rng, (90, 160), (20, 30), (22, 36), (0.4, 1.0))
     turns = [(index - 2) * length / bend for index in range(5)]
     widths = [0.6 * thick, 0.9 * thick, thick, 0.9 * thick, 0.6 * thick]
     return [
@@ -247,12 +234,9 @@ def knob(rng: np.random.Generator) -> list[Part]:
 
 
 def brush(rng: np.random.Generator) -> list[Part]:
-    handle = rng.uniform(80, 140)
-    head = rng.uniform(50, 110)
-    width = rng.uniform(20, 60)
-    thick = rng.uniform(9, 16)
-    wood = rng.uniform(0.5, 1.1)
-    hair = rng.uniform(14, 32)
+    handle, head, width, thick, wood, hair = drawn(
+        rng, (80, 140), (50, 110), (20, 60), (9, 16), (0.5, 1.1), (14, 32)
+    )
     return [
         box(handle, rng.uniform(0.3, 0.6) * width + 6, 1.2 * thick, wood, (-handle / 2, 0, 0)),
         box(head, width, thick, wood, (head / 2, 0, 0)),
@@ -272,9 +256,7 @@ def roll(rng: np.random.Generator) -> list[Part]:
 
 
 def flashlight(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(11, 18)
-    body = rng.uniform(70, 120)
-    head = rng.uniform(20, 40)
+    radius, body, head = drawn(rng, (11, 18), (70, 120), (20, 40))
     wider = radius + rng.uniform(3, 12)
     made_of = rng.uniform(0.9, 2.2)
     return [
@@ -285,9 +267,7 @@ def flashlight(rng: np.random.Generator) -> list[Part]:
 
 
 def spanner(rng: np.random.Generator) -> list[Part]:
-    length = rng.uniform(100, 180)
-    thick = rng.uniform(9, 15)
-    steel = rng.uniform(2.7, 7.85)
+    length, thick, steel = drawn(rng, (100, 180), (9, 15), (2.7, 7.85))
     heads = [
         cylinder(rng.uniform(14, 25), 1.2 * thick, steel, (x * length / 2, 0, 0)) for x in (-1, 1)
     ]
@@ -295,8 +275,7 @@ def spanner(rng: np.random.Generator) -> list[Part]:
 
 
 def remote(rng: np.random.Generator) -> list[Part]:
-    length = rng.uniform(90, 190)
-    thick = rng.uniform(14, 28)
+    length, thick = drawn(rng, (90, 190), (14, 28))
     batteries = box(
         0.4 * length, rng.uniform(25, 45), thick, rng.uniform(0.8, 2.0), (-0.2 * length, 0, 0)
     )
@@ -307,10 +286,7 @@ def remote(rng: np.random.Generator) -> list[Part]:
 
 
 def dumbbell(rng: np.random.Generator) -> list[Part]:
-    grip = rng.uniform(90, 120)
-    head = rng.uniform(18, 40)
-    radius = rng.uniform(18, 30)
-    density = rng.uniform(0.9, 3.0)
+    grip, head, radius, density = drawn(rng, (90, 120), (18, 40), (18, 30), (0.9, 3.0))
     ends = [
         cylinder(radius, head, density, (side * (grip + head) / 2, 0, 0), "x") for side in (-1, 1)
     ]
@@ -318,12 +294,9 @@ def dumbbell(rng: np.random.Generator) -> list[Part]:
 
 
 def spray_bottle(rng: np.random.Generator) -> list[Part]:
-    width = rng.uniform(50, 80)
-    depth = rng.uniform(36, 60)
-    height = rng.uniform(80, 130)
-    neck = rng.uniform(11, 16)
-    fill = rng.uniform(0.1, 0.9)
-    head = rng.uniform(55, 85)
+    width, depth, height, neck, fill, head = drawn(
+        rng, (50, 80), (36, 60), (80, 130), (11, 16), (0.1, 0.9), (55, 85)
+    )
     return [
         box(width, depth, height, fill, (0, 0, height / 2)),
         cylinder(neck, 30, 0.5, (0, 0, height + 15)),
@@ -333,18 +306,14 @@ def spray_bottle(rng: np.random.Generator) -> list[Part]:
 
 
 def cone(rng: np.random.Generator) -> list[Part]:
-    radius = rng.uniform(24, 34.5)
-    slice_height = rng.uniform(11, 20)
-    density = rng.uniform(0.4, 1.5)
+    radius, slice_height, density = drawn(rng, (24, 34.5), (11, 20), (0.4, 1.5))
     return stack(
         *((cylinder, (radius * (1 - 0.14 * index), slice_height), density) for index in range(6))
     )
 
 
 def plug(rng: np.random.Generator) -> list[Part]:
-    side = rng.uniform(28, 50)
-    length = rng.uniform(30, 55)
-    apart = rng.uniform(12, 20)
+    side, length, apart = drawn(rng, (28, 50), (30, 55), (12, 20))
     body = box(
         length, side, rng.uniform(0.6, 1.0) * side, rng.uniform(0.8, 1.4), (-length / 2, 0, 0)
     )
@@ -360,11 +329,7 @@ def plug(rng: np.random.Generator) -> list[Part]:
 
 
 def toy_truck(rng: np.random.Generator) -> list[Part]:
-    length = rng.uniform(80, 140)
-    width = rng.uniform(36, 58)
-    wheel = rng.uniform(9, 14)
-    bed = rng.uniform(12, 25)
-    cab = rng.uniform(22, 40)
+    length, width, wheel, bed, cab = drawn(rng, (80, 140), (36, 58), (9, 14), (12, 25), (22, 40))
     wheels = [cylinder(wheel, width + 6, 0.9, (x * length * 0.32, 0, 0), "y") for x in (-1, 1)]
     body = box(length, width, bed, rng.uniform(0.3, 0.8), (0, 0, 0.4 * wheel + bed / 2))
     return [
