@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hpac_gym.evaluation.grasp_types import TypeTrial, run_types
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspType
+from tools.type_trials import TypeTrial, run_types
 
 ROOT = Path(__file__).parents[1] / "hpac_gym"
 POSTURES_FILE = ROOT / "model/data/postures.toml"

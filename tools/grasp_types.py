@@ -22,7 +22,6 @@ from PIL import Image
 
 from experiments.agree import VARIATIONS
 from hpac_gym.evaluation.episodes import run_episodes, single
-from hpac_gym.evaluation.grasp_types import run_types
 from hpac_gym.evaluation.pictures import VIEW, VIEW_CENTRE, Portrait, contact_sheet
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
@@ -34,6 +33,7 @@ from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, data_text
+from tools.type_trials import run_types
 
 RESULTS = Path(__file__).parents[1] / "docs" / "grasp_types.json"
 HANDS = ("nominal", "hand", "full")

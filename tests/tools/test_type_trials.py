@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpac_gym.evaluation.grasp_types import TypeTrial, run_types
 from hpac_gym.model import HPAC
 from hpac_gym.tasks.grasp_data import GRASPS
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspType
 from tools import grasp_types as judged
+from tools.type_trials import TypeTrial, run_types
 
 SEEDS = range(7_000_000, 7_000_008)
 
