@@ -27,7 +27,8 @@ HELD_BACK = {
 
 def keep(task: GraspAny, back: bool) -> GraspAny:
     """The task, left with the training objects that are held back, or with all others."""
-    task.objects = tuple(entry for entry in task.objects if (entry.name in HELD_BACK) == back)
+    drawn = task.setups
+    drawn.objects = tuple(entry for entry in drawn.objects if (entry.name in HELD_BACK) == back)
     return task
 
 

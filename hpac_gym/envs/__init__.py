@@ -9,7 +9,8 @@ from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import register_all
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
-from hpac_gym.tasks.grasp_any import GraspAny, GraspAnyConfig, GraspAnySetup
+from hpac_gym.tasks.grasp_any import GraspAny
+from hpac_gym.tasks.grasp_any_setups import GraspAnyConfig, GraspAnySetup
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig, GraspTypeSetup
 from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig, ScriptedPickPlace

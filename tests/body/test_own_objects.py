@@ -162,7 +162,7 @@ def test_grasp_any_takes_it_in_the_poses_in_which_it_comes_to_rest(given, ell, d
     if given is None:
         given = own_object(ell, mass=0.08, friction=0.9, scale=0.001, folder=decomposed)
     task = GraspAny(object=given)
-    (thing,) = task.objects
+    (thing,) = task.setups.objects
     assert thing.model.mass == pytest.approx(given.mass)
     assert thing.friction == given.friction
     assert sum(pose.share for pose in thing.poses) > 0.5

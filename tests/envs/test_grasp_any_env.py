@@ -233,7 +233,8 @@ def depths_at_the_start(count, nominal=False, **options):
     """
     deep = {"object": np.zeros(count), "support": np.zeros(count)}
     task = GraspAny(**options)
-    task._reach = {} if nominal else task._reach
+    if nominal:
+        task.setups.reach = {}
     episodes = Episodes(task, count, checked_options(engine="mujoco"))
     episodes.reset(
         range(count), [np.random.default_rng(BENCHMARK_SEED + world) for world in range(count)]
@@ -292,7 +293,9 @@ def test_objects_of_other_sizes_keep_their_density_and_stay_graspable():
     config = GraspAnyConfig(size=(0.7, 1.4), mass=(1.0, 1.0))
     scales = []
     task = GraspAny("real", config=config)
-    poses = {(entry.name, pose.quaternion): pose for entry in task.objects for pose in entry.poses}
+    poses = {
+        (entry.name, pose.quaternion): pose for entry in task.setups.objects for pose in entry.poses
+    }
     for seed in range(200):
         spec = (setup := task.setup(np.random.default_rng(seed))).object
         np.testing.assert_allclose(

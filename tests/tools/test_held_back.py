@@ -12,7 +12,8 @@ TRAINED = SHIPPED["grasp-any"]
 
 def test_the_objects_are_split_by_families():
     back, rest = (
-        {entry.name for entry in held_back.keep(GraspAny(), part).objects} for part in (True, False)
+        {entry.name for entry in held_back.keep(GraspAny(), part).setups.objects}
+        for part in (True, False)
     )
     assert len(back) == 40
     assert not back & rest
@@ -22,7 +23,8 @@ def test_the_objects_are_split_by_families():
 def test_it_trains_without_them(tmp_path, monkeypatch):
     def trained(words, make):
         assert (
-            not {entry.name for entry in make(RECIPES["grasp-any"]).objects} & held_back.HELD_BACK
+            not {entry.name for entry in make(RECIPES["grasp-any"]).setups.objects}
+            & held_back.HELD_BACK
         )
         assert words == ["grasp-any", "--out", str(tmp_path), "--sizes", "1,1"]
         return 5
