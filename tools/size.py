@@ -1,7 +1,7 @@
 """The size of the house: files, statements and lines after formatting, by part and by folder.
 
-``python -m tools.size`` prints them, the largest files and the largest classes. Statements count,
-not lines: width hides growth.
+``python -m tools.size`` prints them, the largest files and classes, and what capabilities of the
+wheel cost. Statements count, not lines: width hides growth.
 """
 
 from __future__ import annotations
@@ -21,6 +21,24 @@ PARTS = {
     "tests": ("tests",),
 }
 LARGEST = 5
+PRICES = {
+    "calibration of a hand from a sweep": ("calibration",),
+    "deployment on a hand, and its replay": ("deploy",),
+    "virtual hand, sliders in the browser": ("virtual", "view"),
+    "conformance of a device to the wire": ("bridge/evidence",),
+    "camera and printed tags": ("camera",),
+    "a second engine": ("physics/pybullet", "body/object_urdf.py"),
+    "grasp types": ("tasks/grasp_types.py", "tasks/grasp_rules.py"),
+    "objects of one's own": ("body/own_objects.py", "physics/mujoco/resting.py"),
+    "data sets, ONNX, Stable-Baselines3": (
+        *("evaluation/dataset.py", "evaluation/lerobot.py"),
+        *("policies/export.py", "policies/sb3.py", "envs/sb3.py"),
+    ),
+    "the benchmark's protocol": ("evaluation/benchmark.py",),
+}
+"""Parts of `hpac_gym` that would have to go with a capability, alone; what refers to them would
+shrink a little too.
+"""
 
 
 def statements(tree: ast.AST) -> int:
@@ -34,6 +52,12 @@ def files_of(names: Iterable[str]) -> list[Path]:
     return sorted(
         file for path in paths for file in ([path] if path.is_file() else path.rglob("*.py"))
     )
+
+
+def price(names: Iterable[str]) -> int:
+    """Statements of some parts of `hpac_gym`."""
+    files = files_of(f"hpac_gym/{name}" for name in names)
+    return sum(statements(ast.parse(path.read_text(encoding="utf-8"))) for path in files)
 
 
 def main() -> int:
@@ -61,6 +85,8 @@ def main() -> int:
     for title, sizes in (("file", lengths), ("class", classes)):
         largest = sorted(sizes.items(), key=lambda item: -item[1])[:LARGEST]
         print(f"\nLargest {title}: {', '.join(f'{name} {lines}' for name, lines in largest)}")
+    prices = [(name, price(parts)) for name, parts in PRICES.items()]
+    print(f"\n{markdown(('to go with', 'statements'), prices)}")
     return 0
 
 
