@@ -5,8 +5,6 @@ A collector has its own worlds and seeds. It gets the learner's networks and sca
 arrays, tries closures until a chunk of trials is complete, and returns the chunk. Each call has one
 result, which is added once; that of a collector or node that fails is never added."""
 
-from __future__ import annotations
-
 import logging
 import os
 import platform

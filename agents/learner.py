@@ -14,8 +14,6 @@ Where random closures hardly ever succeed, the first trials are drawn about the 
 the actor maximises the likelihood of the trials that succeeded instead; the critics then only
 choose the episodes."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cache

@@ -2,8 +2,6 @@
 recipes of ``agents.train``.
 """
 
-from __future__ import annotations
-
 from argparse import SUPPRESS, ArgumentParser, Namespace
 from collections.abc import Mapping
 from dataclasses import Field, dataclass, field, fields, replace

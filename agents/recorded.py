@@ -2,8 +2,6 @@
 --trials-of RUN RUN``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

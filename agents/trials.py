@@ -1,7 +1,5 @@
 """Trials of closures: the table of them, what gives them, and the worlds in which they are run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -5,8 +5,6 @@ The floor is the best agreement that can be expected: an engine compared with it
 object displaced imperceptibly. Contact amplifies every difference, so single episodes diverge long
 before success rates do."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

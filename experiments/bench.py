@@ -3,8 +3,6 @@
 `rig.Rig.sweep` makes the same record of a hand in the physics engine; any other source of a `Sweep`
 can replace either."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ scripted closure runs the same episodes with each model. The truth is simulated:
 zero of the servo, the geometry of all hands is the nominal one, and camera and friction are those of
 `experiments.reference`."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -4,8 +4,6 @@ A command map converts a target to servo angles and predicts the resulting joint
 is the difference between prediction and true angles; the distance from prediction to target, which
 a digit with one servo cannot avoid, is separate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@ experiments.held_out``.
 
 A hand whose record is refused, the one with a dead finger, has no file."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from dataclasses import replace

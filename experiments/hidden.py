@@ -2,8 +2,6 @@
 refusal of exchanged labels.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ with perspective, an uneven light, blur and noise.
 It shares nothing with `hpac_gym.camera` but the file that ``hpac tags`` writes: a piece is named by
 where it stands on the paper and by where the paper stands in space."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path

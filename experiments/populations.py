@@ -4,8 +4,6 @@ error of Eqs. (12), (13).
 The hands are simulated by `quasistatic`; the evaluated model is the nominal one, without any fit.
 There is no camera."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 

@@ -9,8 +9,6 @@ that loses tension at every joint, stops. It has no dynamics and no camera.
 `hpac_gym.model.settled` solves the same equilibrium in closed form for the effects that the model
 contains; `tests/study/test_quasistatic.py` compares the two."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Results of the experiments: means and ranges, Markdown tables, JSON data, and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

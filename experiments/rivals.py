@@ -5,8 +5,6 @@ Every method maps one servo's angle to the angles of the joints that it moves, f
 points. The main comparison is on hands whose physics none of the models contains (`OTHER_METAL`),
 in metal and in MuJoCo; the third one is on hands that obey the laws of the fit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

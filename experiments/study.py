@@ -1,8 +1,6 @@
 """``python -m experiments.study``: accuracy of the compensation on hands with tolerances, and the
 paper's future work."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -2,8 +2,6 @@
 experiments.sweep``.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 

@@ -4,8 +4,6 @@ in the loop.
 The camera is too slow and delayed for direct feedback of the joint angles: instead the loop
 estimates a lag and an offset for each direction, and shifts the command by them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

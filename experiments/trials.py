@@ -1,7 +1,5 @@
 """Both directions and repeated trials: hysteresis and trial-to-trial spread of every joint."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ pictures of the tags on its links from 0.3 m → angles → record → `hpac cal
 pieces of the print of the sheet (`experiments.pictures`) where the simulated links are, blurred by 0.6
 pixels, with noise of 3 grey values and an uneven light; the hand itself is not drawn."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

@@ -6,8 +6,6 @@ closed hand whether to close again, with and without memory of the closing, and 
 observations. All on MuJoCo, with nominal hands unless ``touch`` gets ``--varied-hands``; an episode
 ends after the shake, which decides its success."""
 
-from __future__ import annotations
-
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence

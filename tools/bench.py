@@ -4,8 +4,6 @@ tools.env_bench`` measures the environments.
 Every figure is compared with a bare one of the same run: the same map without checks and names, or
 an interpreter's own start."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

@@ -6,8 +6,6 @@ For each seed, closures are sampled from the seed's own generator until one hold
 one ended. ``--blind`` instead prints the closure that holds the most episodes of training seeds,
 found by successive elimination, and evaluates it on the held-out seeds."""
 
-from __future__ import annotations
-
 import sys
 from functools import partial
 from pathlib import Path

@@ -8,8 +8,6 @@ is the ratio of the best rounds, and a reset the least of five medians: other lo
 other libraries need another MuJoCo version: the command creates a separate virtual environment for
 them."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -4,8 +4,6 @@ It reads requests from standard input, one JSON object per line, and answers eac
 as a script, also in the peers' virtual environment, and therefore imports this package only for
 this package's environments."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

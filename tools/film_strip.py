@@ -5,8 +5,6 @@ object stands still, so that a lift is seen. A row begins with what it shows and
 why; a row of postures begins with its goal.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ Model files come from ``hpac_gym/body/data`` and the hand's parameters, the proc
 protocol and the hand's parameters, the tables of ``docs/environments`` and ``docs/grasps.md`` from
 the tasks, those of ``docs/benchmark.md`` from ``docs/results``."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -6,8 +6,6 @@ engines, on seeds that no later evaluation uses, with the nominal hand and with
 ``randomize="hand"``, and moves the mean towards the best quarter. ``--write`` writes the result to
 the data of posture and type; ``python -m tools.grasp_types`` evaluates it on other seeds."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -5,8 +5,6 @@ Every type is run on the same held-out seeds, which no search has used, in every
 the nominal hand and on randomized ones. The file contains a fingerprint of the data: a test fails
 if the data has changed since."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

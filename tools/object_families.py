@@ -6,8 +6,6 @@ mass distribution (a steel head on a wooden handle, a partly filled bottle). `ma
 ``data/procedural_objects.toml`` from `SEED`. All ranges are CHOSEN after everyday objects; no
 generated object is a real one."""
 
-from __future__ import annotations
-
 import colorsys
 import math
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 It tags only when everything before has passed, and pushes nothing. ``--dry-run`` leaves out the
 commit of the changelog and the tag."""
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 import sys

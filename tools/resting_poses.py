@@ -6,8 +6,6 @@ both engines of `hpac_gym`. Writes
 ``hpac_gym/body/data/resting_poses.toml``, whose last digits depend on the processor, so no test
 compares it; tests check that the poses are stable in both engines."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tomllib

@@ -4,8 +4,6 @@
 wheel cost. Statements count, not lines: width hides growth.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 from collections import defaultdict

@@ -3,8 +3,6 @@
 `a, b = x, y` is for a swap, in which the right side reads what the left side writes.
 """
 
-from __future__ import annotations
-
 import ast
 import sys
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ Run it after a change to the body and copy the printed postures to
 ``hpac_gym/body/data/geometry.toml``. The search varies thumb MP, CMC and the finger's MCP; the
 other joints follow on the elastic manifold, so the six servos can reach every posture found."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

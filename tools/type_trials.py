@@ -2,8 +2,6 @@
 which parts of the hand.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing

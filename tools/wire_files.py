@@ -2,8 +2,6 @@
 of docs/wire.md, the enums in Python, and the test vectors, as a CSV file and as a C header for the
 firmware's tests."""
 
-from __future__ import annotations
-
 import re
 import zlib
 from pathlib import Path

@@ -2,8 +2,6 @@
 evidence.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 

@@ -5,8 +5,6 @@ Written from the document alone. It has a codec of its own (`hpac_gym.bridge.evi
 servo table from the hand's parameters, and its own clock; it imports nothing from the link, the Python
 codec or the firmware core."""
 
-from __future__ import annotations
-
 import struct
 from collections import Counter
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ process under this machine's scheduler, and thus also depend on the machine. A c
 hand between core and oracle, or omits the protection that the claim is about: a claim holds only if
 something was tried, the figure is within its limit, and the control's is not."""
 
-from __future__ import annotations
-
 import argparse
 import struct
 import subprocess

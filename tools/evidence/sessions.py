@@ -4,8 +4,6 @@ powered.
 Everything runs in virtual time against the firmware core. The check uses the pulses and the bytes
 that reached the hand, not the link's own knowledge."""
 
-from __future__ import annotations
-
 import warnings
 from collections import Counter
 from collections.abc import Callable

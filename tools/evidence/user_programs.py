@@ -10,8 +10,6 @@ be off once the watchdog and the safe action have run.
 `--control` runs the same programs with one part of the bridge's ending taken out, and must find
 some that leave something."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import signal
