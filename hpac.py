@@ -3,8 +3,6 @@
 It is on top of everything: nobody imports it. The list of commands loads neither Gymnasium nor
 NumPy."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

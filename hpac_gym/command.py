@@ -3,8 +3,6 @@
 It imports nothing but the standard library and the errors of this package, since every command
 waits for it."""
 
-from __future__ import annotations
-
 import argparse
 import errno
 import os

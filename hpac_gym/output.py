@@ -1,7 +1,5 @@
 """Writing of results: tables, and atomic file writes."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """``hpac posture``: show or draw the paper's gestures and grasp shapes, or send one to a hand."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Progress on standard error of what takes longer than two seconds."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager

@@ -2,8 +2,6 @@
 
 The page is that of ``render_mode="human"``: it needs neither a display nor another package."""
 
-from __future__ import annotations
-
 import argparse
 import webbrowser
 from collections.abc import Callable, Iterator

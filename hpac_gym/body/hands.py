@@ -4,8 +4,6 @@ All share the palm, the joints and the workspace (Table I) of the nominal hand. 
 told which hand it controls, and its commands are computed with the nominal hand. Every range is
 chosen; the text below it gives the reason."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache

@@ -5,8 +5,6 @@ Independent of any simulator. Real objects, their numbers and sources are in ``d
 the fictitious objects that replace them in the held-out shape variants are in
 ``data/held_out_objects.toml``."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import tomllib

@@ -4,8 +4,6 @@ and real ones.
 Every object has its stable poses. The procedural objects are drawn by ``tools/object_families.py``;
 the poses were found by simulation (``tools/resting_poses.py``) and are stored as data."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Dimensions, masses and their sources come from ``data/objects.toml`` and
 ``data/held_out_objects.toml``. An object's frame has its origin at the centre of its bounding box;
 its centre of mass follows from its solids."""
 
-from __future__ import annotations
-
 import tempfile
 from functools import cache
 from pathlib import Path

@@ -2,8 +2,6 @@
 `object_models`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -4,8 +4,6 @@ collide.
 CoACD computes the parts once; they are cached in a file beside the mesh, so that only the first
 call is slow."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

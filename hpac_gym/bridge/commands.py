@@ -2,8 +2,6 @@
 `hpac posture`.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

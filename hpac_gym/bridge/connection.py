@@ -1,7 +1,5 @@
 """One connection to a hand: from HELLO to the hand's confirmation that its pulses are off."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Iterator

@@ -2,8 +2,6 @@
 would expect.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 

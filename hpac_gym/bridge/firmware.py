@@ -1,8 +1,6 @@
 """The firmware's programs for this computer: those that a checkout has built, or compiled once into the
 user's cache from the sources that come with the package."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

@@ -4,8 +4,6 @@ clock, no thread.
 On the wire a frame is COBS between zero bytes: header, payload of a fixed length, CRC-32 over both.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Slow moves of an armed hand: to where a program begins, and open at its end, whatever happened."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 
 import numpy as np

@@ -2,8 +2,6 @@
 wait during the release.
 """
 
-from __future__ import annotations
-
 import atexit
 import os
 import signal

@@ -4,8 +4,6 @@ hash, and the pulses of an angle.
 Host and firmware compare the hash in the handshake, so that a host drives only a hand with the
 limits that it knows."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Sequence

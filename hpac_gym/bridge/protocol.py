@@ -3,8 +3,6 @@
 Pure data: names, codes and layouts. `frame` encodes them as bytes, `tools.wire_files` writes the C
 header."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A hand accepts ESTOP from anybody, so the port is opened without the lock, no session is begun, and
 nothing is loaded that the stop does not need."""
 
-from __future__ import annotations
-
 import argparse
 from contextlib import ExitStack
 

@@ -4,8 +4,6 @@
 A transport also owns the clock, so that a link to a virtual hand runs in virtual time without
 sleeping."""
 
-from __future__ import annotations
-
 import socket
 import time
 from collections.abc import Callable

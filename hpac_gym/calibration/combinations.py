@@ -6,8 +6,6 @@ frictions, are multiplied by one factor, no angle changes. Only the combinations
 hand is reconstructed from them with the base hand's d₁, root radius, k_s and EA, on which the
 angles do not depend."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 

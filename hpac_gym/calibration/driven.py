@@ -3,8 +3,6 @@ both directions, and watched: by a camera that sees the tags of ``hpac tags``, o
 
 Whatever happens, the hand is opened and disarmed, and what was recorded is kept."""
 
-from __future__ import annotations
-
 import csv
 import sys
 import time

@@ -1,7 +1,5 @@
 """Plausibility checks of a record, which `hpac sweep` and `hpac calibrate` make first."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hpac_gym.calibration.processing import (

@@ -4,8 +4,6 @@ correction; then points.
 Here unwrapping precedes the filter, and mistaken markers are left out: a low-pass would smear both
 over neighbouring samples. On a record without them this makes no difference."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The protocol of a servo sweep, of a simulated hand and of a real one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

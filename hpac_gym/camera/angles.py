@@ -5,8 +5,6 @@ still and looks along that axis. One fit to all pictures finds the axis and how 
 square; then a picture leaves four unknowns a tag, its place and its turn, for eight measured numbers.
 A turn in the picture's plane is what a camera sees best, and it does not flip."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """``hpac tags``: the sheet of tags to print, and a camera's own numbers from pictures of that sheet."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -2,8 +2,6 @@
 centre, distortion.
 """
 
-from __future__ import annotations
-
 import json
 import threading
 import warnings

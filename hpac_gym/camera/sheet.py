@@ -3,8 +3,6 @@
 AprilTags of the family 36h11. Lengths are in mm on the sheet, from its lower left corner, x to the
 right and y up, as one holds it to read it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

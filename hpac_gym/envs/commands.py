@@ -1,7 +1,5 @@
 """The commands of n hands: from actions to the servo angles that arrive at them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 

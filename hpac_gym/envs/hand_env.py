@@ -1,7 +1,5 @@
 """One hand as a Gymnasium environment: `Episodes` of a single world."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar, NoReturn, SupportsIndex
 

@@ -1,7 +1,5 @@
 """The observations of n worlds: the vector of a task's terms, goals, and what is not a vector."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

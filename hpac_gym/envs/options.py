@@ -1,7 +1,5 @@
 """Options that every environment has: one field each, with its meaning, default and check."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, field, fields, replace
 from numbers import Real

@@ -1,7 +1,5 @@
 """Pictures of the worlds of `Episodes`, and the page of `render_mode="human"`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -5,8 +5,6 @@ The policy's model keeps the nominal hand; only the simulated hand changes. Ever
 own random stream, derived from the environment's generator and the quantity's name, so that adding
 a quantity does not change the draws of the others."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType

@@ -3,8 +3,6 @@
 This module has two entry points for each id of the table `hpac_gym.registration`, which Gymnasium asks
 for by name: ``one My-v0`` and ``many My-v0``. Being text, they survive in the JSON of a spec."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -3,8 +3,6 @@
 A class with state has the attribute `changing`: the names of its attributes that change in an episode,
 which are arrays, numbers, generators, or further objects with such names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import is_dataclass

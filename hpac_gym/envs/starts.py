@@ -1,7 +1,5 @@
 """How an episode starts: drawn by the task, changed by the options and by the randomization."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

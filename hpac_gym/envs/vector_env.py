@@ -1,7 +1,5 @@
 """Many hands as one Gymnasium vector environment: `Episodes` of n worlds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, ClassVar
 

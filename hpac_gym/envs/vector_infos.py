@@ -1,7 +1,5 @@
 """Infos of a vector environment, as arrays with masks, and the checks of its arguments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The scripted motion of n wrists, and forces on their objects, as tables by control step."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Environments by their ids, and the versions of the libraries that their results depend on."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version

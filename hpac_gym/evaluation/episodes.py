@@ -4,8 +4,6 @@ it.
 An episode depends only on its seed, not on those that run beside it, nor on whether a world is
 single or one of a batch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass

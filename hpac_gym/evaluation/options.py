@@ -1,7 +1,5 @@
 """The options of the environment, with the same names and meaning in every command that makes one."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Pictures of the named grasps at the end of an episode, and a contact sheet of all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

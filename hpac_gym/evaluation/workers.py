@@ -1,7 +1,5 @@
 """Worker processes, which end with the command that started them and leave Ctrl-C to it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """Validation of array arguments; errors give the value, the bound and the unit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Eq. (15) and the pipeline around it: from an action or a posture to the servo command."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Eqs. (10)–(13): effect of the restoring springs and of tendon elasticity on the joint angles."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """The cosine law of a tendon between two guides, in both directions. Eqs. (3), (4)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hpac_gym.model.checks import Array

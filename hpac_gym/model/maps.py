@@ -8,8 +8,6 @@ depends on the direction of the motion. Both map synergies, so the same policy c
 The inverse is tabulated per servo and direction when a model is taken up, and then costs one lookup
 a step."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -2,8 +2,6 @@
 targets each.
 """
 
-from __future__ import annotations
-
 import difflib
 import tomllib
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ These effects are the driving tendon's stretch, friction and servo zeros. All an
 a digit are linear in the root joint's angle, so the servo angle is an explicit function of it. Free
 space, no gravity, slow motion in one direction."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

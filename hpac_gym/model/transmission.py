@@ -1,7 +1,5 @@
 """Eqs. (3)–(9): servo angles to joint angles with a rigid tendon, and back."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """Hands derived from a given one by scaling its parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Table I and Eq. (14): clipping of joint angles and synergies to the admissible workspace."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

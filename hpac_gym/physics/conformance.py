@@ -4,8 +4,6 @@ One suite for every engine and body. It compares an engine's output (`SceneState
 the model's equations, the tendon law in NumPy and forward kinematics from the geometry; no engine
 is its own reference."""
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import json

@@ -5,8 +5,6 @@ The ramp is the firmware's response to a `ServoCommand`: all six move linearly f
 ramp positions and arrive together. Servos run open loop, so the motion of a whole control step is
 one table. The tendon law limits a servo's force."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Settings of the simulated hand and its world, as data for every engine."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, pi

@@ -1,7 +1,5 @@
 """Simulation of n commanded hands: servos and an engine."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Sequence
 from dataclasses import replace

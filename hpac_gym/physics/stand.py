@@ -1,7 +1,5 @@
 """A simulated hand in a stand: no object, no wrist, servos to command and joints to measure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from hpac_gym.model import Hand

@@ -1,7 +1,5 @@
 """Untrained baseline policies."""
 
-from __future__ import annotations
-
 from copy import copy
 from typing import Any
 

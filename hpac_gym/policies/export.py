@@ -4,8 +4,6 @@ The folder gets ``model.onnx`` (the scaling of the observation is inside), ``car
 outputs and provenance), ``README.md`` (the same in readable form, with the hub's header) and
 ``replay.mp4``, which the hub shows."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

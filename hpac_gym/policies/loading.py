@@ -1,7 +1,5 @@
 """Loading of policies by name or from a file: wherever a policy goes, all of these go."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

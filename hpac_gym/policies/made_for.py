@@ -2,8 +2,6 @@
 environment.
 """
 
-from __future__ import annotations
-
 import hashlib
 import warnings
 from collections.abc import Mapping

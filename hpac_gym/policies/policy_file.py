@@ -5,8 +5,6 @@ the weights) and ``actor.npz`` (plain arrays: reading them executes no foreign c
 PyTorch nor Stable-Baselines3). It is no zip, so that nobody takes it for a model of
 Stable-Baselines3, nor does that."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import io

@@ -5,8 +5,6 @@ The algorithm is not needed: a model's zip names the class of its policy, with i
 weights. Reading one executes what is pickled in it, as `PPO.load` does: open only files that you
 trust."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """Simulated cameras, with a separate random stream of noise for every world."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass
 from math import inf

@@ -4,8 +4,6 @@ variants.
 The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes in
 `hpac_gym.model.POSTURES`."""
 
-from __future__ import annotations
-
 import difflib
 import tomllib
 from collections.abc import Mapping

@@ -2,8 +2,6 @@
 the hand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from zlib import crc32
 

@@ -1,7 +1,5 @@
 """Options: the arguments of an environment's id, as its page shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from inspect import Parameter, signature

@@ -1,7 +1,5 @@
 """The phases of a grasp and the wrist's path through them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache

@@ -4,8 +4,6 @@ Engines do not move the wrist before an episode. Instead, the object and its sup
 in the hand's frame, and a rotation of the wrist about the vertical becomes the opposite rotation of
 the object about the wrist."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ about the object's centre is a wrench; epsilon is the radius of the largest ball
 inside the convex hull of all contacts' wrenches: the smallest disturbance that contact forces
 adding up to 1 N cannot resist [N]. Zero when some direction cannot be resisted at all."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 

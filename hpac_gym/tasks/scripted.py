@@ -2,8 +2,6 @@
 (`Task.script`); those of one task only are beside it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ A deployed observation contains only what a sensorless hand plus one external ca
 its own commands, what the model predicts from them, and what the camera sees. Nothing in it reads
 the simulated joints."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any

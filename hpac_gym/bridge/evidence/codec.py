@@ -2,8 +2,6 @@
 It imports nothing from the link, its codec or the firmware core.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ It uses the oracle's codec and observes only the device's answers, so that it ru
 device that claims to implement the protocol: a board, the host board, a virtual hand, a user's own
 firmware."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """A device under test: requests sent with the oracle's codec, and checks of the answers."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

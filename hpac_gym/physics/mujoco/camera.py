@@ -1,7 +1,5 @@
 """Offscreen rendering: OpenGL through EGL on Linux, where a software driver suffices."""
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -2,8 +2,6 @@
 motor.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory

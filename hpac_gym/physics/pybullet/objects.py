@@ -1,7 +1,5 @@
 """Free objects and fixed boxes as PyBullet bodies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pybullet
 from numpy.typing import ArrayLike
