@@ -189,11 +189,6 @@ class Collectors(Source):
             )
         return self._received(ready[0]) if ready else self._none
 
-    def start(self, seed: int) -> None:
-        """Nothing: chunks in progress are kept, since the order of chunks is never the same
-        twice.
-        """
-
     def _received(self, reference: Any) -> tuple[np.ndarray, ...]:
         errors = self._ray.exceptions
         place, collector = self._running.pop(reference)

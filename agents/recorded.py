@@ -87,15 +87,9 @@ class Recorded(Source):
         )
         return (seen, decisions, survived, end_state), about["env_steps"]
 
-    def start(self, seed: int) -> None:
-        """Nothing: the order of the trials is that of the recipe's seed."""
-
     def step(self, decider: Decider, meanwhile: Callable[[], None] = lambda: None) -> Columns:
         """Call `meanwhile`; returns the next trials, as arguments of `Trials.add`."""
         meanwhile()
         rows = slice(self._next, self._next + self._chunk)
         self._next = rows.stop
         return tuple(column[rows] for column in self._columns)
-
-    def close(self) -> None:
-        """Nothing: there is no physics."""

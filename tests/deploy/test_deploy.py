@@ -17,7 +17,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import hpac
-import hpac_gym  # noqa: F401  registers the environments
 from experiments import deployed
 from hpac_gym.bridge import FaultError, HandLink, HostBoard, VirtualHand, servo_from_pulses
 from hpac_gym.bridge.frame import Frame, encode

@@ -35,7 +35,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.randomization import PRESETS

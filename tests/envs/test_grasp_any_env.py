@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.hands import hand_set
 from hpac_gym.envs import GraspAnySetup
 from hpac_gym.envs.episodes import Episodes

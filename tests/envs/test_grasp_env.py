@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import ScriptedClosure
 from hpac_gym.model import HPAC
 from hpac_gym.tasks.grip import MAX_SLIP

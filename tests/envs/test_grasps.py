@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import GRASPS, HandEnv
 from hpac_gym.physics.engine import PARTS
 from tests.envs.episodes import run, steps

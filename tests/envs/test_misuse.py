@@ -15,7 +15,6 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.wrappers import TimeAwareObservation
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GoalEnv, Grasp, HandEnv, HandVectorEnv, Posture
 from hpac_gym.envs.options import COMMON

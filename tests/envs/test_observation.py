@@ -4,7 +4,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, HandEnv, ScriptedClosure
 from hpac_gym.envs.observations import IMAGE_SIZE
 from hpac_gym.model import HPAC, elastic_joints_from_servo

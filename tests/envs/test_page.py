@@ -12,7 +12,6 @@ import pytest
 from gymnasium.wrappers import HumanRendering
 from PIL import Image
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs.page import png
 
 BROWSER = urllib.request.build_opener(urllib.request.ProxyHandler({}))

@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import HandEnv, PickPlace, ScriptedClosure, ScriptedPickPlace
 from hpac_gym.errors import ParameterError
 from hpac_gym.tasks.pick_place import PHASES, PickPlaceConfig, PickPlaceTimetable

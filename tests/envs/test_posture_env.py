@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import GoalEnv, Posture
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.errors import ShapeError

@@ -8,7 +8,6 @@ import pytest
 from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.envs.sb3 import HandVecEnv
 from hpac_gym.errors import ParameterError

@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, HandEnv
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EpisodeError

@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, PickPlace
 from hpac_gym.model import HPAC, servo_from_synergy
 from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE

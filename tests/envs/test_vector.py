@@ -19,7 +19,6 @@ from gymnasium.wrappers import ClipAction, FlattenObservation
 from gymnasium.wrappers.vector import ClipAction as VectorClip
 from gymnasium.wrappers.vector import FlattenObservation as VectorFlatten
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.envs import Grasp, GraspByName, HandVectorEnv, PickPlace, Posture
 from hpac_gym.envs.episodes import open_episodes
 from hpac_gym.errors import EpisodeError, ParameterError, ShapeError, WorkspaceError

@@ -4,7 +4,6 @@ import gymnasium
 import imageio.v3 as iio
 from gymnasium.wrappers import RecordVideo
 
-import hpac_gym  # noqa: F401  registers the environments
 from tests.envs.episodes import Still, run
 
 

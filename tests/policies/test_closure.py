@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.model import SERVO_INDEX
 from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
 from hpac_gym.policies.made_for import difference, made_for

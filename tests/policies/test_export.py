@@ -7,7 +7,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac import main
 from hpac_gym.envs.randomization import changed_hand
 from hpac_gym.evaluation import evaluate

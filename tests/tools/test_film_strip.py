@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import hpac_gym  # noqa: F401  registers the environments
 from hpac_gym.policies.loading import load_policy
 from tools.film_strip import BORDER, CAPTION, FRAME, TITLE, Row, caption, film_strip, main, sheet
 
