@@ -285,6 +285,9 @@ def results_table() -> str:
         for split in (*benchmark.SPLITS[env_id], "all splits"):
             cells = []
             for file in files.values():
+                if split in benchmark.lacking(file):
+                    cells.append("–")
+                    continue
                 (row,) = (row for row in file["summary"] if row["split"] == split)
                 judged = [cell for cell in file["cells"] if cell["split"] == split]
                 low, high = (judged[0] if len(judged) == 1 else row)["interval_95"]

@@ -23,6 +23,8 @@ import numpy as np
 
 from hpac_gym.body.object_sets import object_set
 from hpac_gym.command import Formatter, whole_number
+from hpac_gym.envs.models import FILES
+from hpac_gym.envs.options import CALIBRATED
 from hpac_gym.errors import EnvError, HpacError
 from hpac_gym.evaluation.environment import make_env, versions
 from hpac_gym.evaluation.evaluate import NO_PHASE, evaluate, failures_by_phase
@@ -47,6 +49,11 @@ BUDGETS = (0, 100_000, 1_000_000, 10_000_000)
 RUNS = 5
 EPISODES = 1_000
 """Required runs of a trained method and episodes per cell."""
+CALIBRATED_HANDS = "real objects, held-out hands, calibrated"
+ADDED: dict[str, tuple[str, ...]] = {GRASP_ANY: (CALIBRATED_HANDS,)}
+"""Splits that an id was given later. A file from before has the hash of a definition without them,
+and stays valid as a partial one; `hpac benchmark` adds their cells to it.
+"""
 _TWIN = {"engine": "mujoco", "body": "twin"}
 _REAL = _TWIN | {"objects": "real"}
 _TYPES = _TWIN | {"types": "train", "objects": "train"}
@@ -67,6 +74,7 @@ SPLITS: dict[str, dict[str, dict[str, str]]] = {
         "real objects": _REAL,
         "real objects, training hands": _REAL | {"hands": "train"},
         "real objects, held-out hands": _REAL | {"hands": "test"},
+        CALIBRATED_HANDS: _REAL | {"hands": "test", "model": CALIBRATED},
         "real objects, light body": _REAL | {"body": "light"},
         "real objects, PyBullet": _REAL | {"engine": "pybullet"},
     },
@@ -108,15 +116,17 @@ def splits_of(env_id: str) -> dict[str, dict[str, str]]:
 
 
 @cache
-def env_hash(env_id: str) -> str:
+def env_hash(env_id: str, without: Sequence[str] = ()) -> str:
     """SHA-256 of the definition of a benchmark environment: splits, observation, task, hand,
-    objects.
+    objects, and the files of calibrated hands; `without` names splits that it leaves out.
     """
-    splits = splits_of(env_id)
+    splits = {split: of for split, of in splits_of(env_id).items() if split not in without}
     with make_env(env_id, **next(iter(splits.values()))) as env:
         told: Results = {"splits": splits, "made_for": made_for(env)}
     if env_id == GRASP_TYPE:
         told["types"] = data_text()
+    if any(options.get("model") == CALIBRATED for options in splits.values()):
+        told["calibrated"] = [path.read_text("utf-8") for path in sorted(FILES.glob("*.toml"))]
     for name in (
         sorted({options["objects"] for options in splits.values()}) if env_id == GRASP_ANY else ()
     ):
@@ -190,8 +200,21 @@ def _required(env_id: str) -> list[str]:
 
 def judged_splits(results: Results) -> list[str]:
     """The splits that a results file has, in order."""
-    left_out = results.get("left_out", [])
+    left_out = lacking(results)
     return [split for split in splits_of(results["env_id"]) if split not in left_out]
+
+
+def lacking(results: Results) -> list[str]:
+    """The splits that a results file lacks: those it says it left out, and those that were added
+    after it was made.
+    """
+    return [*results.get("left_out", []), *(ADDED[results["env_id"]] if _early(results) else ())]
+
+
+def _early(results: Results) -> bool:
+    """Whether a results file is from before its environment was given more splits."""
+    added = ADDED.get(results["env_id"], ())
+    return bool(added) and results.get("env_sha256") == env_hash(results["env_id"], added)
 
 
 def _options(env_id: str, split: str, obs: str) -> dict[str, str]:
@@ -291,7 +314,8 @@ def _header_faults(results: Results) -> Iterator[str]:
     first = results["first_seed"]
     episodes = results["episodes"]
     budget = results["budget"]
-    if results["env_sha256"] != (here := env_hash(results["env_id"])):
+    here = env_hash(results["env_id"])
+    if results["env_sha256"] != here and not _early(results):
         yield f"env_sha256 {results['env_sha256'][:12]}… is not that of this version of {results['env_id']}, {here[:12]}…"
     if budget not in BUDGETS:
         yield f"budget is {budget}: it must be one of {', '.join(f'{budget:,}' for budget in BUDGETS)} steps"
@@ -369,7 +393,7 @@ def table(results: Results) -> str:
     """Results as a table in Markdown: a row for each split."""
     steps = f"{results['budget']:,} steps, {RUNS} runs" if results["budget"] else "not trained"
     how = f"obs {results['obs']}, {steps}, {results['episodes']:,} episodes a cell"
-    left_out = results.get("left_out")
+    left_out = lacking(results)
     partial_file = f"; **partial: without {', '.join(left_out)}**" if left_out else ""
     title = f"`{results['policy']}` in {results['env_id']}, {how}{partial_file}"
     columns = ("split", "success [%]", "runs [%]", "failures by phase [%]", "holding force [N]")
@@ -444,6 +468,8 @@ def judge_all(args: argparse.Namespace) -> Results:
     """Evaluate every cell that the file does not contain yet, and write the file after each."""
     head = header(args)
     results = read(args.out) if args.out.exists() else head | {"cells": []}
+    if results.get("env_id") == head["env_id"] and _early(results):
+        results["env_sha256"] = head["env_sha256"]
     for name, value in head.items():
         if results.get(name) != value:
             raise ResultsError(

@@ -197,6 +197,49 @@ def test_a_partial_file_is_compared_on_what_both_have(partial):
     assert ": 0.50 [" in comparison(partial, whole)
 
 
+@pytest.fixture
+def added(monkeypatch):
+    """Tiny-v0 is given a third split, after files have been made."""
+    monkeypatch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}, "three": {}})
+    monkeypatch.setitem(benchmark.ADDED, TINY, ("three",))
+    env_hash.cache_clear()
+    yield
+    env_hash.cache_clear()
+
+
+def test_a_file_from_before_a_split_stays_valid_and_is_marked(trained, added, monkeypatch):
+    assert not list(faults(trained))
+    assert "**partial: without three**" in table(trained).splitlines()[0]
+    here = trained | {"env_sha256": env_hash(TINY)}
+    assert "split 'three' of seed 0 is missing" in list(faults(here)), "a file of today needs it"
+    assert "left_out" not in trained
+    monkeypatch.setitem(benchmark.ADDED, TINY, ())
+    assert any("is not that of this version" in fault for fault in faults(trained))
+
+
+def test_a_split_that_was_added_is_judged_alone(tmp_path, trained, added, monkeypatch):
+    judged = []
+    judge = benchmark.judge
+    monkeypatch.setattr(
+        benchmark, "judge", lambda *job: judged.append((job[2], job[1])) or judge(*job)
+    )
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps(trained))
+    results = submit(path, "--budget", "1e5")
+    assert judged == [(seed, "three") for seed in range(5)]
+    assert not list(faults(results))
+    assert results["env_sha256"] == env_hash(TINY) != trained["env_sha256"]
+    assert results["cells"][:10] == trained["cells"]
+
+
+def test_the_hash_changes_with_the_files_of_calibrated_hands(tmp_path, monkeypatch):
+    alone = benchmark.ADDED[GRASP_ANY]
+    before = [env_hash(GRASP_ANY), env_hash(GRASP_ANY, alone)]
+    monkeypatch.setattr(benchmark, "FILES", tmp_path)
+    assert env_hash.__wrapped__(GRASP_ANY) != before[0]
+    assert env_hash.__wrapped__(GRASP_ANY, alone) == before[1]
+
+
 @pytest.mark.parametrize("cells", [None, [1], [{"seed": 0}], [{"seed": 9, "split": "nominal"}]])
 def test_a_results_file_with_other_cells_is_not_continued(tmp_path, trained, cells):
     path = tmp_path / "results.json"
