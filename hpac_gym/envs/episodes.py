@@ -79,6 +79,7 @@ class Episodes:
         engine = self.simulation.engine
         try:
             engine.require(BODIES[options.body])
+            engine.every_step = task.every_step
             task.obs = options.obs
             self._camera = task.prepare(num_worlds, options.noise)
             self.observations = Observations(task, options.obs, num_worlds)

@@ -180,6 +180,10 @@ class SceneState:
     """True where the object touches its support, the table or the target's post, shape (n,)."""
     on_target: NDArray[np.bool_]
     """True where the object touches the target's post, shape (n,)."""
+    force_steps: Array
+    """Sum of the normal forces between hand and object in each physics step of the last control
+    step, shape (n, k) [N]; shape (n, 0) unless `Engine.every_step` asks for them.
+    """
 
     @classmethod
     def empty(cls, n: int) -> SceneState:
@@ -198,6 +202,7 @@ _SHAPES = {
     "time": (),
     "supported": (),
     "on_target": (),
+    "force_steps": (0,),
 }
 _FLAGS = ("touching", "supported", "on_target")
 _FIELDS = [
@@ -258,6 +263,8 @@ class Engine(Protocol):
     num_worlds: int
     dt: float
     """Physics step [s]."""
+    every_step: bool
+    """True if `SceneState.force_steps` is wanted; False at first."""
 
     def require(self, settings: HandSettings) -> None:
         """Refuse a hand that this engine cannot simulate.

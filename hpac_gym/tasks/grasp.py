@@ -163,6 +163,8 @@ class Grasp(Task):
     """
 
     phases = PHASES
+    shapes: tuple[str, ...] = SHAPES
+    """Shapes of the primitives, equally likely."""
     privileged_terms = PRIVILEGED_TERMS
     changing = ("grip", "_place", "_moved", "_lifted")
     config_class = GraspConfig
@@ -214,7 +216,7 @@ class Grasp(Task):
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the object, its place in front of the palm, and the open hand."""
         config = self.config
-        shape = SHAPES[rng.integers(len(SHAPES))]
+        shape = self.shapes[rng.integers(len(self.shapes))]
         width = rng.uniform(*config.radius)
         depth = rng.uniform(*config.radius)
         height = rng.uniform(*config.half_height)

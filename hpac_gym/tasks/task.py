@@ -73,6 +73,8 @@ class Task(ABC):
     """
     hands: str = "nominal"
     """Set from which an episode's hand is drawn; "nominal" draws none."""
+    every_step: bool = False
+    """True if the task reads `SceneState.force_steps`, which costs time."""
     endless: bool = False
     """True if only the time limit ends an episode."""
     unused: tuple[str, ...] = ()

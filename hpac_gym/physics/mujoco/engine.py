@@ -71,6 +71,8 @@ class MuJoCoEngine(Engine):
             raise ValueError(f"{num_worlds} worlds on {threads} threads: both must be at least 1")
         self.num_worlds = num_worlds
         self.dt = settings.dt
+        self.every_step = False
+        self._force_steps = np.zeros((num_worlds, 0))
         self._options = num_worlds, settings, threads, visuals
         self._camera: Camera | None = None
         self._groups: dict[Layout, Group] = {}
@@ -130,6 +132,8 @@ class MuJoCoEngine(Engine):
             PhysicsError: Simulations failed; the error has their worlds, and their time goes on.
         """
         failed: dict[int, str] = {}
+        if self.every_step:
+            self._force_steps = np.zeros(servo.shape[:2])
         for group, rows in self._rows.items():
             reasons = group.advance(
                 rows,
@@ -137,12 +141,17 @@ class MuJoCoEngine(Engine):
                 servo_vel[rows],
                 wrist[rows],
                 None if push is None else push[rows],
+                self.every_step,
             )
             self._felt[rows] = group.felt(rows)
+            if self.every_step and group.model.nsensor:
+                self._force_steps[rows] = group.force_steps()
             self._steps[rows] += servo.shape[1]
             if worlds := sorted(reasons):
                 group.start(np.array(worlds), [self._setups[world] for world in worlds])
                 self._felt[worlds] = 0.0
+                if self.every_step:
+                    self._force_steps[worlds] = 0.0
                 failed |= reasons
         if failed:
             first, *others = sorted(failed)
@@ -170,6 +179,7 @@ class MuJoCoEngine(Engine):
         state.contact_force = felt[:, FORCE]
         state.on_target = felt[:, ON_TARGET] > 0
         state.supported = (felt[:, ON_SUPPORT] > 0) | state.on_target
+        state.force_steps = self._force_steps
         return state
 
     def _read_object(

@@ -297,9 +297,16 @@ class Group:
         self.warned[worlds] = self.warnings[worlds]
 
     def advance(
-        self, rows: Rows, servo: Array, servo_vel: Array, wrist: Array, push: Array | None
+        self,
+        rows: Rows,
+        servo: Array,
+        servo_vel: Array,
+        wrist: Array,
+        push: Array | None,
+        every_step: bool = False,
     ) -> dict[int, str]:
-        """Step worlds through tables of servo angles and speeds, wrist offsets and pushes.
+        """Step worlds through tables of servo angles and speeds, wrist offsets and pushes; with
+        `every_step` their sensors are recorded, for `force_steps`.
 
         Returns:
             The worlds that failed, each with the reason.
@@ -321,8 +328,12 @@ class Group:
         # Without a handler MuJoCo writes a log file to the working directory.
         mujoco.set_mju_user_warning(lambda text: None)
         try:
-            self.batch.rollout(
-                steps, control, columns, record=(), ids=None if isinstance(rows, slice) else rows
+            self._recorded = self.batch.rollout(
+                steps,
+                control,
+                columns,
+                record=("sensordata",) if every_step and self.model.nsensor else (),
+                ids=None if isinstance(rows, slice) else rows,
             )
         except SimulationError as error:
             failed = {int(world): self.batch.error(int(world)) for world in error.ids}
@@ -349,3 +360,8 @@ class Group:
             found[:, FORCE] = slots[..., 1].sum(axis=2)
             found[:, ON_SUPPORT : ON_SUPPORT + sensors.shape[1] - split] = sensors[:, split:]
         return found
+
+    def force_steps(self) -> Array:
+        """Sums of `FORCE` in each of the physics steps that were recorded, shape (m, k) [N]."""
+        parts = self._recorded["sensordata"][..., : len(PARTS) * SLOTS * FORCE_SIZE]
+        return parts.reshape(*parts.shape[:2], -1, FORCE_SIZE)[..., 1].sum(axis=2)

@@ -57,6 +57,8 @@ class PyBulletEngine(Engine):
             )
         self.num_worlds = num_worlds
         self.dt = settings.dt
+        self.every_step = False
+        self._force_steps = np.zeros((num_worlds, 0))
         # Beside an object and above one: for many worlds this would take too much memory.
         stages = 2 if num_worlds == 1 else 1
         self.scenes = [Scene(settings, visuals, stages) for _ in range(num_worlds)]
@@ -86,10 +88,11 @@ class PyBulletEngine(Engine):
         self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
     ) -> None:
         pushes = [None] * self.num_worlds if push is None else push
-        for scene, past, *tables in zip(
-            self.scenes, self._past, servo, servo_vel, wrist, pushes, strict=True
+        self._force_steps = np.zeros((self.num_worlds, servo.shape[1] * self.every_step))
+        for world, (scene, past, *tables) in enumerate(
+            zip(self.scenes, self._past, servo, servo_vel, wrist, pushes, strict=True)
         ):
-            scene.advance(*tables)
+            scene.advance(*tables, self._force_steps[world])
             past.append(tuple(tables))
         for _ in range(servo.shape[1]):
             self._time = [time + self.dt for time in self._time]
@@ -102,6 +105,7 @@ class PyBulletEngine(Engine):
         """
         found = SceneState.empty(self.num_worlds)
         found.time = np.array(self._time)
+        found.force_steps = self._force_steps
         for world, scene in enumerate(self.scenes):
             if self._setups[world] is not None:
                 self._read(found, world, scene)

@@ -185,17 +185,25 @@ class Scene:
             turn,
         )
 
-    def advance(self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None) -> None:
+    def advance(
+        self,
+        servo: Array,
+        servo_vel: Array,
+        wrist: Array,
+        push: Array | None,
+        force_steps: Array | tuple[()] = (),
+    ) -> None:
         """Carry out k physics steps, one row of each table per step: shapes (k, 6) [rad], (k, 6)
-        [rad/s], (k, 3) [m] and (k, 3) [N], or None for no push."""
+        [rad/s], (k, 3) [m] and (k, 3) [N], or None for no push. The hand's normal forces on the
+        object are summed into `force_steps`, shape (k,) [N], or (0,) if nobody asks."""
         dt = self.world.settings.dt
         client = self.world.client
         hand = self.hand
         item = self.object
         swings = item is not None and item.spec.model is not None
         pushes = [None] * len(servo) if item is None or push is None else push.tolist()
-        for angles, speeds, offset, force in zip(
-            servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True
+        for step, (angles, speeds, offset, force) in enumerate(
+            zip(servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True)
         ):
             hand.move_wrist(offset)
             hand.apply_tendons(angles, speeds)
@@ -204,6 +212,8 @@ class Scene:
             if force is not None:
                 item.push(force)
             pybullet.stepSimulation(client)
+            if len(force_steps) and item is not None:
+                force_steps[step] = sum(contact[FORCE] for contact in self.contacts())
 
     def close(self) -> None:
         """Disconnect from all worlds. Closing twice is allowed."""
