@@ -14,7 +14,8 @@ from hpac_gym.command import command_parser, run, whole_number
 from hpac_gym.envs import GraspAny
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import wilson_interval
-from tools.any_closures import Player, by_policy
+from tools.any_player import Player
+from tools.any_touch import by_policy
 
 OF_EACH = 10
 FAMILIES = (1, 6, 11, 16)

@@ -8,8 +8,10 @@ import pytest
 
 from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.scripted import ANY_CLOSURES
-from tools import any_closures
-from tools.any_closures import CHOICES, DECIDED, LOOKS, Player, by_policy, chances, drawn_closure
+from tools import any_closures, any_touch
+from tools.any_closures import drawn_closure
+from tools.any_player import Player
+from tools.any_touch import CHOICES, DECIDED, LOOKS, by_policy, chances
 
 
 def test_random_closures_differ_and_stay_in_their_ranges():
@@ -45,7 +47,7 @@ def test_the_first_winner_of_each_seed_is_counted():
 def test_load_adds_to_deploy_and_privileged_does_not_see_it():
     task = GraspAny()
     seen = np.arange(2 * len(LOOKS) * 155.0).reshape(2, len(LOOKS), 155)
-    found = any_closures.arms(seen, task)
+    found = any_touch.arms(seen, task)
     assert found["deploy"].shape == (2, 2 * 46)
     assert found["load"].shape == (2, 2 * 57)
     assert found["privileged"].shape == (2, 2 * 144)
@@ -73,16 +75,16 @@ def test_the_policy_closes_again_as_at_the_start_of_an_episode_on_what_it_sees_t
     task = GraspAny()
     rng = np.random.default_rng(0)
     first, now = rng.uniform(0, 0.5, (2, 3, 155))
-    act = any_closures._decided(task, "policy", "again", defaultdict(dict), first, np.arange(3))
+    act = any_touch._decided(task, "policy", "again", defaultdict(dict), first, np.arange(3))
     np.testing.assert_array_equal(act(5, now), by_policy(task, first)(5))
-    np.testing.assert_array_equal(act(DECIDED, now), np.tile(any_closures.OPEN, (3, 1)))
+    np.testing.assert_array_equal(act(DECIDED, now), np.tile(any_touch.OPEN, (3, 1)))
     moved = first.copy()
     moved[:, 21:40] = now[:, 21:40]  # object_pos to object_seen
     wanted = by_policy(task, moved)
     for step in range(4):
         np.testing.assert_array_equal(
-            act(DECIDED + any_closures.OPENING + step, now + step),
-            wanted(any_closures.HASTE * step),
+            act(DECIDED + any_touch.OPENING + step, now + step),
+            wanted(any_touch.HASTE * step),
         )
     assert np.abs(wanted(20) - by_policy(task, first)(20)).max() > 0.01
 
@@ -90,7 +92,7 @@ def test_the_policy_closes_again_as_at_the_start_of_an_episode_on_what_it_sees_t
 @pytest.mark.slow
 def test_trials_are_the_same_until_the_decision_and_are_kept(tmp_path):
     player = Player("train", 4)
-    trials = any_closures.trials_of(player, "script", range(6), tmp_path)
+    trials = any_touch.trials_of(player, "script", range(6), tmp_path)
     assert trials.won.shape == (6, len(CHOICES))
     assert trials.seen.shape[:2] == (6, len(LOOKS))
     assert np.abs(trials.seen[:, 0] - trials.seen[:, -1]).max() > 0.1
@@ -98,6 +100,6 @@ def test_trials_are_the_same_until_the_decision_and_are_kept(tmp_path):
         any_closures.play_script(player, range(6), ANY_CLOSURES.__getitem__)[1], trials.won[:, 0]
     )
     player.play = None  # what is kept is not played again
-    again = any_closures.trials_of(player, "script", range(6), tmp_path)
+    again = any_touch.trials_of(player, "script", range(6), tmp_path)
     np.testing.assert_array_equal(again.won, trials.won)
     np.testing.assert_array_equal(again.seen, trials.seen)
