@@ -44,9 +44,9 @@ class Stage:
         ok.
         """
         self.seq = self.seq + 1 if seq is None else seq
-        self.oracle.host(self._us, wire.frame(kind, self.seq, payload, flags, version))
+        self.oracle.said.host(self._us, wire.frame(kind, self.seq, payload, flags, version))
         if kind != wire.HELLO:
-            self.oracle.device(
+            self.oracle.said.device(
                 self._us, wire.frame(wire.ACK, self.seq, bytes([kind, reason, 255, 0]))
             )
 
@@ -192,10 +192,10 @@ def test_a_repeat_is_over_once_the_pulses_have_stopped(between, seq, broken):
 def test_what_is_carried_out_must_have_come():
     stage = Stage(*ARMED)
     for kind, broken in ((wire.ESTOP, 0), (wire.MOVE, 1)):
-        stage.oracle.device(0, wire.frame(wire.ACK, 500, bytes([kind, 0, 255, 0])))
+        stage.oracle.said.device(0, wire.frame(wire.ACK, 500, bytes([kind, 0, 255, 0])))
         assert stage.oracle.broken["accept"] == broken
-    stage.oracle.host(0, wire.frame(wire.HEARTBEAT, 600, OURS, version=3))
-    stage.oracle.device(0, wire.frame(wire.ACK, 600, bytes([wire.HEARTBEAT, 0, 255, 0])))
+    stage.oracle.said.host(0, wire.frame(wire.HEARTBEAT, 600, OURS, version=3))
+    stage.oracle.said.device(0, wire.frame(wire.ACK, 600, bytes([wire.HEARTBEAT, 0, 255, 0])))
     assert stage.oracle.broken["accept"] == 2, "of another version"
 
 
@@ -364,7 +364,7 @@ def test_an_estop_ends_the_pulses_in_two_ticks(flags, payload, version):
 )
 def test_overload_relaxes_and_other_faults_end_the_pulses(fault, after, broken):
     stage = Stage(*ARMED).started()
-    stage.oracle.device(stage._us, wire.frame(wire.FAULT, 0, bytes([fault, 255, 0, 0, 0, 0])))
+    stage.oracle.said.device(stage._us, wire.frame(wire.FAULT, 0, bytes([fault, 255, 0, 0, 0, 0])))
     assert powered_until(stage, after).broken == broken
     stage.say(wire.ARM, arm())
     assert "accept" in stage.broken
@@ -373,7 +373,7 @@ def test_overload_relaxes_and_other_faults_end_the_pulses(fault, after, broken):
 def test_a_restart_forgets_session_pulses_and_waiting_messages():
     stage = Stage(*ARMED).started()
     stage.oracle.power_on()
-    assert stage.oracle.session == 0
+    assert stage.oracle.said.session == 0
     assert stage.show([None] * 6).show([0.0, *[None] * 5]).broken == {"unarmed"}
 
 

@@ -38,12 +38,12 @@ class JudgedHand(VirtualHand):
         super().restart(reset, boot_count)
 
     def receive(self, data: bytes) -> None:
-        self.oracle.host(self.now_us, data)
+        self.oracle.said.host(self.now_us, data)
         super().receive(self.heard(data))
 
     def transmit(self) -> bytes:
         said = super().transmit()
-        self.oracle.device(self.now_us, said)
+        self.oracle.said.device(self.now_us, said)
         return said
 
     def pulses(self) -> np.ndarray:
@@ -86,9 +86,9 @@ class NoWatchdog(JudgedHand):
     """A hand that feeds its own watchdog."""
 
     def ticked(self) -> None:
-        if self.oracle.session:
+        if self.oracle.said.session:
             feed = wire.frame(
-                wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.session), wire.NO_ACK
+                wire.HEARTBEAT, 0xFFFF, struct.pack("<I", self.oracle.said.session), wire.NO_ACK
             )
             self._library.hpac_hand_receive(self._hand, self._config, self.now_us, feed, len(feed))
 
@@ -152,7 +152,7 @@ class Forgiving(JudgedHand):
 
     def _mend(self, body: bytearray) -> bytes:
         if body[1] in (wire.ARM, wire.MOVE, wire.HEARTBEAT, wire.CLEAR):
-            body[5:9] = struct.pack("<I", self.oracle.session)
+            body[5:9] = struct.pack("<I", self.oracle.said.session)
         return bytes(body)
 
 
@@ -174,7 +174,7 @@ class Renumbering(JudgedHand):
     def transmit(self) -> bytes:
         said = VirtualHand.transmit(self)
         said = _rewritten(said, self._number_back)
-        self.oracle.device(self.now_us, said)
+        self.oracle.said.device(self.now_us, said)
         return said
 
     def _number_back(self, body: bytearray) -> bytes:

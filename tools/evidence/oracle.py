@@ -40,76 +40,68 @@ class Complaint:
     text: str
 
 
-class Oracle:
-    """Follows one hand from power-on and records every violation of the rules by its pulses.
-
-    Args:
-        hand: parameters of the hand.
-        period_us: period of the board's ticks, which is also the tolerance in time [µs].
-        holds_unpowered: whether its servos keep their angles without pulses.
+class Findings:
+    """The violations found so far.
 
     Attributes:
         complaints: the first hundred violations, in order.
         broken: number of violations, by rule.
         tried: number of checks of each of `RULES`.
-        session: nonce of the last wire.HELLO that opens a session; 0 before the first.
     """
 
-    def __init__(
-        self, hand: Hand = HPAC, period_us: int = 1000, holds_unpowered: bool = False
-    ) -> None:
-        self._holds = holds_unpowered
-        self._low = [round(x * 1e4) / 1e4 for x in hand.servo_min]
-        self._high = [round(x * 1e4) / 1e4 for x in hand.servo_max]
-        self._centre = [(low + high) / 2 for low, high in zip(self._low, self._high, strict=True)]
-        self._rest = [
-            min(max(0.0, low), high) for low, high in zip(self._low, self._high, strict=True)
-        ]
-        self._rate = [float(x) for x in np.broadcast_to(hand.servo_rate_limit, len(SERVOS))]
-        self._period_us = period_us
-        ways = (
-            (high - low) / (RELAX_SHARE * rate)
-            for low, high, rate in zip(self._low, self._high, self._rate, strict=True)
-        )
-        self._way_to_rest_us = max(ways) * 1e6
+    def __init__(self) -> None:
         self.complaints: list[Complaint] = []
         self.broken: Counter[str] = Counter()
         self.tried: Counter[str] = Counter(dict.fromkeys(RULES, 0))
+
+    def complain(self, rule: str, now_us: int, text: str) -> None:
+        """Note a violation."""
+        self.broken[rule] += 1
+        if len(self.complaints) < 100:
+            self.complaints.append(Complaint(rule, now_us, text))
+
+
+class Conversation:
+    """What host and hand say: which messages the hand must refuse, and whether it may have pulses.
+
+    Attributes:
+        session: nonce of the last wire.HELLO that opens a session; 0 before the first.
+        armed: whether the hand may move.
+        ending: the action by which the hand ends its motion since `ending_us`, by `ending_rule`; -1
+            without one.
+    """
+
+    def __init__(self, findings: Findings, low: list[float], high: list[float]) -> None:
+        self._findings = findings
+        self._low = low
+        self._high = high
         self._from_host = wire.Reader()
         self._from_hand = wire.Reader()
         self.power_on()
 
     def power_on(self) -> None:
-        """Note a restart of the chip: no session, no pulses."""
+        """Note a restart of the chip: no session."""
         self.session = 0
+        self.armed = False
+        self.ending = -1
+        self.ending_us = 0
+        self.ending_rule = ""
         self._waiting: dict[tuple[int, int], tuple[int, wire.Message]] = {}
-        self._armed = False
-        self._ending = -1  # the action started by a fault
-        self._ending_us = 0
-        self._ending_rule = ""
         self._fed_us = self._watchdog_us = self._action = 0
         self._last_move: tuple[int, bytes] | None = None
         self._repeatable = False
-        self._now_us: int | None = None
-        self._angles: list[float | None] = [None] * len(SERVOS)
-        self._pose = list(self._rest)
-        self._over = [0.0] * len(SERVOS)
-        self._started_us = -START_GAP_US
 
-    def _complain(self, rule: str, now_us: int, text: str) -> None:
-        self.broken[rule] += 1
-        if len(self.complaints) < 100:
-            self.complaints.append(Complaint(rule, now_us, text))
-
-    # --- messages of the host and answers of the hand
-    # --------------------------------------------------------------
+    def starve(self, now_us: int, late_us: int) -> None:
+        """Note the end of the watchdog period, once it is that late."""
+        if self.armed and now_us - self._fed_us >= self._watchdog_us + late_us:
+            self.end(self._action, self._fed_us + self._watchdog_us, "silence")
 
     def host(self, now_us: int, data: bytes) -> None:
         """Record bytes that reached the hand."""
         for message in self._from_host.push(data):
             if message.kind == wire.ESTOP:  # from any sender, with any contents
-                self.tried["estop"] += 1
-                self._end(wire.DETACH, now_us, "estop")
+                self._findings.tried["estop"] += 1
+                self.end(wire.DETACH, now_us, "estop")
             elif message.version == wire.VERSION:
                 self._waiting[message.kind, message.seq] = (now_us, message)
                 if (
@@ -119,14 +111,15 @@ class Oracle:
                     and not message.flags
                 ):
                     self.session = struct.unpack("<I", message.payload)[0]
-                    self._armed = False
+                    self.armed = False
                     self._last_move = None
 
-    def _end(self, action: int, now_us: int, rule: str) -> None:
-        self._armed = False
-        self._ending = action
-        self._ending_us = now_us
-        self._ending_rule = rule
+    def end(self, action: int, now_us: int, rule: str) -> None:
+        """Note that the hand has begun to end its motion on its own, and by which rule."""
+        self.armed = False
+        self.ending = action
+        self.ending_us = now_us
+        self.ending_rule = rule
 
     def device(self, now_us: int, data: bytes) -> None:
         """Record bytes that the hand sent: executed messages, and faults that it detected."""
@@ -138,7 +131,7 @@ class Oracle:
                 if question is not None:
                     self._carried_out(sent_us, question)
                 elif message.payload[0] != wire.ESTOP:
-                    self._complain(
+                    self._findings.complain(
                         "accept",
                         now_us,
                         f"message {message.payload[0]} was carried out, but never came",
@@ -147,16 +140,16 @@ class Oracle:
                 wire.FAULT_ESTOP,
                 wire.FAULT_WATCHDOG,
             ):
-                self._end(
+                self.end(
                     wire.RELAX if message.payload[0] == wire.FAULT_OVERLOAD else wire.DETACH,
                     now_us,
                     "silence",
                 )
 
     def _carried_out(self, now_us: int, message: wire.Message) -> None:
-        self.tried["accept"] += 1
+        self._findings.tried["accept"] += 1
         if (why := self._must_refuse(message)) is not None:
-            self._complain(
+            self._findings.complain(
                 "accept",
                 now_us,
                 f"message {message.kind} of sequence {message.seq} was carried out: {why}",
@@ -166,11 +159,11 @@ class Oracle:
         if message.kind == wire.ARM:
             _, _, watchdog_ms, self._action = struct.unpack("<IIHB", message.payload)
             self._watchdog_us = watchdog_ms * 1000
-            self._armed = True
-            self._ending = -1
+            self.armed = True
+            self.ending = -1
         elif message.kind == wire.CLEAR:
-            self._armed = False
-            self._ending = -1
+            self.armed = False
+            self.ending = -1
             self._repeatable = False
         elif message.kind == wire.MOVE:
             self._last_move = (message.seq, message.payload)
@@ -195,13 +188,13 @@ class Oracle:
             _, _, watchdog_ms, action = struct.unpack("<IIHB", message.payload)
             if action > wire.DETACH or not WATCHDOG_US[0] <= watchdog_ms * 1000 <= WATCHDOG_US[1]:
                 return f"action {action}, watchdog {watchdog_ms} ms"
-            return "a fault is latched" if self._ending >= 0 else None
+            return "a fault is latched" if self.ending >= 0 else None
         if message.kind == wire.MOVE:
             return self._move_must_be_refused(message)
         return None
 
     def _move_must_be_refused(self, message: wire.Message) -> str | None:
-        if not self._armed:
+        if not self.armed:
             return "the hand is not armed"
         _, duration_ms, *steps = struct.unpack("<IH6h", message.payload)
         if not 10 <= duration_ms <= 10_000:
@@ -216,13 +209,52 @@ class Oracle:
                 return f"older than {self._last_move[0]}"
         return None
 
-    # --- pulses
-    # ----------------------------------------------------------------------------------------------------
+
+class Oracle(Findings):
+    """Follows one hand from power-on and records every violation of the rules by its pulses.
+
+    Args:
+        hand: parameters of the hand.
+        period_us: period of the board's ticks, which is also the tolerance in time [µs].
+        holds_unpowered: whether its servos keep their angles without pulses.
+
+    Attributes:
+        said: takes the bytes that the hand receives and sends.
+    """
+
+    def __init__(
+        self, hand: Hand = HPAC, period_us: int = 1000, holds_unpowered: bool = False
+    ) -> None:
+        super().__init__()
+        self._holds = holds_unpowered
+        self._low = [round(x * 1e4) / 1e4 for x in hand.servo_min]
+        self._high = [round(x * 1e4) / 1e4 for x in hand.servo_max]
+        self._centre = [(low + high) / 2 for low, high in zip(self._low, self._high, strict=True)]
+        self._rest = [
+            min(max(0.0, low), high) for low, high in zip(self._low, self._high, strict=True)
+        ]
+        self._rate = [float(x) for x in np.broadcast_to(hand.servo_rate_limit, len(SERVOS))]
+        self._period_us = period_us
+        ways = (
+            (high - low) / (RELAX_SHARE * rate)
+            for low, high, rate in zip(self._low, self._high, self._rate, strict=True)
+        )
+        self._way_to_rest_us = max(ways) * 1e6
+        self.said = Conversation(self, self._low, self._high)
+        self.power_on()
+
+    def power_on(self) -> None:
+        """Note a restart of the chip: no session, no pulses."""
+        self.said.power_on()
+        self._now_us: int | None = None
+        self._angles: list[float | None] = [None] * len(SERVOS)
+        self._pose = list(self._rest)
+        self._over = [0.0] * len(SERVOS)
+        self._started_us = -START_GAP_US
 
     def pulses(self, now_us: int, widths: list[int] | np.ndarray) -> None:
         """Check the six pulse widths [ns] after a tick; 0 means no pulses."""
-        if self._armed and now_us - self._fed_us >= self._watchdog_us + self._period_us:
-            self._end(self._action, self._fed_us + self._watchdog_us, "silence")
+        self.said.starve(now_us, self._period_us)
         before_us = self._now_us if self._now_us is not None else now_us
         angles = [
             None if not width else centre + (int(width) - CENTRE_NS) / NS_PER_RAD
@@ -239,24 +271,24 @@ class Oracle:
 
     def _check_power(self, now_us: int, angles: list[float | None]) -> None:
         powered = any(angle is not None for angle in angles)
-        if self._armed:
+        if self.said.armed:
             return
-        if self._ending < 0:
+        if self.said.ending < 0:
             self.tried["unarmed"] += 1
             if powered:
-                self._complain("unarmed", now_us, "pulses although the hand is not armed")
+                self.complain("unarmed", now_us, "pulses although the hand is not armed")
             return
         allowed_us = (
             0.0
-            if self._ending == wire.DETACH
-            else self._way_to_rest_us + (HOLD_US if self._ending == wire.HOLD else 0)
+            if self.said.ending == wire.DETACH
+            else self._way_to_rest_us + (HOLD_US if self.said.ending == wire.HOLD else 0)
         )
-        self.tried[self._ending_rule] += 1
-        if powered and now_us > self._ending_us + allowed_us + 2 * self._period_us:
-            self._complain(
-                self._ending_rule,
+        self.tried[self.said.ending_rule] += 1
+        if powered and now_us > self.said.ending_us + allowed_us + 2 * self._period_us:
+            self.complain(
+                self.said.ending_rule,
                 now_us,
-                f"pulses {(now_us - self._ending_us) / 1e3:.1f} ms after the end began",
+                f"pulses {(now_us - self.said.ending_us) / 1e3:.1f} ms after the end began",
             )
 
     def _check_start(self, now_us: int, angles: list[float | None]) -> None:
@@ -269,7 +301,7 @@ class Oracle:
             return
         self.tried["start"] += 1
         if len(new) > 1 or now_us - self._started_us < START_GAP_US - self._period_us:
-            self._complain(
+            self.complain(
                 "start",
                 now_us,
                 f"servos {new} start {(now_us - self._started_us) / 1e3:.0f} ms after the one before",
@@ -282,7 +314,7 @@ class Oracle:
                 abs(angles[i] - stands)
                 > RELAX_SHARE * self._rate[i] * 2e-6 * self._period_us + ROUNDING
             ):
-                self._complain(
+                self.complain(
                     "start",
                     now_us,
                     f"{SERVOS[i]} starts at {angles[i]:.4f} rad, stands at {stands:.4f} rad",
@@ -292,7 +324,7 @@ class Oracle:
     def _check_motion(self, i: int, angle: float, now_us: int, step_us: int) -> None:
         self.tried["range"] += 1
         if not self._low[i] - ROUNDING <= angle <= self._high[i] + ROUNDING:
-            self._complain(
+            self.complain(
                 "range",
                 now_us,
                 f"{SERVOS[i]} at {angle:.4f} rad, limits {self._low[i]:g} … {self._high[i]:g} rad",
@@ -302,23 +334,27 @@ class Oracle:
             self._over[i] = 0.0
             return
         moved = abs(angle - before)
-        slow = self._ending == wire.RELAX or (
-            self._ending == wire.HOLD and now_us > self._ending_us + HOLD_US
+        slow = self.said.ending == wire.RELAX or (
+            self.said.ending == wire.HOLD and now_us > self.said.ending_us + HOLD_US
         )
         rate = self._rate[i] * (RELAX_SHARE if slow else 1.0)
         allowed = rate * RATE_EXCESS * min(step_us, STEP_MAX_US) * 1e-6
         self._over[i] = max(self._over[i] + moved - allowed, 0.0)
         self.tried["rate"] += moved > ROUNDING
         if self._over[i] > rate * CREDIT_TIME + CREDIT_ANGLE + ROUNDING:
-            self._complain(
+            self.complain(
                 "rate", now_us, f"{SERVOS[i]} is {self._over[i]:.4f} rad ahead of {rate:g} rad/s"
             )
             self._over[i] = 0.0
-        if self._ending < 0 or now_us <= self._ending_us + self._period_us:
+        if self.said.ending < 0 or now_us <= self.said.ending_us + self._period_us:
             return
-        if self._ending == wire.HOLD and now_us < self._ending_us + HOLD_US and moved > ROUNDING:
-            self._complain("silence", now_us, f"{SERVOS[i]} moves although the hand must hold")
+        if (
+            self.said.ending == wire.HOLD
+            and now_us < self.said.ending_us + HOLD_US
+            and moved > ROUNDING
+        ):
+            self.complain("silence", now_us, f"{SERVOS[i]} moves although the hand must hold")
         if slow and abs(angle - self._rest[i]) > abs(before - self._rest[i]) + ROUNDING:
-            self._complain(
+            self.complain(
                 "silence", now_us, f"{SERVOS[i]} moves away from rest although the hand must relax"
             )
