@@ -61,11 +61,12 @@ test-all: compiler setup firmware ## pass all the tests, slow ones and firmware 
 	@$(MAKE) -C firmware CC='$(CC)' check-all
 	@$(BIN)/python -m pytest -m '' $(PYTEST_ARGS)
 
-test-lerobot: ## pass the tests that need lerobot, in .venv-lerobot with Python 3.12 (gigabytes of PyTorch)
+test-lerobot: compiler firmware ## pass the tests that need lerobot, in .venv-lerobot with Python 3.12 (gigabytes of PyTorch)
 	@python3.12 -c 'import venv' 2>/dev/null || { echo "lerobot needs Python 3.12, and 'python3.12' does not run here: install it"; exit 2; }
 	@test -d .venv-lerobot || python3.12 -m venv .venv-lerobot
-	@.venv-lerobot/bin/python -m pip install -qq --disable-pip-version-check --no-input --editable '.[lerobot,test]'
+	@.venv-lerobot/bin/python -m pip install -qq --disable-pip-version-check --no-input --editable '.[lerobot,test]' --editable 'integrations/lerobot[sliders]'
 	@.venv-lerobot/bin/python -m pytest tests/evaluation/lerobot_round_trip.py
+	@cd integrations/lerobot && ../../.venv-lerobot/bin/python -m pytest --rootdir=. tests
 
 demo: compiler setup firmware ## train, evaluate and replay over the wire into runs/demo (under 20 minutes)
 	@$(BIN)/python -m agents.demo --out runs/demo $(DEMO_ARGS)

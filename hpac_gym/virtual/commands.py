@@ -272,6 +272,8 @@ class Virtual:
                 if told["phase"] != "ready":
                     self.body.tell(told)
                 elif self._phase != "ready":
+                    if self.body.outcome != RUNNING:  # the hand may have kept its power since
+                        self.body.place(self.body.setup, self.body.state().horn[0])
                     self.body.begin(now_us)
                     self._told = RUNNING
                     self._episodes += 1

@@ -7,14 +7,15 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hpac
-from hpac_gym.bridge import HandLink, VirtualHand, pulses_from_servo
+from hpac_gym.bridge import HandLink, HostBoard, VirtualHand, pulses_from_servo
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import Log, run_episode
 from hpac_gym.deploy.observer import Observer
@@ -25,7 +26,7 @@ from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
 from hpac_gym.virtual.body import Path as WristPath
-from hpac_gym.virtual.commands import CAN, scene
+from hpac_gym.virtual.commands import CAN, Virtual, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
 from tests.processes import wait_for
 
@@ -56,6 +57,22 @@ def running(*words):
 
 
 # --- in real time
+
+
+@pytest.mark.parametrize("outcome", [SUCCESS, RUNNING])
+def test_the_object_is_back_when_the_arm_is_asked_to_be_ready_after_an_episode(env, outcome):
+    """Also where the hand has kept its power since; during an episode it is not moved."""
+    with HostBoard() as board, closing(Virtual(Body(env, 3), board, None, 0, 0)) as hand:
+        start = hand.body.state().object_pos[0].copy()
+        state = hand.body.setup
+        hand.body.place(replace(state, position=state.position + np.array([0.0, 0.0, 0.03])))
+        hand.body.setup = state
+        hand.body.outcome = outcome
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as program:
+            program.sendto(b'{"hpac_arm": 1, "phase": "ready"}', ("127.0.0.1", hand.arm_port))
+            hand.turn()
+        back = np.linalg.norm(hand.body.state().object_pos[0] - start) < 0.01
+        assert back == (outcome == SUCCESS)
 
 
 def test_what_is_typed_against_a_virtual_hand_holds_the_object(tmp_path):

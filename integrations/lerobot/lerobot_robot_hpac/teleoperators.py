@@ -1,0 +1,345 @@
+"""Teleoperators of the hand: a policy, sliders on a page, keys, and a tracked human hand.
+
+`lerobot-record` stores what a teleoperator gives, so each gives six numbers within −1…1."""
+
+from __future__ import annotations
+
+import json
+import logging
+import socket
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from lerobot.lerobot_types import RobotAction
+from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
+from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
+from lerobot.utils.keyboard_input import create_key_listener
+
+from hpac_gym.deploy.arm import arm_of
+from hpac_gym.deploy.commands import object_of
+from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.observer import Observer
+from hpac_gym.deploy.poses import averaged
+from hpac_gym.errors import HpacError
+from hpac_gym.model import SERVOS, action_from_synergy, streamed_servo
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import SceneSetup
+from hpac_gym.policies.loading import about, load_policy
+from hpac_gym.tasks.task import CONTROL_HZ
+from lerobot_robot_hpac.features import ACTIONS, Commands, clipped, named, shared_source
+from lerobot_robot_hpac.landmarks import synergy_from_landmarks
+
+OPEN = -np.ones(len(SERVOS))
+log = logging.getLogger(__name__)
+
+
+class HpacTeleoperator(Teleoperator):
+    """What the teleoperators share; each has `_open`, `_wanted` and `_close`."""
+
+    def __init__(self, config: TeleoperatorConfig) -> None:
+        super().__init__(config)
+        self.config = config
+        self._connected = False
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """The six actions."""
+        return dict.fromkeys(ACTIONS, float)
+
+    @property
+    def feedback_features(self) -> dict[str, type]:
+        """None: nothing pushes back."""
+        return {}
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether `connect` was called."""
+        return self._connected
+
+    @property
+    def is_calibrated(self) -> bool:
+        """True: there is nothing to calibrate."""
+        return True
+
+    def calibrate(self) -> None:
+        """Nothing to do."""
+
+    def configure(self) -> None:
+        """Nothing to do."""
+
+    def send_feedback(self, feedback: dict[str, Any]) -> None:
+        """Nothing to do."""
+
+    @check_if_already_connected
+    def connect(self, calibrate: bool = True) -> None:
+        """Open what the actions come from."""
+        self._open()
+        self._connected = True
+
+    @check_if_not_connected
+    def get_action(self) -> RobotAction:
+        """The six actions that are wanted now, within −1…1.
+
+        Raises:
+            ActionError: They are not six finite numbers.
+        """
+        return named(ACTIONS, clipped(named(ACTIONS, self._wanted())))
+
+    def disconnect(self) -> None:
+        """Close what `connect` opened."""
+        if self._connected:
+            self._connected = False
+            self._close()
+
+    def _open(self) -> None:
+        raise NotImplementedError
+
+    def _wanted(self) -> Array:
+        raise NotImplementedError
+
+    def _close(self) -> None:
+        raise NotImplementedError
+
+
+# A policy ---------------------------------------------------------------------------------
+
+
+@TeleoperatorConfig.register_subclass("hpac_policy")
+@dataclass(kw_only=True)
+class HpacPolicyConfig(TeleoperatorConfig):
+    """Settings, as of `hpac deploy`.
+
+    Attributes:
+        policy: a shipped policy such as grasp, a policy file, or scripted.
+        object: what the camera knows of the object.
+        pose: where the object is.
+        arm: who carries the hand: none, enter or udp:HOST:PORT.
+        env: environment of a policy without a file.
+        grasp: named grasp or type, for the tasks that have them.
+        hold: time for which the last action is repeated, before the hand opens [s].
+    """
+
+    policy: str
+    object: str
+    pose: str
+    arm: str = "none"
+    env: str = "HPAC-Grasp-v0"
+    grasp: str | None = None
+    hold: float = 2.0
+
+
+class _Began(logging.Handler):
+    """Hears that LeRobot begins to record an episode: it tells nobody but its log."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard = True
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.heard |= record.getMessage().startswith("Recording episode")
+
+
+class HpacPolicy(HpacTeleoperator):
+    """A policy of this project: one episode at first, and one whenever LeRobot records one; between
+    them the hand waits in the task's start posture.
+    """
+
+    config_class = HpacPolicyConfig
+    name = "hpac_policy"
+
+    def _open(self) -> None:
+        config = self.config
+        env_id = about(config.policy).get("env_id") or config.env
+        self._observer = Observer(env_id, object_of(config.object), grasp=config.grasp)
+        if self._observer.task.wrist_actions:
+            raise DeployError(f"{config.policy} places the wrist, which LeRobot's actions have not")
+        self._policy = load_policy(config.policy, self._observer)
+        self._source = shared_source(config.pose, object_of(config.object))
+        self._arm = arm_of(config.arm)
+        self._began = _Began()
+        logging.getLogger().addHandler(self._began)
+
+    def _close(self) -> None:
+        logging.getLogger().removeHandler(self._began)
+        self._arm.close()
+
+    def _begin(self) -> None:
+        self._began.heard = False
+        self._memory: Any = None
+        self._step = 0
+        self._observer.start()
+        self._arm.ready(time.sleep, {"phase": "ready", "time": 0.0, "offset": [0.0, 0.0, 0.0]})
+        self._pose = averaged(self._source, 0.5, 0.5)
+
+    def _wanted(self) -> Array:
+        if self._began.heard:
+            self._begin()
+        observer = self._observer
+        step = self._step
+        self._step += 1
+        if step >= observer.steps + round(self.config.hold * CONTROL_HZ):
+            return action_from_synergy(observer.setup.synergy)
+        if step < observer.steps:
+            if step:
+                self._pose = (self._source.latest() or (self._pose, 0.0))[0]
+            offset = observer.wrist_offset().tolist()
+            self._arm.tell({"phase": observer.phase(), "time": step / CONTROL_HZ, "offset": offset})
+            seen = observer.see(self._pose)
+            given, self._memory = self._policy.predict(seen, self._memory, np.array([step == 0]))
+            self._action = clipped(named(ACTIONS, given))
+            target = observer.command(self._action)
+            observer.sent(streamed_servo(observer.servo, target, 1 / CONTROL_HZ))
+        return self._action
+
+
+# Sliders ----------------------------------------------------------------------------------
+
+
+@TeleoperatorConfig.register_subclass("hpac_sliders")
+@dataclass(kw_only=True)
+class HpacSlidersConfig(TeleoperatorConfig):
+    """Settings.
+
+    Attributes:
+        browser: open a browser; the page's address is printed anyway.
+    """
+
+    browser: bool = True
+
+
+class HpacSliders(HpacTeleoperator):
+    """Six sliders on a page, which also shows the hand as the model predicts it."""
+
+    config_class = HpacSlidersConfig
+    name = "hpac_sliders"
+
+    def _open(self) -> None:
+        from hpac_gym.view.page import HandPage  # an extra
+
+        text = "Each slider is a servo of the hand that LeRobot drives."
+        self._page = HandPage(SceneSetup(None), text, browser=self.config.browser)
+        self._commands = Commands()
+
+    def _close(self) -> None:
+        self._page.close()
+
+    def _wanted(self) -> Array:
+        from hpac_gym.view.page import Shown
+
+        servo = self._page.wanted()
+        if self._page.due():
+            self._page.show(Shown(self._commands.predicted(servo), servo, np.zeros(3)))
+        return self._commands.action(servo)
+
+
+# Keys -------------------------------------------------------------------------------------
+
+
+@TeleoperatorConfig.register_subclass("hpac_keyboard")
+@dataclass(kw_only=True)
+class HpacKeyboardConfig(TeleoperatorConfig):
+    """Settings.
+
+    Attributes:
+        step: change of an action by one key, of its range of 2.
+    """
+
+    step: float = 0.1
+
+
+class HpacKeyboard(HpacTeleoperator):
+    """Keys: ``a s d f g h`` close a servo by a step, with Shift they open it; ``w`` closes the five
+    digits, with Shift it opens them; space opens all. LeRobot itself has n, r, q and the arrows.
+    """
+
+    config_class = HpacKeyboardConfig
+    name = "hpac_keyboard"
+    keys = "asdfgh"
+
+    def _open(self) -> None:
+        self._at = OPEN.copy()
+        text = (
+            f"{self.keys}: close {', '.join(SERVOS)}; w: all digits; Shift: open; space: open all"
+        )
+        self._listener = create_key_listener(self.press, controls_help=text)
+        if self._listener is None:
+            raise HpacError("no keys: neither a terminal nor an X11 display; use hpac_sliders")
+
+    def press(self, key: str) -> None:
+        """A key was pressed."""
+        step = self.config.step if key.islower() else -self.config.step
+        if key == "space":
+            self._at = OPEN.copy()
+        elif key in ("w", "W"):
+            self._at = np.clip(self._at + step * (np.arange(len(SERVOS)) < 5), -1.0, 1.0)
+        elif len(key) == 1 and key.lower() in self.keys:
+            here = np.arange(len(SERVOS)) == self.keys.index(key.lower())
+            self._at = np.clip(self._at + step * here, -1.0, 1.0)
+
+    def _close(self) -> None:
+        self._listener.stop()
+
+    def _wanted(self) -> Array:
+        return self._at
+
+
+# Landmarks --------------------------------------------------------------------------------
+
+
+@TeleoperatorConfig.register_subclass("hpac_landmarks")
+@dataclass(kw_only=True)
+class HpacLandmarksConfig(TeleoperatorConfig):
+    """Settings.
+
+    Attributes:
+        port: UDP port of this computer; 0 is a free one.
+        oldest: age of the landmarks from which on the hand opens [s].
+    """
+
+    port: int = 9021
+    oldest: float = 1.0
+
+
+class HpacLandmarks(HpacTeleoperator):
+    """A human right hand that another program tracks. A datagram is ``{"hpac_landmarks": 1,
+    "points": [[x, y, z], …]}`` with 21 points.
+
+    Attributes:
+        refused: number of datagrams that were none.
+    """
+
+    config_class = HpacLandmarksConfig
+    name = "hpac_landmarks"
+
+    def _open(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(("127.0.0.1", self.config.port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise DeployError(f"UDP port {self.config.port}: {error}") from None
+        self.port = self._socket.getsockname()[1]
+        self.refused = 0
+        self._heard_at = -np.inf
+
+    def _close(self) -> None:
+        self._socket.close()
+
+    def _wanted(self) -> Array:
+        while True:
+            try:
+                packet = json.loads(self._socket.recv(8192))
+                if packet["hpac_landmarks"] != 1:
+                    raise ValueError(packet["hpac_landmarks"])
+                self._action = action_from_synergy(synergy_from_landmarks(packet["points"]))
+                self._heard_at = time.monotonic()
+            except BlockingIOError:
+                break
+            except (ValueError, KeyError, TypeError) as error:
+                self.refused += 1
+                log.warning("no landmarks: %s", error)
+        old = time.monotonic() - self._heard_at > self.config.oldest
+        return OPEN if old else self._action

@@ -1,0 +1,211 @@
+"""The teleoperators: each gives six numbers within −1…1, which LeRobot stores as they are."""
+
+import json
+import logging
+import socket
+import time
+
+import numpy as np
+import pytest
+from lerobot.teleoperators import TeleoperatorConfig, make_teleoperator_from_config
+from lerobot_robot_hpac import teleoperators
+from lerobot_robot_hpac.features import ACTIONS, ActionError
+from lerobot_robot_hpac.landmarks import synergy_from_landmarks
+
+from hpac_gym.body.geometry import HPAC_GEOMETRY, link_poses, rotation_about
+from hpac_gym.deploy.commands import object_of
+from hpac_gym.deploy.errors import DeployError
+from hpac_gym.deploy.observer import Observer
+from hpac_gym.deploy.poses import Fixed, pose_of
+from hpac_gym.errors import HpacError, ShapeError
+from hpac_gym.model import (
+    DIGITS,
+    HPAC,
+    JOINT_INDEX,
+    SERVOS,
+    action_from_synergy,
+    elastic_joints_from_servo,
+    servo_from_synergy,
+    streamed_servo,
+    synergy_from_action,
+)
+from hpac_gym.policies.loading import load_policy
+
+CAN = "cylinder:0.02,0.05"
+PLACE = "0.0485,0,0.12"
+
+
+def made(kind, **settings):
+    """A teleoperator, made as LeRobot makes it."""
+    config = TeleoperatorConfig.get_choice_class(kind)(**settings)
+    return make_teleoperator_from_config(config)
+
+
+def values(teleoperator):
+    given = teleoperator.get_action()
+    assert list(given) == list(teleoperator.action_features) == list(ACTIONS)
+    return np.array(list(given.values()))
+
+
+def landmarks(synergy):
+    """The landmarks of the H-PAC hand itself, as the elastic model predicts it."""
+    joints = elastic_joints_from_servo(servo_from_synergy(synergy))
+    points = [np.zeros(3)]
+    for digit in map(HPAC_GEOMETRY.digit, DIGITS):
+        angles = [joints[JOINT_INDEX[phalanx.joint]] for phalanx in digit.phalanges]
+        poses = link_poses(digit, angles)
+        tip, turn = poses[-1]
+        points += [place for place, _ in poses] + [tip + turn[:, 2] * digit.phalanges[-1].length]
+    return np.array(points)
+
+
+# --- landmarks
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_own_landmarks_of_the_hand_give_its_synergies_back(seed):
+    rng = np.random.default_rng(seed)
+    synergy = synergy_from_action(rng.uniform(-1, 1, 6))
+    turn = rotation_about((0.6, 0.0, 0.8), rng.uniform(0, 6))
+    points = 7 * landmarks(synergy) @ turn.T + rng.normal(size=3)
+    found = synergy_from_landmarks(points)
+    assert found == pytest.approx(synergy, abs=0.06)
+    mirrored = synergy_from_landmarks(points * [-1, 1, 1])  # a left hand: the control
+    assert np.abs(mirrored - synergy).max() > 0.2
+
+
+def test_what_is_no_hand_is_refused():
+    good = landmarks(HPAC.synergy_min)
+    for bad in (good[:20], good * np.nan, good * 0, np.tile(np.arange(21.0)[:, None], 3)):
+        with pytest.raises(ShapeError, match="landmarks"):
+            synergy_from_landmarks(bad)
+
+
+def test_landmarks_come_by_udp_and_a_silent_tracker_opens_the_hand():
+    hand = made("hpac_landmarks", port=0, oldest=0.3)
+    hand.connect()
+    assert values(hand) == pytest.approx(-np.ones(6))
+    synergy = synergy_from_action(np.array([0.5, 0.2, -0.3, 0.9, 0.0, 0.4]))
+    packet = {"hpac_landmarks": 1, "points": landmarks(synergy).tolist()}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tracker:
+        tracker.connect(("127.0.0.1", hand.port))
+        tracker.send(json.dumps(packet).encode())
+        time.sleep(0.05)
+        seen = values(hand)
+        for bad in (
+            b"\xff",
+            b"[]",
+            b'{"hpac_landmarks": 2}',
+            b'{"hpac_landmarks": 1, "points": 3}',
+        ):
+            tracker.send(bad)
+        time.sleep(0.05)
+        assert np.array_equal(values(hand), seen)
+    assert seen == pytest.approx(action_from_synergy(synergy), abs=0.1)
+    assert hand.refused == 4
+    time.sleep(0.4)
+    assert values(hand) == pytest.approx(-np.ones(6))
+    hand.disconnect()
+
+
+def test_a_port_that_is_taken_is_told():
+    hand = made("hpac_landmarks", port=0)
+    hand.connect()
+    with pytest.raises(DeployError, match=f"UDP port {hand.port}"):
+        made("hpac_landmarks", port=hand.port).connect()
+    hand.disconnect()
+
+
+# --- keys
+
+
+def test_keys_close_and_open(monkeypatch):
+    heard = []
+    listener = type("Listener", (), {"stop": lambda self: None})()
+    monkeypatch.setattr(
+        teleoperators, "create_key_listener", lambda press, **_: heard.append(press) or listener
+    )
+    keys = made("hpac_keyboard", step=0.25)
+    keys.connect()
+    (press,) = heard
+    for key in "sshwwwwX":
+        press(key)
+    wanted = [0.0, 0.5, 0.0, 0.0, 0.0, -0.75]
+    assert values(keys) == pytest.approx(wanted)
+    for key in (*"SSWWWWWWWWWWWWWWWWW", "up", "n"):
+        press(key)
+    assert values(keys) == pytest.approx([-1, -1, -1, -1, -1, -0.75])
+    for key in "h" * 20:
+        press(key)
+    assert values(keys)[5] == 1.0  # clipped
+    press("space")
+    assert values(keys) == pytest.approx(-np.ones(6))
+    keys.disconnect()
+
+
+def test_where_there_are_no_keys_it_is_said(monkeypatch):
+    monkeypatch.setattr(teleoperators, "create_key_listener", lambda *_, **__: None)
+    with pytest.raises(HpacError, match="no keys"):
+        made("hpac_keyboard").connect()
+
+
+# --- sliders
+
+
+def test_the_sliders_of_the_page_are_the_actions():
+    sliders = made("hpac_sliders", browser=False)
+    sliders.connect()
+    assert values(sliders) == pytest.approx(-np.ones(6))
+    sliders._page.sliders[1].value = sliders._page.sliders[1].max
+    sliders._page.sliders[5].value = sliders._page.sliders[5].max / 2
+    found = values(sliders)
+    assert found[1] == pytest.approx(1.0, abs=0.02)
+    assert found[5] == pytest.approx(0.0, abs=0.02)
+    assert found[[0, 2, 3, 4]] == pytest.approx([-1] * 4)
+    sliders.disconnect()
+
+
+# --- a policy
+
+
+def test_a_policy_gives_what_it_gives_in_a_deployment_and_one_episode_for_each_of_lerobots():
+    seen = Observer("HPAC-Grasp-v0", object_of(CAN))
+    policy = load_policy("scripted", seen)
+    pose, _ = Fixed(pose_of([0.0485, 0, 0.12], "here")).latest()
+    expected = []
+    memory = None
+    for step in range(seen.steps):
+        given, memory = policy.predict(seen.see(pose), memory, np.array([step == 0]))
+        expected.append(np.clip(given, -1, 1))
+        seen.sent(streamed_servo(seen.servo, seen.command(expected[-1]), 0.05))
+    hand = made("hpac_policy", policy="scripted", object=CAN, pose=PLACE, hold=0.1)
+    hand.connect()
+    found = [values(hand) for _ in range(seen.steps)]
+    assert np.array(found) == pytest.approx(np.array(expected), abs=1e-6)
+    held = np.array([values(hand) for _ in range(2)])
+    assert held == pytest.approx(np.array([found[-1]] * 2))
+    waits = values(hand)
+    assert waits == pytest.approx(action_from_synergy(seen.setup.synergy))
+    assert values(hand) == pytest.approx(waits)
+    logging.getLogger("lerobot").warning("Recording episode 1")
+    assert values(hand) == pytest.approx(found[0])  # begins anew
+    hand.disconnect()
+    logging.getLogger("lerobot").warning("Recording episode 2")  # nobody listens any more
+
+
+def test_an_action_that_is_no_number_ends_it(monkeypatch):
+    hand = made("hpac_policy", policy="scripted", object=CAN, pose=PLACE)
+    hand.connect()
+    monkeypatch.setattr(hand._policy, "predict", lambda *_: (np.full(6, np.nan), None))
+    with pytest.raises(ActionError):
+        hand.get_action()
+    hand.disconnect()
+
+
+def test_a_policy_that_places_the_wrist_is_refused():
+    with pytest.raises(DeployError, match="places the wrist"):
+        made("hpac_policy", policy="grasp-type", object=CAN, pose=PLACE).connect()
+
+
+def test_names_of_actions_are_those_of_the_servos():
+    assert [name.removesuffix(".pos") for name in ACTIONS] == list(SERVOS)
