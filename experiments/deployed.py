@@ -2,7 +2,10 @@
 
 In lock-step, with a virtual clock: observer → policy → link → frames → firmware core → pulses,
 latched at 50 Hz → servos → a MuJoCo hand with its object, and the pose of the object back to the
-observer. Each seed is one episode of the environment, whose own run is the comparison."""
+observer. Each seed is one episode of the environment, whose own run is the comparison. Both see the
+object with the same error of the camera, that of the environment's first look, and know its size,
+since other noise alone changes outcomes: the last row, a good link, has noise of its own, averaged as
+`hpac deploy` averages it."""
 
 from __future__ import annotations
 
@@ -10,18 +13,19 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from hpac_gym.bridge import BridgeError, HandLink, StreamCounts
+from hpac_gym.bridge import BridgeError, HandLink, HostBoard, StreamCounts
 from hpac_gym.command import run_module, whole_number
-from hpac_gym.deploy.episode import Log, run_episode
+from hpac_gym.deploy.episode import WATCHDOG, Log, run_episode
 from hpac_gym.deploy.errors import DeployError
-from hpac_gym.deploy.observer import Observer
+from hpac_gym.deploy.observer import Observer, Pose
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -29,14 +33,16 @@ from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
+from hpac_gym.model import HPAC
 from hpac_gym.output import markdown, write_text
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
-from hpac_gym.tasks.task import SUCCESS
+from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.task import CONTROL_HZ, SUCCESS
 from hpac_gym.virtual.body import LockStep
 from hpac_gym.virtual.wire import BadTransport, Faults
 
-LINKS = {
+LINKS: dict[str, Faults] = {
     "good": Faults(),
     "2 ms jitter": Faults(jitter=0.002),
     "16 ms latency": Faults(latency=0.016),
@@ -44,16 +50,46 @@ LINKS = {
     "all three": Faults(jitter=0.002, latency=0.016, loss=0.05),
 }
 """What is wrong with the link."""
+OTHER_NOISE = "good, other noise"
+LINKS |= {OTHER_NOISE: Faults()}
+NOISE = CameraNoise(size=0.0)
 OUT = Path("docs/results/experiments/deployed.json")
 
 
+class Eye:
+    """The camera of a world, with the error of the environment's first look."""
+
+    def __init__(self, env: HandEnv, world: LockStep) -> None:
+        now = env.episodes.now
+        self._world = world
+        self._off = now.seen["position"][0] - now.state.object_pos[0]
+        axes = np.stack([now.seen["up"][0], now.seen["side"][0]])
+        shown = axes.any(axis=1)  # a ball has neither, a can no side
+        self._turn = Rotation.identity()
+        if shown.any():
+            true = now.state.object_rotation[0].T[[2, 0]]
+            self._turn, _ = Rotation.align_vectors(axes[shown], true[shown])
+
+    def latest(self) -> tuple[Pose, float]:
+        """The object as it is seen."""
+        pose, age = self._world.latest()
+        turn = self._turn * Rotation.from_quat(pose.quaternion)
+        return Pose(pose.position + self._off, tuple(turn.as_quat().tolist())), age
+
+    def close(self) -> None:
+        """Nothing to do."""
+
+
 def through_the_wire(
-    env: HandEnv, policy_name: str, env_id: str, seed: int, faults: Faults
+    env: HandEnv, policy_name: str, env_id: str, seed: int, link_name: str
 ) -> tuple[bool, StreamCounts]:
     """One episode on the firmware and a simulated body; the link is good until the hand closes and
     after the last command.
     """
-    world = LockStep(env, seed)
+    faults = LINKS[link_name]
+    other = link_name == OTHER_NOISE
+    world = LockStep(env, seed, noise=NOISE if other else CameraNoise(0.0, 0.0, 0.0))
+    eye = world if other else Eye(env, world)
     observer = Observer(env_id, world.seen_object)
     observer.setup = replace(world.body.setup, object=world.seen_object)
     policy = load_policy(policy_name, observer)
@@ -70,7 +106,7 @@ def through_the_wire(
     with HandLink(lambda: wire) as link:
         try:
             run_episode(
-                link, observer, policy, world, world, Log(None), hold=0.1, seconds=0.2, live=begin
+                link, observer, policy, eye, world, Log(None), hold=0.1, seconds=0.2, live=begin
             )
         except (DeployError, BridgeError):
             wire.there.faults = wire.back.faults = Faults()
@@ -83,43 +119,25 @@ def in_the_environment(env: HandEnv, policy_name: str, seed: int) -> bool:
     return last.success
 
 
-def pairs(policy: str, faults: Faults, seeds: Sequence[int]) -> list[tuple]:
-    """Success in the environment and through the wire, and the counts of the stream, by seed."""
+def pairs(policy: str, links: Sequence[str], seeds: Sequence[int]) -> list[tuple]:
+    """Success in the environment and through the wire, and the counts of the stream, by seed and
+    link.
+    """
     env_id = env_id_of(policy)
-    with make_env(env_id, engine="mujoco") as made:
+    with make_env(env_id, engine="mujoco", noise=asdict(NOISE)) as made:
         env = made.unwrapped
         env.spec = made.spec
         rows = []
         for seed in seeds:
             alone = in_the_environment(made, policy, seed)
-            held, counts = through_the_wire(env, policy, env_id, seed, faults)
-            rows.append((alone, held, counts.sent, counts.refused, counts.lost))
+            for link in links:
+                held, counts = through_the_wire(env, policy, env_id, seed, link)
+                rows.append((link, alone, held, counts.sent, counts.refused, counts.lost))
     return rows
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The command's options."""
-    parser.add_argument("--policy", default="grasp")
-    parser.add_argument("--episodes", type=whole_number(1), default=1000, help="for each link")
-    parser.add_argument("--links", nargs="+", choices=LINKS, default=list(LINKS))
-    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Run the episodes, print a row a link, write them."""
-    jobs = [
-        (arguments.policy, LINKS[name], list(range(first, min(first + 10, last))))
-        for name in arguments.links
-        for last in [HELD_OUT_SEED + arguments.episodes]
-        for first in range(HELD_OUT_SEED, last, 10)
-    ]
-    names = [name for name in arguments.links for _ in range(len(jobs) // len(arguments.links))]
-    found: dict[str, list[tuple]] = {name: [] for name in arguments.links}
-    bar = progress(names, "episodes")
-    for name, rows in zip(bar, shared(pairs, jobs, arguments.workers), strict=True):
-        found[name] += rows
+def summary(found: Mapping[str, Sequence[tuple]]) -> list[dict[str, Any]]:
+    """Success on both sides, their difference, and the counts of the commands, by link."""
     cells = []
     for name, rows in found.items():
         count = len(rows)
@@ -139,6 +157,72 @@ def run(arguments: argparse.Namespace) -> int:
                 "lost": lost,
             }
         )
+    return cells
+
+
+def in_real_time(seconds: float) -> dict[str, float]:
+    """Stream to the firmware as a process for some time: how far commands are from their times [ms],
+    and what became of them.
+    """
+    rng = np.random.default_rng(0)
+    apart = []
+    with HostBoard() as board, HandLink(board.connect) as link:
+        link.arm(watchdog=WATCHDOG)
+        stream = link.stream(1 / CONTROL_HZ)
+        clock = link.exchange.transport.now
+        begun = clock()
+        while clock() < begun + seconds:
+            if stream.counts.sent % CONTROL_HZ == 0:  # half open at most: ten minutes heat it
+                target = rng.uniform(HPAC.servo_min, HPAC.servo_max / 2)
+            stream.wait()
+            apart.append((clock() - begun) % stream.period)
+            stream.send(target)
+        counts = stream.counts
+    off = np.array(apart)
+    off = 1e3 * np.minimum(off, stream.period - off)
+    found = {
+        "p50_ms": np.quantile(off, 0.5),
+        "p99_ms": np.quantile(off, 0.99),
+        "worst_ms": off.max(),
+    }
+    told = ("sent", "late", "skipped", "lost", "refused")
+    return {name: round(float(value), 3) for name, value in found.items()} | {
+        name: getattr(counts, name) for name in told
+    }
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument(
+        "--real-time",
+        type=float,
+        metavar="S",
+        help="only stream to the firmware as a process for S seconds: jitter and missed deadlines",
+    )
+    parser.add_argument("--policy", default="grasp")
+    parser.add_argument("--episodes", type=whole_number(1), default=1000, help="for each link")
+    parser.add_argument("--links", nargs="+", choices=LINKS, default=list(LINKS))
+    parser.add_argument("--workers", type=whole_number(1), default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the episodes, print a row a link, write them."""
+    if arguments.real_time:
+        print(json.dumps(in_real_time(arguments.real_time)))
+        return 0
+    last = HELD_OUT_SEED + arguments.episodes
+    jobs = [
+        (arguments.policy, arguments.links, list(range(first, min(first + 10, last))))
+        for first in range(HELD_OUT_SEED, last, 10)
+    ]
+    found: dict[str, list[tuple]] = {name: [] for name in arguments.links}
+    bar = progress(jobs, "episodes")
+    for _, rows in zip(bar, shared(pairs, jobs, arguments.workers), strict=True):
+        for name, *row in rows:
+            found[name].append(tuple(row))
+    cells = summary(found)
     command = f"python -m experiments.deployed --policy {arguments.policy} --episodes {arguments.episodes}"
     write_text(arguments.out, json.dumps({"command": command, "cells": cells}, indent=1) + "\n")
     head = ("link", "environment", "wire", "difference", "same outcome", "moves", "refused", "lost")

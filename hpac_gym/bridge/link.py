@@ -40,7 +40,7 @@ from hpac_gym.bridge.protocol import (
     State,
 )
 from hpac_gym.bridge.reports import HandInfo, HandStatus
-from hpac_gym.bridge.stream import MARGIN, Stream
+from hpac_gym.bridge.stream import EARLY, Stream
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand
 from hpac_gym.model.checks import Array
@@ -355,18 +355,18 @@ class HandLink(Line):
             connection.raise_unasked("move")
         connection.busy_until = self._now() + duration_ms * 1e-3
 
-    def stream(self, period: float = 0.05, margin: float = MARGIN) -> Stream:
+    def stream(self, period: float = 0.05, early: float = EARLY) -> Stream:
         """Begin to stream commands at a fixed rate; see `Stream`. The hand is armed and at rest.
 
         Args:
             period: time between two commands, 0.02 to 1 [s].
-            margin: share of the rate limit that commands use, 0…1: the rest is for frames that
-                arrive early.
+            early: longest time by which a frame may come earlier, after another one, than it was
+                sent after it [s].
 
         Raises:
-            FrameError: `period` or `margin` is out of bounds.
+            FrameError: `period` or `early` is out of bounds.
         """
-        return Stream(self, period, margin)
+        return Stream(self, period, early)
 
     def within_table(self, servo: Array) -> Array:
         """Servo angles, shape (6,) [rad]; on a board that was flashed for the nominal hand, those

@@ -2,12 +2,17 @@
 
 A hand refuses a MOVE that is further from its pose than its rate limit allows. After a lost frame a
 stream that continues from the pose it *sent* is therefore refused for ever. This one continues from
-the poses that the hand may *have*: the last one that it acknowledged, and all that were sent since.
-A command stays within reach of each of them, so none is refused, whichever arrived. Every command is
-followed by a request of STATUS, whose answer says which one the hand has, even if its ACK was lost."""
+the poses that the hand may *have*: on the last move that it acknowledged, or on one that was sent
+since, each of them begun as early or as late as its frame may have come. A command stays within reach
+of all of them, so none is refused, whichever arrived. Every command is followed by a request of
+STATUS, whose answer says which move the hand makes and where it is.
+
+A far target is approached by moves that are longer than the period, at nearly the full rate: the next
+one only carries on, so that a frame that is early, late or lost costs no way."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 from weakref import WeakMethod
@@ -23,8 +28,10 @@ from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.model import SERVOS
 from hpac_gym.model.checks import Array, as_finite_vector
 
-MARGIN = 0.9
-"""Share of the rate limit that a stream uses: at 20 Hz a frame may come 5 ms early."""
+EARLY = 0.005
+"""Time by which a frame may come earlier, after another one, than it was sent after it [s]."""
+AHEAD = 3
+"""Longest move, in periods: a hand whose program hangs goes on for so long (chosen)."""
 LATE = 0.002
 """A command that is sent this much after its time is counted as late [s]."""
 PATIENCE = 1.0
@@ -32,6 +39,30 @@ PATIENCE = 1.0
 _PERIODS = (0.02, 1.0)
 _SLOWER = 0.8
 """Share of its speed that a stream keeps after a refusal for heat, until the next STATUS."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ramp:
+    """A move that the hand may make."""
+
+    low: Array
+    high: Array
+    """Least and greatest angles at which it begins, shape (6,) [rad]."""
+    to: Array
+    """Where it leads, shape (6,) [rad]."""
+    begun: float
+    until: float
+    """When it begins and ends if its frame is not late at all [s]."""
+
+    def poses(self, now: float, early: float) -> Array:
+        """Least and greatest angles at which a frame that is sent now meets the hand, when any frame
+        may be late by up to `early` [s]; shape (2, 6) [rad].
+        """
+        since = now - self.begun + early * np.array([[-1.0], [1.0]])
+        share = np.clip(since / max(self.until - self.begun, 1e-9), 0.0, 1.0)
+        ends = np.stack([start + share * (self.to - start) for start in (self.low, self.high)])
+        found: Array = np.stack([ends.min(axis=(0, 1)), ends.max(axis=(0, 1))])
+        return found
 
 
 @dataclass(slots=True)
@@ -50,7 +81,7 @@ class StreamCounts:
     hot: int = 0
     """Refusals because a servo is hot, which also slow the stream down."""
     limited: int = 0
-    """Commands that did not reach their target within the period."""
+    """Commands whose target is too far for one period."""
     worst_delay: float = 0.0
     """Longest time after its own at which a command was sent [s]."""
 
@@ -78,7 +109,7 @@ class Stream:
         link.arm(watchdog=0.5)
         stream = link.stream(period=0.05)
         for target in targets:
-            servo = stream.send(target)   # waits for its time; the angles that were sent
+            servo = stream.send(target)   # waits for its time; the angles a period later
     ```
     Pauses of more than the watchdog's period need `HandLink.sleep`, and a new stream afterwards.
 
@@ -87,26 +118,25 @@ class Stream:
         period: time between two commands [s].
     """
 
-    def __init__(self, link: Link, period: float, margin: float) -> None:
+    def __init__(self, link: Link, period: float, early: float) -> None:
         if not _PERIODS[0] <= period <= _PERIODS[1]:
             raise FrameError(f"period = {period} s, allowed {_PERIODS[0]} to {_PERIODS[1]} s")
-        if not 0 < margin <= 1:
-            raise FrameError(f"margin = {margin}, allowed above 0 to 1")
+        if not 0 <= early <= period:
+            raise FrameError(f"early = {early} s, allowed 0 to the period, {period} s")
         self.period = period
         self.counts = StreamCounts()
         self._link = link
-        self._margin = margin
+        self._early = early
         status = link.status()
-        # The poses that the hand may have, by the number of the command that led there.
-        self._poses: dict[int, Array] = {0: status.servo}
+        # The moves that the hand may make, by the number of the command.
+        self._ramps = {0: Ramp(status.servo, status.servo, status.servo, 0.0, 0.0)}
         self._share = status.rate_share
         self._status = link.last_status
-        # The last command before a request of STATUS, by the request's number.
-        self._asked: dict[int, int] = {}
+        # The last command before a request of STATUS, and its time, by the request's number.
+        self._asked: dict[int, tuple[int, float]] = {}
         self._exchange = link.exchange
         # Weak: a forgotten link, which the stream holds, must end.
         self._exchange.on_ack = WeakMethod(self._answered)
-        self._sent_at = -np.inf
         self._waited = False
         self.begin()
 
@@ -117,8 +147,8 @@ class Stream:
             target: servo angles, shape (6,) [rad].
 
         Returns:
-            The angles that were sent: within the servos' range, and within reach of every pose
-            that the hand may have; shape (6,) [rad].
+            The angles that the hand has a period later if the command arrives: the target, or on
+            the way to it as far as the rate limit allows; shape (6,) [rad].
 
         Raises:
             ShapeError: Another shape, or NaN.
@@ -129,28 +159,29 @@ class Stream:
         if not self._waited:
             self.wait()
         self._waited = False
-        poses = np.stack(list(self._poses.values()))
-        # What is left of the last ramp has to be gone through, too.
-        since = min(self._exchange.transport.now() - self._sent_at, self.period)
-        reach = self._margin * self._share * since * self._link.rate_limit
-        low = poses.max(axis=0) - reach
-        high = poses.min(axis=0) + reach
+        now = self._exchange.transport.now()
+        met = np.stack([ramp.poses(now, self._early) for ramp in self._ramps.values()])
+        low = met[:, 0].min(axis=0)
+        high = met[:, 1].max(axis=0)
+        rate = self._share * self._link.rate_limit
+        reach = AHEAD * self.period * rate
+        start = np.clip(met[-1].mean(axis=0), high - reach, low + reach)
         # All six arrive together, as in every move: the way is shortened, not bent.
-        start = np.where(low > high, (low + high) / 2, np.clip(poses[-1], low, high))
         way = target - start
-        room = np.where(way > 0, high - start, start - low).clip(min=0.0)
+        room = np.where(way > 0, low + reach - start, start - high + reach).clip(min=0.0)
         share = min(1.0, *(room / np.maximum(np.abs(way), 1e-12)))
         steps = np.rint((start + share * way) / ANGLE_UNIT).astype(int)
-        servo: Array = steps * ANGLE_UNIT
-        self.counts.limited += bool((np.abs(servo - target) > ANGLE_UNIT).any())
-        duration_ms = round(1e3 * self.period)
+        to: Array = steps * ANGLE_UNIT
+        lasts = max(self.period, *(np.maximum(np.abs(to - low), np.abs(to - high)) / rate))
+        duration_ms = math.ceil(1e3 * lasts - 1e-6)
+        self.counts.limited += 1e-3 * duration_ms > self.period + 1e-9
         fields: Fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
         number = self._link.send_unanswered("move", fields)
-        self._poses[number] = servo
-        self._asked[self._exchange.send("status", {"period_ms": 0})] = number
-        self._sent_at = self._exchange.transport.now()
+        self._ramps[number] = Ramp(low, high, to, now, now + 1e-3 * duration_ms)
+        self._asked[self._exchange.send("status", {"period_ms": 0})] = number, now
         self.counts.sent += 1
-        return servo
+        later: Array = start + min(1.0, 1e3 * self.period / duration_ms) * (to - start)
+        return later
 
     def begin(self) -> None:
         """The first command is due now: for programs that wait, with `HandLink.sleep`, between the
@@ -187,28 +218,32 @@ class Stream:
         self._due += self.period
 
     def _told(self, status: HandStatus) -> None:
-        """Take note of a STATUS: the hand has one of the commands that came before its request, and
-        none of the others.
+        """Take note of a STATUS: the hand makes one of the moves that came before its request, and
+        was there.
         """
         self._share = status.rate_share
-        last = self._asked.pop(status.number, None)
-        if last in self._poses:
-            first = next(iter(self._poses))
+        last, asked = self._asked.pop(status.number, (-1, 0.0))
+        if last in self._ramps:
+            first = next(iter(self._ramps))
+            accepted = status.last_seq if status.last_seq in self._ramps else first
             self._heard_at = self._exchange.transport.now()
-            self._has(status.last_seq if status.last_seq in self._poses else first, last)
+            self._makes(accepted, last)
+            ramp = self._ramps[accepted]
+            there = status.servo
+            self._ramps[accepted] = Ramp(there, there, ramp.to, asked, max(ramp.until, asked))
 
-    def _has(self, accepted: int, last: int) -> None:
-        """The hand has the pose of one command, and no other one of those up to `last`."""
-        first, *others = list(self._poses)
+    def _makes(self, accepted: int, last: int) -> None:
+        """The hand makes one move, and no other one of those up to `last`."""
+        first, *others = list(self._ramps)
         gone = [first, *others[: others.index(last) + 1]] if last != first else [first]
         for number in gone:
             if number != accepted:
                 self.counts.lost += number != first
-                del self._poses[number]
+                del self._ramps[number]
 
     def _answered(self, sent: Frame, ack: Frame) -> None:
-        """Take note of an answer: the hand has this pose now, or does not."""
-        if sent.name != "move" or sent.seq not in self._poses:
+        """Take note of an answer: the hand makes this move now, or does not."""
+        if sent.name != "move" or sent.seq not in self._ramps:
             return
         self._heard_at = self._exchange.transport.now()
         reason = ack.number("reason")
@@ -216,9 +251,9 @@ class Stream:
             self._exchange.refused = sent, ack
         if reason == Reason.ok:
             self.counts.acknowledged += 1
-            self._has(sent.seq, sent.seq)
+            self._makes(sent.seq, sent.seq)
             return
-        del self._poses[sent.seq]
+        del self._ramps[sent.seq]
         self.counts.refused += 1
         if reason == Reason.hot:
             self.counts.hot += 1

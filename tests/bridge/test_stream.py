@@ -67,7 +67,7 @@ def close(stream, count):
         stream.send(HPAC.servo_max)
 
 
-def streamed(count=400, margin=0.9, **bad):
+def streamed(count=400, early=0.005, **bad):
     hand = VirtualHand()
     made = []
 
@@ -77,7 +77,7 @@ def streamed(count=400, margin=0.9, **bad):
 
     with HandLink(connect) as link:
         link.arm(watchdog=0.5)
-        stream = link.stream(margin=margin)
+        stream = link.stream(early=early)
         made[-1].armed = True
         for target in targets(count):
             sent = stream.send(target)
@@ -114,22 +114,39 @@ def test_no_command_is_refused_over_a_bad_link(bad, seed):
 
 
 def test_without_a_margin_early_commands_are_refused():
-    counts, _, _ = streamed(margin=1.0, jitter=0.01)
+    counts, _, _ = streamed(early=0.0, jitter=0.01)
     assert counts.refused > 0
 
 
-def test_a_stream_that_continues_from_what_it_sent_is_refused_after_one_loss(virtual_hand):
+@pytest.mark.parametrize("believes", [False, True])
+def test_a_stream_that_continues_from_what_it_sent_is_refused_after_a_loss(virtual_hand, believes):
     """The control: the hand refuses what is further than its rate allows."""
+    with HandLink(virtual_hand.connect) as link:
+        link.arm(watchdog=1.0)
+        stream = link.stream()
+        write = link.exchange.transport.write
+        for count in range(14):
+            gone = 2 <= count < 7
+            link.exchange.transport.write = (lambda data: None) if gone else write
+            stream.send(HPAC.servo_max)
+            if gone and believes:  # that they arrived
+                stream._ramps = {0: list(stream._ramps.values())[-1]}
+    assert (stream.counts.refused > 0) == believes
+
+
+@pytest.mark.parametrize("lost", [0, 2])
+def test_a_lost_command_costs_no_way(virtual_hand, lost):
+    """A third one does: the hand stops at the end of its move."""
     with HandLink(virtual_hand.connect) as link:
         link.arm()
         stream = link.stream()
         write = link.exchange.transport.write
         for count in range(8):
-            link.exchange.transport.write = (lambda data: None) if count == 3 else write
+            link.exchange.transport.write = (lambda data: None) if 3 <= count < 3 + lost else write
             stream.send(HPAC.servo_max)
-            if count == 3:  # believes that it arrived
-                stream._poses = {0: list(stream._poses.values())[-1]}
-        assert stream.counts.refused > 0
+        link.listen(stream.period, "end")
+        way = servo_from_pulses(virtual_hand.pulses()).max()
+    assert way == pytest.approx(0.97 * 2.0 * 8 * stream.period, rel=0.01)
 
 
 def test_a_target_is_approached_at_the_rate_that_is_left(virtual_hand):
@@ -137,8 +154,10 @@ def test_a_target_is_approached_at_the_rate_that_is_left(virtual_hand):
         link.arm()
         stream = link.stream()
         steps = [stream.send(HPAC.servo_max) for _ in range(3)]
-    fastest = 0.9 * 2.0 * 0.05
-    np.testing.assert_allclose(np.diff(steps, axis=0).max(axis=1), fastest, atol=1e-4)
+    fastest = 2.0 * 0.05
+    ways = np.diff(steps, axis=0).max(axis=1)
+    assert (0.95 * fastest < ways).all()
+    assert (ways <= fastest).all()
     assert stream.counts.limited == 3
 
 
@@ -175,8 +194,8 @@ def test_a_hot_hand_slows_down_and_goes_on(virtual_hand):
             speeds.append(np.abs(servo - before).max() / stream.period)
         assert link.state == "armed"
         assert link.last_status.rate_share < 1.0
-    assert max(speeds[:400]) == pytest.approx(1.8, abs=0.01)
-    assert max(speeds[-400:]) < 1.7
+    assert np.median(speeds[42:50]) == pytest.approx(1.94, abs=0.02)
+    assert max(speeds[-400:]) < 1.8
     assert (stream.counts.refused, stream.counts.lost) == (0, 0)
 
 
@@ -220,7 +239,7 @@ def test_wrong_values_are_refused_before_anything_is_sent(virtual_hand):
         for wrong in (np.full(6, np.nan), np.zeros(5)):
             with pytest.raises(ShapeError, match="target"):
                 stream.send(wrong)
-        for wrong in ({"period": 0.01}, {"margin": 0.0}, {"margin": np.nan}):
+        for wrong in ({"period": 0.01}, {"early": -0.001}, {"early": 0.06}, {"early": np.nan}):
             with pytest.raises(FrameError, match="allowed"):
                 link.stream(**wrong)
         assert stream.counts.sent == 0
@@ -235,3 +254,20 @@ def test_moves_are_answered_again_after_a_stream(virtual_hand):
         stream.close()
         with pytest.raises(RejectedError, match="rad"):
             link.move(ServoCommand(HPAC.servo_max, 0.05))
+
+
+def test_a_hand_that_may_be_at_many_places_is_led_away_from_no_target(virtual_hand):
+    """They may be further apart than a move leads, once a hot hand is slower."""
+    with HandLink(virtual_hand.connect) as link:
+        link.arm(watchdog=1.0)
+        stream = link.stream()
+        write = link.exchange.transport.write
+        close(stream, 2)
+        link.exchange.transport.write = lambda data: None
+        close(stream, 5)
+        stream._share = 0.05
+        stream.send(np.where(np.arange(6) == 1, HPAC.servo_min, HPAC.servo_max))
+        leads_to = list(stream._ramps.values())[-1].to
+        link.exchange.transport.write = write
+        pose = servo_from_pulses(virtual_hand.pulses())
+    assert (np.delete(leads_to - pose, 1) > -0.02).all()
