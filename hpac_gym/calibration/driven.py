@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -338,6 +338,7 @@ def record(
     angles: Path | None = None,
     servos: Sequence[str] = SERVOS,
     trial: int = 0,
+    points: int | None = None,
     hand: Hand = HPAC,
     ask: Callable[[str], object] | None = None,
 ) -> Sweep:
@@ -350,6 +351,7 @@ def record(
         angles: file that another program writes meanwhile, see `joined`.
         servos: servos to sweep.
         trial: number of the repetition.
+        points: sampling points of a servo; None: as many as `PROTOCOL` has.
         hand: the hand.
         ask: tells a person what to do, and waits; None: nobody is asked.
 
@@ -374,7 +376,8 @@ def record(
             stack.callback(watch.close)
             look = Eye(watch)
         link = stack.enter_context(HandLink(connector(port, stack, hand), hand=hand))
-        driver = Driver(link, look, hand)
+        protocol = replace(PROTOCOL, points=points or PROTOCOL.points)
+        driver = Driver(link, look, hand, protocol)
         try:
             for servo in servos:
                 ids = ", ".join(f"{tag.id} {tag.label}" for tag in STRIPS[servo])

@@ -52,6 +52,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="sweep only this servo; may be repeated; the others that DIR/sweep.csv has stay",
     )
     parser.add_argument(
+        "--points",
+        type=whole_number(2),
+        metavar="K",
+        help="sampling points of a servo (31); with 9 a servo takes half a minute",
+    )
+    parser.add_argument(
         "--trial", type=whole_number(0), default=0, help="number of the repetition (%(default)s)"
     )
     add_common_arguments(parser)
@@ -93,6 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
             angles=arguments.angles,
             servos=arguments.servo or SERVOS,
             trial=arguments.trial,
+            points=arguments.points,
             hand=hand,
             ask=input if sys.stdin.isatty() else None,
         )

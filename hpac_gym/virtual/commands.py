@@ -14,6 +14,7 @@ import time
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.body.hands import hand_set
 from hpac_gym.bridge import BridgeError, HostBoard, open_transport, servo_from_pulses
 from hpac_gym.bridge.stop import stop
+from hpac_gym.calibration.record import JOINT_COLUMNS
 from hpac_gym.command import whole_number
 from hpac_gym.deploy import arm as arms
 from hpac_gym.deploy import poses
@@ -30,8 +32,10 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.model import DIGITS, HPAC, SERVOS, synergy_from_servo
 from hpac_gym.model.checks import Array
+from hpac_gym.output import OutputError
 from hpac_gym.physics.engine import PhysicsError, SceneSetup, SceneState
 from hpac_gym.registration import GRASP, GRASP_ANY, PICK_PLACE
+from hpac_gym.tasks.posture import CAMERA_NOISE
 from hpac_gym.tasks.task import OUTCOMES, RUNNING
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.wire import Faults, Relay
@@ -47,6 +51,8 @@ IN_REACH = (0.0285, 0.0, 0.12)
 does not touch a can there on its way, and the policy, and five digits that close together, hold it.
 """
 ABOUT = "A virtual hand: the real firmware, whose pulses drive a simulated body."
+OUT_OF_REACH = np.array([0.35, 0.0, 0.12])
+"""Place of the object while the hand is swept, in the hand's frame [m]."""
 FRICTION = (0.0, 5e-3)
 SKIN = (0.8, 1.2)
 """Ranges of a hidden hand's Coulomb friction of the joints [N·m] and of the factor of its skin's
@@ -86,6 +92,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         parser.add_argument(f"--{name}", type=float, default=0.0, metavar="X", help=help_text)
     parser.add_argument(
+        "--heat", type=whole_number(0), default=0, metavar="PERCENT", help="heat of its servos"
+    )
+    parser.add_argument(
+        "--blind",
+        type=float,
+        default=np.inf,
+        metavar="S",
+        help="the camera loses the object so long after an episode has begun, until the pulses are off [s]",
+    )
+    parser.add_argument(
+        "--angles",
+        type=Path,
+        metavar="CSV",
+        help="it stands before a camera, its object out of reach: its joint angles, for `hpac sweep`",
+    )
+    parser.add_argument(
         "--reset-on-open", action="store_true", help="the board restarts when its port is opened"
     )
     parser.add_argument("--view", action="store_true", help="show it in the browser")
@@ -100,14 +122,21 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         env = stack.enter_context(env_of(options))
         setup = scene(env.unwrapped, options.env, options.seed)
+        if options.angles:
+            setup = replace(setup, position=OUT_OF_REACH)
         body = Body(env.unwrapped, options.seed or 0, setup)
-        board = stack.enter_context(HostBoard(("--boot-text",) if options.reset_on_open else ()))
+        words = ("--boot-text",) * options.reset_on_open + ("--heat", str(options.heat))
+        board = stack.enter_context(HostBoard(words))
         relay = None
         if faults != Faults() or options.reset_on_open:
             relay = Relay(board, faults, options.seed or 0, options.reset_on_open)
             stack.callback(relay.close)
         hand = Virtual(body, board, relay, options.arm_port, options.pose_port)
         stack.callback(hand.close)
+        hand.blind = options.blind
+        if options.angles:
+            hand.tracker = Tracker(options.angles)
+            stack.callback(hand.tracker.close)
         if options.view:
             from hpac_gym.view.page import HandPage  # an extra
 
@@ -170,6 +199,32 @@ def scene(env: Any, env_id: str, seed: int | None) -> SceneSetup:
     return replace(setup, synergy=synergy_from_servo(rest, setup.hand))
 
 
+class Tracker:
+    """A camera that measures the joints, as a file of angles for `hpac sweep --angles`.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._rng = np.random.default_rng(0)
+        try:
+            self._file = path.open("w", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise OutputError(f"cannot write '{path}': {error.strerror}") from None
+        print("time_s", *JOINT_COLUMNS, sep=",", file=self._file)
+
+    def write(self, joint_pos: Array) -> None:
+        """Write joint angles, shape (15,) [rad], with the camera's noise."""
+        seen = joint_pos + CAMERA_NOISE * self._rng.standard_normal(len(joint_pos))
+        row = [f"{angle:.5f}" for angle in seen]
+        print(f"{time.time():.4f}", *row, sep=",", file=self._file)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
 class Virtual:
     """A body, the board that drives it, its arm and its camera, in real time.
 
@@ -186,6 +241,8 @@ class Virtual:
     Attributes:
         port: the hand's port.
         page: a `hpac_gym.view.page.HandPage`, or None.
+        tracker: a `Tracker`, or None.
+        blind: time from the beginning of an episode to the loss of its object [s].
         arm_port, pose_port: the UDP ports.
     """
 
@@ -214,6 +271,9 @@ class Virtual:
         self._episodes = 0
         self._told = RUNNING
         self.page: Any = None
+        self.tracker: Tracker | None = None
+        self.blind = np.inf
+        self._seen_until = np.inf
 
     def turn(self) -> None:
         """Wait until there is something to do, and do it; to be called again and again."""
@@ -236,13 +296,22 @@ class Virtual:
                 self.body.place(self.body.setup)
             state = self.body.state()
             self.body.tidy_up(state)
-            pose = self.body.seen(state)
-            packet = {poses.PACKET: poses.VERSION, "position": pose.position.tolist()}
-            with suppress(OSError):  # nobody listens
-                self._camera.send(json.dumps(packet | {"quaternion": pose.quaternion}).encode())
+            if not pulses.any():
+                self._seen_until = np.inf
+            if now < self._seen_until:
+                self._see(state)
             self._judge()
+            if self.tracker:
+                self.tracker.write(state.joint_pos[0])
             if self.page:
                 self._show(state, pulses)
+
+    def _see(self, state: SceneState) -> None:
+        """Send the object's pose."""
+        pose = self.body.seen(state)
+        packet = {poses.PACKET: poses.VERSION, "position": pose.position.tolist()}
+        with suppress(OSError):  # nobody listens
+            self._camera.send(json.dumps(packet | {"quaternion": pose.quaternion}).encode())
 
     def _show(self, state: SceneState, pulses: Array) -> None:
         """Show the hand on the page, whose sliders drive it while no program does."""
@@ -275,6 +344,7 @@ class Virtual:
                     if self.body.outcome != RUNNING:  # the hand may have kept its power since
                         self.body.place(self.body.setup, self.body.state().horn[0])
                     self.body.begin(now_us)
+                    self._seen_until = 1e-6 * now_us + self.blind
                     self._told = RUNNING
                     self._episodes += 1
                 self._phase = told["phase"]

@@ -1,9 +1,10 @@
 /* The firmware as a process: opens a pseudo-terminal, prints its path, and runs the core against the real clock.
  *
- *   hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--cold] [--trim SERVO NS] [--reverse SERVO]
+ *   hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--cold] [--heat PERCENT] [--trim SERVO NS] [--reverse SERVO]
  *
  * FILE gets a line "time_us,pulse_ns × 6" whenever a width changes, before the answer that tells of it is sent.
- * With --cold it does not know where its servos are, as after power-on, and takes longer to arm. Ends on SIGTERM or SIGINT, or when the process PID is no longer its parent. */
+ * With --cold it does not know where its servos are, as after power-on, and takes longer to arm; --heat
+ * is what its servos have at the start, of what they may have. Ends on SIGTERM or SIGINT, or when the process PID is no longer its parent. */
 #define _XOPEN_SOURCE 600
 
 #include <errno.h>
@@ -17,6 +18,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "hpac_load.h"
 #include "loop.h"
 
 #define TICK_MS 1
@@ -26,6 +28,7 @@ typedef struct {
     long parent;
     bool boot_text;
     bool cold;
+    uint32_t heat_percent;
     hpac_config_t config;
 } options_t;
 
@@ -130,6 +133,8 @@ static bool read_options(int count, char **arguments, options_t *options)
             options->cold = true;
         } else if (strcmp(name, "--pulses") == 0 && left >= 1) {
             options->pulses_path = arguments[++i];
+        } else if (strcmp(name, "--heat") == 0 && left >= 1) {
+            options->heat_percent = (uint32_t)strtoul(arguments[++i], NULL, 10);
         } else if (strcmp(name, "--parent") == 0 && left >= 1) {
             options->parent = strtol(arguments[++i], NULL, 10);
         } else if (strcmp(name, "--trim") == 0 && left >= 2 && read_servo(arguments[i + 1], &servo)) {
@@ -144,7 +149,7 @@ static bool read_options(int count, char **arguments, options_t *options)
             options->config.servo[servo].direction = -1;
             i++;
         } else {
-            fprintf(stderr, "usage: hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--cold] "
+            fprintf(stderr, "usage: hpac_host [--pulses FILE] [--parent PID] [--boot-text] [--cold] [--heat PERCENT] "
                             "[--trim SERVO NS] [--reverse SERVO]   (SERVO 0 to 5)\n");
             return false;
         }
@@ -182,6 +187,7 @@ static void run(const options_t *options)
     hpac_memory_t at_rest = { .heat = { 0 } };
     for (int i = 0; i < HPAC_SERVOS; i++) {
         at_rest.pose[i] = options->config.servo[i].rest_urad;
+        at_rest.heat[i] = (options->heat_percent < 100u ? options->heat_percent : 100u) * (HPAC_HEAT_LIMIT / 100u);
     }
     start_us = clock_us();
     loop_start(&loop, &options->config, HPAC_RESET_POWER_ON, &kept);
