@@ -424,6 +424,12 @@ def test_through_the_wire_the_first_look_is_that_of_the_environment():
             assert np.abs(exact - seen).max() > 0.01  # the control
 
 
+def test_jitter_and_deadlines_are_measured_in_real_time():
+    found = deployed.in_real_time(1.0)
+    assert 15 < found["sent"] + found["skipped"] < 25
+    assert 0 <= found["p50_ms"] <= found["p99_ms"] <= found["worst_ms"] <= 25
+
+
 def test_an_object_in_another_place_than_it_is_seen_is_not_held():
     """The control of the test above: the pose matters."""
     with gymnasium.make(GRASP, engine="mujoco") as made:
