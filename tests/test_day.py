@@ -155,7 +155,8 @@ def test_a_day(day):
     assert stopped.wait(60) == 2
     assert "estop" in stopped.told().splitlines()[-1]
     assert "FaultError" in day.ends("stopped.jsonl")
-    assert "state idle, pulses on 0 servos" in day.do("clear")
+    assert "state fault" in day.do("doctor", status=1)
+    assert "left fault estop; state idle" in day.do("clear")
 
     # the cable
     cable = day.begin("deploy")

@@ -282,6 +282,8 @@ class Connection:
             return
         clock = self.exchange.transport.now
         until = clock() + LAST_WORDS_TIME
+        if self.known.fault == Fault.estop.name:  # its pulses are off, and CLEAR would leave it
+            yield "status"
         yield from _LAST_WORDS
         while self.known.may_have_power and clock() < until and not self._port_gone:
             yield from _LAST_WORDS
@@ -298,7 +300,7 @@ class Connection:
         interrupt = None
         for name in self._last_words():
             try:
-                if self.known.may_have_power:
+                if self.known.may_have_power and name != "status":
                     answer = self.exchange.request(name, timeout=self._timeout, attempts=1)
                     if answer.name == "ack" and answer.number("reason") == Reason.session:
                         return TAKEN_OVER, interrupt
