@@ -84,7 +84,7 @@ def clone(
     import torch
     from torch import nn
 
-    from agents.learner import MEAN_CLIP, actor_of, mean_and_scale, scaled
+    from agents.networks import MEAN_CLIP, actor_of, mean_and_scale, scaled
 
     torch.set_num_threads(1)
     torch.manual_seed(seed)

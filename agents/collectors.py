@@ -72,12 +72,12 @@ def knowledge(learner: Learner) -> dict[str, Any]:
     """State that a collector needs for decisions: networks, scaling and number of updates, as plain
     arrays.
     """
-    networks = {"actor": learner.actor, "critics": learner.critics}
+    known = learner.networks
     arrays = {
         name: {key: value.numpy() for key, value in network.state_dict().items()}
-        for name, network in networks.items()
+        for name, network in (("actor", known.actor), ("critics", known.critics))
     }
-    return arrays | {"mean": learner.mean, "scale": learner.scale, "updates": learner.updates}
+    return arrays | {"mean": known.mean, "scale": known.scale, "updates": learner.updates}
 
 
 class Collector:
@@ -113,14 +113,15 @@ class Collector:
         processor time [s].
         """
         learner = self._learner
+        networks = learner.networks
         begun = time.process_time()
         for network, arrays in (
-            (learner.actor, known["actor"]),
-            (learner.critics, known["critics"]),
+            (networks.actor, known["actor"]),
+            (networks.critics, known["critics"]),
         ):
             network.load_state_dict({key: torch.tensor(array) for key, array in arrays.items()})
-        learner.mean = known["mean"]
-        learner.scale = known["scale"]
+        networks.mean = known["mean"]
+        networks.scale = known["scale"]
         learner.updates = known["updates"]
         parts: list[tuple[np.ndarray, ...]] = []
         while sum(len(part[0]) for part in parts) < self._num_envs:

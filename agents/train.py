@@ -130,7 +130,7 @@ def train(
             "seconds": round(progress.seconds, 1),
             "versions": versions(),
         }
-        write_policy(out / POLICY, PolicyFile(learner.policy(), about))
+        write_policy(out / POLICY, PolicyFile(learner.networks.policy(), about))
         progress.write_row(learner.metrics())
         if (
             not recipe.trials_of and (out / CURVE).exists()

@@ -33,11 +33,12 @@ def test_a_collector_decides_with_what_the_learner_knows():
     recipe = with_settings(RECIPES["grasp"], {"episodes": "40", **SETTINGS})
     collector = collectors.Collector(recipe, 5, versions())
     copy = collector._learner
-    learner = Learner(recipe, len(copy.mean), 44, 4)
+    learner = Learner(recipe, len(copy.networks.mean), 44, 4)
     rng = np.random.default_rng(0)
-    hidden = len(copy.mean) - 44
+    hidden = len(copy.networks.mean) - 44
     seen, end_state = (
-        rng.standard_normal((30, width)).astype(np.float32) for width in (len(copy.mean), hidden)
+        rng.standard_normal((30, width)).astype(np.float32)
+        for width in (len(copy.networks.mean), hidden)
     )
     learner.trials.add(seen, rng.uniform(-1, 1, (30, 8)), rng.integers(0, 5, 30), end_state)
     learner.learn(0.5)

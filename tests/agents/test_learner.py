@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from agents import RunError
-from agents.learner import TYPE, GaussianActor, Learner, scripted_decisions
+from agents.learner import TYPE, Learner, scripted_decisions
+from agents.networks import GaussianActor
 from agents.recipes import RECIPES, with_settings
 from agents.trials import training_task
 from hpac_gym.envs import GraspByType
@@ -56,7 +57,7 @@ def learned(meaning, **settings: str) -> tuple[Learner, np.ndarray]:
         learner.add(seen, decisions, meaning(seen, decisions), end_state(seen, decisions))
         learner.learn(learner.trials.count / recipe.episodes)
     seen = rng.uniform(-1, 1, (500, SEEN + HIDDEN)).astype(np.float32)
-    policy = learner.policy()
+    policy = learner.networks.policy()
     decided = np.array([policy(row[:SEEN]) for row in seen])
     return learner, survived(seen, decided) == 2
 
@@ -86,7 +87,7 @@ def test_the_critics_see_what_the_actor_does_not_unless_they_observe_deploy(taug
     seen[1, SEEN] = 0.95  # luck against it
     lucky, lost = taught[0].predicted(seen, np.zeros((2, 8)))
     assert lucky > lost + 0.3
-    assert taught[0].policy().sizes == (SEEN, 8)
+    assert taught[0].networks.policy().sizes == (SEEN, 8)
     lucky, lost = learned(survived, critic_obs="deploy", episodes="600")[0].predicted(
         seen, np.zeros((2, 8))
     )
@@ -99,14 +100,15 @@ def test_the_critics_predict_what_a_trial_comes_to(taught):
     seen = rng.uniform(-1, 1, (500, SEEN + HIDDEN))
     decisions = rng.uniform(-1, 1, (500, 8))
     values = torch.from_numpy(
-        np.concatenate([(seen - learner.mean) / learner.scale, decisions], axis=1).astype(
-            np.float32
-        )
+        np.concatenate(
+            [(seen - learner.networks.mean) / learner.networks.scale, decisions], axis=1
+        ).astype(np.float32)
     )
     with torch.no_grad():
         predicted = (
-            learner.critics(values).mean(0)[:, 2:4].numpy() * learner.scale_end_state[:2]
-            + learner.mean_end_state[:2]
+            learner.networks.critics(values).mean(0)[:, 2:4].numpy()
+            * learner.networks.scale_end_state[:2]
+            + learner.networks.mean_end_state[:2]
         )
     error = end_state(seen, decisions)[:, :2] - predicted
     assert np.mean(error**2) < 0.3 * np.var(end_state(seen, decisions)[:, :2])
@@ -118,7 +120,7 @@ def test_the_actor_narrows_to_its_target_entropy(taught):
 
 def test_a_training_that_diverges_ends_in_one_line(taught):
     learner = copy.deepcopy(taught[0])
-    learner.actor.mean.bias.data.fill_(float("nan"))
+    learner.networks.actor.mean.bias.data.fill_(float("nan"))
     learner.updates -= 1
     with pytest.raises(RunError, match="diverged before trial 1800: its last checkpoint is kept"):
         learner.learn(1.0)
@@ -176,7 +178,7 @@ def test_the_actor_imitates_first_trials_about_the_script_that_succeeded_and_is_
         lost.learn(0.0)
     learner.trials.add(seen, tried, won.astype(int), np.zeros((600, HIDDEN)))
     learner.learn(0.0)
-    policy = learner.policy()
+    policy = learner.networks.policy()
     rows = asked_for(np.arange(TYPES))[:, :TOLD]
     missed = np.array([policy(row) for row in rows]) - scripted_decisions(recipe.closures, rows)
     assert missed[:, 8].mean() > 0.01 > abs(missed[:, 9].mean())

@@ -324,14 +324,14 @@ def test_a_checkpoint_restores_the_learner_whole(learner, recipe, tmp_path):
     assert list(saved) == list(loaded)
     assert all(np.array_equal(array, loaded[name]) for name, array in saved.items())
     seen = np.linspace(-1, 1, 44)
-    assert np.array_equal(other.policy()(seen), learner.policy()(seen))
+    assert np.array_equal(other.networks.policy()(seen), learner.networks.policy()(seen))
 
 
 def test_the_exported_actor_acts_as_the_learner_does_without_its_exploration(learner):
     narrow = copy.deepcopy(learner)
-    narrow.actor.log_std.bias.data.fill_(-100.0)  # clamped to the narrowest distribution
+    narrow.networks.actor.log_std.bias.data.fill_(-100.0)  # clamped to the narrowest distribution
     seen = np.random.default_rng(0).uniform(-3, 3, (20, 60)).astype(np.float32)
-    acted = [learner.policy()(row[:44]) for row in seen]
+    acted = [learner.networks.policy()(row[:44]) for row in seen]
     np.testing.assert_allclose(acted, narrow.decide(seen), atol=0.1)
 
 
@@ -402,8 +402,8 @@ def test_trials_that_are_sure_to_succeed_are_tried_less_often(learner):
     decisions = np.zeros((4_000, 8))
     sure = copy.deepcopy(learner)
     lost = copy.deepcopy(learner)
-    sure.critics.biases[-1].data.fill_(50.0)
-    lost.critics.biases[-1].data.fill_(-50.0)
+    sure.networks.critics.biases[-1].data.fill_(50.0)
+    lost.networks.critics.biases[-1].data.fill_(-50.0)
     assert 0.25 < sure.accepted(seen, decisions).mean() < 0.35
     assert lost.accepted(seen, decisions).all()
 
@@ -511,7 +511,7 @@ def test_a_diverged_learner_is_not_saved_over_the_checkpoint_before(learner, tmp
     kept = train.save_checkpoint(tmp_path, learner, {"seconds": 1.0})
     for name in ("actor", "critics"):
         broken = copy.deepcopy(learner)
-        next(getattr(broken, name).parameters()).data[0] = float("nan")
+        next(getattr(broken.networks, name).parameters()).data[0] = float("nan")
         broken.trials.count -= 1
         with pytest.raises(
             RunError, match=rf"diverged, {name}/\S+ is not finite; '{kept.name}' is kept"
