@@ -287,6 +287,12 @@ def _scores(results: Results, splits: Sequence[str] | None = None) -> np.ndarray
     )
 
 
+def _over_budget(results: Results) -> Iterator[str]:
+    for file in results["files"]:
+        if (steps := file.get("env_steps", 0)) > results["budget"]:
+            yield f"a policy file was trained for {steps:,} steps, over the budget of {results['budget']:,}"
+
+
 def faults(results: Results) -> Iterator[str]:
     """Every fault of the contents of a results file, one line each."""
     try:
@@ -333,12 +339,7 @@ def _header_faults(results: Results) -> Iterator[str]:
         low, high = results["training_seeds"]
         if low <= first + episodes - 1 and high >= first:
             yield f"training seeds {low} to {high} overlap the evaluation seeds, from {first} on"
-    steps = [file.get("env_steps", 0) for file in results["files"]]
-    yield from (
-        f"a policy file was trained for {n:,} steps, over the budget of {budget:,}"
-        for n in steps
-        if n > budget
-    )
+    yield from _over_budget(results)
     if len({file["sha256"] for file in results["files"]}) != len(results["files"]):
         yield "two runs have the same policy file"
     missing = {"hpac_gym", "python", "mujoco-core"} - results["versions"].keys()
@@ -391,7 +392,8 @@ def _same(one: Any, other: Any) -> bool:
 
 def table(results: Results) -> str:
     """Results as a table in Markdown: a row for each split."""
-    steps = f"{results['budget']:,} steps, {RUNS} runs" if results["budget"] else "not trained"
+    steps = "no budget named" if results["files"] else "not trained"
+    steps = f"{results['budget']:,} steps, {RUNS} runs" if results["budget"] else steps
     how = f"obs {results['obs']}, {steps}, {results['episodes']:,} episodes a cell"
     left_out = lacking(results)
     partial_file = f"; **partial: without {', '.join(left_out)}**" if left_out else ""
@@ -467,6 +469,8 @@ def check(paths: Sequence[Path], as_json: bool = False) -> int:
 def judge_all(args: argparse.Namespace) -> Results:
     """Evaluate every cell that the file does not contain yet, and write the file after each."""
     head = header(args)
+    for fault in _over_budget(head):
+        print(f"no submission: {fault} (--budget names a larger one)", file=sys.stderr)
     results = read(args.out) if args.out.exists() else head | {"cells": []}
     if results.get("env_id") == head["env_id"] and _early(results):
         results["env_sha256"] = head["env_sha256"]

@@ -423,3 +423,14 @@ def test_what_training_leaves_out_of_an_episode_of_any_objects_changes_few_outco
         episodes.close()
     assert 0.1 < held[0].mean() < 0.9
     assert (held[0] != held[1]).mean() < 0.05
+
+
+@pytest.mark.parametrize(("steps", "said"), [(1, True), (0, False)])
+def test_a_policy_over_the_budget_is_told(steps, said, tmp_path, capsys, monkeypatch):
+    file = {"sha256": "", "env_steps": steps}
+    for name, value in (("judged_splits", []), ("summary", []), ("_file", file)):
+        monkeypatch.setattr(f"hpac_gym.evaluation.benchmark.{name}", lambda *args, v=value: v)
+    assert main(["HPAC-Grasp-v0", "--policy", "grasp", "--out", str(tmp_path / "r.json")]) == 0
+    told = capsys.readouterr()
+    assert ("trained for 1 steps, over the budget of 0" in told.err) == said
+    assert "no budget named" in told.out
