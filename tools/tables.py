@@ -338,7 +338,7 @@ def deployed_table() -> str:
         low, high = (100 * bound for bound in cell["difference_95"])
         gain = f"{100 * cell['difference']:+.1f} [{low:+.1f}, {high:+.1f}]"
         refused = f"{cell['refused']:,} of {cell['moves']:,}"
-        rows.append((cell["link"], *shares, gain, f"{cell['same_outcome']:.0%}", refused))
+        rows.append((cell["link"], *shares, gain, f"{cell['same_outcome']:.1%}", refused))
     head = ("link", "environment", "wire", "points", "same outcome", "refused commands")
     return markdown(head, rows)
 
