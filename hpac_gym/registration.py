@@ -51,11 +51,12 @@ TASKS = (
     Registered("HPAC-Grasp-v0", "hpac_gym.tasks.grasp:grasp_task", 65),
     Registered("HPAC-GraspAny-v1", "hpac_gym.tasks.grasp_any:GraspAny", 145),
     Registered("HPAC-GraspType-v0", "hpac_gym.tasks.grasp_types:GraspByType", 65),
+    Registered("HPAC-Gentle-v0", "hpac_gym.tasks.gentle:Gentle", 89),
     Registered("HPAC-PickPlace-v0", "hpac_gym.tasks.pick_place:PickPlace", 111),
     Registered("HPAC-Posture-v1", "hpac_gym.tasks.posture:Posture", 40, {"randomize": "hand"}),
 )
 """The tasks of this package."""
-GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE = IDS = tuple(row.id for row in TASKS)
+GRASP, GRASP_ANY, GRASP_TYPE, GENTLE, PICK_PLACE, POSTURE = IDS = tuple(row.id for row in TASKS)
 _ROWS: dict[str, Registered] = {}
 
 

@@ -164,6 +164,8 @@ def title_of(bare: Any, info: dict[str, Any], carried: float) -> str:
     missed = info.get("missed") if info.get("held") else None
     if not missed and carried == 0 and info["phase"] not in ("reach", "close"):
         missed = "the hand closed beside it"
+    if info.get("is_crushed"):
+        missed = "crushed"
     return f"{what}: failure, {missed or WHY.get(info['phase'], 'lost')}"
 
 

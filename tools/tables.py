@@ -7,6 +7,7 @@ hand."""
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -20,10 +21,10 @@ from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.envs.registered import make_task, options_of_id
 from hpac_gym.evaluation import benchmark
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
-from hpac_gym.evaluation.statistics import rate_text
+from hpac_gym.evaluation.statistics import rate_text, wilson_interval
 from hpac_gym.model import HPAC, JOINTS, SERVOS
 from hpac_gym.output import markdown
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
+from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp_data import GRASPS
 from hpac_gym.tasks.options import Option
 from hpac_gym.tasks.task import CONTROL_HZ, Task
@@ -343,6 +344,30 @@ def deployed_table() -> str:
     return markdown(head, rows)
 
 
+def gentle_table() -> str:
+    """Successes by crush limit, of `experiments.gentle`."""
+    file = DOCS / "results" / "experiments" / "gentle.json"
+    found = json.loads(file.read_text(encoding="utf-8"))
+    limits = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
+    policies = {name: [cell] for name, cell in (found["rows"] | found["closures"]).items()}
+    for obs in ("deploy", "load"):
+        cells = [cell for name, cell in found.items() if re.fullmatch(rf"{obs}_\d", name)]
+        policies[f'learned, `obs="{obs}"`, {len(cells)} seeds'] = cells
+    rows = []
+    for name, cells in policies.items():
+        row = [name]
+        for limit in limits:
+            successes, episodes = (
+                sum(cell[limit][count] for cell in cells) for count in ("successes", "episodes")
+            )
+            low, high = wilson_interval(successes, episodes)
+            row.append(f"{100 * successes / episodes:.0f} [{100 * low:.0f}, {100 * high:.0f}]")
+        shares = [100 * cell["3 to 4 N"]["success_rate"] for cell in cells]
+        row.append(f"{min(shares):.0f} … {max(shares):.0f}" if len(cells) > 1 else "")
+        rows.append(row)
+    return markdown(["policy", *limits, "seeds, 3 to 4 N"], rows)
+
+
 def seen_objects_table() -> str:
     """Errors of an object's pose, of `experiments.watched`."""
     rows = []
@@ -421,6 +446,7 @@ PAGES: dict[str, Makers] = {
     "environments/grasp.md": task_tables(GRASP) | {"scale": scale_table},
     "environments/grasp_any.md": task_tables(GRASP_ANY),
     "environments/grasp_type.md": task_tables(GRASP_TYPE),
+    "environments/gentle.md": task_tables(GENTLE) | {"gentle": gentle_table},
     "environments/pick_place.md": task_tables(PICK_PLACE),
     "environments/posture.md": task_tables(POSTURE),
     "benchmark.md": {"results": results_table},

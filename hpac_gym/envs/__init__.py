@@ -8,6 +8,7 @@ from hpac_gym.envs.vector_env import HandVectorEnv
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import register_all
 from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.gentle import Gentle, GentleConfig, GentleSetup
 from hpac_gym.tasks.grasp import Grasp, GraspByName, GraspConfig
 from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_any_setups import GraspAnyConfig, GraspAnySetup
@@ -22,6 +23,9 @@ register_all()
 __all__ = [
     "GRASPS",
     "CameraNoise",
+    "Gentle",
+    "GentleConfig",
+    "GentleSetup",
     "GoalEnv",
     "Grasp",
     "GraspAny",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
@@ -49,6 +50,7 @@ class GentleConfig(GraspConfig):
     radius: tuple[float, float] = setting(
         (0.015, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06)
     )
+    sphere_radius: tuple[float, float] = (0.02, 0.033)  # there are none
     mass: tuple[float, float] = setting((0.02, 0.15), "mass of the object [kg]", bounds=(1e-3, 2.0))
     friction: tuple[float, float] = setting(
         (0.5, 1.0),
@@ -78,7 +80,7 @@ class GentleConfig(GraspConfig):
         0.05, "time constant of the squeeze's low pass [s]", bounds=(1e-4, 1.0)
     )
     timetable: Timetable = field(
-        default_factory=lambda: Timetable(close_time=2.0, shake_distance=0.01)
+        default_factory=lambda: Timetable(close_time=2.4, shake_distance=0.01)
     )
     weights: GentleWeights = field(default_factory=GentleWeights)
 
@@ -116,7 +118,7 @@ class Gentle(Grasp):
         object: as for `Grasp`.
 
     Raises:
-        ParameterError: As from `Grasp`.
+        ParameterError: As from `Grasp`, or `told` is not a truth value.
 
     Attributes:
         squeeze: filtered squeeze, shape (n,) [N].
@@ -138,6 +140,8 @@ class Gentle(Grasp):
         told: Annotated[bool, TOLD_OPTION] = True,
         object: Annotated[ObjectSpec | Mapping[str, Any] | None, OBJECT_OPTION] = None,
     ) -> None:
+        if not isinstance(told, bool):
+            raise ParameterError(f"told {told!r} must be True or False")
         super().__init__(config, object)
         limit = Term(
             "crush_limit",

@@ -41,7 +41,7 @@ from hpac_gym.envs.randomization import PRESETS
 from hpac_gym.model import HPAC, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.physics.engine import SceneSetup
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
+from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
 from tests.envs.engine import Bodies, flick, told, watching_for_touch
 from tests.envs.stories import Story
@@ -317,6 +317,7 @@ def heavy() -> SceneSetup:
 USUAL = {
     GRASP: closing(),
     GRASP_ANY: closing(),
+    GENTLE: closing(),
     PICK_PLACE: closing(12, 74),
     POSTURE: apart,
 }
@@ -369,7 +370,11 @@ CASES = (
         for name, policy in USUAL.items()
         for preset in PRESETS
     ),
-    *(Case(name, PRIVILEGED, restless, range(4), about="restless") for name in USUAL),
+    *(  # a restless hand crushes a gentle task's object at once
+        Case(name, PRIVILEGED, restless, range(4), about="restless")
+        for name in USUAL
+        if name != GENTLE
+    ),
     Case(GRASP_ANY, {"objects": "real", "hands": "train"} | PRIVILEGED, closing(), range(3)),
     *(
         Case(GRASP_TYPE, PLACED_BY_SCRIPT | options, own, range(2))
@@ -534,6 +539,7 @@ BATCHES = {
     "HPAC-GraspAny-v1": (Case(GRASP_ANY, {}, closing(0), range(8)),),
     "HPAC-GraspType-v0": (Case(GRASP_TYPE, {}, own, range(6)),),
     "HPAC-GraspType-v0 on MuJoCo": (Case(GRASP_TYPE, {"engine": "mujoco"}, own, range(10)),),
+    "HPAC-Gentle-v0": (Case(GENTLE, {}, closing(0), range(10)),),
     "HPAC-PickPlace-v0": (Case(PICK_PLACE, {}, closing(12, 74), range(20)),),
     "HPAC-Posture-v1": (Case(POSTURE, {"randomize": "nominal"}, reaching, range(20)),),
     "named grasps": tuple(Case(GRASP, {"grasp": name}, closing(0)) for name in GRASPS),

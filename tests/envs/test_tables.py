@@ -10,7 +10,7 @@ import pytest
 
 from hpac_gym.envs import Grasp, PickPlace
 from hpac_gym.model import HPAC, servo_from_synergy
-from hpac_gym.registration import GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
+from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
 from hpac_gym.tasks import posture
 from hpac_gym.tasks.grip import MAX_SLIP
 from hpac_gym.tasks.task import CONTROL_HZ
@@ -21,10 +21,11 @@ ID_PAGES = {
     GRASP: "environments/grasp.md",
     GRASP_ANY: "environments/grasp_any.md",
     GRASP_TYPE: "environments/grasp_type.md",
+    GENTLE: "environments/gentle.md",
     PICK_PLACE: "environments/pick_place.md",
     POSTURE: "environments/posture.md",
 }
-STEPS = {GRASP: 64, GRASP_ANY: 144, GRASP_TYPE: 64, PICK_PLACE: 110, POSTURE: 40}
+STEPS = {GRASP: 64, GRASP_ANY: 144, GRASP_TYPE: 64, GENTLE: 88, PICK_PLACE: 110, POSTURE: 40}
 PARTS = (
     "Description",
     "Action space",

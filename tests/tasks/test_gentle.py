@@ -108,7 +108,7 @@ def test_closing_with_all_force_crushes_what_a_stronger_object_survives():
     def end_of(task):
         with HandEnv(task, engine="mujoco") as env:
             env.reset(seed=0)
-            for step in range(1, 81):
+            for step in range(1, 89):
                 *_, over, _, info = env.step(CLOSED)
                 if over:
                     return step, info
@@ -152,7 +152,7 @@ def test_episodes_are_cylinders_and_boxes_that_can_be_held_below_their_limit():
     assert np.mean(needed < 4.0) > 0.99
     assert needed.max() > 2.0  # so that touching alone does not do
     # The shake of `HPAC-Grasp-v0` would ask for more.
-    rough = Gentle({"timetable": {"shake_distance": 0.02, "close_time": 2.0}})
+    rough = Gentle({"timetable": {"shake_distance": 0.02, "close_time": 2.4}})
     assert np.mean([rough.needed_squeeze(setup) for setup in setups]) > 1.2 * needed.mean()
 
 
