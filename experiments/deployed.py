@@ -3,9 +3,8 @@
 In lock-step, with a virtual clock: observer → policy → link → frames → firmware core → pulses,
 latched at 50 Hz → servos → a MuJoCo hand with its object, and the pose of the object back to the
 observer. Each seed is one episode of the environment, whose own run is the comparison. Both see the
-object with the same error of the camera, that of the environment's first look, and know its size,
-since other noise alone changes outcomes: the last row, a good link, has noise of its own, averaged as
-`hpac deploy` averages it."""
+object with the same error of the camera, that of the environment's first look, and know its size; in
+the last row, a good link, the wire has noise of its own, averaged as `hpac deploy` averages it."""
 
 from __future__ import annotations
 

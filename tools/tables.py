@@ -16,6 +16,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from experiments.gap import gap_table
 from hpac_gym.envs.options import COMMON
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.envs.registered import make_task, options_of_id
@@ -411,6 +412,12 @@ def _quantiles(error: dict[str, float]) -> str:
     return ", ".join(f"{value:.2f}" for value in error.values())
 
 
+def gap_rows() -> str:
+    """The cells of `experiments.gap`."""
+    file = DOCS / "results" / "experiments" / "gap.json"
+    return gap_table(json.loads(file.read_text(encoding="utf-8"))["cells"])
+
+
 Makers = dict[str, Callable[[], str]]
 
 
@@ -451,7 +458,7 @@ PAGES: dict[str, Makers] = {
     "environments/posture.md": task_tables(POSTURE),
     "benchmark.md": {"results": results_table},
     "camera.md": {"objects": seen_objects_table, "hands": seen_hands_table},
-    "deploy.md": {"deployed": deployed_table},
+    "deploy.md": {"deployed": deployed_table, "gap": gap_rows},
     "grasps.md": {
         "objects": object_table,
         "types": TYPE_TABLES["types"],
