@@ -121,10 +121,16 @@ class Rule:
 
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results" / "experiments" / "gentle.json"
-COMMAND = (
-    "for obs in load deploy: python -m experiments.gentle train --obs OBS --seeds 0 1 2 3 4 --rounds 8 "
-    "--episodes 384, at --obs OBS --seeds 0 1 2 3 4 --episodes 128; rows --episodes 384; "
-    "closures --closures 64 --episodes 24; join"
+COMMAND = "; ".join(
+    f"python -m experiments.gentle {words}"
+    for words in (
+        "train --obs load --seeds 0 1 2 3 4 --rounds 8 --episodes 384",
+        "train --obs deploy --seeds 0 1 2 3 4 --rounds 8 --episodes 384",
+        "at --obs load --seeds 0 1 2 3 4 --limits 4 --episodes 128",
+        "rows --episodes 384",
+        "closures --closures 64 --episodes 24",
+        "join",
+    )
 )
 RULE = Rule()
 WORLDS = 128
@@ -427,6 +433,7 @@ def summary(found: dict[str, Array]) -> dict[str, Any]:
     rows = {
         name: success_counts(int(found["success"][chosen].sum()), int(chosen.sum()))
         for name, chosen in groups.items()
+        if chosen.any()
     }
     return rows | {"crushed": float(found["crushed"].mean())}
 
