@@ -355,7 +355,8 @@ def wired(monkeypatch):
     monkeypatch.setattr(driven, "connector", lambda *_: rigged.hand.connect)
     monkeypatch.setattr(driven, "Device", lambda *_: None)
     monkeypatch.setattr(driven, "Watch", lambda *_: latest)
-    monkeypatch.setattr(driven, "Driver", partial(Driver, protocol=SHORT, rate_hz=RATE_HZ))
+    monkeypatch.setattr(driven, "PROTOCOL", SHORT)
+    monkeypatch.setattr(driven, "Driver", partial(Driver, rate_hz=RATE_HZ))
     return rigged
 
 

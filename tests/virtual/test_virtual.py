@@ -184,7 +184,7 @@ def through(env, faults, seeds=SEEDS, by_table=True, policy=None):
     ("faults", "at_least"),
     [
         (Faults(), 5),
-        (Faults(loss=0.05), 4),
+        (Faults(loss=0.05), 3),
         (Faults(jitter=0.002, latency=0.016), 4),
         (Faults(damage=0.1), 4),
     ],
