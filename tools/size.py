@@ -15,7 +15,7 @@ from hpac_gym.output import markdown
 ROOT = Path(__file__).parents[1]
 PARTS = {
     "wheel": ("hpac_gym", "hpac.py"),
-    "workshop": ("agents", "experiments", "tools", "firmware"),
+    "workshop": ("agents", "examples", "experiments", "firmware", "integrations", "tools"),
     "tests": ("tests",),
 }
 LARGEST = 5
