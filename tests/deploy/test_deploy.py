@@ -293,7 +293,7 @@ class Full(Log):
             "the policy's action must be 6 numbers",
         ),
         (lambda: np.zeros(5), Fixed, Log, DeployError, "the policy's action must be 6 numbers"),
-        (raising(KeyboardInterrupt()), Fixed, Log, KeyboardInterrupt, ""),
+        (raising(KeyboardInterrupt("by hand")), Fixed, Log, KeyboardInterrupt, "by hand"),
         (raising(ZeroDivisionError("x")), Fixed, Log, ZeroDivisionError, "x"),
         (
             lambda: np.zeros(6),
