@@ -9,6 +9,7 @@ import pytest
 from hpac_gym.envs import GraspTypeSetup
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.evaluate import evaluate
+from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.grasp_types import (
     GRASP_TYPES,
     HELD_OUT_TYPES,
@@ -206,23 +207,20 @@ def test_contacts_are_looked_at_often_enough_to_judge_a_hold_and_no_oftener(monk
     assert len(looks) == (round(20 * (times[3] - times[1])) - 1) // LOOK_EVERY + 3
 
 
-class Behaviour:
+class Behaviour(EpisodePolicy):
     """An action at each step, made of the script's actions of the episode."""
 
     def __init__(self, env: gymnasium.Env, name: str) -> None:
-        self.script = env.unwrapped.task.script()
+        self.task = env.unwrapped.task
         self.behaves = BEHAVIOURS[name]
 
-    def reset(self, seed: int) -> None:
-        self.script.reset()
-        self.path = None
-
-    def act(self, observation: np.ndarray) -> np.ndarray:
-        if self.path is None:
-            self.step = -1
-            self.path = [self.script.act(observation) for _ in range(64)]
-        self.step += 1
-        return np.asarray(self.behaves(self.path, self.step), np.float32)
+    def _act(self, observation, memory):
+        path, step = memory or (None, 0)
+        if path is None:
+            script = self.task.script()
+            script.reset()
+            path = [script.act(observation) for _ in range(64)]
+        return np.asarray(self.behaves(path, step), np.float32), (path, step + 1)
 
 
 BEHAVIOURS = {

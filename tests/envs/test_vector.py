@@ -52,8 +52,8 @@ def gymnasiums(
     )
 
 
-def actions(num_envs: int = 3, steps: int = 8, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1, 1, (steps, num_envs, 6)).astype(np.float32)
+def actions(num_envs: int = 3, steps: int = 8, seed: int = 0, size: int = 6) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, num_envs, size)).astype(np.float32)
 
 
 def assert_same(one, other) -> None:
@@ -471,7 +471,7 @@ def test_make_vec_on_pybullet_makes_gymnasiums_processes_with_the_same_episodes(
     assert made.spec.id == name
     assert made.metadata == its.metadata
     assert_same(made.reset(seed=5)[0], its.reset(seed=5)[0])
-    for action in actions(2, 5):
+    for action in actions(2, 5, size=made.single_action_space.shape[0]):
         assert_same(made.step(action)[:4], its.step(action)[:4])
     made.close()
     its.close()
