@@ -33,6 +33,7 @@ TAKEN_OVER = (
 )
 LAST_WORDS_TIME = 3.0
 """How long the end of a link asks a silent hand to switch its pulses off [s]."""
+_FIELDS: dict[str, Fields] = {"status": {"period_ms": 0}}
 _LAST_WORDS = ("clear",) * 3 + ("estop",) * 2
 _LAST_WORDS_UNGREETED = ("hello", "clear") * 3
 """Messages to a device that never answered: not a hand, perhaps, or one that an earlier session
@@ -235,7 +236,7 @@ class Connection:
 
     def _ask_status(self) -> None:
         with suppress(LinkTimeout, PortError):
-            self.exchange.request("status", {"period_ms": 0}, 0, self._timeout, self._attempts)
+            self.exchange.request("status", _FIELDS["status"], 0, self._timeout, self._attempts)
 
     @interrupts.closing
     def end(self, error: BaseException | None = None) -> None:
@@ -300,14 +301,11 @@ class Connection:
         interrupt = None
         for name in self._last_words():
             try:
-                if self.known.may_have_power and name != "status":
-                    answer = self.exchange.request(name, timeout=self._timeout, attempts=1)
-                    if answer.name == "ack" and answer.number("reason") == Reason.session:
-                        return TAKEN_OVER, interrupt
-                if self.known.may_have_power:  # refused, or only HELLO: query the state
-                    self.exchange.request(
-                        "status", {"period_ms": 0}, timeout=self._timeout, attempts=1
-                    )
+                for word in (name, "status"):  # if refused, or only HELLO, query the state
+                    if self.known.may_have_power:
+                        answer = self.exchange.request(word, _FIELDS.get(word), 0, self._timeout, 1)
+                        if answer.name == "ack" and answer.number("reason") == Reason.session:
+                            return TAKEN_OVER, interrupt
             except LinkTimeout:
                 pass
             except Exception as error:
