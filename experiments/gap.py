@@ -44,6 +44,7 @@ OFF = {f"object seen {mm} mm off": 1e-3 * mm for mm in (3, 6, 10)}
 RANGES: dict[str, dict[str, tuple[float, float]]] = {
     "servos 50 ms late": {"servo_lag": (0.05, 0.05)},
     "5 % of the commands lost": {"dropped_frames": (0.05, 0.05)},
+    "half of the commands late": {"late_frames": (0.5, 0.5)},
     "1 mm of slack": {"slack": (1e-3, 1e-3)},
     "friction of the skin × 0.8": {"skin_friction": (0.8, 0.8)},
     "tendons 20 % softer": {"tendon_stiffness": (0.8, 0.8)},

@@ -1,6 +1,7 @@
 """The commands of n hands: from actions to the servo angles that arrive at them."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
@@ -28,6 +29,25 @@ Transmit = Callable[[ServoCommand], ServoCommand]
 _ACTION_TOLERANCE = 1e-6
 
 
+@dataclass(slots=True)
+class LinkFaults:
+    """What becomes of a world's commands on their way to the hand."""
+
+    lost: float
+    """Share that never arrives."""
+    late: float
+    """Share that arrives late, at any time of its control period."""
+    rng: np.random.Generator
+
+    def moved(self) -> float:
+        """Share of a command's move that its control period sees."""
+        if self.lost and self.rng.random() < self.lost:
+            return 0.0
+        if self.late and self.rng.random() < self.late:
+            return self.rng.random()
+        return 1.0
+
+
 class Commands:
     """The commands of n hands, each of one control period.
 
@@ -44,7 +64,7 @@ class Commands:
         last_action: last action on the servos, shape (n, 6).
     """
 
-    changing = ("servo", "predicted", "last_action", "_arrived", "_flexing", "_losses")
+    changing = ("servo", "predicted", "last_action", "_arrived", "_flexing", "_faults")
 
     def __init__(
         self,
@@ -61,16 +81,14 @@ class Commands:
         self.last_action = np.zeros((num_worlds, len(SERVOS)))
         self._arrived = self.servo.copy()
         self._flexing = np.ones((num_worlds, len(SERVOS)), dtype=bool)
-        self._lost_share = np.zeros(num_worlds)
-        self._losses: list[np.random.Generator | None] = [None] * num_worlds
+        self._faults: list[LinkFaults | None] = [None] * num_worlds
         self._map = CommandMap(model if isinstance(model, Hand) else HPAC, num_worlds)
         # Most tasks begin with the same posture.
         self._start_of = lru_cache(maxsize=16)(partial(_start_of, self._map.bounds))
 
-    def lose(self, world: int, share: float, rng: np.random.Generator | None) -> None:
-        """Let a share of a world's commands be lost from now on, as drawn from `rng`."""
-        self._lost_share[world] = share
-        self._losses[world] = rng
+    def disturb(self, world: int, faults: LinkFaults | None) -> None:
+        """Let a share of a world's commands be lost or late from now on."""
+        self._faults[world] = faults
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes in some worlds: hands at rest at the synergies of their setups."""
@@ -119,22 +137,20 @@ class Commands:
 
     def stream(self, target: Array) -> Array:
         """Command one control period of the move to a target, shape (n, 6) [rad]; returns the angles
-        that reach the servos: after a lost command they keep the previous ones.
+        that the servos have in its end: after a lost command the previous ones, after a late one
+        they are on the way.
         """
         self.servo = streamed_servo(self.servo, target, 1.0 / CONTROL_HZ, self._map.bounds)
-        lost = [
-            world
-            for world in np.flatnonzero(self._lost_share)
-            if self._losses[world].random() < self._lost_share[world]
-        ]
-        if self.transmit is not None and not lost:
-            self._arrived = self.transmit(self.command).servo[None].copy()
-        else:
-            arrived = self.servo.copy()
-            if lost:
-                arrived[lost] = self._arrived[lost]
-            self._arrived = arrived
-        return self._arrived
+        moved = [1.0 if faults is None else faults.moved() for faults in self._faults]
+        arrived = self.servo.copy()
+        if self.transmit is not None and moved[0]:
+            arrived[0] = self.transmit(self.command).servo
+        for world, share in enumerate(moved):
+            if share < 1.0:
+                last = self._arrived[world]
+                arrived[world] = last + share * (arrived[world] - last)
+        self._arrived = arrived
+        return arrived
 
     def record(self, actions: NDArray) -> Array:
         """Note the actions on the servos that were carried out; returns their change, shape (n, 6)."""

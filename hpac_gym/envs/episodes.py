@@ -123,7 +123,7 @@ class Episodes:
             for world, generator, own in zip(worlds, generators, chosen, strict=True)
         ]
         for world, start in zip(worlds, starts, strict=True):
-            self.commands.lose(world, *start.loss)
+            self.commands.disturb(world, start.faults)
             self._camera.start(world, start.setup, *start.noise)
         self._begin(worlds, [start.setup for start in starts])
         self.outcome[np.asarray(worlds)] = RUNNING

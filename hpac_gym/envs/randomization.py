@@ -74,6 +74,11 @@ class Randomization:
     dropped_frames: Range = setting(
         _NONE, "share of the commands that never arrive", bounds=(0.0, 0.5)
     )
+    late_frames: Range = setting(
+        _NONE,
+        "share of the commands that arrive late, at any time of their control period",
+        bounds=(0.0, 1.0),
+    )
 
     def __post_init__(self) -> None:
         check_bounds(self, "randomization")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hpac_gym.envs.commands import LinkFaults
 from hpac_gym.envs.options import Options
 from hpac_gym.envs.randomization import Randomization, changed_setup, stream
 from hpac_gym.model.checks import Array
@@ -24,8 +25,8 @@ class Start:
     """Values drawn by the randomization, by name."""
     noise: tuple[float, np.random.Generator]
     """Factor of the camera's noise, and its generator."""
-    loss: tuple[float, np.random.Generator | None]
-    """Share of the commands that are lost, and its generator."""
+    faults: LinkFaults | None
+    """What is wrong with the link to the hand."""
 
 
 def start_of(
@@ -39,12 +40,12 @@ def start_of(
     setup_rng, camera_rng = generator.spawn(2)
     drawn = ranges.draw(setup_rng)
     setup = _with_options(given or task.setup(setup_rng, options.hand), options, given is None)
-    share = float(drawn.get("dropped_frames", [0.0])[0])
+    lost, late = (float(drawn.get(name, [0.0])[0]) for name in ("dropped_frames", "late_frames"))
     return Start(
         changed_setup(setup, drawn),
         drawn,
         (float(drawn.get("sensor_noise", [1.0])[0]), camera_rng),
-        (share, stream(setup_rng, "losses") if share else None),
+        LinkFaults(lost, late, stream(setup_rng, "losses")) if lost or late else None,
     )
 
 

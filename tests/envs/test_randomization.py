@@ -105,8 +105,11 @@ def test_the_simulated_hand_has_what_was_drawn():
     assert changed.object.friction == pytest.approx(1.5 * setup.object.friction)
 
 
-def test_every_frame_that_is_dropped_leaves_the_servos_where_they_were(monkeypatch):
-    with GoalEnv(Posture(), randomize=Randomization(dropped_frames=(0.5, 0.5))) as env:
+@pytest.mark.parametrize("fault", ["dropped_frames", "late_frames"])
+def test_a_dropped_frame_leaves_the_servos_where_they_were_a_late_one_on_the_way(
+    fault, monkeypatch
+):
+    with GoalEnv(Posture(), randomize=Randomization(**{fault: (0.5, 0.5)})) as env:
         env.reset(seed=0)
         arrived = []
         commanded = []
@@ -119,10 +122,12 @@ def test_every_frame_that_is_dropped_leaves_the_servos_where_they_were(monkeypat
         for step in range(40):
             env.step(np.full(6, np.sin(step / 3), np.float32))
             commanded.append(env.command.servo)
-    lost = [step for step in range(1, 40) if not np.array_equal(arrived[step], commanded[step])]
-    assert 5 < len(lost) < 35
-    for step in lost:
-        np.testing.assert_array_equal(arrived[step], arrived[step - 1])
+    missed = [step for step in range(1, 40) if not np.array_equal(arrived[step], commanded[step])]
+    assert 5 < len(missed) < 35
+    for step in missed:
+        way = (arrived[step] - arrived[step - 1]) @ (commanded[step] - arrived[step - 1])
+        way /= np.sum(np.square(commanded[step] - arrived[step - 1]))
+        assert 0 < way < 1 if fault == "late_frames" else way == 0
 
 
 @pytest.mark.parametrize("name", BOUNDS)
