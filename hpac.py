@@ -148,6 +148,12 @@ COMMANDS = (
     ),
     Command(
         "measure",
+        "forecast",
+        "how often a policy will succeed on one's own calibrated hand",
+        "hpac_gym.evaluation.forecast:add_arguments",
+    ),
+    Command(
+        "measure",
         "grasps",
         "evaluate a policy on the sixteen named grasps",
         "hpac_gym.evaluation.grasps:add_arguments",

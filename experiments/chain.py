@@ -24,7 +24,7 @@ from experiments.rig import Rig
 from hpac_gym.body.hands import hand_set
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
-from hpac_gym.calibration.record import RecordError
+from hpac_gym.calibration.record import RecordError, Sweep
 from hpac_gym.command import run_module, whole_number
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.models import FILES
@@ -117,11 +117,20 @@ def calibrated(population: str, seed: int) -> tuple[Hand, Hand]:
     hand = POPULATIONS[population](seed)
     if population == "held-out hands":
         return hand, load_hand(FILES / f"{HELD_OUT[seed % len(HELD_OUT)].name}.toml")
+    return hand, identify(swept(hand, seed)).hand
+
+
+def swept(hand: Hand, seed: int) -> Sweep:
+    """The record of one simulated sweep of a hand.
+
+    Raises:
+        RecordError: `hpac calibrate` refuses it.
+    """
     zero = hand.calibration.servo_zero
     rig = Rig(replace(hand, calibration=Calibration()), HAND, servo_zero=zero)
     record = rig.sweep(np.random.default_rng([SEED, seed, 2]))
     judged(record, HPAC)
-    return hand, identify(record).hand
+    return record
 
 
 def models(hand: Hand, file: Hand) -> dict[str, Hand]:

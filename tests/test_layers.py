@@ -30,7 +30,7 @@ ROOMS = {
     "tasks": {"numpy", "scipy", "gymnasium"},
     "envs": {"numpy", "gymnasium", "stable_baselines3"},
     "policies": {"numpy", "gymnasium", "onnx", "onnxruntime", "stable_baselines3"},
-    "evaluation": {"numpy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
+    "evaluation": {"numpy", "scipy", "gymnasium", "PIL", "minari", "lerobot", "tqdm"},
     "view": {"numpy", "scipy", "viser"},
     "deploy": {"numpy", "scipy", "gymnasium", "matplotlib"},
     "virtual": {"numpy", "scipy"},

@@ -24,6 +24,7 @@ from hpac_gym.calibration.identification import (
     identify,
 )
 from hpac_gym.calibration.judging import judged
+from hpac_gym.calibration.posterior import DRAWS, report_folder, write_draws
 from hpac_gym.calibration.record import Sweep, read_sweep
 from hpac_gym.calibration.samples import DigitSamples, digit_samples
 from hpac_gym.figures import GREEN, GREY, RED, label, new_figure, require, save
@@ -123,7 +124,7 @@ def run(arguments: argparse.Namespace) -> int:
         second = read_sweep(arguments.check, allow_missing=True)
         remarks += [f"{arguments.check.name}: {remark}" for remark in judged(second, base)]
     found = identify(
-        record, base, arguments.spread, arguments.radii_known, hold_out=True, shown=True
+        record, base, arguments.spread, arguments.radii_known, True, shown=True, draws=DRAWS
     )
     remarks += doubts(found, base)
     write_text(arguments.out, hand_to_toml(named(found, base, arguments.record.name)))
@@ -131,7 +132,8 @@ def run(arguments: argparse.Namespace) -> int:
     errors = file_errors(found, written) if second is None else check_errors(second, written, base)
     if second:
         remarks += contradictions(errors)
-    folder = arguments.out.with_name(f"{arguments.out.stem}-report")
+    folder = report_folder(arguments.out)
+    write_draws(arguments.out, written, found)
     result = summary(found, base, errors, remarks, bool(second))
     text = report(found, base, errors, remarks, arguments.check.name if second else "")
     write_text(folder / "report.md", text)

@@ -44,6 +44,10 @@ DRIVE_SPREAD = 2.0
 """Standard deviation of the drive stretch relative to the design's: no servo stiffness is
 published; 8 N·m/rad adds twice it.
 """
+DRAWN_DRIVE_SPREAD = 0.2
+"""The same among drawn hands (chosen): free space hardly tells how stiff a drive is, but a drawn hand
+grips with it.
+"""
 ZERO_SPREAD = np.deg2rad(12.0)
 """Standard deviation of a servo's zero [rad]: a tooth of a horn's spline with 25 teeth is 14.4°,
 and slack adds to it.
@@ -111,6 +115,8 @@ class DigitFit:
     """Scatter of the points about the fit, relative to that expected from the samples; 1 for a
     perfect model.
     """
+    draws: Array
+    """Values of the combinations that the data allow as well, shape (draws, combinations)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +133,8 @@ class Identification:
     cmc: tuple[Estimate, Estimate] | None
     """g_CMC and the zero of servo 6."""
     cmc_samples: DigitSamples | None
+    cmc_draws: Array | None
+    """g_CMC and zero that the data allow as well, shape (draws, 2)."""
 
     @property
     def samples(self) -> dict[int, DigitSamples]:
@@ -148,6 +156,7 @@ def identify(
     least_points: int = LEAST_POINTS,
     papers_model: bool = False,
     shown: bool = False,
+    draws: int = 0,
 ) -> Identification:
     """Identify the hand of a record.
 
@@ -161,6 +170,7 @@ def identify(
         least_points: least number of sampling points of a digit.
         papers_model: fit only Eqs. (5), (7), (12), (13): a rigid drive, no friction, no zero.
         shown: draw a progress bar.
+        draws: number of draws from the posterior, always the same ones.
 
     Raises:
         IdentificationError: No digit can be fitted, or `spread` is out of bounds; the message
@@ -174,7 +184,7 @@ def identify(
         try:
             samples = _enough(record, servo, digit.joints, base, least_points)
             prior = _Prior.about(digit, spread, radii_known, papers_model)
-            fit = _fit_digit(samples, digit, prior, hold_out)
+            fit = _fit_digit(samples, digit, prior, hold_out, draws)
             if radii_known:
                 _check_radii(fit, prior)
             fits[name] = fit
@@ -185,13 +195,14 @@ def identify(
             "the record supports no fit: "
             + "; ".join(f"{name}: {why}" for name, why in kept.items())
         )
-    cmc = cmc_samples = None
+    cmc = cmc_samples = cmc_draws = None
     try:
         cmc_samples = _enough(record, len(SERVOS) - 1, ("thumb_cmc",), base, least_points)
-        cmc = _fit_cmc(cmc_samples, base.cmc_gain, hold_out)
+        cmc, cmc_draws = _fit_cmc(cmc_samples, base.cmc_gain, hold_out, draws)
     except IdentificationError as error:
         kept["thumb_cmc"] = str(error)
-    return Identification(_identified_hand(base, fits, cmc), fits, kept, cmc, cmc_samples)
+    hand = _identified_hand(base, fits, cmc)
+    return Identification(hand, fits, kept, cmc, cmc_samples, cmc_draws)
 
 
 def doubts(found: Identification, base: Hand) -> list[str]:
@@ -366,6 +377,13 @@ class _Prior:
         upper[tendon] = min(upper[tendon], np.log(0.5))
         return cls(known, linear, centre, sigma, lower, upper)
 
+    def drive_known(self, spread: float) -> _Prior:
+        """The same, with the drive's stiffness as the design's."""
+        sigma = self.sigma.copy()
+        drive = [item.name for item in self.known].index("drive_stretch")
+        sigma[drive] = spread * self.centre[drive]
+        return replace(self, sigma=sigma)
+
     def values(self, unknowns: Array) -> Array:
         """Values of the combinations for given unknowns."""
         numbers: Array = np.where(
@@ -410,23 +428,68 @@ class _Problem:
             ]
         )
 
-    def solve(self, start: Array, scale: float) -> optimize.OptimizeResult:
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        free = np.full(2 * self.samples.joint_pos.shape[1], np.inf)
+        return np.append(self.prior.lower, -free), np.append(self.prior.upper, free)
+
+    @property
+    def unit(self) -> Array:
+        """A typical size of every unknown."""
         noise = float(np.nanmax(self.samples.noise))
-        free = np.full(len(start) - len(self.prior.centre), np.inf)
+        return np.append(self.prior.sigma, np.full(2 * self.samples.joint_pos.shape[1], noise))
+
+    def solve(self, start: Array, scale: float) -> optimize.OptimizeResult:
         return optimize.least_squares(
             self.rows,
             start,
             args=(scale,),
-            bounds=(
-                np.concatenate([self.prior.lower, -free]),
-                np.concatenate([self.prior.upper, free]),
-            ),
-            x_scale=np.concatenate([self.prior.sigma, np.full(len(free), noise)]),
+            bounds=self.bounds,
+            x_scale=self.unit,
             loss=lambda squares: soft_beyond_outliers(squares, int(self.seen.sum())),
             method="trf",
             ftol=1e-6,
             xtol=1e-6,
         )
+
+    def draws(self, found: Array, scale: float, count: int) -> Array:
+        """Draws of the combinations' values from the posterior, shape (count, combinations).
+
+        Data and prior get new errors, and the fit is repeated: Bardsley et al. 2014,
+        "Randomize-then-optimize". A normal distribution about the fit would be wrong, since the
+        directions that the data leave open are curved: its angles scatter 30 times as much. The
+        drive is as stiff as the design's, to `DRAWN_DRIVE_SPREAD`.
+        """
+        held = replace(self, prior=self.prior.drive_known(DRAWN_DRIVE_SPREAD))
+        return held.drawn(held.solve(found, scale).x, scale, count)
+
+    def drawn(self, found: Array, scale: float, count: int) -> Array:
+        """The draws about a solution."""
+        rng = np.random.default_rng(0)
+        fitted = self.rows(found, scale)
+        unit = self.unit
+        across, along = np.linalg.qr(
+            optimize.approx_fprime(found, lambda unknowns: self.rows(unknowns, scale), 1e-6)
+        )
+        drawn = []
+        for _ in range(count):
+            wanted = fitted + rng.standard_normal(len(fitted))
+
+            def missed(steps: Array, wanted: Array = wanted) -> Array:
+                return across.T @ (self.rows(self._within(found + unit * steps), scale) - wanted)
+
+            steps = optimize.root(
+                missed,
+                np.zeros(len(found)),
+                jac=lambda _: along * unit,
+                options={"xtol": 1e-3, "factor": 1.0},
+            ).x
+            drawn.append(self._within(found + unit * steps)[: len(self.prior.centre)])
+        return self.prior.values(np.reshape(drawn, (count, len(self.prior.centre))))
+
+    def _within(self, unknowns: Array) -> Array:
+        clipped: Array = np.clip(unknowns, *self.bounds)
+        return clipped
 
 
 def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:
@@ -455,7 +518,9 @@ def soft_beyond_outliers(squares: Array, data: int) -> Array:
     return rho
 
 
-def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool) -> DigitFit:
+def _fit_digit(
+    samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool, draws: int
+) -> DigitFit:
     fitted = samples.only(np.flatnonzero(~held_out_rows(samples))) if hold_out else samples
     problem = _Problem(fitted, base, prior)
     count = len(prior.centre)
@@ -471,7 +536,8 @@ def _fit_digit(samples: DigitSamples, base: Digit, prior: _Prior, hold_out: bool
     found = result.x[:count]
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
     swept = digit_with(base, prior.values(found))
-    return DigitFit(swept, _estimates(prior, found, covariance), samples, scale)
+    drawn = problem.draws(result.x, scale, draws) if draws else np.empty((0, count))
+    return DigitFit(swept, _estimates(prior, found, covariance), samples, scale, drawn)
 
 
 def _check_radii(fit: DigitFit, prior: _Prior) -> None:
@@ -498,8 +564,10 @@ def _estimates(prior: _Prior, solution: Array, covariance: Array) -> tuple[Estim
     )
 
 
-def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estimate, Estimate]:
-    """Fit gain and zero of the directly driven joint."""
+def _fit_cmc(
+    samples: DigitSamples, base: float, hold_out: bool, draws: int
+) -> tuple[tuple[Estimate, Estimate], Array]:
+    """Fit gain and zero of the directly driven joint, and draw from their posterior."""
     rows = ~np.isnan(samples.joint_pos[:, 0])
     if hold_out:
         rows &= ~held_out_rows(samples)
@@ -521,7 +589,8 @@ def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estima
         x_scale=[1.0, ZERO_SPREAD, samples.noise[0], samples.noise[0]],
         loss=lambda squares: soft_beyond_outliers(squares, len(servo)),
     )
-    spread = np.sqrt(np.diag(np.linalg.inv(result.jac.T @ result.jac)))
+    covariance = np.linalg.inv(result.jac.T @ result.jac)[:2, :2]
+    spread = np.sqrt(np.diag(covariance))
 
     def estimate(name: str, formula: str, prior: float, place: int) -> Estimate:
         x = float(result.x[place])
@@ -529,7 +598,9 @@ def _fit_cmc(samples: DigitSamples, base: float, hold_out: bool) -> tuple[Estima
         told = 1 - min(float(spread[place]) / prior, 1.0)
         return Estimate(name, formula, x, x - half, x + half, told)
 
-    return (
+    estimates = (
         estimate("cmc_gain", "g_CMC", np.inf, 0),
         estimate("servo_zero", "rad", float(ZERO_SPREAD), 1),
     )
+    rng = np.random.default_rng(0)
+    return estimates, rng.multivariate_normal(result.x[:2], covariance, draws)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import betaln
 
 Z_95 = 1.959963984540054  # the standard normal's 97.5 % quantile
 
@@ -43,6 +44,44 @@ def success_counts(successes: int, episodes: int) -> dict[str, Any]:
         "success_rate": successes / episodes,
         "interval_95": interval,
     }
+
+
+def predicted_rate(
+    successes: ArrayLike, episodes: int, of: int, draws: int = 20_000
+) -> tuple[float, float, float]:
+    """Success rate of one more hand of a kind in ``of`` episodes: expectation and 95 % interval.
+
+    Beta-binomial: the hands' own rates have a beta distribution. Its mean has Jeffreys' prior, its
+    standard deviation a uniform one (Gelman 2006), up to 0.7 √(p (1 − p)). The interval holds what is
+    unknown of both, the spread of the hands, and the luck of the episodes to come.
+
+    Args:
+        successes: of each of at least two hands, shape (hands,).
+        episodes: of each hand.
+        of: episodes that are predicted.
+        draws: of the predictive distribution, always the same ones.
+
+    Raises:
+        ValueError: Fewer than two hands, or not 0 ≤ successes ≤ episodes.
+    """
+    won = np.asarray(successes)
+    if won.ndim != 1 or len(won) < 2 or np.any(won < 0) or np.any(won > episodes):
+        raise ValueError(f"{won} of {episodes}: need the successes of at least two hands")
+    angle = (np.arange(400) + 0.5) / 400 * np.pi  # in which Jeffreys' prior is uniform
+    mean, share = np.meshgrid((1 - np.cos(angle)) / 2, np.linspace(0.005, 0.7, 60) ** 2)
+    alpha = mean * (1 / share - 1)
+    beta = (1 - mean) * (1 / share - 1)
+    kinds, count = np.unique(won, return_counts=True)
+    likelihood = sum(
+        n * (betaln(k + alpha, episodes - k + beta) - betaln(alpha, beta))
+        for k, n in zip(kinds, count, strict=True)
+    )
+    weight = np.exp(likelihood - likelihood.max()).ravel()
+    rng = np.random.default_rng(0)
+    at = rng.choice(weight.size, draws, p=weight / weight.sum())
+    rate = rng.beta(alpha.ravel()[at], beta.ravel()[at])
+    low, high = np.quantile(rng.binomial(of, rate) / of, (0.025, 0.975))
+    return float(rate.mean()), float(low), float(high)
 
 
 def rate_text(successes: int, trials: int) -> str:

@@ -343,6 +343,7 @@ def test_the_command_writes_a_hand_that_drops_in_and_reports_that_files_error(
     assert {path.name for path in report.iterdir()} == {
         "report.md",
         "report.json",
+        "draws.json",
         "fit.png",
         "fit.svg",
     }

@@ -1,0 +1,102 @@
+"""Hands that a sweep allows as well as the calibrated one: draws from the posterior of its numbers,
+which `hpac calibrate` writes into the report beside the hand file, and `hpac forecast` reads.
+
+They hold as far as the hand obeys the laws of the fit."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hpac_gym.calibration.combinations import digit_with
+from hpac_gym.calibration.identification import Identification
+from hpac_gym.errors import HpacError
+from hpac_gym.model import Hand
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.output import write_text
+
+DRAWS = 50
+"""Number of drawn hands (chosen)."""
+_CMC = "thumb_cmc"
+
+
+class PosteriorError(HpacError, ValueError):
+    """There are no drawn hands beside a hand file, or they are of another file."""
+
+
+def report_folder(hand_file: Path) -> Path:
+    """The folder of the report that `hpac calibrate` writes beside a hand file."""
+    return hand_file.with_name(f"{hand_file.stem}-report")
+
+
+def drawn_hands(hand: Hand, found: dict[str, list]) -> list[Hand]:
+    """The hands of an identification's draws.
+
+    Args:
+        hand: the calibrated hand, whose numbers remain where there are no draws.
+        found: draws of each digit's `combinations` and of the CMC, as `draws_of`.
+    """
+    hands = []
+    for number in range(len(next(iter(found.values())))):
+        digits = dict(hand.digits)
+        zero = list(hand.calibration.servo_zero)
+        friction = list(hand.calibration.friction)
+        gain = hand.cmc_gain
+        for column, name in enumerate(hand.digits):
+            if name in found:
+                swept = digit_with(hand.digits[name], np.array(found[name][number]))
+                digits[name] = swept.digit
+                friction[column] = swept.friction
+                zero[column] = swept.servo_zero
+        if _CMC in found:
+            gain, zero[-1] = found[_CMC][number]
+        calibration = Calibration(tuple(zero), tuple(friction))
+        hands.append(
+            replace(
+                hand,
+                name=f"{hand.name}, draw {number}",
+                digits=digits,
+                cmc_gain=gain,
+                calibration=calibration,
+            )
+        )
+    return hands
+
+
+def draws_of(found: Identification) -> dict[str, list]:
+    """An identification's draws by digit, and of the CMC, shape (draws, numbers) each."""
+    draws = {name: fit.draws.tolist() for name, fit in found.fits.items()}
+    return draws | ({} if found.cmc_draws is None else {_CMC: found.cmc_draws.tolist()})
+
+
+def write_draws(hand_file: Path, hand: Hand, found: Identification) -> None:
+    """Write the draws beside a hand file.
+
+    Raises:
+        OutputError: As of `write_text`.
+    """
+    text = json.dumps({"zero": hand.calibration.servo_zero, "draws": draws_of(found)})
+    write_text(report_folder(hand_file) / "draws.json", text + "\n")
+
+
+def read_draws(hand_file: Path, hand: Hand) -> list[Hand]:
+    """The drawn hands that lie beside a hand file.
+
+    Raises:
+        PosteriorError: There are none, or they are of another file.
+    """
+    path = report_folder(hand_file) / "draws.json"
+    try:
+        text = json.loads(path.read_text(encoding="utf-8"))
+        of = text["zero"]
+        hands = drawn_hands(hand, text["draws"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, StopIteration) as error:
+        raise PosteriorError(
+            f"{path}, which 'hpac calibrate' writes beside {hand_file}, cannot be read: {error}"
+        ) from None
+    if not np.allclose(of, hand.calibration.servo_zero, rtol=0, atol=1e-9):
+        raise PosteriorError(
+            f"{path} is of another hand than {hand_file}: the servos' zeros differ"
+        )
+    return hands

@@ -1,0 +1,185 @@
+"""``hpac forecast``: how often a policy will succeed on one's own hand, from one sweep of it.
+
+Virtual hands are drawn from what the sweep leaves open (`hpac_gym.calibration.posterior`), and the
+policy runs its episodes on each, commanded with the calibrated file. What no sweep tells is the
+simulation's: friction, masses and contacts, and the scale of lengths and forces."""
+
+import argparse
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from hpac_gym.calibration.posterior import DRAWS, read_draws
+from hpac_gym.command import Formatter, whole_number
+from hpac_gym.evaluation.environment import make_env
+from hpac_gym.evaluation.evaluate import env_id_of, run_block
+from hpac_gym.evaluation.options import add_env_options, env_options
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.evaluation.statistics import predicted_rate
+from hpac_gym.evaluation.workers import shared
+from hpac_gym.model import HPAC, Hand, load_hand
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy
+from hpac_gym.progress import progress
+
+NOMINAL = "nominal"
+EPISODES = 50
+OF = 1000
+"""Episodes of each virtual hand, and those that are predicted (chosen)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """Success of a policy that is expected of one hand."""
+
+    successes: tuple[int, ...]
+    """Of each virtual hand."""
+    episodes: int
+    """Of each virtual hand."""
+    of: int
+    """Number of predicted episodes."""
+    success_rate: float
+    """Expected share of successes."""
+    interval_95: tuple[float, float]
+    """Of the share of successes among the predicted episodes."""
+
+    @classmethod
+    def of_counts(cls, successes: Sequence[int], episodes: int, of: int = OF) -> "Forecast":
+        """The forecast that the virtual hands' successes give."""
+        rate, low, high = predicted_rate(successes, episodes, of)
+        return cls(tuple(successes), episodes, of, rate, (low, high))
+
+    def line(self, what: str) -> str:
+        """The forecast in words."""
+        low, high = self.interval_95
+        return (
+            f"{what}: {self.success_rate:.1%} expected; in {self.of} episodes {low:.1%} to {high:.1%} (95 %), from "
+            f"{len(self.successes)} virtual hands with {self.episodes} episodes each; friction, masses and contacts as simulated"
+        )
+
+
+def forecast(
+    hands: Sequence[Hand],
+    policy: str,
+    env_id: str,
+    options: Mapping[str, Any],
+    episodes: int,
+    *,
+    of: int = OF,
+    seed_start: int = HELD_OUT_SEED,
+    workers: int = 1,
+    normalize: str | None = None,
+) -> Forecast:
+    """Run a policy on virtual hands, each in episodes of its own.
+
+    Args:
+        hands: the virtual hands, at least two.
+        policy: as `load_policy` takes it.
+        env_id: the environment.
+        options: of the environment, `model` among them.
+        episodes: of each hand.
+        of: number of predicted episodes.
+        seed_start: seed of the first episode.
+        workers: number of processes.
+        normalize: as in `load_policy`.
+
+    Raises:
+        EnvError: The environment is unknown.
+        PolicyError: The policy cannot be loaded, or was made for another environment.
+    """
+    with make_env(env_id, **options) as env:
+        load_policy(policy, env, normalize)  # errors are raised here, not in a worker
+    jobs = [
+        ([policy], env_id, {**options, "hand": hand}, range(first, first + episodes), normalize)
+        for hand, first in zip(
+            hands, range(seed_start, seed_start + len(hands) * episodes, episodes), strict=True
+        )
+    ]
+    bar = progress(jobs, "virtual hands")
+    counts = [
+        sum(episode.success for (episode,) in rows)
+        for _, rows in zip(bar, shared(run_block, jobs, workers), strict=True)
+    ]
+    return Forecast.of_counts(counts, episodes, of)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `hpac forecast`."""
+    parser.formatter_class = Formatter
+    parser.add_argument(
+        "file",
+        type=Path,
+        metavar="hand.toml",
+        help="what 'hpac calibrate' wrote, its report beside it",
+    )
+    parser.add_argument("--policy", default="scripted", help=NAMES)
+    parser.add_argument("--normalize", help=NORMALIZE)
+    add_env_options(
+        parser,
+        "id (default: a policy file's own, otherwise HPAC-Grasp-v0)",
+        but=("hand", "hands", "model"),
+    )
+    parser.add_argument(
+        "--model",
+        dest="commands",
+        metavar="FILE",
+        help=f"hand file that commands are computed with (default: hand.toml); {NOMINAL}: the paper's hand",
+    )
+    parser.add_argument(
+        "--hands",
+        dest="count",
+        type=whole_number(2),
+        default=DRAWS,
+        help="number of virtual hands, at most as many as the file was calibrated with",
+    )
+    parser.add_argument(
+        "--episodes", type=whole_number(1), default=EPISODES, help="episodes of each virtual hand"
+    )
+    parser.add_argument(
+        "--of", type=whole_number(1), default=OF, help="episodes that are predicted"
+    )
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=HELD_OUT_SEED,
+        help="seed of the first episode",
+    )
+    parser.add_argument(
+        "--workers", type=whole_number(1), default=os.cpu_count() or 1, help="number of processes"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command: draw the virtual hands, run the policy, print the forecast."""
+    hand = load_hand(args.file)
+    hands = read_draws(args.file, hand)
+    env_id = args.env or env_id_of(args.policy)
+    given = env_options(args, env_id)
+    options = {"engine": "mujoco"} | given
+    options["model"] = HPAC if args.commands == NOMINAL else load_hand(args.commands or args.file)
+    found = forecast(
+        hands[: args.count],
+        args.policy,
+        env_id,
+        options,
+        args.episodes,
+        of=args.of,
+        seed_start=args.seed_start,
+        workers=args.workers,
+        normalize=args.normalize,
+    )
+    told = " ".join(map(str, (args.policy, *given.values())))
+    text = {
+        "hand": str(args.file),
+        "policy": args.policy,
+        "env_id": env_id,
+        "model": args.commands or str(args.file),
+        "options": given,
+    }
+    line = found.line(f"{args.file}, {told}, commanded with {args.commands or 'it'}")
+    print(json.dumps({**text, **asdict(found)}) if args.json else line)
+    return 0
