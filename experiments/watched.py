@@ -10,6 +10,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,8 @@ RATE_HZ = 10.0
 """A shorter sweep than of a real hand, with fewer pictures (chosen)."""
 LATCH_US = 20_000
 """Period of a servo's pulses [µs]."""
+TOOTH = 2 * np.pi / 25
+"""Of a horn's spline (chosen) [rad]."""
 STRIP_DISTANCE = 0.3
 STRIP_LENS = Lens(focal=(1000.0, 1000.0))
 GLUED = np.radians(3.0)
@@ -261,11 +264,14 @@ def rest_angles(servo: str) -> Array:
 
 def watched_sweep(
     rig: Rig, seed: int, protocol: Protocol, rate_hz: float, servos: Sequence[str] = SERVOS
-) -> tuple[Sweep, Sweep]:
-    """The record of a sweep in lock-step that a camera watches, and the same with the true angles."""
+) -> tuple[Sweep, Sweep, list[Segment]]:
+    """The record of a sweep in lock-step that a camera watches, the same with the true angles, and its
+    segments.
+    """
     body = Body(rig, seed)
     seen = []
     exact = []
+    segments = []
     with VirtualHand(on_pulses=body.on_pulses) as hand, HandLink(hand.connect) as link:
         driver = Driver(link, body.look, HPAC, protocol, rate_hz)
         for servo in progress(servos, f"hand {seed}", len(servos) > 1):
@@ -274,12 +280,13 @@ def watched_sweep(
             segment = Segment(servo)
             driver.sweep(segment)
             segment.angles_from_tags(STRIP_LENS)
+            segments.append(segment)
             seen.append(segment.sweep())
             columns = [JOINT_INDEX[name] for name in CHAINS[servo][1:]]
             true = np.full_like(segment.joint_pos, np.nan)
             true[:, columns] = np.array(body.true)[:, columns]
             exact.append(seen[-1].with_joint_pos(true))
-    return concatenate(seen), concatenate(exact)
+    return concatenate(seen), concatenate(exact), segments
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -315,6 +322,12 @@ def run(arguments: argparse.Namespace) -> int:
         "command": f"python -m experiments.watched {options}",
         "objects": objects,
         "hands": hands,
+        "thumbs": [
+            thumb_set_back(built, seed + number)
+            for number, built in enumerate(
+                hidden_hands(arguments.hands, seed, LAWS["laws of the fit"])
+            )
+        ],
     }
     write_text(arguments.out, json.dumps(text, indent=1) + "\n")
     print(arguments.out)
@@ -325,7 +338,7 @@ def swept_hand(built: Built, seed: int) -> dict[str, Any]:
     """Errors of the angles of a hidden hand's sweep, and of the files that calibration makes of the
     pictures and of the exact record, both judged on the exact record.
     """
-    seen, exact = watched_sweep(rig_of(built), seed, PROTOCOL, RATE_HZ)
+    seen, exact, _ = watched_sweep(rig_of(built), seed, PROTOCOL, RATE_HZ)
     judged(seen, HPAC)
     off = np.degrees(np.abs(seen.joint_pos - exact.joint_pos))
     files = {}
@@ -339,6 +352,26 @@ def swept_hand(built: Built, seed: int) -> dict[str, Any]:
         "angle_deg": quantiles(off),
         **files,
     }
+
+
+def thumb_set_back(built: Built, seed: int) -> dict[str, Any]:
+    """Errors of the thumb's angles, and the slack that its sweep tells, as it is and with its horn set
+    back by a tooth.
+    """
+    found: dict[str, Any] = {}
+    for name, back in (("as it is", 0.0), ("a tooth back", TOOTH)):
+        rig = rig_of(built)
+        zero = (rig.servo_zero[0] - back, *rig.servo_zero[1:])
+        seen, exact, (segment,) = watched_sweep(
+            replace(rig, servo_zero=zero), seed, PROTOCOL, RATE_HZ, ("thumb_mp",)
+        )
+        found[name] = {
+            "pictures": len(seen),
+            "servo_zero_deg": float(np.degrees(zero[0])),
+            "angle_deg": quantiles(np.degrees(np.abs(seen.joint_pos - exact.joint_pos))),
+            "slack_deg": float(np.degrees(segment.slack(HPAC))),
+        }
+    return found
 
 
 if __name__ == "__main__":

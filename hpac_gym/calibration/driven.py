@@ -40,6 +40,7 @@ from hpac_gym.model import (
     SERVOS,
     Hand,
     ServoCommand,
+    elastic_joints_from_servo,
     move_duration,
 )
 from hpac_gym.model.checks import Array
@@ -69,6 +70,17 @@ SIDES = {
     "thumb_cmc": "along the axis of the thumb's CMC joint",
 }
 """From where the camera looks."""
+
+FLEXED = 0.05
+"""Least angle of a joint that has surely begun to flex (chosen) [rad]."""
+TAUT = (
+    "{}: it flexes from command 0 on. If its tendon is taut there, all its angles are off by a constant, "
+    "which no camera sees: set the horn back by a tooth, and sweep again"
+)
+LEAST_SLACK = np.radians(0.3)
+"""Slack, as an angle of the servo, below which a tendon may have been taut at rest (chosen): it is
+known to 0.1° with 31 points, to 0.3° with 13 [rad].
+"""
 
 Look = Callable[[], Seen | None]
 """The tags in the newest picture; None: there is none since the last call."""
@@ -118,6 +130,31 @@ class Segment:
         self.joint_pos = np.full((len(self.time), len(JOINTS)), np.nan)
         self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = found.joint_pos
         return found.misfit
+
+    def slack(self, hand: Hand) -> float:
+        """Servo angle at which the swept joint begins to flex, extrapolated from the first two points
+        where it has flexed, along the design's curve [rad]; infinite without two.
+
+        About 0, the tendon may have been taut at rest already. How far it had then moved the joints is
+        in no picture: a constant shift of the angles fits as well as none.
+        """
+        swept = SERVO_INDEX[self.servo]
+        joint = JOINT_INDEX[self.servo]
+        record = self.sweep()
+        held = (record.phase == FLEXING) & (record.point >= 0)
+        means = [
+            (record.servo[rows, swept].mean(), np.nanmedian(record.joint_pos[rows, joint]))
+            for rows in (held & (record.point == point) for point in np.unique(record.point[held]))
+        ]
+        flexed = [mean for mean in means if mean[1] > FLEXED]
+        if len(flexed) < 2:
+            return np.inf
+        (first, second), seen = np.transpose(flexed[:2])
+        course = np.zeros((200, len(SERVOS)))
+        course[:, swept] = np.linspace(hand.servo_min[swept], hand.servo_max[swept], len(course))
+        angles = elastic_joints_from_servo(course, hand)[:, joint]
+        near, far = np.interp(seen, angles, course[:, swept])
+        return float(first - near * (second - first) / (far - near))
 
 
 class Driver:
@@ -394,6 +431,8 @@ def record(
                     except CameraError as error:
                         raise CameraError(f"sweep of {servo}: {error}") from None
                     print(f"its tags fit to {misfit:.2f} pixels", file=sys.stderr, flush=True)
+                    if rest_pose(servo).any() and segments[-1].slack(hand) < LEAST_SLACK:
+                        print(TAUT.format(servo), file=sys.stderr, flush=True)
         finally:
             _keep(path, segments)
     if angles is not None:

@@ -4,6 +4,7 @@ happens, and what was recorded is kept.
 """
 
 import time
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -11,11 +12,12 @@ import numpy as np
 import pytest
 
 import hpac
+from experiments.hidden import LAWS, hidden_hands
 from experiments.rig import Rig
 from experiments.watched import STRIP_LENS, Body
 from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.calibration import driven, sweep
-from hpac_gym.calibration.driven import Driver, Eye, Segment, added, joined
+from hpac_gym.calibration.driven import LEAST_SLACK, Driver, Eye, Segment, added, joined
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.protocol import Protocol
 from hpac_gym.calibration.record import (
@@ -31,6 +33,8 @@ from hpac_gym.camera.angles import turns
 from hpac_gym.camera.detection import Watch
 from hpac_gym.camera.sheet import CHAINS, STRIPS
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
+from hpac_gym.model.parameters import Calibration
+from hpac_gym.model.settled import settled_joints_from_servo
 
 SHORT = Protocol(points=9, seconds_per_point=1.0, hold=0.5, rest=1.0, both_directions=True)
 SHORTER = Protocol(points=5, seconds_per_point=0.8, hold=0.5, rest=1.0, both_directions=True)
@@ -97,6 +101,26 @@ def test_so_are_those_of_every_other_servo(servo):
     assert np.isnan(errors).mean() < 0.02
     assert np.nanquantile(errors, 0.95) < 0.5
     assert rigged.segment.joint_pos[:, JOINT_INDEX[servo]].max() > 0.8  # flexion is positive
+
+
+@pytest.mark.parametrize(
+    ("zero_deg", "points", "told"),
+    [(-0.6, 31, False), (-4.0, 31, False)]
+    + [(zero, points, True) for zero in (0.0, 0.6, 1.2) for points in (13, 31)],
+)
+def test_a_thumb_that_flexes_from_command_0_on_is_told(zero_deg, points, told):
+    """Five hands whose geometry is up to 5 % off the design's; their angles count from rest."""
+    for built in hidden_hands(5, 5, LAWS["laws of the fit"]):
+        zero = (np.radians(zero_deg), *(0.0,) * 5)
+        hand = replace(built.hand, calibration=Calibration(zero))
+        segment = Segment("thumb_mp")
+        for point, angle in enumerate(np.linspace(0.0, HPAC.servo_max[0], points)):
+            segment.labels.append((FLEXING, point))
+            segment.time.append(float(point))
+            segment.commanded.append(np.array([angle, *(0.0,) * 5]))
+        angles = settled_joints_from_servo(np.array(segment.commanded), hand)
+        segment.joint_pos = angles - angles[0]
+        assert (segment.slack(HPAC) < LEAST_SLACK) == told
 
 
 def test_a_record_has_what_calibration_wants(index):
@@ -348,9 +372,9 @@ def test_segments_of_other_servos_and_trials_stay_in_the_file(tmp_path, index):
 
 
 @pytest.fixture
-def wired(monkeypatch):
+def wired(monkeypatch, request):
     """The command on a hand in lock-step: its watch looks when it is asked."""
-    rigged = Rigged("index_mcp", seed=4)
+    rigged = Rigged(getattr(request, "param", "index_mcp"), seed=4)
     latest = SimpleNamespace(latest=lambda: (rigged.body.look(), 0.0), close=lambda: None, fault="")
     monkeypatch.setattr(driven, "connector", lambda *_: rigged.hand.connect)
     monkeypatch.setattr(driven, "Device", lambda *_: None)
@@ -370,12 +394,21 @@ def test_the_command_sweeps_draws_and_its_record_calibrates(wired, tmp_path, cap
     assert hpac.main(words) == 0, capsys.readouterr().err
     told = capsys.readouterr()
     assert "its tags fit to 0.0" in told.err
+    assert "taut" not in told.err
     assert "Index MCP" in told.out
     path = tmp_path / "out" / "sweep.csv"
     assert not wired.hand.pulses().any()
     assert hpac.main(["calibrate", str(path), "--out", str(tmp_path / "hand.toml")]) == 0
     assert "g_CMC" not in capsys.readouterr().out
     assert (tmp_path / "out" / "residuals.png").exists()
+
+
+@pytest.mark.parametrize("wired", ["thumb_mp"], indirect=True)
+def test_the_command_warns_of_a_thumb_that_may_be_taut_at_rest(wired, tmp_path, capsys):
+    words = ["sweep", "--port", "any", "--servo", "thumb_mp", "--camera", "0"]
+    assert hpac.main([*words, "--out", str(tmp_path / "out")]) == 0
+    told = capsys.readouterr()
+    assert "thumb_mp: it flexes from command 0 on. If its tendon is taut there" in told.err
 
 
 def test_the_command_takes_another_tracker_s_angles(wired, tmp_path, monkeypatch, capsys):

@@ -14,6 +14,7 @@ from experiments.hidden import (
     COVERAGE,
     LAWS,
     HiddenHand,
+    hidden_hands,
     run_hidden,
     run_hidden_in_physics,
     swept_digit,
@@ -23,7 +24,7 @@ from experiments.results import rows_of
 from hpac_gym.calibration import calibrate
 from hpac_gym.calibration.combinations import SweptDigit, combinations, digit_with, values
 from hpac_gym.calibration.identification import IdentificationError, identify
-from hpac_gym.calibration.record import JOINT_COLUMNS, PHASES, Sweep, concatenate, write_sweep
+from hpac_gym.calibration.record import JOINT_COLUMNS, PHASES, REST, Sweep, concatenate, write_sweep
 from hpac_gym.calibration.samples import digit_samples
 from hpac_gym.model import (
     HPAC,
@@ -405,3 +406,21 @@ def test_several_trials_tell_more_than_one(hidden):
     )
     hubs = [identify(sweep).fits["index"].estimates[0] for sweep in (first, both)]
     assert hubs[1].high - hubs[1].low < hubs[0].high - hubs[0].low
+
+
+def test_a_shift_of_all_angles_of_a_taut_tendon_is_in_no_fit():
+    """Why the sweep warns of it: the record of a thumb that has already flexed at rest fits as well,
+    about a zero that is the shift's.
+    """
+    hidden = hidden_hands(2, 0, LAWS["laws of the fit"])[1]
+    record = metal_sweeps([hidden], 1, servos=("thumb_mp",))[0]
+    true = identify(record).fits["thumb"]
+    assert np.degrees(true.swept.servo_zero) == pytest.approx(0.61, abs=0.1)
+    shift = true.samples.joint_pos[true.samples.servo.argmin()]
+    columns = [JOINT_INDEX[name] for name in true.samples.joints]
+    shifted = record.joint_pos.copy()
+    shifted[np.ix_(record.phase != REST, columns)] -= shift
+    found = identify(record.with_joint_pos(shifted)).fits["thumb"]
+    assert np.degrees(shift).max() > 1
+    assert abs(found.misfit - true.misfit) < 0.1
+    assert np.degrees(found.swept.servo_zero) == pytest.approx(0, abs=0.1)
