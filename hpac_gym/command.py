@@ -5,12 +5,13 @@ waits for it."""
 
 import argparse
 import errno
+import json
 import os
 import sys
 import warnings
 from collections.abc import Callable
 from types import TracebackType
-from typing import NoReturn, TextIO
+from typing import Any, NoReturn, TextIO
 
 from hpac_gym.errors import EXTRA_OF, HpacError, install
 
@@ -46,6 +47,16 @@ def whole_number(at_least: int) -> Callable[[str], int]:
         return value
 
     return parse
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """The argument ``--json`` of a command that tells with `say`."""
+    parser.add_argument("--json", action="store_true", help="print one JSON object a line")
+
+
+def say(as_json: bool, text: str, **facts: Any) -> None:
+    """Print a line of text, or its facts as a JSON object in one line."""
+    print(json.dumps(facts, ensure_ascii=False) if as_json else text, flush=True)
 
 
 def run(command: Callable[[], int]) -> int:
@@ -156,6 +167,17 @@ def run_module(
         return arguments.run(arguments)
 
     return run(command)
+
+
+def seconds(text: str) -> float:
+    """Argument type: a number of seconds, 0 or more."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number of seconds, 0 or more")
+    return value
 
 
 def minutes(text: str) -> float:

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hpac_gym.output import replacing
+from hpac_gym.output import OutputError, replacing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -57,8 +57,10 @@ def save(
         picture: the figure consists of pixels, so no SVG is written.
 
     Raises:
-        OutputError: A file cannot be written.
+        OutputError: A file cannot be written, or its name does not end in ``.png``.
     """
+    if Path(path).suffix.lower() != ".png":
+        raise OutputError(f"a picture is written as .png, not as '{path}'")
     from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 

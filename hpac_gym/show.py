@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.command import whole_number
+from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.envs.page import Page
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--record", type=Path, metavar="FILE", help="write a film (.mp4, .gif) instead of a page"
     )
     parser.add_argument("--no-browser", action="store_true", help="print the page's address only")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -57,15 +58,18 @@ def run(options: argparse.Namespace) -> int:
             make_env(env_id, render_mode="rgb_array", **env_options(options, env_id))
         )
         actor = load_policy(policy, env, options.normalize)
-        screen = _film(options.record) if options.record else _page(not options.no_browser)
+        screen = _film(options.record) if options.record else _page(options)
         show = stack.enter_context(screen)
         done = held = 0
         while done != count:
-            held += _episode(env, actor, options.seed + done, show)
+            seed = options.seed + done
+            success = _episode(env, actor, seed, show)
+            held += success
             done += 1
-            print(f"{policy} on {env_id}: {held} of {done} succeeded", flush=True)
+            said = f"{policy} on {env_id}: {held} of {done} succeeded"
+            say(options.json, said, policy=policy, env=env_id, seed=seed, success=success)
     if options.record:
-        print(f"written: {options.record}")
+        say(options.json, f"written: {options.record}", written=str(options.record))
     return 0
 
 
@@ -75,14 +79,16 @@ def _episode(env: Any, actor: Any, seed: int, show: Callable[[np.ndarray], None]
         held = step.success
     for _ in range(PAUSE):
         show(env.render())
-    return held
+    return bool(held)
 
 
 @contextmanager
-def _page(browse: bool) -> Iterator[Callable[[np.ndarray], None]]:
+def _page(options: argparse.Namespace) -> Iterator[Callable[[np.ndarray], None]]:
     """Shows pictures on the page in the browser, in real time."""
     with closing(Page()) as page:
-        if browse:
+        if options.json:
+            say(True, "", page=page.address)
+        if not options.no_browser:
             webbrowser.open(page.address)
         yield page.show
 

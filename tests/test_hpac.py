@@ -3,6 +3,7 @@ what happened.
 """
 
 import argparse
+import json
 import os
 import re
 import subprocess
@@ -129,6 +130,12 @@ def test_the_version_is_that_of_the_package():
         (["physics", "--engine", "pybullet", "--body", "light"], "pybullet with body light"),
         (["grasps", "-n", "0"], "'0' is not a whole number of at least 1"),
         (["record", "--seed", "-1"], "'-1' is not a whole number of at least 0"),
+        (["evaluate", "--policy", "scripted", "--object", "cylinder:20,50"], "0.001 to 0.2 m"),
+        (["evaluate", "--policy", "scripted", "--object", "cylinder:nan,0.1"], "cylinder:radius"),
+        (["evaluate", "--policy", "os:getcwd"], "getcwd does not take the environment"),
+        (["evaluate", "--policy", f"{__name__}:forgetful"], "(observation, state, episode_start)"),
+        (["deploy", "grasp", "--hold", "-1"], "'-1' is not a number of seconds"),
+        (["deploy", "grasp", "--oldest", "nan"], "'nan' is not a number of seconds"),
     ],
 )
 def test_a_mistake_is_one_line_and_status_2(words, named, capsys):
@@ -142,6 +149,64 @@ def test_a_mistake_is_one_line_and_status_2(words, named, capsys):
     (line,) = said.err.splitlines()
     assert line.startswith("error: ")
     assert named in line
+
+
+def forgetful(env):
+    """A policy whose `predict` takes too little."""
+    return argparse.Namespace(predict=lambda observation, state=None: (observation[:6], state))
+
+
+def test_a_picture_of_another_kind_is_refused(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    assert main(["posture", "fist", "--json", "--out", str(tmp_path / "fist.doc")]) == USAGE_ERROR
+    assert "written as .png" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_command_has_json(name, capsys):
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    assert re.search(r"^  --json  +print", capsys.readouterr().out, re.M)
+
+
+POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["clear", "--port", "virtual"], ["left", "state", "attached"]),
+        (["estop", "--port", "virtual"], ["stopped", "fault"]),
+        (["wiggle", "--port", "virtual", "--servo", "ring_mcp"], ["servo", "number"]),
+        (
+            ["deploy", "grasp", *POSED, "--dry-run"],
+            ["observation", "servos", "start_rad", "first_command_rad", "wrist"],
+        ),
+    ],
+    ids=lambda words: words[0],
+)
+def test_json_is_all_that_a_command_prints(words, names, capsys):
+    assert main([*words, "--json"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert list(json.loads(line)) == names
+
+
+def test_json_of_a_deployment_its_replay_and_a_film(tmp_path, capsys):
+    pytest.importorskip("imageio")
+    log = str(tmp_path / "log.jsonl")
+    film = str(tmp_path / "film.gif")
+    for words in (
+        ["deploy", "grasp", *POSED, "--port", "virtual", "--log", log],
+        ["replay", log],
+        ["show", "--episodes", "1", "--record", film],
+    ):
+        assert main([*words, "--json"]) == 0
+    _, counts, replayed, episode, written = map(json.loads, capsys.readouterr().out.splitlines())
+    assert counts["commands"] == replayed["steps"] > 0
+    assert (counts["refused"], counts["log"]) == (0, log)
+    assert (replayed["end"], episode["success"]) == ("done", True)
+    assert written == {"written": film}
 
 
 def test_a_mistake_ends_the_whole_command_with_no_more_than_that_line():

@@ -15,6 +15,7 @@ from hpac_gym.bridge.evidence.conform import Row, conform
 from hpac_gym.bridge.hands import HostBoard, VirtualHand, config_of
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.transport import Transport, open_transport
+from hpac_gym.command import add_json, say
 from hpac_gym.errors import WorkspaceError
 from hpac_gym.model import HPAC, SERVOS, Hand, ServoCommand, load_hand, move_duration
 
@@ -33,6 +34,7 @@ def add_conform(parser: argparse.ArgumentParser) -> None:
 def add_wiggle(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac wiggle`."""
     _add_hand(parser, _wiggle)
+    add_json(parser)
     parser.add_argument(
         "--servo", choices=SERVOS, action="append", help="only this servo; may be repeated"
     )
@@ -44,6 +46,7 @@ def add_wiggle(parser: argparse.ArgumentParser) -> None:
 def add_clear(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac clear`."""
     _add_hand(parser, _clear)
+    add_json(parser)
 
 
 def add_doctor(parser: argparse.ArgumentParser) -> None:
@@ -136,7 +139,8 @@ def _wiggle(options: argparse.Namespace) -> int:
         link.arm()
         for name in options.servo or SERVOS:
             index = SERVOS.index(name)
-            print(f"servo {index + 1} of {len(SERVOS)}: {name} flexes and returns", flush=True)
+            number = f"servo {index + 1} of {len(SERVOS)}"
+            say(options.json, f"{number}: {name} flexes and returns", servo=name, number=index + 1)
             target = rest.copy()
             target[index] += options.angle
             # Minimum jerk peaks at 1.875 times the mean.
@@ -157,7 +161,13 @@ def _clear(options: argparse.Namespace) -> int:
         link.clear()
         status = link.status()
     left = f"left fault {fault}; " if fault != "none" else ""
-    print(f"{left}state {status.state}, pulses on {len(status.attached)} servos")
+    say(
+        options.json,
+        f"{left}state {status.state}, pulses on {len(status.attached)} servos",
+        left=fault,
+        state=status.state,
+        attached=list(status.attached),
+    )
     return 0
 
 

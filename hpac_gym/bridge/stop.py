@@ -10,6 +10,7 @@ from hpac_gym.bridge.errors import LinkTimeout, PortError
 from hpac_gym.bridge.frame import Frame, FrameSplitter, encode
 from hpac_gym.bridge.protocol import MESSAGES, Reason, State
 from hpac_gym.bridge.transport import Transport, open_transport
+from hpac_gym.command import add_json, say
 
 PATIENCE = 3.0
 """Longest wait for the hand's confirmation [s]."""
@@ -20,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac estop`."""
     parser.add_argument("--port", required=True, help="port of the hand; may be in use")
     parser.add_argument("--hand", metavar="FILE", help="checked after the stop, which needs none")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -37,7 +39,8 @@ def run(options: argparse.Namespace) -> int:
             stop(transport)
     except (LinkTimeout, PortError) as error:
         raise type(error)(f"ESTOP is not confirmed, switch the servo supply off: {error}") from None
-    print("stopped: no pulses, fault estop; `hpac clear` leaves it", flush=True)
+    said = "stopped: no pulses, fault estop; `hpac clear` leaves it"
+    say(options.json, said, stopped=True, fault="estop")
     if options.hand:  # a file that cannot be read is an error, but must not delay the stop
         from hpac_gym.model import load_hand
 

@@ -1,6 +1,7 @@
 """``hpac tags``: the sheet of tags to print, and a camera's own numbers from pictures of that sheet."""
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from hpac_gym.camera import CameraError, opencv
 from hpac_gym.camera.detection import HD, Device, Frames, Lens, Seen, detect
 from hpac_gym.camera.sheet import RULER, TAGS, draw
+from hpac_gym.command import add_json, say
 from hpac_gym.output import write_text
 
 VIEWS = 15
@@ -35,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CAMERA",
         help="watch the flat printed sheet with this camera (0, 1, … or a video) from different sides, and write its numbers",
     )
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -43,7 +46,8 @@ def run(options: argparse.Namespace) -> int:
     if options.calibrate is None:
         out = options.out or Path("tags.pdf")
         draw(out)
-        print(f"written: {out}; print it at 100 %, and measure the line of {RULER:g} mm")
+        said = f"written: {out}; print it at 100 %, and measure the line of {RULER:g} mm"
+        say(options.json, said, written=str(out), line_mm=RULER)
         return 0
     out = options.out or Path("camera.json")
     frames = Device(options.calibrate, HD)
@@ -52,9 +56,8 @@ def run(options: argparse.Namespace) -> int:
     finally:
         frames.release()
     write_text(out, lens.to_json())
-    print(
-        f"focal lengths {lens.focal[0]:.1f} and {lens.focal[1]:.1f} pixels, error {error:.2f} pixels; written: {out}"
-    )
+    said = f"focal lengths {lens.focal[0]:.1f} and {lens.focal[1]:.1f} pixels, error {error:.2f} pixels; written: {out}"
+    say(options.json, said, focal=lens.focal, error=error, written=str(out))
     return 0
 
 
@@ -73,7 +76,8 @@ def calibrated(frames: Frames) -> tuple[Lens, float]:
         seen = detect(picture)
         if len(seen) >= LEAST_TAGS and all(_moved(seen, view) > LEAST_MOVED for view in views):
             views.append(seen)
-            print(f"picture {len(views)} of {VIEWS}: now turn and move the sheet", flush=True)
+            said = f"picture {len(views)} of {VIEWS}: now turn and move the sheet"
+            print(said, file=sys.stderr, flush=True)
         if len(views) == VIEWS:
             break
     if len(views) < VIEWS:

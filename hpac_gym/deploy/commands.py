@@ -17,6 +17,7 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.bridge import HandLink, WireLog
 from hpac_gym.bridge.commands import PORT_HELP, connector
+from hpac_gym.command import add_json, say, seconds
 from hpac_gym.deploy.arm import arm_of
 from hpac_gym.deploy.episode import AVERAGED, LOG_VERSION, OLDEST, Log, run_episode
 from hpac_gym.deploy.errors import DeployError
@@ -45,21 +46,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where it is, in the hand's frame: X,Y,Z[,QX,QY,QZ,QW] [m], a .csv, udp:PORT, or camera:N[,FILE]",
     )
     parser.add_argument("--arm", default="none", help="none, enter (a person) or udp:HOST:PORT")
-    parser.add_argument("--env", help="environment of a policy without a file (HPAC-Grasp-v0)")
-    parser.add_argument("--grasp", help="named grasp or type, for the tasks that have them")
+    parser.add_argument(
+        "--env", metavar="ID", help="environment of a policy without a file (HPAC-Grasp-v0)"
+    )
+    parser.add_argument(
+        "--grasp", metavar="NAME", help="named grasp or type, for the tasks that have them"
+    )
     parser.add_argument("--hand", metavar="FILE", help="hand file, as `hpac calibrate` writes it")
     parser.add_argument(
-        "--average", type=float, default=AVERAGED, metavar="S", help="the first pose's mean [s]"
+        "--average", type=seconds, default=AVERAGED, metavar="S", help="the first pose's mean [s]"
     )
     parser.add_argument(
-        "--oldest", type=float, default=OLDEST, metavar="S", help="age limit of a pose [s]"
+        "--oldest", type=seconds, default=OLDEST, metavar="S", help="age limit of a pose [s]"
     )
-    parser.add_argument("--hold", type=float, default=2.0, metavar="S", help="before it opens [s]")
+    parser.add_argument(
+        "--hold", type=seconds, default=2.0, metavar="S", help="before it opens [s] (%(default)s)"
+    )
     parser.add_argument("--log", type=Path, default=Path("runs/deploy.jsonl"), help="JSON lines")
     parser.add_argument(
         "--dry-run", action="store_true", help="print observation and first command; move nothing"
     )
     parser.add_argument("--view", action="store_true", help="show the hand in the browser")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -94,9 +102,8 @@ def run(options: argparse.Namespace) -> int:
         wire = stack.enter_context(WireLog(options.log.with_suffix(".wire.jsonl")))
         port = connector(options.port, stack)
         link = stack.enter_context(HandLink(port, hand=hand, log=wire))
-        print(
-            f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
-        )
+        said = f"{options.policy} on {options.port}: {env_id}, {observer.steps / 20:g} s; Ctrl-C opens the hand"
+        say(options.json, said, policy=options.policy, port=options.port, env=env_id)
         live = [_live] if sys.stderr.isatty() else []
         if options.view:
             from hpac_gym.deploy.watching import Watch  # an extra
@@ -116,10 +123,11 @@ def run(options: argparse.Namespace) -> int:
             oldest=options.oldest,
             live=lambda figures: [show(figures) for show in live],
         )
-    print(
-        f"done: {counts.sent} commands, {counts.acknowledged} acknowledged, {counts.late} late, "
-        f"{counts.lost} lost, {counts.refused} refused; log in {options.log}"
-    )
+    names = ("acknowledged", "late", "lost", "refused")
+    told = {name: getattr(counts, name) for name in names}
+    said = ", ".join(f"{number} {name}" for name, number in told.items())
+    said = f"done: {counts.sent} commands, {said}; log in {options.log}"
+    say(options.json, said, commands=counts.sent, **told, log=str(options.log))
     return 0
 
 
@@ -145,19 +153,24 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
     """Print every entry of the first observation with name and unit, and the first command."""
     pose = averaged(source, options.average, options.oldest)
     observation = observer.see(pose)
-    for name, label, value, unit in observer.entries(observation):
-        print(f"{name:<14} {label:<18} {value:9.4f}  {unit}")
+    entries = observer.entries(observation)
     action, _ = policy.predict(observation)
     target = observer.command(action)
+    wrist = dict(zip(observer.task.wrist_actions, map(float, action[len(SERVOS) :]), strict=True))
+    if options.json:
+        names = ("name", "label", "value", "unit")
+        rows = [dict(zip(names, entry, strict=True)) for entry in entries]
+        commands = {"start_rad": observer.servo.tolist(), "first_command_rad": target.tolist()}
+        say(True, "", observation=rows, servos=SERVOS, **commands, wrist=wrist)
+        return
+    for name, label, value, unit in entries:
+        print(f"{name:<14} {label:<18} {value:9.4f}  {unit}")
     print(f"\n{'servo':<14} {'start [rad]':>12} {'first command [rad]':>20}")
     for row in zip(SERVOS, observer.servo, target, strict=True):
         print("{:<14} {:12.4f} {:20.4f}".format(*row))
-    if observer.task.wrist_actions:
-        told = zip(observer.task.wrist_actions, action[len(SERVOS) :], strict=True)
-        print(
-            "the policy places the wrist: "
-            + ", ".join(f"{name} {value:+.2f}" for name, value in told)
-        )
+    if wrist:
+        told = ", ".join(f"{name} {value:+.2f}" for name, value in wrist.items())
+        print(f"the policy places the wrist: {told}")
     print("dry run: nothing was sent")
 
 

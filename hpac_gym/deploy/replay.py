@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from hpac_gym.command import add_json, say
 from hpac_gym.deploy.commands import object_of
 from hpac_gym.deploy.episode import LOG_VERSION
 from hpac_gym.deploy.errors import DeployError
@@ -49,6 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="PNG", help="a picture of both courses")
     parser.add_argument("--engine", default="mujoco", help="mujoco or pybullet (%(default)s)")
     parser.add_argument("--view", action="store_true", help="play it in the browser until Ctrl-C")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -58,20 +60,31 @@ def run(options: argparse.Namespace) -> int:
         require()
     head, steps, end = read_log(options.log)
     course = simulated(head, steps, options.engine)
-    print(f"{head['policy']} on {head['port']}, {len(steps)} steps, ended: {end}")
     apart = np.abs(course.sent - course.commanded)
     step, servo = np.unravel_index(int(apart.argmax()), apart.shape)
-    print(
-        f"commands: at most {apart[step, servo]:.3f} rad from the simulation's, {SERVOS[servo]} at {course.time[step]:.2f} s"
-    )
     distance = np.linalg.norm(course.seen - course.simulated, axis=1)
     beyond = np.flatnonzero(distance > APART_M)
     where = f"apart from {course.time[beyond[0]]:.2f} s on" if beyond.size else "together"
-    print(f"object: at most {1e3 * distance.max():.0f} mm from the simulated one, {where}")
-    print(f"the simulation: {course.outcome}")
+    text = f"""\
+{head["policy"]} on {head["port"]}, {len(steps)} steps, ended: {end}
+commands: at most {apart[step, servo]:.3f} rad from the simulation's, {SERVOS[servo]} at {course.time[step]:.2f} s
+object: at most {1e3 * distance.max():.0f} mm from the simulated one, {where}
+the simulation: {course.outcome}"""
+    say(
+        options.json,
+        text,
+        policy=head["policy"],
+        port=head["port"],
+        steps=len(steps),
+        end=end,
+        command_error_rad=float(apart[step, servo]),
+        object_error_m=float(distance.max()),
+        apart_from_s=float(course.time[beyond[0]]) if beyond.size else None,
+        simulation=course.outcome,
+    )
     if options.out:
         save(figure_of(course), options.out)
-        print(f"written: {options.out}")
+        say(options.json, f"written: {options.out}", written=str(options.out))
     if options.view:
         from hpac_gym.deploy.watching import show_log  # an extra
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpac_gym.command import whole_number
+from hpac_gym.command import add_json, say, whole_number
 from hpac_gym.errors import DatasetError
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
@@ -76,6 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder to create; must not exist"
     )
+    add_json(parser)
     parser.set_defaults(run=_record)
 
 
@@ -94,13 +95,18 @@ def _record(args: argparse.Namespace) -> int:
             dataset = record(args.policy, env_id, args.episodes, root / "minari", **what)
             to_lerobot(dataset, root / "written")
             told = _told(dataset)
-    print(f"{told}: {args.out}")
+    counted = ", ".join(f"{number} {name}" for name, number in told.items())
+    say(args.json, f"{counted}: {args.out}", **told, written=str(args.out))
     return 0
 
 
-def _told(dataset: MinariDataset) -> str:
+def _told(dataset: MinariDataset) -> dict[str, int]:
     held = sum(bool(episode.infos["is_success"][-1]) for episode in dataset.iterate_episodes())
-    return f"{dataset.total_episodes} episodes, {dataset.total_steps} steps, {held} successes"
+    return {
+        "episodes": int(dataset.total_episodes),
+        "steps": int(dataset.total_steps),
+        "successes": held,
+    }
 
 
 @contextmanager

@@ -2,12 +2,13 @@
 
 import argparse
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from hpac_gym.body.objects import ObjectSpec
-from hpac_gym.body.own_objects import MESHES
+from hpac_gym.body.own_objects import MAX_SIDE, MESHES, MIN_SIDE
 from hpac_gym.errors import ParameterError
 from hpac_gym.registration import GRASP_TYPE
 
@@ -120,10 +121,16 @@ def object_of(text: str) -> ObjectSpec | dict[str, Any]:
         half = [float(size) for size in sizes.split(",")]
         if len(half) != len(SHAPES[shape]):
             raise ValueError
-        x, y, z = {1: half * 3, 2: [half[0], *half], 3: half}[len(half)]
-        return ObjectSpec(shape, (x, y, z), MASS, FRICTION)
-    except (KeyError, ValueError) as error:
+        if not all(math.isfinite(size) for size in half):
+            raise ValueError
+    except (KeyError, ValueError):
         forms = ", ".join(f"{name}:{','.join(parts)}" for name, parts in SHAPES.items())
         raise ParameterError(
-            f"--object '{text}' is not one of {forms}, in m, nor a file {', '.join(MESHES)}, .urdf {error or ''}"
+            f"--object '{text}' is not one of {forms}, in m, nor a file {', '.join(MESHES)}, .urdf"
         ) from None
+    if 2 * min(half) < MIN_SIDE or 2 * max(half) > MAX_SIDE:
+        raise ParameterError(
+            f"--object '{text}': radii and half sides must be {MIN_SIDE / 2} to {MAX_SIDE / 2} m"
+        )
+    x, y, z = {1: half * 3, 2: [half[0], *half], 3: half}[len(half)]
+    return ObjectSpec(shape, (x, y, z), MASS, FRICTION)

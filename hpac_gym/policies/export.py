@@ -13,6 +13,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from hpac_gym.command import add_json, say
 from hpac_gym.errors import PolicyError, install
 from hpac_gym.output import replacing, writable_folder
 from hpac_gym.policies.closure import Closures
@@ -364,6 +365,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="MP4 file that shows the policy, such as one of hpac show --record",
     )
+    add_json(parser)
     parser.set_defaults(run=_export)
 
 
@@ -371,5 +373,5 @@ def _export(options: argparse.Namespace) -> int:
     import onnx  # noqa: F401  fails before anything is written
 
     for path in export(options.policy, options.out, options.evaluation, options.film):
-        print(path)
+        say(options.json, str(path), written=str(path))
     return 0

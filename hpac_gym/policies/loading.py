@@ -1,6 +1,7 @@
 """Loading of policies by name or from a file: wherever a policy goes, all of these go."""
 
 from importlib import import_module
+from inspect import signature
 from typing import Any
 
 import gymnasium
@@ -57,10 +58,23 @@ def load_policy(name: str, env: gymnasium.Env[Any, Any], normalize: str | None =
         make = getattr(import_module(module), rest[0])
     except (ImportError, AttributeError, ValueError) as error:
         raise PolicyError(f"no policy '{name}': {error}") from None
+    if not takes(make, 1 + len(rest[1:])):
+        raise PolicyError(f"policy '{name}': {rest[0]} does not take the environment and the text")
     policy: Policy = make(env, *rest[1:])
-    if not callable(getattr(policy, "predict", None)):
+    if not takes(getattr(policy, "predict", None), 3):
         raise PolicyError(f"policy '{name}' has no predict(observation, state, episode_start)")
     return policy
+
+
+def takes(function: Any, count: int) -> bool:
+    """Whether a function can be called with so many arguments."""
+    try:
+        signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # a builtin that does not tell
+        return True
+    return True
 
 
 def about(name: str, normalize: str | None = None) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import json
 import select
 import signal
 import socket
+import sys
 import time
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
@@ -24,7 +25,7 @@ from hpac_gym.body.hands import hand_set
 from hpac_gym.bridge import BridgeError, HostBoard, open_transport, servo_from_pulses
 from hpac_gym.bridge.stop import stop
 from hpac_gym.calibration.record import JOINT_COLUMNS
-from hpac_gym.command import whole_number
+from hpac_gym.command import add_json, say, seconds, whole_number
 from hpac_gym.deploy import arm as arms
 from hpac_gym.deploy import poses
 from hpac_gym.deploy.commands import object_of
@@ -96,7 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--blind",
-        type=float,
+        type=seconds,
         default=np.inf,
         metavar="S",
         help="the camera loses the object so long after an episode has begun, until the pulses are off [s]",
@@ -112,6 +113,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--view", action="store_true", help="show it in the browser")
     parser.add_argument("--no-browser", action="store_true", help="print the page's address only")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -134,6 +136,7 @@ def run(options: argparse.Namespace) -> int:
         hand = Virtual(body, board, relay, options.arm_port, options.pose_port)
         stack.callback(hand.close)
         hand.blind = options.blind
+        hand.as_json = options.json
         if options.angles:
             hand.tracker = Tracker(options.angles)
             stack.callback(hand.tracker.close)
@@ -145,13 +148,15 @@ def run(options: argparse.Namespace) -> int:
             )
             stack.callback(hand.page.close)
         try:
-            print(_greeting(options, hand, setup), flush=True)
+            ports = {"pose_port": hand.pose_port, "arm_port": hand.arm_port}
+            say(options.json, _greeting(options, hand, setup), port=hand.port, **ports)
             while True:
                 hand.turn()
         except KeyboardInterrupt:
-            print()
+            print(file=sys.stderr)
         if not options.reveal:
-            print(_revealed(options.seed, setup), flush=True)
+            drawn = _revealed(options.seed, setup)
+            say(options.json, drawn, drawn=drawn.splitlines())
     return 0
 
 
@@ -242,6 +247,7 @@ class Virtual:
         port: the hand's port.
         page: a `hpac_gym.view.page.HandPage`, or None.
         tracker: a `Tracker`, or None.
+        as_json: whether outcomes are told as JSON.
         blind: time from the beginning of an episode to the loss of its object [s].
         arm_port, pose_port: the UDP ports.
     """
@@ -292,7 +298,8 @@ class Virtual:
             try:
                 self.body.follow(round(1e6 * now), pulses, by_hand)
             except PhysicsError as error:
-                print(f"{error}; everything is put back", flush=True)
+                said = f"{error}; everything is put back"
+                say(self.as_json, said, episode=self._episodes, error=str(error))
                 self.body.place(self.body.setup)
             state = self.body.state()
             self.body.tidy_up(state)
@@ -358,7 +365,9 @@ class Virtual:
         """Tell the outcome of an episode once."""
         if self.body.outcome not in (RUNNING, self._told):
             self._told = self.body.outcome
-            print(f"episode {self._episodes}: {OUTCOMES[self._told]}", flush=True)
+            outcome = OUTCOMES[self._told]
+            said = f"episode {self._episodes}: {outcome}"
+            say(self.as_json, said, episode=self._episodes, outcome=outcome)
 
     def close(self) -> None:
         """Close the sockets."""

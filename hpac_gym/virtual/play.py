@@ -7,6 +7,7 @@ import time
 from contextlib import ExitStack
 
 from hpac_gym.bridge import pulses_from_servo
+from hpac_gym.command import add_json, say
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.virtual.body import Body
 from hpac_gym.virtual.commands import POSE_HZ, add_scene, env_of, scene
@@ -23,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac play`."""
     add_scene(parser)
     parser.add_argument("--no-browser", action="store_true", help="print the page's address only")
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -35,6 +37,8 @@ def run(options: argparse.Namespace) -> int:
         body = Body(env, options.seed or 0, scene(env, options.env, options.seed))
         page = HandPage(body.setup, ABOUT, browser=not options.no_browser)
         stack.callback(page.close)
+        if options.json:
+            say(True, "", page=page.address)
         page.lift.visible = True
         page.sliders[-1].value = OPPOSED
         began = time.monotonic()

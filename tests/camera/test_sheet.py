@@ -110,7 +110,7 @@ def test_pictures_of_the_sheet_give_the_camera(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(commands, "Device", lambda *_: Turned(40))
     path = tmp_path / "camera.json"
     assert hpac.main(["tags", "--calibrate", "0", "--out", str(path)]) == 0
-    assert "picture 15 of 15" in capsys.readouterr().out
+    assert "picture 15 of 15" in capsys.readouterr().err
     lens = load_lens(path)
     assert lens.focal == pytest.approx((930, 930), rel=0.005)
     assert lens.centre == pytest.approx((639.5, 359.5), abs=5)
