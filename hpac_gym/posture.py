@@ -26,6 +26,7 @@ from hpac_gym.physics.stand import HAND, UPRIGHT, WORLD, HandOnStand
 from hpac_gym.progress import progress
 
 SHEET_COLUMNS = 6
+FINGERS = tuple(name for name in SERVOS if not name.startswith("thumb"))
 SETTLE = 0.5  # s after the move
 LOOK_AT = HAND_POSITION + np.array([0.03, 0.0, 0.10])  # m, the middle of the hand
 SHEET_CAMERA = Viewpoint(width=480, height=480, distance=0.30, yaw_deg=55.0, pitch_deg=-12.0)
@@ -132,7 +133,7 @@ def draw(items: Sequence[Posture], path: Path, hand: Hand = HPAC) -> None:
     save(
         figure,
         path,
-        f"{hand.name}, simulated in MuJoCo, from the open hand; in gestures the fingers close before the thumb",
+        f"{hand.name}, simulated in MuJoCo, from the open hand; in gestures the fingers close, then the thumb over them",
         picture=True,
     )
 
@@ -148,15 +149,16 @@ def picture(item: Posture, hand: Hand = HPAC) -> np.ndarray:
 def take(item: Posture, hand: Hand = HPAC, visuals: bool = False) -> HandOnStand:
     """Simulate a hand that moves from open to a posture; the caller closes it.
 
-    In a gesture the fingers close before the thumb, which would be in their way: a fist has it
-    beside them. With pictures the engine is MuJoCo, which draws smooth ones."""
+    In a gesture the thumb turns in front of the palm, the fingers close, and the thumb closes over
+    them, as a person makes a fist. With pictures the engine is MuJoCo, which draws smooth ones."""
     sim = HandOnStand(hand, HAND, WORLD, UPRIGHT, visuals, "mujoco" if visuals else None)
     sim.reset(np.zeros(len(SERVOS)))
     command = command_to(item, hand)
     if item.kind == "gesture":
-        fingers = np.where([name.startswith("thumb") for name in SERVOS], 0.0, command.servo)
-        sim.command(fingers, command.duration)
-        sim.step(command.duration)
+        for still_open in ("thumb_mp", *FINGERS), ("thumb_mp",):
+            servo = np.where([name in still_open for name in SERVOS], 0.0, command.servo)
+            sim.command(servo, command.duration)
+            sim.step(command.duration)
     sim.command(command.servo, command.duration)
     sim.step(command.duration + SETTLE)
     return sim

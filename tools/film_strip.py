@@ -42,7 +42,9 @@ RULE = (225, 225, 225)
 BACK_OFF = 1.35
 """Factor of the distance of a task's camera, so that the lifted hand stays in the picture."""
 ORDINARY = 0.12
-"""Longest side of an object for which that is far enough [m]."""
+"""Longest side of an object for which that is far enough [m]; for longer ones the camera stands
+further back and looks lower.
+"""
 RAISED = np.array([0.0, 0.0, 0.05])
 """Where that camera looks, above the hand's place at the start [m]."""
 WHY = {
@@ -109,7 +111,9 @@ def taken(bare: Any, target: np.ndarray | None) -> np.ndarray:
     setup = open_episodes(bare).setups[0]
     back_off = BACK_OFF if setup.target is None else 1.15  # that camera is far already
     longest = 2 * max(setup.object.half_extents)
-    distance = back_off * view.distance + max(0.0, longest - ORDINARY)
+    longer = max(0.0, longest - ORDINARY)
+    distance = back_off * view.distance + 3.0 * longer
+    target = target - np.array([0.0, 0.0, 0.7 * longer])
     view = replace(view, distance=distance, **size)
     return open_episodes(bare).simulation.engine.picture(0, view, target)
 
