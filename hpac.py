@@ -214,21 +214,24 @@ def parser_of(argv: Sequence[str]) -> Parser:
 
 
 def completion() -> str:
-    """A script that completes commands, options and files in bash, and in zsh after `bashcompinit`."""
+    """A script that completes commands, options and files in bash and zsh."""
     cases = []
     for row in COMMANDS:
         parser = argparse.ArgumentParser()
         resolve_name(row.target)(parser)
         options = [name for action in parser._actions for name in action.option_strings]
-        cases.append(f"    {row.name}) words='{' '.join(options)}' ;;")
+        cases.append(f"    {row.name}) known='{' '.join(options)}' ;;")
     names = " ".join(row.name for row in COMMANDS)
-    return f"""_hpac() {{
-  local words='{names} --help --version'
+    return f"""if [ -n "$ZSH_VERSION" ]; then
+  autoload -U +X compinit bashcompinit && compinit -u && bashcompinit
+fi
+_hpac() {{
+  local known='{names} --help --version'
   [ "$COMP_CWORD" -gt 1 ] && case "${{COMP_WORDS[1]}}" in
 {chr(10).join(cases)}
-    *) words='' ;;
+    *) known='' ;;
   esac
-  COMPREPLY=($(compgen -W "$words" -- "${{COMP_WORDS[COMP_CWORD]}}"))
+  COMPREPLY=($(compgen -W "$known" -- "${{COMP_WORDS[COMP_CWORD]}}"))
 }}
 complete -o default -F _hpac hpac"""
 

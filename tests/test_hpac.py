@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -103,6 +104,14 @@ def test_completion_knows_commands_options_and_files():
     assert completed("hpac", "benchmark", "--tr") == ["--training-seeds"]
     assert completed("hpac", "nonsense", "--a") == []
     assert "complete -o default" in script
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="no zsh")
+def test_completion_is_registered_in_a_bare_zsh():
+    script = hpac("--completion").stdout
+    words = ["zsh", "-f", "-c", f"{script}\nprint -r -- $_comps[hpac]"]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("_bash_complete -o default -F _hpac\n", "")
 
 
 def test_one_place_says_how_to_install_an_extra():
