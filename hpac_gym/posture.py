@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a posture, the list of them, or all on a contact sheet",
     )
     parser.add_argument(
-        "--hand", type=Path, metavar="TOML", help="hand parameters (default: the nominal hand)"
+        "--hand", type=Path, metavar="FILE", help="hand parameters (default: the nominal hand)"
     )
     parser.add_argument(
         "--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)"

@@ -179,6 +179,17 @@ def test_every_command_has_json(name, capsys):
     assert re.search(r"^  --json  +print", capsys.readouterr().out, re.M)
 
 
+def test_a_command_that_takes_a_policy_takes_its_statistics(capsys):
+    found = {}
+    for name in NAMES:
+        with pytest.raises(SystemExit):
+            main([name, "--help"])
+        found[name] = set(re.findall(r"^  (--[\w-]+|policy) ", capsys.readouterr().out, re.M))
+    taking = [name for name, options in found.items() if options & {"--policy", "policy"}]
+    assert {"deploy", "grasps", "show"} <= set(taking)
+    assert [name for name in taking if "--normalize" not in found[name]] == ["export"]
+
+
 POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 
 

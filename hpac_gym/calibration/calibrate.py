@@ -87,11 +87,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         default=OUT,
-        metavar="TOML",
+        metavar="FILE",
         help="hand file, its report beside it (%(default)s)",
     )
     parser.add_argument(
-        "--base", type=Path, metavar="TOML", help="the hand's design (default: the nominal hand)"
+        "--base", type=Path, metavar="FILE", help="the hand's design (default: the nominal hand)"
     )
     parser.add_argument(
         "--spread",

@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments that the simulated experiment has too."""
     parser.add_argument(
-        "--hand", type=Path, metavar="TOML", help="the model under test (default: the nominal hand)"
+        "--hand", type=Path, metavar="FILE", help="the model under test (default: the nominal hand)"
     )
     parser.add_argument(
         "--out",

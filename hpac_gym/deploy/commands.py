@@ -25,13 +25,14 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
 from hpac_gym.model import HPAC, SERVOS, load_hand
-from hpac_gym.policies.loading import about, load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
 from hpac_gym.policies.policy_file import policy_path
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac deploy`."""
-    parser.add_argument("policy", help="a shipped policy such as grasp, a policy file, or scripted")
+    parser.add_argument("policy", help=NAMES)
+    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     parser.add_argument("--port", help=f"{PORT_HELP}; without one only --dry-run is possible")
     parser.add_argument(
         "--object",
@@ -86,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     env_id = about(options.policy).get("env_id") or options.env or "HPAC-Grasp-v0"
     hand = load_hand(options.hand) if options.hand else HPAC
     observer = Observer(env_id, object_of(options.object), hand, options.grasp)
-    policy = load_policy(options.policy, observer)
+    policy = load_policy(options.policy, observer, options.normalize)
     with ExitStack() as stack:
         source = source_of(options.pose, object_of(options.object))
         stack.callback(source.close)

@@ -513,7 +513,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--policy",
         help=f"{NAMES}; {{seed}} in it stands for the seed of a run",
     )
-    parser.add_argument("--normalize", help=f"{NORMALIZE}; {{seed}} as in --policy")
+    parser.add_argument("--normalize", metavar="FILE", help=f"{NORMALIZE}; {{seed}} as in --policy")
     parser.add_argument(
         "--budget", choices=("0", "1e5", "1e6", "1e7"), default="0", help="steps of each training"
     )

@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="scripted",
         help=f"{NAMES} (default: %(default)s)",
     )
-    parser.add_argument("--normalize", help=NORMALIZE)
+    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     add_env_options(parser, f"id, also module:My-v0 (default: {GRASP})")
     parser.add_argument(
         "-n",

@@ -229,7 +229,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         help=f"{NAMES}; may be repeated, to compare",
     )
-    parser.add_argument("--normalize", help=NORMALIZE)
+    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     add_env_options(
         parser, f"id, also module:My-v0 (default: a policy file's own, otherwise {DEFAULT_ENV})"
     )

@@ -23,7 +23,7 @@ from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import markdown, writable_folder, write_text
 from hpac_gym.policies import Policy
-from hpac_gym.policies.loading import NAMES, about, load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
 from hpac_gym.progress import progress
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL, named_grasp
@@ -88,10 +88,12 @@ def run_trial(env: gymnasium.Env, policy: Policy, seed: int) -> Trial:
     return Trial(seed, steps[-1].success, phase, float(np.mean(forces)) if forces else None)
 
 
-def run_trials(policy: str, grasp: str, variant: str, seeds: Sequence[int]) -> list[Trial]:
+def run_trials(
+    policy: str, grasp: str, variant: str, seeds: Sequence[int], normalize: str | None = None
+) -> list[Trial]:
     """Run episodes of one policy at one grasp in a new environment."""
     with make_env(GRASP, grasp=grasp, variant=variant) as env:
-        actor = load_policy(policy, env)
+        actor = load_policy(policy, env, normalize)
         return [run_trial(env, actor, seed) for seed in seeds]
 
 
@@ -103,6 +105,7 @@ def benchmark(
     variant: str = NOMINAL,
     seed_start: int = HELD_OUT_SEED,
     workers: int = 1,
+    normalize: str | None = None,
 ) -> list[Row]:
     """Run policies at grasps over the same held-out seeds, with a progress bar if standard error is
     a terminal.
@@ -115,11 +118,13 @@ def benchmark(
     for grasp in grasps:
         named_grasp(grasp).variant(variant)
     for policy in policies:
-        run_trials(policy, grasps[0], variant, ())  # errors are raised here, not in a worker
+        run_trials(
+            policy, grasps[0], variant, (), normalize
+        )  # errors are raised here, not in a worker
     seeds = range(seed_start, seed_start + episodes)
     parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
-    jobs = [(policy, grasp, variant, part) for policy, grasp in cells for part in parts]
+    jobs = [(policy, grasp, variant, part, normalize) for policy, grasp in cells for part in parts]
     found: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}
     shown = progress(jobs, "grasps")
     for (policy, grasp, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
@@ -152,6 +157,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="scripted",
         help=f"{NAMES} (default: %(default)s)",
     )
+    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     parser.add_argument(
         "-n",
         "--episodes",
@@ -175,7 +181,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"first seed (default: %(default)s; training uses seeds below {HELD_OUT_SEED})",
     )
     parser.add_argument(
-        "--no-baseline", action="store_true", help="do not also run the random policy"
+        "--no-baselines", action="store_true", help="do not also run the random policy"
     )
     parser.add_argument(
         "--workers",
@@ -205,7 +211,7 @@ def run(options: argparse.Namespace) -> int:
     variant = options.variant or NOMINAL
     names = list(dict.fromkeys(options.grasps or GRASPS))
     policies = list(
-        dict.fromkeys([options.policy] if options.no_baseline else [options.policy, RANDOM])
+        dict.fromkeys([options.policy] if options.no_baselines else [options.policy, RANDOM])
     )
     writable_folder(options.out)
     rows = benchmark(
@@ -215,6 +221,7 @@ def run(options: argparse.Namespace) -> int:
         variant=variant,
         seed_start=options.seed_start,
         workers=options.workers,
+        normalize=options.normalize,
     )
     result = {
         "task": GRASP,
@@ -222,7 +229,7 @@ def run(options: argparse.Namespace) -> int:
         "first_seed": options.seed_start,
         "grasps": [row.summary() for row in rows],
     }
-    if told := about(options.policy):
+    if told := about(options.policy, options.normalize):
         result["policy"] = {"file": options.policy, **told}
     trials = {f"{row.grasp}/{row.policy}": [asdict(trial) for trial in row.trials] for row in rows}
     write_text(
@@ -236,7 +243,8 @@ def run(options: argparse.Namespace) -> int:
         for row in shown
     ]
     jobs = [
-        (options.policy, row.grasp, seed, variant) for row, seed in zip(shown, seeds, strict=True)
+        (options.policy, row.grasp, seed, variant, options.normalize)
+        for row, seed in zip(shown, seeds, strict=True)
     ]
     seen = zip(progress(shown, "pictures"), shared(portrait, jobs, options.workers), strict=True)
     write_pictures(options.out, {row.grasp: picture for row, picture in seen})

@@ -32,6 +32,8 @@ OPTIONS = {
 }
 """Options of an environment by name. All others, such as `wrist`, are given with ``--set``."""
 
+PLACEHOLDERS = {"grasp": "NAME", "object": "SHAPE:M,M", "hand": "FILE", "model": "FILE"}
+
 
 def add_env_options(
     parser: argparse.ArgumentParser, env: str | None = None, but: tuple[str, ...] = ()
@@ -48,7 +50,7 @@ def add_env_options(
         group.add_argument("--env", metavar="ID", help=env)
     for name, meaning in OPTIONS.items():
         if name not in but:
-            group.add_argument(f"--{name}", help=meaning)
+            group.add_argument(f"--{name}", metavar=PLACEHOLDERS.get(name), help=meaning)
     group.add_argument(
         "--set",
         action="append",

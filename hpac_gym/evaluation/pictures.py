@@ -38,7 +38,9 @@ class Portrait:
     held: bool
 
 
-def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Portrait:
+def portrait(
+    policy: str, grasp: str, seed: int, variant: str = NOMINAL, normalize: str | None = None
+) -> Portrait:
     """Picture of the end of the episode with that seed.
 
     Raises:
@@ -48,7 +50,7 @@ def portrait(policy: str, grasp: str, seed: int, variant: str = NOMINAL) -> Port
     with make_env(
         GRASP, grasp=grasp, variant=variant, render_mode="rgb_array"
     ) as env:  # else objects have no colours
-        *_, last = run_episodes(single(env), [load_policy(policy, env)], [seed])
+        *_, last = run_episodes(single(env), [load_policy(policy, env, normalize)], [seed])
         return Portrait(env.unwrapped.picture(VIEW, VIEW_CENTRE), last.success)
 
 

@@ -67,8 +67,8 @@ def is_model(path: Path) -> bool:
 def statistics_of(path: Path, normalize: str | None = None) -> Path | None:
     """The file of a model's `VecNormalize` statistics: the named one, or one beside it, or None.
 
-    Beside it are sought `vecnormalize.pkl`, `MODEL.pkl`, `MODEL_vecnormalize.pkl`, and what
-    `CheckpointCallback` writes with `save_vecnormalize=True`.
+    Beside it are sought `vecnormalize.pkl`, `MODEL.pkl`, `MODEL_vecnormalize.pkl`, what
+    `CheckpointCallback` writes with `save_vecnormalize=True`, and RL Zoo's `MODEL/vecnormalize.pkl`.
 
     Raises:
         PolicyError: There is no such file.
@@ -84,9 +84,10 @@ def statistics_of(path: Path, normalize: str | None = None) -> Path | None:
         f"{path.stem}.pkl",
         f"{path.stem}_vecnormalize.pkl",
         f"{prefix}_vecnormalize_{steps}_steps.pkl",
+        f"{path.stem}/vecnormalize.pkl",
         "vecnormalize.pkl",
     )
-    return next((file for name in names if (file := path.with_name(name)).is_file()), None)
+    return next((file for name in names if (file := path.parent / name).is_file()), None)
 
 
 def about_model(path: Path, normalize: str | None = None) -> dict[str, Any]:

@@ -62,7 +62,7 @@ def test_it_writes_numbers_table_pictures_and_a_sheet(tmp_path, capsys):
 
 
 def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys):
-    words = ["--policy", str(TRAINED), "--grasps", "rod", "-n", "1", "--no-baseline"]
+    words = ["--policy", str(TRAINED), "--grasps", "rod", "-n", "1", "--no-baselines"]
     for workers in ("1", "2"):
         assert main(["grasps", *words, "--workers", workers, "--out", str(tmp_path / workers)]) == 0
     first, second = (
@@ -76,7 +76,7 @@ def test_workers_and_a_policy_file_give_the_same_kind_of_result(tmp_path, capsys
 @pytest.mark.slow
 def test_it_runs_all_sixteen(tmp_path, capsys):
     assert (
-        main(["grasps", "-n", "1", "--workers", "2", "--no-baseline", "--out", str(tmp_path)]) == 0
+        main(["grasps", "-n", "1", "--workers", "2", "--no-baselines", "--out", str(tmp_path)]) == 0
     )
     assert len(capsys.readouterr().out.splitlines()) == 2 + 16
     assert {path.stem for path in tmp_path.glob("*.png")} == {*GRASPS, "contact_sheet"}

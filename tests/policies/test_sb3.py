@@ -116,6 +116,7 @@ def test_its_episodes_depend_on_their_seeds_alone(saved):
     ("model", "statistics"),
     [
         ("best.zip", "vecnormalize.pkl"),
+        ("best.zip", "best/vecnormalize.pkl"),
         ("best.zip", "best.pkl"),
         ("best.zip", "best_vecnormalize.pkl"),
         ("ppo_2000_steps.zip", "ppo_vecnormalize_2000_steps.pkl"),
@@ -123,6 +124,7 @@ def test_its_episodes_depend_on_their_seeds_alone(saved):
 )
 def test_statistics_are_found_beside_a_model(model, statistics, tmp_path):
     assert statistics_of(tmp_path / model) is None
+    (tmp_path / statistics).parent.mkdir(exist_ok=True)
     (tmp_path / statistics).touch()
     assert statistics_of(tmp_path / model) == tmp_path / statistics
     assert statistics_of(tmp_path / model, "none") is None
