@@ -2,9 +2,11 @@
 picture and table is shown beside the command that made it.
 """
 
+import argparse
 import json
 import os
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -193,6 +195,51 @@ def test_every_command_of_a_page_parses(page, capsys):
 def test_a_command_that_does_not_exist_is_found():
     with pytest.raises(SystemExit):
         parse("hpac evaluate --nonsense")
+
+
+class Parsed(Exception):
+    """A command has been parsed; it does not run."""
+
+
+def parse_module(line: str, monkeypatch) -> None:
+    """Parse a line of `python -m` as its module does; run nothing.
+
+    Raises:
+        SystemExit: It is refused.
+    """
+    plain = argparse.ArgumentParser.parse_args
+
+    def parsed(self, *given):
+        plain(self, *given)
+        raise Parsed
+
+    words = shlex.split(line)[2:]
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_args", parsed)
+    monkeypatch.setattr(sys, "argv", words)
+    with pytest.raises(Parsed):
+        runpy.run_module(words[0], run_name="__main__", alter_sys=True)
+
+
+def modules_of(page: Path) -> list[str]:
+    """The lines of `python -m` with a module of ours and options, in the blocks and text of a page."""
+    own = r"python -m (?:agents|experiments|tools)\.[\w.]+[^\n`|)]*"
+    found = re.findall(own, text_of(page).replace("\\\n", " "))
+    lines = {line.partition(" #")[0].strip() for line in found if "…" not in line}
+    return sorted(line for line in lines if " --" in line)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if modules_of(page)], ids=name_of)
+def test_every_module_of_a_page_takes_its_arguments(page, monkeypatch, capsys):
+    for line in modules_of(page):
+        try:
+            parse_module(line, monkeypatch)
+        except SystemExit as left:
+            pytest.fail(f"{line}: {left.code}: {capsys.readouterr().err}")
+
+
+def test_arguments_that_a_module_does_not_take_are_found(monkeypatch):
+    with pytest.raises(SystemExit):
+        parse_module("python -m tools.film_strip HPAC-Grasp-v0 --nonsense", monkeypatch)
 
 
 def options_of(name: str) -> set[str]:
