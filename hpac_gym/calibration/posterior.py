@@ -30,7 +30,7 @@ def report_folder(hand_file: Path) -> Path:
     return hand_file.with_name(f"{hand_file.stem}-report")
 
 
-def drawn_hands(hand: Hand, found: dict[str, list]) -> list[Hand]:
+def drawn_hands(hand: Hand, found: dict[str, list[list[float]]]) -> list[Hand]:
     """The hands of an identification's draws.
 
     Args:
@@ -64,7 +64,7 @@ def drawn_hands(hand: Hand, found: dict[str, list]) -> list[Hand]:
     return hands
 
 
-def draws_of(found: Identification) -> dict[str, list]:
+def draws_of(found: Identification) -> dict[str, list[list[float]]]:
     """An identification's draws by digit, and of the CMC, shape (draws, numbers) each."""
     draws = {name: fit.draws.tolist() for name, fit in found.fits.items()}
     return draws | ({} if found.cmc_draws is None else {_CMC: found.cmc_draws.tolist()})
