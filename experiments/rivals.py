@@ -308,14 +308,14 @@ def race_figure(race: Race) -> Figure:
     """Error over the number of training points, with 95 % intervals."""
     figure = new_figure(10, 5.5)
     axis = figure.subplots()
-    for name, table in race.trained.items():
+    for (name, table), marker in zip(race.trained.items(), "os^DvPX", strict=True):
         numbers = list(table)
         bounds = np.array([[table[n].low, table[n].high] for n in numbers])
         (line,) = axis.plot(
             numbers,
             [table[n].middle for n in numbers],
-            "o-",
-            markersize=4,
+            f"{marker}-",
+            markersize=5,
             label=name.replace("`", ""),
         )
         low = np.maximum(bounds[:, 0], 1e-3)
