@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 from unittest.mock import patch
@@ -18,8 +17,7 @@ import pybullet
 
 from hpac_gym.model import DIGITS, JOINTS
 from hpac_gym.physics.pybullet.hand import SimHand
-
-Vector = np.ndarray
+from tests.envs.stories import State
 
 
 def sim_hand(env: gymnasium.Env) -> SimHand:
@@ -90,33 +88,6 @@ def flick(env: gymnasium.Env, joint: str, speed: float) -> None:
     index = hand.joint_index[joint]
     angle = pybullet.getJointState(hand.body, index, physicsClientId=client)[0]
     pybullet.resetJointState(hand.body, index, angle, speed, physicsClientId=client)
-
-
-@dataclass(frozen=True)
-class State:
-    """State that a physics engine reports."""
-
-    joint_pos: Vector
-    """Shape (15,) [rad]."""
-    joint_vel: Vector
-    """Shape (15,) [rad/s]."""
-    forces: dict[str, float]
-    """Normal force between the object and each part of the hand that touches it [N]."""
-    slipped: Vector
-    """Displacement of the object in the world, less that by which it was carried, shape (3,) [m].
-    """
-    tilt: float
-    """Rotation of the object about the world's x axis [rad]."""
-    velocity: Vector
-    """Velocity of the object, shape (3,) [m/s]."""
-    spin: Vector
-    """Angular velocity of the object, shape (3,) [rad/s]."""
-    carried: bool
-    """True while the object moves with the wrist."""
-    supported: bool
-    """True while the object touches the post on which it started."""
-    placed: bool
-    """True while the object touches the body that was added last, the post of its target."""
 
 
 @contextmanager

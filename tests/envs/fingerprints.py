@@ -13,6 +13,8 @@ case therefore compares only what cannot grow:
   sphere or one box. On a cylinder, or on many boxes that make up a round shape, the points of
   contact jump.
 * Stories: whole episodes with prescribed states instead of a simulation, to 1e-5.
+* On MuJoCo free motion alone, in the same way. These cases, and the counts "on MuJoCo", hold where
+  there is no PyBullet.
 * Outcomes and lengths of many whole episodes, counted.
 
 No seed is chosen: a case takes the first ones.
@@ -43,7 +45,6 @@ from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
 from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
-from tests.envs.engine import Bodies, flick, told, watching_for_touch
 from tests.envs.stories import Story
 
 FILE = Path(__file__).with_name("fingerprints.json")
@@ -113,6 +114,8 @@ def reaching(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterat
 
 def flicked(env: gymnasium.Env, first: Any, rng: np.random.Generator) -> Iterator[np.ndarray]:
     """Keep the hand open; at the tenth step a joint gets a speed beyond the servos'."""
+    from tests.envs.engine import flick  # needs PyBullet
+
     for step in count():
         if step == 10:
             flick(env, "index_dip", 60.0)
@@ -228,6 +231,14 @@ class Episode:
         }
 
 
+def fix_on_mujoco(env: gymnasium.Env, fixed: bool) -> None:
+    """Fix the object of an environment that has been reset where it is, or let it go."""
+    for group in env.unwrapped.episodes.simulation.engine._rows:
+        begin = group.at.object_dof
+        if begin >= 0:
+            group.fields["dof_damping"][:, begin : begin + 6] = 1e9 if fixed else 0.0
+
+
 def play(
     env: gymnasium.Env,
     policy: Policy,
@@ -253,16 +264,26 @@ def play(
         pinned: fix the object where it starts.
     """
     observation, info = env.reset(seed=seed, options=options)
-    bodies = Bodies(env) if pinned or watch else None
-    if pinned:
-        bodies.pin()
+    watched = nullcontext(bool)
+    retold = nullcontext()
+    if env.spec.kwargs.get("engine") == "mujoco":
+        fix_on_mujoco(env, pinned)
+        if watch:
+            watched = nullcontext(lambda: bool(env.unwrapped.state.touching.any()))
+    elif pinned or watch or story:
+        from tests.envs.engine import Bodies, told, watching_for_touch
+
+        bodies = Bodies(env)
+        if pinned:
+            bodies.pin()
+        if watch:
+            watched = watching_for_touch(bodies)
+        if story:
+            retold = told(env, story)
     episode = Episode([leaves(observation)], [], [numbers(info)])
     over = False
     actions = policy(env, observation, np.random.default_rng([seed, 5]))
-    with (
-        told(env, story) if story else nullcontext(),
-        watching_for_touch(bodies) if watch else nullcontext(bool) as touched,
-    ):
+    with retold, watched as touched:
         while not over and len(episode.rewards) < limit:
             action = np.clip(next(actions) + disturbance, -1, 1)
             observation, reward, terminated, truncated, info = env.step(whole(env, action))
@@ -296,6 +317,10 @@ class Case:
     def name(self) -> str:
         return "/".join(filter(None, [self.id, *self.options.values(), self.about]))
 
+    @property
+    def on_mujoco(self) -> bool:
+        return self.options.get("engine") == "mujoco"
+
     def make(self, **options: Any) -> gymnasium.Env:
         return gymnasium.make(self.id, **self.options, **options)
 
@@ -322,6 +347,7 @@ USUAL = {
     POSTURE: apart,
 }
 PRIVILEGED = {"obs": "privileged"}
+MUJOCO = {"engine": "mujoco"}
 PLACED_BY_SCRIPT = {"wrist": "script"}
 """With a free wrist the first step replaces the scene, after which an object cannot be pinned nor a
 story be used.
@@ -415,6 +441,16 @@ CASES = (
         Case(GRASP, {"grasp": name} | PRIVILEGED, closing(), about="held", story=HELD)
         for name in ("large_sphere", "scissors", "hook")
     ),
+    *(
+        Case(name, MUJOCO | options, policy, range(2))
+        for name, policy in USUAL.items()
+        for options in (PRIVILEGED, {"randomize": "full", "reward": "sparse"})
+    ),
+    Case(GRASP_TYPE, MUJOCO | PLACED_BY_SCRIPT | PRIVILEGED, own, range(2)),
+    *(
+        Case(GRASP, MUJOCO | {"grasp": name} | PRIVILEGED, closing())
+        for name in ("small_sphere", "scissors", "hook")
+    ),
 )
 BY_NAME = {case.name: case for case in CASES}
 
@@ -498,15 +534,22 @@ def digest(env: gymnasium.Env, case: Case, steps: int = 30) -> str:
     return hashlib.sha256(case.play(env, case.seeds[0], steps).bits()).hexdigest()
 
 
+def simple(env: gymnasium.Env) -> bool:
+    """Whether the object is one sphere or one box, or there is none, in PyBullet."""
+    from tests.envs.engine import Bodies
+
+    return Bodies(env).simple()
+
+
 def taken(case: Case) -> list[dict[str, Any]]:
     """New entry of the file for a case."""
     rows = []
     with case.make() as env:
         for seed in case.seeds:
             env.reset(seed=seed, options=case.reset or None)
-            simple = Bodies(env).simple()
+            touchable = not case.on_mujoco and simple(env)
             touch = None if case.story else case.play(env, seed, watch=True, pinned=True).touch
-            touched = touch is not None and simple
+            touched = touch is not None and touchable
             rows.append({"seed": seed, "touch": touch} | parts(case, env, seed, touch, touched))
     return rows
 
@@ -538,6 +581,9 @@ BATCHES = {
     "HPAC-Grasp-v0": (Case(GRASP, {}, closing(0), range(40)),),
     "HPAC-GraspAny-v1": (Case(GRASP_ANY, {}, closing(0), range(8)),),
     "HPAC-GraspType-v0": (Case(GRASP_TYPE, {}, own, range(6)),),
+    "HPAC-Grasp-v0 on MuJoCo": (Case(GRASP, MUJOCO, closing(0), range(20)),),
+    "HPAC-GraspAny-v1 on MuJoCo": (Case(GRASP_ANY, MUJOCO, closing(0), range(8)),),
+    "HPAC-PickPlace-v0 on MuJoCo": (Case(PICK_PLACE, MUJOCO, closing(12, 74), range(10)),),
     "HPAC-GraspType-v0 on MuJoCo": (Case(GRASP_TYPE, {"engine": "mujoco"}, own, range(10)),),
     "HPAC-Gentle-v0": (Case(GENTLE, {}, closing(0), range(10)),),
     "HPAC-PickPlace-v0": (Case(PICK_PLACE, {}, closing(12, 74), range(20)),),

@@ -13,14 +13,41 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hpac_gym.model import JOINTS
-from tests.envs.engine import State, Vector
 
+Vector = np.ndarray
 SWING = 0.3 + 0.4 * np.arange(len(JOINTS)) / len(JOINTS)
 """Frequency of each joint [Hz]."""
 GRIP = {"thumb": 6.0, "index": 3.0, "middle": 2.5, "palm": 1.5}
 """Normal forces of a grip [N]."""
 Span = tuple[float, float]
 NEVER: Span = (np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class State:
+    """State that a physics engine reports."""
+
+    joint_pos: Vector
+    """Shape (15,) [rad]."""
+    joint_vel: Vector
+    """Shape (15,) [rad/s]."""
+    forces: dict[str, float]
+    """Normal force between the object and each part of the hand that touches it [N]."""
+    slipped: Vector
+    """Displacement of the object in the world, less that by which it was carried, shape (3,) [m].
+    """
+    tilt: float
+    """Rotation of the object about the world's x axis [rad]."""
+    velocity: Vector
+    """Velocity of the object, shape (3,) [m/s]."""
+    spin: Vector
+    """Angular velocity of the object, shape (3,) [rad/s]."""
+    carried: bool
+    """True while the object moves with the wrist."""
+    supported: bool
+    """True while the object touches the post on which it started."""
+    placed: bool
+    """True while the object touches the body that was added last, the post of its target."""
 
 
 def within(time: float, *spans: Span) -> bool:

@@ -27,6 +27,7 @@ from tests.envs.fingerprints import (
     BY_NAME,
     CASES,
     FILE,
+    MUJOCO,
     PRIVILEGED,
     TOUCHED_STEPS,
     Case,
@@ -43,10 +44,17 @@ from tests.envs.fingerprints import (
 
 
 def marked(
-    values: Iterable[Any], mark: pytest.MarkDecorator, where: Callable[[Any], bool]
+    values: Iterable[Any], *marks: tuple[pytest.MarkDecorator, Callable[[Any], bool]]
 ) -> list[Any]:
-    """Parameters of a test, of which some have a marker."""
-    return [pytest.param(value, marks=mark) if where(value) else value for value in values]
+    """Parameters of a test, each with the markers whose condition it meets."""
+    return [
+        pytest.param(value, marks=[mark for mark, where in marks if where(value)])
+        for value in values
+    ]
+
+
+PYBULLET = pytest.mark.pybullet, lambda case: not case.on_mujoco
+"""The other cases hold where there is no PyBullet."""
 
 
 OPTIONS = [
@@ -119,7 +127,7 @@ def test_the_checkers_of_gymnasium_and_of_stable_baselines3_pass(name, options):
 
 # The ids differ in nothing that renders, but for a hand without an object.
 @pytest.mark.parametrize(
-    "name", marked(IDS, pytest.mark.slow, lambda name: name not in (GRASP, POSTURE))
+    "name", marked(IDS, (pytest.mark.slow, lambda name: name not in (GRASP, POSTURE)))
 )
 def test_the_checkers_pass_with_pictures(name):
     with gymnasium.make(name, obs="image", render_mode="rgb_array") as env:
@@ -139,7 +147,9 @@ def rounded_otherwise_too(case: Case) -> bool:
 
 
 @pytest.mark.parametrize(
-    "case", marked(CASES, pytest.mark.processor, rounded_otherwise_too), ids=lambda case: case.name
+    "case",
+    marked(CASES, (pytest.mark.processor, rounded_otherwise_too), PYBULLET),
+    ids=lambda case: case.name,
 )
 def test_physics_reward_and_observation_are_those_of_the_version_number(case):
     """If this fails on purpose: raise -v, then run `python -m tests.envs.fingerprints --write`."""
@@ -155,7 +165,12 @@ def test_physics_reward_and_observation_are_those_of_the_version_number(case):
 # With another rounding: not the postures, which touch nothing, nor what has the contacts of
 # HPAC-Grasp-v0.
 @pytest.mark.parametrize(
-    "name", marked(BATCHES, pytest.mark.processor, lambda name: name.startswith("HPAC-Grasp"))
+    "name",
+    marked(
+        BATCHES,
+        (pytest.mark.processor, lambda name: name.startswith("HPAC-Grasp")),
+        (pytest.mark.pybullet, lambda name: not BATCHES[name][0].on_mujoco),
+    ),
 )
 def test_as_many_episodes_end_as_they_did(name):
     """Episodes that ended otherwise are counted, since rounding may turn a few; see
@@ -182,13 +197,22 @@ def test_all_that_touches_or_can_be_touched_is_compared():
     assert sum("touched" in row for row in rows) > 40
 
 
-TOUCHING = [case for case in CASES if any("touched" in row for row in kept()[case.name])]
+TOUCHING = [
+    case for case in CASES if case.on_mujoco or any("touched" in row for row in kept()[case.name])
+]
+
+
+FIRST = ({}, PRIVILEGED, MUJOCO | PRIVILEGED)
 
 
 # The pass with another rounding plays the slow ones too, but for variants.
 @pytest.mark.parametrize(
     "case",
-    marked(TOUCHING, pytest.mark.slow, lambda case: case.options not in ({}, PRIVILEGED)),
+    marked(
+        TOUCHING,
+        (pytest.mark.slow, lambda case: case.options not in FIRST),
+        PYBULLET,
+    ),
     ids=lambda case: case.name,
 )
 def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
@@ -200,6 +224,7 @@ def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
         assert not changed(case, randomize=Randomization(object_position=(1e-12, 1e-12)))
 
 
+@pytest.mark.pybullet
 @pytest.mark.parametrize(
     ("name", "number", "value"),
     [
@@ -228,27 +253,42 @@ def test_a_small_change_of_a_number_changes_the_fingerprint(monkeypatch, name, n
     assert changed(BY_NAME[name])
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [
-        {"randomize": Randomization(skin_friction=(0.97, 0.97))},
-        {"randomize": Randomization(object_mass=(0.97, 0.97))},
-        {"randomize": Randomization(tendon_stiffness=(0.98, 0.98))},
-        {"randomize": Randomization(servo_lag=(0.005, 0.005))},
-        {"noise": CameraNoise(position=0.0016)},
-        {"reward": "sparse"},
-    ],
-    ids=["friction", "mass", "tendons", "lag", "camera", "reward"],
-)
+FAULTS = {
+    "friction": {"randomize": Randomization(skin_friction=(0.97, 0.97))},
+    "mass": {"randomize": Randomization(object_mass=(0.97, 0.97))},
+    "tendons": {"randomize": Randomization(tendon_stiffness=(0.98, 0.98))},
+    "lag": {"randomize": Randomization(servo_lag=(0.005, 0.005))},
+    "camera": {"noise": CameraNoise(position=0.0016)},
+    "reward": {"reward": "sparse"},
+}
+
+
+@pytest.mark.pybullet
+@pytest.mark.parametrize("fault", FAULTS)
 def test_a_small_change_of_physics_reward_or_observation_changes_the_fingerprint(fault):
-    assert changed(BY_NAME["HPAC-Grasp-v0"], **fault)
+    assert changed(BY_NAME["HPAC-Grasp-v0"], **FAULTS[fault])
+
+
+@pytest.mark.parametrize("fault", ["mass", "tendons", "lag", "camera", "reward"])
+def test_a_small_change_changes_the_fingerprint_on_mujoco(fault):
+    """Friction acts from the touch on: the next test has it."""
+    assert changed(BY_NAME["HPAC-Grasp-v0/mujoco/privileged"], **FAULTS[fault])
 
 
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
-        ("HPAC-Grasp-v0", {"randomize": Randomization(skin_friction=(0.5, 0.5))}),
-        ("named grasps", {"randomize": Randomization(slack=(3e-3, 3e-3))}),
+        pytest.param(
+            "HPAC-Grasp-v0",
+            {"randomize": Randomization(skin_friction=(0.5, 0.5))},
+            marks=pytest.mark.pybullet,
+        ),
+        pytest.param(
+            "named grasps",
+            {"randomize": Randomization(slack=(3e-3, 3e-3))},
+            marks=pytest.mark.pybullet,
+        ),
+        ("HPAC-Grasp-v0 on MuJoCo", {"randomize": Randomization(skin_friction=(0.5, 0.5))}),
         ("HPAC-GraspType-v0 on MuJoCo", {"randomize": Randomization(slack=(3e-3, 3e-3))}),
     ],
 )
