@@ -20,6 +20,7 @@ from hpac import COMMANDS, GROUPS, main
 from hpac_gym.command import INTERRUPTED, USAGE_ERROR, Parser, run, whole_number
 from hpac_gym.errors import EXTRA_OF, WorkspaceError
 
+POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 NAMES = [command.name for command in COMMANDS]
 HEAVY = {"numpy", "scipy", "matplotlib", "gymnasium", "pybullet", "mujoco", "torch"}
 ROOT = Path(__file__).resolve().parents[1]
@@ -143,6 +144,8 @@ def test_the_version_is_that_of_the_package():
         (["evaluate", "--policy", "scripted", "--object", "cylinder:nan,0.1"], "cylinder:radius"),
         (["evaluate", "--policy", "os:getcwd"], "getcwd does not take the environment"),
         (["evaluate", "--policy", f"{__name__}:forgetful"], "(observation, state, episode_start)"),
+        (["deploy", f"{__name__}:wordless", *POSED, "--dry-run"], "(action, state), not ndarray"),
+        (["deploy", f"{__name__}:short", *POSED, "--dry-run"], "must be 6 numbers"),
         (["deploy", "grasp", "--hold", "-1"], "'-1' is not a number of seconds"),
         (["deploy", "grasp", "--oldest", "nan"], "'nan' is not a number of seconds"),
     ],
@@ -163,6 +166,16 @@ def test_a_mistake_is_one_line_and_status_2(words, named, capsys):
 def forgetful(env):
     """A policy whose `predict` takes too little."""
     return argparse.Namespace(predict=lambda observation, state=None: (observation[:6], state))
+
+
+def wordless(env):
+    """A policy that returns no state."""
+    return argparse.Namespace(predict=lambda observation, state, begins: observation[:6])
+
+
+def short(env):
+    """A policy with too few actions."""
+    return argparse.Namespace(predict=lambda observation, state, begins: (observation[:3], state))
 
 
 def test_a_picture_of_another_kind_is_refused(tmp_path, capsys):
@@ -188,9 +201,6 @@ def test_a_command_that_takes_a_policy_takes_its_statistics(capsys):
     taking = [name for name, options in found.items() if options & {"--policy", "policy"}]
     assert {"deploy", "grasps", "show"} <= set(taking)
     assert [name for name in taking if "--normalize" not in found[name]] == ["export"]
-
-
-POSED = ["--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11"]
 
 
 @pytest.mark.parametrize(

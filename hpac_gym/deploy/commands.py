@@ -13,19 +13,22 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.body.own_objects import own_object
 from hpac_gym.bridge import HandLink, WireLog
 from hpac_gym.bridge.commands import PORT_HELP, connector
 from hpac_gym.command import add_json, say, seconds
 from hpac_gym.deploy.arm import arm_of
-from hpac_gym.deploy.episode import AVERAGED, LOG_VERSION, OLDEST, Log, run_episode
+from hpac_gym.deploy.episode import AVERAGED, LOG_VERSION, OLDEST, Log, checked, run_episode
 from hpac_gym.deploy.errors import DeployError
 from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
 from hpac_gym.model import HPAC, SERVOS, load_hand
 from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
+from hpac_gym.policies.policy import ask
 from hpac_gym.policies.policy_file import policy_path
 
 
@@ -155,7 +158,8 @@ def _dry_run(options: argparse.Namespace, observer: Observer, policy: Any, sourc
     pose = averaged(source, options.average, options.oldest)
     observation = observer.see(pose)
     entries = observer.entries(observation)
-    action, _ = policy.predict(observation)
+    given, _ = ask(policy, observation, None, np.array([True]))
+    action = checked(given, observer)
     target = observer.command(action)
     wrist = dict(zip(observer.task.wrist_actions, map(float, action[len(SERVOS) :]), strict=True))
     if options.json:

@@ -23,6 +23,7 @@ from hpac_gym.deploy.poses import Source, averaged
 from hpac_gym.model.checks import Array
 from hpac_gym.output import OutputError
 from hpac_gym.policies import Policy
+from hpac_gym.policies.policy import ask
 from hpac_gym.tasks.task import CONTROL_HZ
 
 WATCHDOG = 0.5
@@ -137,8 +138,8 @@ def run_episode(
             phase = observer.phase()
             arm.tell(_told(observer, phase))
             observation = observer.see(pose)
-            given, memory = policy.predict(observation, memory, np.array([step == 0]))
-            action = _checked(given, observer)
+            given, memory = ask(policy, observation, memory, np.array([step == 0]))
+            action = checked(given, observer)
             target = observer.command(action)
             servo = stream.send(target)
             observer.sent(servo)
@@ -189,7 +190,7 @@ def _pose_now(source: Source, last: Pose, oldest: float, closing: bool) -> Pose:
     return found[0]
 
 
-def _checked(given: Array, observer: Observer) -> Array:
+def checked(given: Array, observer: Observer) -> Array:
     action = np.asarray(given, dtype=float)
     shape = observer.action_space.shape
     if action.shape != shape or not np.isfinite(action).all():

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from hpac_gym.envs import HandEnv
 from hpac_gym.evaluation.environment import make_env, make_envs
 from hpac_gym.policies import Policy
+from hpac_gym.policies.policy import ask
 
 BATCH = 50
 """Parallel worlds on MuJoCo."""
@@ -109,9 +110,7 @@ def run_episodes(
         for world, policy in enumerate(policies):
             if playing[world] is not None:
                 begins = np.array([numbers[world] == 0])
-                actions[world], states[world] = policy.predict(
-                    _of(seen, world), states[world], begins
-                )
+                actions[world], states[world] = ask(policy, _of(seen, world), states[world], begins)
         still = np.zeros_like(next(action for action in actions if action is not None))
         seen, rewards, terminated, truncated, infos = envs.step(
             np.stack([still if action is None else action for action in actions])

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hpac_gym.errors import PolicyError
 from hpac_gym.policies.closure import Closures
 from hpac_gym.policies.policy_file import PolicyFile
 
@@ -52,6 +53,20 @@ class Policy(Protocol):
         Returns:
             The action, −1…1, shape (6,) or (n, 6); with a free wrist longer. The next state.
         """
+
+
+def ask(policy: Policy, observation: Any, state: Any, begins: Any) -> tuple[NDArray[Any], Any]:
+    """What `Policy.predict` gives.
+
+    Raises:
+        PolicyError: It is no action with a state.
+    """
+    answer = policy.predict(observation, state, begins)
+    if not (isinstance(answer, tuple) and len(answer) == 2):
+        raise PolicyError(
+            f"predict of {type(policy).__name__} must return (action, state), not {type(answer).__name__}"
+        )
+    return answer
 
 
 class EpisodePolicy:
