@@ -1,5 +1,5 @@
 """The site: ``make docs``. Pages are the Markdown files of this folder; ``measured.md`` is drawn from
-the data of ``results`` each time, and belongs to the site alone."""
+the data of ``results`` each time, and belongs to the site alone, as the copies of `OUTER` do."""
 
 import re
 import sys
@@ -30,18 +30,36 @@ suppress_warnings = [
     "ref.python",  # a name that a package repeats from its module
 ]
 
+OUTER = {
+    "firmware/README.md": "boards",
+    "firmware/board/esp32/README.md": "esp32",
+    "CONTRIBUTING.md": "contributing",
+    "CHANGELOG.md": "changelog",
+}
+"""Pages of other folders that the site has too, and their names there."""
+
 (HERE / "measured.md").write_text(measured_page(), encoding="utf-8")
+(HERE / "_reference").mkdir(exist_ok=True)
+for path, name in OUTER.items():
+    text = (HERE.parent / path).read_text(encoding="utf-8").replace("](docs/", "](/")
+    (HERE / "_reference" / f"{name}.md").write_text(text, encoding="utf-8")
 
 
-def without_outer_links(app, docname, source):
-    """Keep only the text of links that leave this folder: they lead nowhere on the site."""
+def with_outer_links(app, docname, source):
+    """Lead links that leave this folder to the site's copy; of others, tell the path."""
     page = HERE / f"{docname}.md"
 
     def kept(match):
-        target = (page.parent / match[2]).resolve()
-        return match[0] if target.is_relative_to(HERE) else match[1]
+        text, target, anchor = match.groups("")
+        where = (page.parent / target).resolve()
+        if where.is_relative_to(HERE):
+            return match[0]
+        path = where.relative_to(HERE.parent).as_posix()
+        if path in OUTER:
+            return f"[{text}](/_reference/{OUTER[path]}.md{anchor})"
+        return text if path in text else f"{text} (`{path}`)"
 
-    source[0] = re.sub(r"\[([^\]]*)\]\((\.\.?/[^)#\s]+)(?:#[\w-]+)?\)", kept, source[0])
+    source[0] = re.sub(r"\[([^\]]*)\]\((\.\.?/[^)#\s]+)(#[\w-]+)?\)", kept, source[0])
 
 
 def without_fences(app, what, name, thing, options, lines):
@@ -58,5 +76,5 @@ def without_fences(app, what, name, thing, options, lines):
 
 def setup(app):
     """Called by Sphinx."""
-    app.connect("source-read", without_outer_links)
+    app.connect("source-read", with_outer_links)
     app.connect("autodoc-process-docstring", without_fences)
