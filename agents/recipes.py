@@ -244,7 +244,8 @@ class Recipe:
         """The family of closures of the recipe."""
         if self.env_id == GRASP_TYPE:
             return Closures(goal=(-1, 1), wrist=(-1, 1))
-        return Closures(begin=self.begin or None, release=self.release or None)
+        shift = (-1.0, 1.0) if self.options.get("wrist") == "free" else None
+        return Closures(begin=self.begin or None, release=self.release or None, shift=shift)
 
 
 RECIPES: Mapping[str, Recipe] = {
@@ -252,6 +253,13 @@ RECIPES: Mapping[str, Recipe] = {
     "grasp-robust": Recipe(set_ups=("mujoco/light",), contacts="weak"),
     "grasp-any": Recipe(
         env_id=GRASP_ANY, env_steps=1_000_000, random_episodes=1_500, sizes=(0.6, 1.6)
+    ),
+    "grasp-any-wrist": Recipe(
+        env_id=GRASP_ANY,
+        options={"wrist": "free", "config": {"mass": [0.7, 1.8]}},
+        env_steps=1_500_000,
+        random_episodes=2_500,
+        sizes=(0.5, 1.8),
     ),
     "grasp-type": Recipe(
         env_id=GRASP_TYPE,
@@ -297,7 +305,7 @@ def recipe_of(args: Namespace) -> Recipe:
             raise RecipeError("--engine and --body name one set-up: give them or --set-ups")
         engine, body = recipe.set_ups[0].split("/")
         given["set_ups"] = f"{chosen.get('engine', engine)}/{chosen.get('body', body)}"
-    return with_settings(replace(recipe, env_id=env_id, options=options), given)
+    return with_settings(replace(recipe, env_id=env_id, options=recipe.options | options), given)
 
 
 def settings_of(saved: Mapping[str, Any]) -> Recipe:

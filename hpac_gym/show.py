@@ -19,7 +19,7 @@ from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.output import OutputError, replacing
-from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -54,9 +54,8 @@ def run(options: argparse.Namespace) -> int:
     env_id = options.env or env_id_of(policy) or GRASP
     count = options.episodes or (3 if options.record else None)
     with ExitStack() as stack:
-        env = stack.enter_context(
-            make_env(env_id, render_mode="rgb_array", **env_options(options, env_id))
-        )
+        given = needed_options(policy) | env_options(options, env_id)
+        env = stack.enter_context(make_env(env_id, render_mode="rgb_array", **given))
         actor = load_policy(policy, env, options.normalize)
         screen = _film(options.record) if options.record else _page(options)
         show = stack.enter_context(screen)

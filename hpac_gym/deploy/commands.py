@@ -27,7 +27,7 @@ from hpac_gym.deploy.observer import Observer
 from hpac_gym.deploy.poses import averaged, source_of
 from hpac_gym.evaluation import options as environment
 from hpac_gym.model import HPAC, SERVOS, load_hand
-from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy, needed_options
 from hpac_gym.policies.policy import ask
 from hpac_gym.policies.policy_file import policy_path
 
@@ -89,10 +89,11 @@ def run(options: argparse.Namespace) -> int:
     """Run one episode, or only tell what would be done."""
     env_id = about(options.policy).get("env_id") or options.env or "HPAC-Grasp-v0"
     hand = load_hand(options.hand) if options.hand else HPAC
-    observer = Observer(env_id, object_of(options.object), hand, options.grasp)
+    thing = object_of(options.object)
+    observer = Observer(env_id, thing, hand, options.grasp, **needed_options(options.policy))
     policy = load_policy(options.policy, observer, options.normalize)
     with ExitStack() as stack:
-        source = source_of(options.pose, object_of(options.object))
+        source = source_of(options.pose, thing)
         stack.callback(source.close)
         if options.dry_run:
             _dry_run(options, observer, policy, source)

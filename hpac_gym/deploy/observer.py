@@ -50,6 +50,7 @@ class Observer:
         model: the hand with which commands and observations are computed.
         grasp: name of the grasp or type, for the tasks that have one.
         table: hand whose servo table the board was flashed with.
+        options: of the task, such as `wrist="free"`.
 
     Raises:
         DeployError: The task needs more than a camera that sees an object.
@@ -68,17 +69,17 @@ class Observer:
         model: Hand = HPAC,
         grasp: str | None = None,
         table: Hand = HPAC,
+        **options: Any,
     ) -> None:
         name = env_id.rpartition(":")[2]
         if name not in TASKS:
             raise DeployError(
                 f"{name} cannot be deployed: a hand with a camera can do {', '.join(TASKS)}"
             )
-        options: dict[str, Any] = {}
         if grasp is not None:
             if name not in (GRASP, GRASP_TYPE):
                 raise DeployError(f"{name} has no grasps by name, such as {grasp!r}")
-            options = {"grasp" if name == GRASP else "types": grasp}
+            options |= {"grasp" if name == GRASP else "types": grasp}
         self.task: Task = make_task(name, **options)
         self.spec = gymnasium.spec(name)
         self.model = model

@@ -30,7 +30,7 @@ from hpac_gym.evaluation.statistics import paired_difference, success_counts
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.output import OutputError, markdown, writable_file, write_text
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, about, load_policy, needed_options
 from hpac_gym.policies.policy_file import policy_path
 
 DEFAULT_ENV = "hpac_gym:HPAC-Grasp-v0"
@@ -277,7 +277,7 @@ def run(args: argparse.Namespace) -> int:
         "seed_start": args.seed_start,
         "workers": args.workers,
         "time_limit": 60 * args.time_limit,
-        "options": env_options(args, env_id),
+        "options": needed_options(args.policy[0]) | env_options(args, env_id),
         "normalize": args.normalize,
     }
     summary = evaluate(names, env_id, args.episodes, **how).summary()

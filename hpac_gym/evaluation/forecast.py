@@ -21,7 +21,7 @@ from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import predicted_rate
 from hpac_gym.evaluation.workers import shared
 from hpac_gym.model import HPAC, Hand, load_hand
-from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
 from hpac_gym.progress import progress
 
 NOMINAL = "nominal"
@@ -158,7 +158,7 @@ def run(args: argparse.Namespace) -> int:
     hand = load_hand(args.file)
     hands = read_draws(args.file, hand)
     env_id = args.env or env_id_of(args.policy)
-    given = env_options(args, env_id)
+    given = needed_options(args.policy) | env_options(args, env_id)
     options = {"engine": "mujoco"} | given
     options["model"] = HPAC if args.commands == NOMINAL else load_hand(args.commands or args.file)
     found = forecast(

@@ -24,6 +24,7 @@ _THUMB = SERVO_INDEX["thumb_mp"]
 _CMC = SERVO_INDEX["thumb_cmc"]
 _NAMES = (*(f"{servo}_goal" for servo in SERVOS), "duration", "thumb_delay")
 _WRIST = ("grasp_x", "grasp_y", "grasp_z", "turn_x", "turn_y", "turn_z")
+_SHIFT = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
 _PRESHAPE = tuple(f"{servo}_preshape" for servo in SERVOS)
 
 Range = tuple[float, float]
@@ -53,11 +54,18 @@ class Closures:
     """Each number of a free wrist's pose. If given, the first action of a closure is its preshape,
     in the range of `goal`, from which all servos move to their goals; None means that the action
     has no wrist pose."""
+    shift: Range | None = None
+    """Each of the four numbers by which an open hand's wrist is moved before it closes; None means
+    that the action has none."""
 
     def __post_init__(self) -> None:
         if (self.begin is None) != (self.release is None):
             raise PolicyError(
                 f"a closure has both begin {self.begin} and release {self.release}, or neither"
+            )
+        if self.wrist is not None and self.shift is not None:
+            raise PolicyError(
+                "a closure places the wrist or shifts it: wrist and shift exclude each other"
             )
         for entry in fields(self):
             given = getattr(self, entry.name)
@@ -92,7 +100,8 @@ class Closures:
     def names(self) -> tuple[str, ...]:
         """Names of the closure's numbers, in order."""
         times = ("begin", "release") if self.begin is not None else ()
-        return _NAMES + times + (_WRIST + _PRESHAPE if self.wrist is not None else ())
+        shift = _SHIFT if self.shift is not None else ()
+        return _NAMES + times + (_WRIST + _PRESHAPE if self.wrist is not None else shift)
 
     @property
     def bounds(self) -> NDArray[np.float64]:
@@ -102,6 +111,8 @@ class Closures:
             ranges += [self.begin, self.release]
         if self.wrist is not None:
             ranges += [self.wrist] * len(_WRIST) + [self.goal] * len(SERVOS)
+        elif self.shift is not None:
+            ranges += [self.shift] * len(_SHIFT)
         return np.array(ranges).T
 
     def decisions(self, values: ArrayLike) -> NDArray[np.float64]:
@@ -118,7 +129,7 @@ class Closures:
             steps: control steps since each decision, shape (n,).
 
         Returns:
-            Shape (n, 6), −1…1; with a wrist pose, shape (n, 12).
+            Shape (n, 6), −1…1; with a wrist's shift, shape (n, 10), with its pose, (n, 12).
         """
         low, high = self.bounds
         values = low + (np.asarray(decisions, dtype=float) + 1) / 2 * (high - low)
@@ -126,7 +137,7 @@ class Closures:
         (duration, thumb_delay) = values[:, 6:8].T
         more = values[:, 8:]
         begin, release = more[:, :2].T if self.begin is not None else (0.0, np.inf)
-        wrist = np.zeros((len(values), 0))
+        wrist = more[:, -len(_SHIFT) :] if self.shift is not None else np.zeros((len(values), 0))
         start = np.full(goals.shape, OPEN)
         start[:, _CMC] = goals[:, _CMC]
         if self.wrist is not None:

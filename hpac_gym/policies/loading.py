@@ -92,6 +92,17 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
     return read_card(path) if path.is_dir() else read_policy(name).about
 
 
+def needed_options(name: str) -> dict[str, Any]:
+    """Options of the environment without which a policy cannot act in it: a free wrist for one that
+    shifts it.
+
+    Raises:
+        PolicyError: The file is damaged.
+    """
+    closure = about(name).get("closure") or {}
+    return {"wrist": "free"} if closure.get("shift") else {}
+
+
 def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
     """Read a policy file and check it against the environment.
 

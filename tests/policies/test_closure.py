@@ -9,6 +9,7 @@ import pytest
 from hpac_gym.model import SERVO_INDEX
 from hpac_gym.policies import Closures, LearnedPolicy, PolicyError
 from hpac_gym.policies.made_for import difference, made_for
+from hpac_gym.tasks.grasp_any import WRIST_ACTIONS as WRIST_SHIFT
 from hpac_gym.tasks.grasp_types import WRIST_ACTIONS
 from tests.policies.episodes import actions_of
 
@@ -64,6 +65,18 @@ def test_a_closure_with_a_wrist_pose_goes_from_its_preshape_to_its_goals():
         assert np.abs(actions[1, :6] - actions[0, :6]).max() > 0
     timed = Closures(wrist=(-1, 1), begin=(6, 18), release=(40, 50))
     assert timed.actions(np.zeros((3, len(timed.names))), [0, 20, 60]).shape == (3, 12)
+
+
+def test_a_closure_that_shifts_the_wrist_closes_as_another_and_shifts_it_by_its_last_numbers():
+    closures = Closures(shift=(-0.5, 1))
+    assert closures.names[8:] == WRIST_SHIFT
+    for decision in RNG.uniform(-1, 1, (20, 12)):
+        actions = way(closures, decision)
+        np.testing.assert_array_equal(actions[:, :6], way(Closures(), decision[:8]))
+        shift = 0.25 + 0.75 * decision[8:]
+        np.testing.assert_allclose(actions[:, 6:], np.tile(shift, (len(actions), 1)))
+    with pytest.raises(PolicyError, match="wrist and shift"):
+        Closures(wrist=(-1, 1), shift=(-1, 1))
 
 
 def test_all_worlds_at_once_are_what_each_is_alone():
