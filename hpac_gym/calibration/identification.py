@@ -456,9 +456,9 @@ class _Problem:
         """Draws of the combinations' values from the posterior, shape (count, combinations).
 
         Data and prior get new errors, and the fit is repeated: Bardsley et al. 2014,
-        "Randomize-then-optimize". A normal distribution about the fit would be wrong, since the
-        directions that the data leave open are curved: its angles scatter 30 times as much. The
-        drive is as stiff as the design's, to `DRAWN_DRIVE_SPREAD`.
+        "Randomize-then-optimize". The directions that the data leave open are curved: along a
+        tangent, as a normal distribution about the fit has it, the angles do not stay. The drive is
+        as stiff as the design's, to `DRAWN_DRIVE_SPREAD`.
         """
         held = replace(self, prior=self.prior.drive_known(DRAWN_DRIVE_SPREAD))
         return held.drawn(held.solve(found, scale).x, scale, count)
