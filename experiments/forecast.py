@@ -1,0 +1,215 @@
+"""Whether a forecast from one sweep holds: ``python -m experiments.forecast``.
+
+Hidden hands of a workshop with slack are swept once in simulation, and get what `hpac calibrate` writes:
+a hand file, and virtual hands beside it. `hpac forecast`'s function predicts the success of a grasp in
+1,000 episodes from the virtual hands, and then the hidden hand runs 1,000. Controls: the forecast of
+another hidden hand; and, as if there were no sweep, virtual hands that are all the nominal one, and
+other hands of the same workshop.
+
+Files and rows are kept, and a later run continues them."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.chain import slack_hand, swept
+from hpac_gym.calibration.calibrate import named
+from hpac_gym.calibration.identification import identify
+from hpac_gym.calibration.posterior import read_draws, write_draws
+from hpac_gym.command import minutes, run_module, whole_number
+from hpac_gym.evaluation.evaluate import run_block
+from hpac_gym.evaluation.forecast import Forecast, forecast
+from hpac_gym.evaluation.statistics import wilson_interval
+from hpac_gym.model import HPAC, Hand, hand_to_toml, load_hand
+from hpac_gym.output import markdown, write_text
+from hpac_gym.progress import progress
+from hpac_gym.registration import GRASP
+
+OUT = Path("docs/results/experiments/forecast.json")
+FILES = Path("runs/forecast")
+FIRST_HAND = 1_000
+"""The seeds of the hidden hands; `experiments.chain` uses those from 0 on, and the grasps below were
+chosen on the hands 500 to 511.
+"""
+OTHERS = 2_000
+"""The seeds of the other hands of the workshop."""
+TRUTH = 1_000
+TRUTH_SEED = 10_000_000
+FORECAST_SEED = 20_000_000
+EPISODES = 50
+"""Of each virtual hand."""
+WIDTH = 0.10
+"""Widest interval that counts."""
+SWEEP = "of the sweep"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What is predicted."""
+
+    grasp: str
+    file: bool
+    """Whether the hand's file commands, or the nominal map."""
+    virtual: int
+    """Number of virtual hands."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.grasp}, {'its file' if self.file else 'nominal map'}"
+
+    def options(self, model: Hand | str) -> dict[str, Any]:
+        """The options of the environment, without the hand."""
+        return {"grasp": self.grasp, "engine": "mujoco", "model": model if self.file else HPAC}
+
+    def forecast(self, hands: Sequence[Hand], model: Hand | str, seed: int) -> Forecast:
+        """The forecast of virtual hands, on episodes that no hidden hand sees."""
+        return forecast(
+            hands, "scripted", GRASP, self.options(model), EPISODES, of=TRUTH, seed_start=seed
+        )
+
+
+CASES = (Case("lateral_pinch", False, 20), Case("precision_box", True, 20))
+"""A pinch that many of the hands miss with the nominal map, and the one grasp that hands do differently
+when their files command.
+"""
+
+
+def calibrated(seed: int) -> Path:
+    """The hand file of a hidden hand's sweep, with the virtual hands beside it."""
+    path = FILES / f"{seed}.toml"
+    if not path.exists():
+        found = identify(swept(slack_hand(seed), seed), hold_out=True, draws=50)
+        write_draws(path, found.hand, found)
+        write_text(path, hand_to_toml(named(found, HPAC, f"the sweep of hand {seed}")))
+    return path
+
+
+def row_of(case: Case, seed: int) -> dict[str, Any]:
+    """Forecast and truth of one hidden hand."""
+    path = calibrated(seed)
+    file = load_hand(path)
+    place = 10_000 * (seed - FIRST_HAND)
+    told = case.forecast(read_draws(path, file)[: case.virtual], file, FORECAST_SEED + place)
+    seeds = range(TRUTH_SEED + place, TRUTH_SEED + place + TRUTH)
+    options = case.options(file) | {"hand": slack_hand(seed)}
+    won = sum(episode.success for (episode,) in run_block(["scripted"], GRASP, options, seeds))
+    return {"case": case.name, "seed": seed, "truth": won / TRUTH, **asdict(told)}
+
+
+def controls(case: Case) -> dict[str, dict[str, Any]]:
+    """The forecasts that know no sweep: nominal hands, and other hands of the workshop.
+
+    Where files command, these hands are known exactly."""
+    others = [slack_hand(OTHERS + number) for number in range(case.virtual)]
+    return {
+        "all nominal": asdict(case.forecast([HPAC] * case.virtual, "hand", 2 * FORECAST_SEED)),
+        "others of the workshop": asdict(case.forecast(others, "hand", 3 * FORECAST_SEED)),
+    }
+
+
+def summary(
+    rows: Sequence[dict[str, Any]], without: dict[str, dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """How many intervals hold the truth and are no wider than `WIDTH`, by case and forecast."""
+    cells = []
+    for case, unknowing in without.items():
+        mine = [row for row in rows if row["case"] == case]
+        truth = np.array([row["truth"] for row in mine])
+        kinds = {SWEEP: mine, "of the next hand's sweep": mine[1:] + mine[:1]}
+        kinds |= {kind: [one] * len(mine) for kind, one in unknowing.items()}
+        for kind, forecasts in kinds.items():
+            low, high = np.array([one["interval_95"] for one in forecasts]).T
+            inside = (low <= truth) & (truth <= high)
+            good = int((inside & (high - low <= WIDTH)).sum())
+            cells.append(
+                {
+                    "case": case,
+                    "virtual_hands": kind,
+                    "hands": len(mine),
+                    "inside": int(inside.sum()),
+                    "inside_and_narrow": good,
+                    "inside_and_narrow_95": wilson_interval(good, len(mine)),
+                    "width": [float(np.median(high - low)), float((high - low).max())],
+                    "truth": np.quantile(truth, (0, 0.25, 0.5, 0.75, 1)).tolist(),
+                }
+            )
+    return cells
+
+
+def table(cells: Sequence[dict[str, Any]]) -> str:
+    """The cells as a table in Markdown."""
+    head = (
+        "grasp, commanded with",
+        "virtual hands",
+        "hold the truth",
+        "and ≤ 10 points",
+        "width: median, largest",
+    )
+    return markdown(
+        head,
+        [
+            (
+                cell["case"],
+                cell["virtual_hands"],
+                f"{cell['inside']} of {cell['hands']}",
+                cell["inside_and_narrow"],
+                ", ".join(f"{100 * width:.1f}" for width in cell["width"]),
+            )
+            for cell in cells
+        ],
+    )
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command's options."""
+    parser.add_argument("--hands", type=whole_number(1), default=40, help="hidden hands")
+    parser.add_argument(
+        "--first", type=whole_number(0), default=FIRST_HAND, help="seed of the first"
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=minutes,
+        default=float("inf"),
+        help="begin no hand after so many minutes",
+    )
+    parser.add_argument("--out", type=Path, default=OUT, metavar="JSON")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Continue the file row by row, and print the table of the rows that it has."""
+    text: dict[str, Any] = {"without_a_sweep": {}, "rows": []}
+    if arguments.out.exists():
+        text = json.loads(arguments.out.read_text())
+    rows = text["rows"]
+    without = text["without_a_sweep"]
+    known = {(row["case"], row["seed"]) for row in rows}
+    seeds = range(arguments.first, arguments.first + arguments.hands)
+    wanted = [(case, seed) for case in CASES for seed in seeds if (case.name, seed) not in known]
+    deadline = time.monotonic() + 60 * arguments.time_limit
+    for case, seed in progress(wanted, "hidden hands"):
+        if time.monotonic() > deadline:
+            break
+        if case.name not in without:
+            without[case.name] = controls(case)
+        rows.append(row_of(case, seed))
+        told = {
+            "command": f"python -m experiments.forecast --hands {arguments.hands}",
+            "cells": summary(rows, without),
+            "without_a_sweep": without,
+            "rows": rows,
+        }
+        write_text(arguments.out, json.dumps(told, indent=1) + "\n")
+    print(table(summary(rows, without)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run_module("experiments.forecast", __doc__, add_arguments))

@@ -1,0 +1,38 @@
+"""How forecasts are counted, and the committed counts of 40 hands against their rows."""
+
+import json
+
+import pytest
+
+from experiments.forecast import OUT, SWEEP, WIDTH, summary, table
+from tests.test_docs import text_of
+
+
+def row(seed, truth, low, high):
+    return {"case": "a", "seed": seed, "truth": truth, "interval_95": [low, high]}
+
+
+def test_an_interval_counts_if_it_holds_the_truth_and_is_narrow():
+    rows = [
+        row(0, 0.90, 0.88, 0.93),
+        row(1, 0.90, 0.91, 0.95),  # misses
+        row(2, 0.50, 0.40, 0.60),  # is wide
+        row(3, 0.05, 0.00, WIDTH),
+    ]
+    without = {"a": {"all nominal": {"interval_95": [0.86, 0.92]}}}
+    sweep, exchanged, nominal = summary(rows, without)
+    assert (sweep["virtual_hands"], sweep["inside"], sweep["inside_and_narrow"]) == (SWEEP, 3, 2)
+    assert (exchanged["inside"], exchanged["inside_and_narrow"]) == (0, 0)
+    assert (nominal["inside"], nominal["inside_and_narrow"]) == (2, 2)
+    assert "| a | all nominal | 2 of 4 | 2 | 6.0, 6.0 |" in table([sweep, nominal])
+
+
+@pytest.fixture
+def written():
+    return json.loads(text_of(OUT))
+
+
+def test_the_committed_counts_are_those_of_the_rows(written):
+    assert written["cells"] == json.loads(
+        json.dumps(summary(written["rows"], written["without_a_sweep"]))
+    )
