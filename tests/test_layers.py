@@ -22,7 +22,7 @@ ROOMS = {
     "registration": {"gymnasium"},
     "figures": {"matplotlib", "cycler"},
     "model": {"numpy"},
-    "body": {"numpy", "scipy", "coacd", "trimesh"},
+    "body": {"numpy", "coacd", "trimesh"},
     "bridge": {"numpy", "serial"},
     "camera": {"numpy", "scipy", "cv2", "matplotlib"},
     "calibration": {"numpy", "scipy", "matplotlib"},

@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hpac_gym.model import DIGITS, digit_joints
 from hpac_gym.model.checks import Array
@@ -165,14 +164,21 @@ def _digit(name: str, table: dict, pad_tilt: float) -> Digit:
 
 def rotation_from_rpy(rpy: Vector) -> Array:
     """The rotation matrix of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
-    matrix: Array = Rotation.from_euler("xyz", rpy).as_matrix()
-    return matrix
+    roll, pitch, yaw = rpy
+    return (
+        rotation_about((0, 0, 1), yaw)
+        @ rotation_about((0, 1, 0), pitch)
+        @ rotation_about((1, 0, 0), roll)
+    )
 
 
 def rotation_about(axis: Vector | Array, angle: float) -> Array:
-    """Rotation matrix, shape (3, 3), for a rotation by ``angle`` [rad] about a unit ``axis``."""
-    matrix: Array = Rotation.from_rotvec(np.multiply(axis, angle)).as_matrix()
-    return matrix
+    """Rotation matrix, shape (3, 3), for a rotation by ``angle`` [rad] about a unit ``axis``
+    (Rodrigues).
+    """
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def link_poses(digit: Digit, angles: Array) -> list[tuple[Array, Array]]:

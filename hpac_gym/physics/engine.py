@@ -7,7 +7,7 @@ one `SceneState` of arrays with a leading axis n. This module is independent of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from typing import Any, Protocol, TypeVar
@@ -338,28 +338,28 @@ Placed = tuple[Array, Array]
 
 
 def support_boxes(
-    setup: SceneSetup,
+    setup: SceneSetup, matrix: Callable[[Sequence[float]], Array] = matrix_from_quaternion
 ) -> tuple[list[Placed], Array, Placed | None, tuple[float, float, float, float]]:
     """Boxes that support the object of a setup.
 
     Args:
         setup: setup with an object that is not fixed.
+        matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds
+            differently.
 
     Returns:
         Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion
         xyzw of posts and walls.
     """
-    rotation = matrix_from_quaternion(setup.hand_quaternion)
+    rotation = matrix(setup.hand_quaternion)
     centre = HAND_POSITION + rotation @ setup.position
     reach = setup.rest_height
     if reach is None:
-        reach = (
-            np.abs(matrix_from_quaternion(setup.object_quaternion)[2]) @ setup.object.half_extents
-        )
+        reach = np.abs(matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
     support = setup.support or POST
     turn = setup.object_turn[1] if setup.support else (0.0, 0.0, 0.0, 1.0)
     floor = support.table_height
-    turned = matrix_from_quaternion(turn)
+    turned = matrix(turn)
     below = np.array([centre[0], centre[1], floor])
     boxes = [
         (np.array(half), below + turned @ place)

@@ -12,7 +12,6 @@ from functools import lru_cache
 from xml.etree import ElementTree as Xml
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.geometry import Box, Capsule, Geometry, Phalanx, link_poses, rotation_from_rpy
 from hpac_gym.body.urdf import (
@@ -353,7 +352,7 @@ def _add_phalanx(
 ) -> Xml.Element:
     # Local frames are quaternions: MuJoCo's Euler angles follow another axis convention than
     # URDF's.
-    turn = text_of(Rotation.from_euler("xyz", phalanx.rpy).as_quat()[[3, 0, 1, 2]], 15)
+    turn = text_of(_quaternion(rotation_from_rpy(phalanx.rpy)), 15)
     body = Xml.SubElement(parent, "body", name=phalanx.link, pos=text_of(phalanx.origin), quat=turn)
     center, inertia = solid_inertia((phalanx.capsule,), phalanx.mass)
     _add_inertial(
@@ -474,3 +473,10 @@ def _add_geom(
             "fromto": text_of((*solid.start, *solid.end)),
             "size": text_of((solid.radius,)),
         }
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Quaternion wxyz of a rotation by an angle other than π, shape (4,)."""
+    w = np.sqrt(max(1 + np.trace(rotation), 0.0)) / 2
+    skew = rotation - rotation.T
+    return np.array([w, skew[2, 1] / (4 * w), skew[0, 2] / (4 * w), skew[1, 0] / (4 * w)])

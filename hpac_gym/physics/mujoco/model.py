@@ -17,7 +17,6 @@ from xml.etree import ElementTree as Xml
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
 from hpac_gym.body.object_models import ObjectModel, principal_inertia
@@ -184,7 +183,8 @@ def inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
 
 def quaternion_from_matrix(rotation: Array) -> Array:
     """Quaternion wxyz of a rotation matrix, shape (4,)."""
-    quaternion: Array = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(rotation).ravel())
     return quaternion
 
 

@@ -4,6 +4,7 @@ the current episode.
 
 from __future__ import annotations
 
+import numpy as np
 import pybullet
 
 from hpac_gym.model.checks import Array
@@ -135,7 +136,7 @@ class Scene:
         self.object: SimObject | None = None
         self.supports: tuple[int, ...] = ()
         self.target_post: int | None = None
-        self.to_hand = setup.hand_rotation.T
+        self.to_hand = _matrix(setup.hand_quaternion).T
         if setup.object is None:
             return
         centre = HAND_POSITION + self.to_hand.T @ setup.position
@@ -167,7 +168,7 @@ class Scene:
         return stage
 
     def _add_supports(self, setup: SceneSetup) -> None:
-        boxes, table, target, turn = support_boxes(setup)
+        boxes, table, target, turn = support_boxes(setup, _matrix)
         posts = [self._fixed_box(half_extents, place, GREY, turn) for half_extents, place in boxes]
         self.supports = (*posts, self._fixed_box(TABLE_HALF_EXTENTS, table, WOOD))
         if target is not None:
@@ -235,3 +236,8 @@ class Scene:
             self.hand.body, self.object.body, physicsClientId=self.world.client
         )
         return [contact for contact in found if contact[DISTANCE] <= 0]
+
+
+def _matrix(quaternion: tuple[float, ...]) -> Array:
+    """The rotation matrix of a quaternion xyzw, shape (3, 3)."""
+    return np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
