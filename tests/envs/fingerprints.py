@@ -13,7 +13,7 @@ case therefore compares only what cannot grow:
   sphere or one box. On a cylinder, or on many boxes that make up a round shape, the points of
   contact jump.
 * Stories: whole episodes with prescribed states instead of a simulation, to 1e-5.
-* On MuJoCo free motion alone, in the same way. These cases, and the counts "on MuJoCo", hold where
+* On MuJoCo free motion alone, to 2e-3. These cases, and the counts "on MuJoCo", hold where
   there is no PyBullet.
 * Outcomes and lengths of many whole episodes, counted.
 
@@ -52,6 +52,10 @@ TIGHT = (1e-6, 1e-6)
 LOOSE = (1e-4, 1e-5)
 """Relative and absolute tolerances of means: of what does not touch anything, and of what does or
 is a picture.
+"""
+LOOSEST = (1e-3, 2e-3)
+"""On MuJoCo, where a digit rests on a soft stop at angle zero: another rounding of the hand's
+geometry, by 1e-17, moves it by 1e-4 rad.
 """
 TOUCHED_STEPS = 3
 """Control steps after the first touch that are compared, 18 physics steps."""
@@ -463,6 +467,8 @@ def kept() -> dict[str, Any]:
 
 def tolerances(case: Case) -> dict[str, tuple[float, float]]:
     """Relative and absolute tolerance of each part of a case's fingerprints."""
+    if case.on_mujoco:
+        return {"free": LOOSEST}
     return {"free": LOOSE if case.options.get("obs") == "image" else TIGHT, "touched": LOOSE}
 
 
