@@ -43,6 +43,10 @@ ASKED = (
 _AXES = "xyz"
 _GEOMETRY = load_geometry()
 _TIPS = tuple(digit.phalanges[-1].link for digit in _GEOMETRY.digits)
+_BALL = _GEOMETRY.digit("thumb").phalanges[0].link
+"""The metacarpal, the ball of the thumb, which counts as palm: the thumb touches by its last two
+links.
+"""
 _BEYOND_ROOT = tuple(phalanx.link for digit in _GEOMETRY.digits for phalanx in digit.phalanges[1:])
 
 
@@ -419,7 +423,7 @@ def look_at(contacts: Contacts, state: SceneState, world: int, hand_rotation: Ar
 
 
 def _part(link: str) -> str:
-    return link.split("_")[0]
+    return "palm" if link == _BALL else link.split("_")[0]
 
 
 def _angle_deg(cosine: float) -> float:

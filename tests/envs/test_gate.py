@@ -470,7 +470,7 @@ BAD_ACTIONS = {
 def test_a_bad_action_raises_and_moves_nothing(name, env):
     bare = env.unwrapped
     still = np.full(6, -1.0, np.float32)
-    bare.reset(seed=0)
+    bare.reset(seed=2)  # a grasp type whose place is clear of the open hand
     bare.step(whole(bare, still))
     before = bare.episodes.simulation.state().joint_pos
     for error, actions in BAD_ACTIONS.items():

@@ -99,6 +99,8 @@ def hold(*looks: Look) -> Hold:
 
 
 PINCH = {TIPS["thumb"]: 3.0, TIPS["index"]: 3.0}
+BALL = {TIPS["index"]: 3.0, "thumb_cmc_link": 3.0}
+"""A finger against the ball of the thumb."""
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 TILTED = TURNED[:, [2, 1, 0]] * [1, 1, -1]
 
@@ -111,6 +113,13 @@ TILTED = TURNED[:, [2, 1, 0]] * [1, 1, -1]
         (Rule(digits=2), hold(look(PINCH)), hold(look({TIPS["thumb"]: 3.0, "palm": 1.0}))),
         (Rule(never=("palm",)), hold(look(PINCH)), hold(look(PINCH | {"palm": 0.1}))),
         (Rule(tips=True), hold(look(PINCH)), hold(look(PINCH | {"index_mcp_link": 3.0}))),
+        (
+            Rule(touch=("thumb",)),
+            hold(look({"thumb_mp_link": 3.0})),
+            hold(look({"thumb_cmc_link": 3.0})),
+        ),
+        (Rule(digits=2), hold(look(PINCH)), hold(look(BALL))),
+        (Rule(never=("palm",)), hold(look(PINCH)), hold(look(PINCH | BALL))),
         (Rule(force=4.0), hold(look(PINCH)), hold(look({TIPS["thumb"]: 3.0}))),
         (Rule(), hold(look(PINCH), look(PINCH)), hold(look(PINCH), look(PINCH, rotation=TURNED))),
         (
@@ -138,6 +147,9 @@ TILTED = TURNED[:, [2, 1, 0]] * [1, 1, -1]
         "digits",
         "never",
         "tips",
+        "metacarpal",
+        "digits but the metacarpal",
+        "never the metacarpal",
         "force",
         "turn",
         "tilt",
