@@ -13,7 +13,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -50,35 +50,16 @@ WIDTH = 0.10
 SWEEP = "of the sweep"
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """What is predicted."""
-
-    grasp: str
-    file: bool
-    """Whether the hand's file commands, or the nominal map."""
-    virtual: int
-    """Number of virtual hands."""
-
-    @property
-    def name(self) -> str:
-        return f"{self.grasp}, {'its file' if self.file else 'nominal map'}"
-
-    def options(self, model: Hand | str) -> dict[str, Any]:
-        """The options of the environment, without the hand."""
-        return {"grasp": self.grasp, "engine": "mujoco", "model": model if self.file else HPAC}
-
-    def forecast(self, hands: Sequence[Hand], model: Hand | str, seed: int) -> Forecast:
-        """The forecast of virtual hands, on episodes that no hidden hand sees."""
-        return forecast(
-            hands, "scripted", GRASP, self.options(model), EPISODES, of=TRUTH, seed_start=seed
-        )
+CASE = "lateral_pinch, nominal map"
+"""A pinch that many of the hands miss with the nominal map, but not all."""
+OPTIONS = {"grasp": "lateral_pinch", "engine": "mujoco", "model": HPAC}
+VIRTUAL = 20
+"""Virtual hands of a forecast."""
 
 
-CASES = (Case("lateral_pinch", False, 20), Case("precision_box", True, 20))
-"""A pinch that many of the hands miss with the nominal map, and the one grasp that hands do differently
-when their files command.
-"""
+def predicted(hands: Sequence[Hand], seed: int) -> Forecast:
+    """The forecast of virtual hands, on episodes that no hidden hand sees."""
+    return forecast(hands, "scripted", GRASP, OPTIONS, EPISODES, of=TRUTH, seed_start=seed)
 
 
 def calibrated(seed: int) -> Path:
@@ -91,26 +72,23 @@ def calibrated(seed: int) -> Path:
     return path
 
 
-def row_of(case: Case, seed: int) -> dict[str, Any]:
+def row_of(seed: int) -> dict[str, Any]:
     """Forecast and truth of one hidden hand."""
     path = calibrated(seed)
-    file = load_hand(path)
     place = 10_000 * (seed - FIRST_HAND)
-    told = case.forecast(read_draws(path, file)[: case.virtual], file, FORECAST_SEED + place)
+    told = predicted(read_draws(path, load_hand(path))[:VIRTUAL], FORECAST_SEED + place)
     seeds = range(TRUTH_SEED + place, TRUTH_SEED + place + TRUTH)
-    options = case.options(file) | {"hand": slack_hand(seed)}
+    options = OPTIONS | {"hand": slack_hand(seed)}
     won = sum(episode.success for (episode,) in run_block(["scripted"], GRASP, options, seeds))
-    return {"case": case.name, "seed": seed, "truth": won / TRUTH, **asdict(told)}
+    return {"case": CASE, "seed": seed, "truth": won / TRUTH, **asdict(told)}
 
 
-def controls(case: Case) -> dict[str, dict[str, Any]]:
-    """The forecasts that know no sweep: nominal hands, and other hands of the workshop.
-
-    Where files command, these hands are known exactly."""
-    others = [slack_hand(OTHERS + number) for number in range(case.virtual)]
+def controls() -> dict[str, dict[str, Any]]:
+    """The forecasts that know no sweep: nominal hands, and other hands of the workshop."""
+    others = [slack_hand(OTHERS + number) for number in range(VIRTUAL)]
     return {
-        "all nominal": asdict(case.forecast([HPAC] * case.virtual, "hand", 2 * FORECAST_SEED)),
-        "others of the workshop": asdict(case.forecast(others, "hand", 3 * FORECAST_SEED)),
+        "all nominal": asdict(predicted([HPAC] * VIRTUAL, 2 * FORECAST_SEED)),
+        "others of the workshop": asdict(predicted(others, 3 * FORECAST_SEED)),
     }
 
 
@@ -190,16 +168,16 @@ def run(arguments: argparse.Namespace) -> int:
         text = json.loads(arguments.out.read_text())
     rows = text["rows"]
     without = text["without_a_sweep"]
-    known = {(row["case"], row["seed"]) for row in rows}
+    known = {row["seed"] for row in rows}
     seeds = range(arguments.first, arguments.first + arguments.hands)
-    wanted = [(case, seed) for case in CASES for seed in seeds if (case.name, seed) not in known]
+    wanted = [seed for seed in seeds if seed not in known]
     deadline = time.monotonic() + 60 * arguments.time_limit
-    for case, seed in progress(wanted, "hidden hands"):
+    for seed in progress(wanted, "hidden hands"):
         if time.monotonic() > deadline:
             break
-        if case.name not in without:
-            without[case.name] = controls(case)
-        rows.append(row_of(case, seed))
+        if CASE not in without:
+            without[CASE] = controls()
+        rows.append(row_of(seed))
         told = {
             "command": f"python -m experiments.forecast --hands {arguments.hands}",
             "cells": summary(rows, without),

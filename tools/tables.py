@@ -382,7 +382,8 @@ def seen_objects_table() -> str:
 
 def seen_hands_table() -> str:
     """Errors of the angles of swept hands, of `experiments.watched`."""
-    rows = [
+    found = _watched()
+    rows: list[tuple[Any, ...]] = [
         (
             number,
             f"{cell['pictures']:,}",
@@ -390,8 +391,11 @@ def seen_hands_table() -> str:
             f"{cell['exact_file_deg']:.3f}",
             f"{cell['file_deg']:.3f}",
         )
-        for number, cell in enumerate(_watched()["hands"])
+        for number, cell in enumerate(found["hands"])
     ]
+    cell = found["thumbs"][-1]["a tooth back"]
+    what = f"{len(rows) - 1}, thumb's horn a tooth back: the thumb"
+    rows.append((what, cell["pictures"], _quantiles(cell["angle_deg"]), "", ""))
     head = (
         "hand",
         "pictures",
