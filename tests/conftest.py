@@ -4,6 +4,7 @@ PyBullet.
 
 import os
 import re
+import signal
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,6 +22,8 @@ LEFT_OUT = pytest.StashKey[list[str]]()
 WITHOUT_BROWSER = pytest.StashKey[list[str]]()
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A shell's background job ignores Ctrl-C, and what it starts would, too.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 if find_spec("triton"):
     # Comes with PyTorch for CUDA. It and Mesa's OpenGL each bring an LLVM: loaded after a picture,
