@@ -169,12 +169,16 @@ def run_module(
     return run(command)
 
 
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
 def seconds(text: str) -> float:
     """Argument type: a number of seconds, 0 or more."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
+    value = _number(text)
     if not 0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"'{text}' is not a number of seconds, 0 or more")
     return value
@@ -182,10 +186,7 @@ def seconds(text: str) -> float:
 
 def minutes(text: str) -> float:
     """Argument type: a positive number of minutes."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
+    value = _number(text)
     if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"'{text}' is not a positive number of minutes")
     return value

@@ -468,6 +468,12 @@ class _Problem:
         rng = np.random.default_rng(0)
         fitted = self.rows(found, scale)
         unit = self.unit
+        low, high = self.bounds
+
+        def within(steps: Array) -> Array:
+            clipped: Array = np.clip(found + unit * steps, low, high)
+            return clipped
+
         across, along = np.linalg.qr(
             optimize.approx_fprime(found, lambda unknowns: self.rows(unknowns, scale), 1e-6)
         )
@@ -476,7 +482,7 @@ class _Problem:
             wanted = fitted + rng.standard_normal(len(fitted))
 
             def missed(steps: Array, wanted: Array = wanted) -> Array:
-                return across.T @ (self.rows(self._within(found + unit * steps), scale) - wanted)
+                return across.T @ (self.rows(within(steps), scale) - wanted)
 
             steps = optimize.root(
                 missed,
@@ -484,12 +490,8 @@ class _Problem:
                 jac=lambda _: along * unit,
                 options={"xtol": 1e-3, "factor": 1.0},
             ).x
-            drawn.append(self._within(found + unit * steps)[: len(self.prior.centre)])
+            drawn.append(within(steps)[: len(self.prior.centre)])
         return self.prior.values(np.reshape(drawn, (count, len(self.prior.centre))))
-
-    def _within(self, unknowns: Array) -> Array:
-        clipped: Array = np.clip(unknowns, *self.bounds)
-        return clipped
 
 
 def predicted(samples: DigitSamples, swept: SweptDigit) -> Array:

@@ -191,6 +191,11 @@ def _pose_now(source: Source, last: Pose, oldest: float, closing: bool) -> Pose:
 
 
 def checked(given: Array, observer: Observer) -> Array:
+    """A policy's action, clipped to −1…1.
+
+    Raises:
+        DeployError: It has another shape, or a number that is not finite.
+    """
     action = np.asarray(given, dtype=float)
     shape = observer.action_space.shape
     if action.shape != shape or not np.isfinite(action).all():

@@ -220,6 +220,19 @@ def table(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def add_seeds_and_workers(parser: argparse.ArgumentParser) -> None:
+    """The arguments ``--seed-start`` and ``--workers`` of a command that runs episodes."""
+    parser.add_argument(
+        "--seed-start",
+        type=whole_number(0),
+        default=HELD_OUT_SEED,
+        help="seed of the first episode",
+    )
+    parser.add_argument(
+        "--workers", type=whole_number(1), default=os.cpu_count() or 1, help="number of processes"
+    )
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac evaluate`."""
     parser.formatter_class = Formatter
@@ -234,15 +247,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser, f"id, also module:My-v0 (default: a policy file's own, otherwise {DEFAULT_ENV})"
     )
     parser.add_argument("--episodes", type=whole_number(1), default=400, help="episodes per policy")
-    parser.add_argument(
-        "--seed-start",
-        type=whole_number(0),
-        default=HELD_OUT_SEED,
-        help="seed of the first episode",
-    )
-    parser.add_argument(
-        "--workers", type=whole_number(1), default=os.cpu_count() or 1, help="number of processes"
-    )
+    add_seeds_and_workers(parser)
     parser.add_argument(
         "--time-limit",
         type=minutes,

@@ -5,17 +5,15 @@ policy runs its episodes on each, commanded with the calibrated file. What no sw
 simulation's: friction, masses and contacts, and the scale of lengths and forces."""
 
 import argparse
-import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from hpac_gym.calibration.posterior import DRAWS, read_draws
-from hpac_gym.command import Formatter, whole_number
+from hpac_gym.command import Formatter, add_json, say, whole_number
 from hpac_gym.evaluation.environment import make_env
-from hpac_gym.evaluation.evaluate import env_id_of, run_block
+from hpac_gym.evaluation.evaluate import add_seeds_and_workers, env_id_of, run_block
 from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import predicted_rate
@@ -115,7 +113,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="what 'hpac calibrate' wrote, its report beside it",
     )
     parser.add_argument("--policy", default="scripted", help=NAMES)
-    parser.add_argument("--normalize", help=NORMALIZE)
+    parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     add_env_options(
         parser,
         "id (default: a policy file's own, otherwise HPAC-Grasp-v0)",
@@ -140,16 +138,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--of", type=whole_number(1), default=OF, help="episodes that are predicted"
     )
-    parser.add_argument(
-        "--seed-start",
-        type=whole_number(0),
-        default=HELD_OUT_SEED,
-        help="seed of the first episode",
-    )
-    parser.add_argument(
-        "--workers", type=whole_number(1), default=os.cpu_count() or 1, help="number of processes"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    add_seeds_and_workers(parser)
+    add_json(parser)
     parser.set_defaults(run=run)
 
 
@@ -181,5 +171,5 @@ def run(args: argparse.Namespace) -> int:
         "options": given,
     }
     line = found.line(f"{args.file}, {told}, commanded with {args.commands or 'it'}")
-    print(json.dumps({**text, **asdict(found)}) if args.json else line)
+    say(args.json, line, **text, **asdict(found))
     return 0
