@@ -39,7 +39,7 @@ $(STAMP):
 	@$(PIP) torch==2.13.0
 	@echo "Set-up: the other dependencies and the project"
 	@$(PIP) hatchling
-	@$(PIP) --no-build-isolation --editable '.[train,sbx,study,camera,grasps,objects,video,view,onnx,data,nodes,docs,test]'
+	@$(PIP) --no-build-isolation --editable '.[train,sbx,study,camera,grasps,objects,video,onnx,data,nodes,docs,test]'
 	@rm -f $(VENV)/.setup-* && touch $@
 
 compiler:
@@ -64,7 +64,7 @@ test-all: compiler setup firmware ## pass all the tests, slow ones and firmware 
 test-lerobot: compiler firmware ## pass the tests that need lerobot, in .venv-lerobot with Python 3.12 (gigabytes of PyTorch)
 	@python3.12 -c 'import venv' 2>/dev/null || { echo "lerobot needs Python 3.12, and 'python3.12' does not run here: install it"; exit 2; }
 	@test -d .venv-lerobot || python3.12 -m venv .venv-lerobot
-	@.venv-lerobot/bin/python -m pip install -qq --disable-pip-version-check --no-input --editable '.[lerobot,test]' --editable 'integrations/lerobot[sliders]'
+	@.venv-lerobot/bin/python -m pip install -qq --disable-pip-version-check --no-input --editable '.[lerobot,test]' --editable integrations/lerobot
 	@.venv-lerobot/bin/python -m pytest tests/evaluation/lerobot_round_trip.py
 	@cd integrations/lerobot && ../../.venv-lerobot/bin/python -m pytest --rootdir=. tests
 

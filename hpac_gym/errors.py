@@ -23,7 +23,6 @@ EXTRA_OF = {
     "tensorboard": "train",
     "torch": "train",
     "trimesh": "objects",
-    "viser": "view",
 }
 """The optional dependencies of this project by package: the name of the extra that installs it."""
 

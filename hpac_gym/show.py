@@ -1,18 +1,17 @@
 """``hpac show``: watch a trained policy grasp, in the browser, on the MuJoCo hand of the environments.
 
-The page is that of ``render_mode="human"``: it needs neither a display nor another package."""
+The page is that of ``render_mode="human"``, and needs no OpenGL here; a film is drawn by MuJoCo."""
 
 import argparse
+import sys
+import time
 import webbrowser
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hpac_gym.command import add_json, say, whole_number
-from hpac_gym.envs.page import Page
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
 from hpac_gym.evaluation.evaluate import env_id_of
@@ -28,8 +27,8 @@ FILMS: dict[str, dict[str, Any]] = {
     ".mp4": {"fps": CONTROL_HZ, "macro_block_size": None, "quality": 7},
 }
 """Kinds of films, and how imageio writes them."""
-PAUSE = CONTROL_HZ
-"""Pictures for which the end of an episode stays."""
+PAUSE = 1.0
+"""Time for which the end of an episode stays [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,52 +52,65 @@ def run(options: argparse.Namespace) -> int:
     policy = options.policy or ("scripted" if options.grasp or options.env else "grasp")
     env_id = options.env or env_id_of(policy) or GRASP
     count = options.episodes or (3 if options.record else None)
+    mode = "rgb_array" if options.record else "human"
     with ExitStack() as stack:
         given = needed_options(policy) | env_options(options, env_id)
-        env = stack.enter_context(make_env(env_id, render_mode="rgb_array", **given))
+        env = stack.enter_context(make_env(env_id, render_mode=mode, **given))
         actor = load_policy(policy, env, options.normalize)
-        screen = _film(options.record) if options.record else _page(options)
-        show = stack.enter_context(screen)
+        film = stack.enter_context(_film(options.record)) if options.record else None
+        page = None if film else _page(env, options)
         done = held = 0
-        while done != count:
-            seed = options.seed + done
-            success = _episode(env, actor, seed, show)
-            held += success
-            done += 1
-            said = f"{policy} on {env_id}: {held} of {done} succeeded"
-            say(options.json, said, policy=policy, env=env_id, seed=seed, success=success)
+        try:
+            while done != count:
+                seed = options.seed + done
+                if page:
+                    so_far = f"{held} of {done} succeeded" if done else "the first episode"
+                    page.say(f"**{policy}** on {env_id}, seed {seed}: {so_far}")
+                success = _episode(env, actor, seed, film)
+                held += success
+                done += 1
+                said = f"{policy} on {env_id}: {held} of {done} succeeded"
+                say(options.json, said, policy=policy, env=env_id, seed=seed, success=success)
+        except KeyboardInterrupt:  # the end of those who gave no other
+            if count:
+                raise
+            print(file=sys.stderr)
     if options.record:
         say(options.json, f"written: {options.record}", written=str(options.record))
     return 0
 
 
-def _episode(env: Any, actor: Any, seed: int, show: Callable[[np.ndarray], None]) -> bool:
+def _episode(env: Any, actor: Any, seed: int, film: Any) -> bool:
+    """Run an episode, which the page shows by itself; whether it succeeded."""
     for step in run_episodes(single(env), [actor], [seed]):
-        show(env.render())
+        if film:
+            film.append_data(env.render())
         held = step.success
-    for _ in range(PAUSE):
-        show(env.render())
+    if film:
+        for _ in range(round(PAUSE * CONTROL_HZ)):
+            film.append_data(env.render())
+    else:
+        time.sleep(PAUSE)
     return bool(held)
 
 
-@contextmanager
-def _page(options: argparse.Namespace) -> Iterator[Callable[[np.ndarray], None]]:
-    """Shows pictures on the page in the browser, in real time."""
-    with closing(Page()) as page:
-        if options.json:
-            say(True, "", page=page.address)
-        if not options.no_browser:
-            webbrowser.open(page.address)
-        yield page.show
+def _page(env: Any, options: argparse.Namespace) -> Any:
+    """The page of an environment, in the browser."""
+    page = env.unwrapped.episodes.pictures.page
+    if options.json:
+        say(True, "", page=page.address)
+    if not options.no_browser:
+        webbrowser.open(page.address)
+    return page
 
 
 @contextmanager
-def _film(path: Path) -> Iterator[Callable[[np.ndarray], None]]:
-    """Writes pictures into a film."""
+def _film(path: Path) -> Iterator[Any]:
+    """The writer of a film."""
     if path.suffix not in FILMS:
         raise OutputError(f"--record '{path}' must end in {' or '.join(FILMS)}")
     import imageio.v2 as imageio  # an extra
 
     how = {"format": path.suffix, **FILMS[path.suffix]}
     with replacing(path) as temporary, imageio.get_writer(temporary, **how) as film:
-        yield film.append_data
+        yield film

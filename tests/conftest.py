@@ -15,7 +15,7 @@ from hypothesis import settings
 ROOT = Path(__file__).resolve().parents[1]
 PYBULLET = find_spec("pybullet") is not None
 CHROMIUM = Path("/usr/bin/chromium")
-BROWSER = CHROMIUM.exists() and bool(find_spec("playwright") and find_spec("viser"))
+BROWSER = CHROMIUM.exists() and find_spec("playwright") is not None
 LONGEST = "test_processor.py"
 """Comes first, so that no process of pytest-xdist waits for it at the end."""
 LEFT_OUT = pytest.StashKey[list[str]]()
@@ -107,7 +107,7 @@ def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     """Name and count what was left out."""
     if pages := config.stash.get(WITHOUT_BROWSER, []):
         terminalreporter.section(
-            f"left out: needs {CHROMIUM} and the extras browser and view, one of which is missing"
+            f"left out: needs {CHROMIUM} and the extra browser, one of which is missing"
         )
         for name in pages:
             terminalreporter.line(name)

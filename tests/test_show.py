@@ -1,7 +1,9 @@
 """`hpac show`: a policy in the browser or in a film."""
 
+import signal
 import subprocess
 import sys
+import time
 import urllib.request
 
 import pytest
@@ -19,13 +21,26 @@ def test_a_trained_policy_is_shown_on_a_page():
     )
     try:
         address = running.stderr.readline().split()[-1]
-        with urllib.request.urlopen(f"{address}stream", timeout=30) as stream:
-            assert b"image/png" in stream.read(200)
+        with urllib.request.urlopen(address, timeout=30) as page:
+            assert b"<html" in page.read()
         said, complaints = running.communicate(timeout=60)
     finally:
         running.kill()
     assert (running.returncode, complaints) == (0, "")
     assert said == "grasp on hpac_gym:HPAC-Grasp-v0: 1 of 1 succeeded\n"
+
+
+def test_ctrl_c_is_the_end_of_what_has_no_other():
+    words = [sys.executable, "-m", "hpac", "show", "--no-browser"]
+    running = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    try:
+        running.stderr.readline()
+        time.sleep(1.0)
+        running.send_signal(signal.SIGINT)
+        _, complaints = running.communicate(timeout=60)
+    finally:
+        running.kill()
+    assert (running.returncode, complaints) == (0, "\n")
 
 
 def test_a_film_is_written(tmp_path, capsys):

@@ -86,7 +86,7 @@ the simulation: {course.outcome}"""
         save(figure_of(course), options.out)
         say(options.json, f"written: {options.out}", written=str(options.out))
     if options.view:
-        from hpac_gym.deploy.watching import show_log  # an extra
+        from hpac_gym.deploy.watching import show_log
 
         observer = Observer(head["env_id"], object_of(head["object"]), grasp=head["grasp"])
         show_log(observer.setup, steps)

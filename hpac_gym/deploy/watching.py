@@ -42,8 +42,7 @@ class Watch:
         self._link = link
         self._hand = hand
         self._figures: dict[str, Any] = {}
-        self._page = HandPage(setup, ABOUT, stop=self._stop, supports=False, browser=True)
-        self._page.free(False)
+        self._page = HandPage(setup, ABOUT, self._stop, browser=True, supports=False, driven=True)
         self._over = Event()
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -75,15 +74,15 @@ class Watch:
 
 def show_log(setup: SceneSetup, steps: list[dict[str, Any]], browser: bool = True) -> None:
     """Play the steps of a log again and again, in real time, until Ctrl-C."""
-    page = HandPage(setup, f"A log of {len(steps)} steps. {ABOUT}", supports=False, browser=browser)
-    page.free(False)
+    about = f"A log of {len(steps)} steps. {ABOUT}"
+    page = HandPage(setup, about, browser=browser, supports=False, driven=True)
     try:
         while True:
             for row in steps:
                 pose = Pose(np.array(row["position"]), tuple(row["quaternion"]))
                 text = f"{row['t']:.2f} s, {row['phase']}"
+                page.wait()
                 page.show(predicted(np.array(row["hand"]), HPAC, pose, np.zeros(3), text))
-                time.sleep(1 / PICTURE_HZ)
             time.sleep(1.0)
     except KeyboardInterrupt:
         return

@@ -139,7 +139,7 @@ class Options:
     @property
     def visuals(self) -> bool:
         """Whether pictures may be asked for."""
-        return self.render_mode is not None
+        return self.render_mode == "rgb_array"
 
 
 COMMON = tuple(

@@ -1,15 +1,18 @@
 """Pictures of the worlds of `Episodes`, and the page of `render_mode="human"`."""
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.envs.page import Page
 from hpac_gym.errors import EpisodeError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, Viewpoint
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, Viewpoint
+from hpac_gym.tasks.task import OUTCOMES
+
+if TYPE_CHECKING:
+    from hpac_gym.view.page import HandPage
 
 VIEW_TARGET = np.array([0.03, 0.0, 0.10])
 """Point in the hand frame on which images are centred [m]."""
@@ -26,7 +29,8 @@ class Pictures:
     def __init__(self, episodes: Any, render_mode: str | None) -> None:
         self._episodes = episodes
         self._mode = render_mode
-        self._page: Page | None = None
+        self._page: HandPage | None = None
+        self._placed: SceneSetup | None = None
 
     def take(
         self, world: int, viewpoint: Viewpoint | None = None, centre: Array = VIEW_TARGET
@@ -56,11 +60,31 @@ class Pictures:
             raise EpisodeError("nothing to render: call reset() first")
         return self.all() if self._mode == "rgb_array" else None
 
+    @property
+    def page(self) -> "HandPage":
+        """The page, which begins with the first one who asks for it; its address is printed."""
+        if self._page is None:
+            from hpac_gym.view.page import HandPage
+
+            self._page = HandPage(SceneSetup(None), "", driven=True)
+        return self._page
+
     def show(self) -> None:
-        """With "human", show an image of world 0 on the page, in real time."""
-        if self._mode == "human":
-            self._page = self._page or Page()
-            self._page.show(self.take(0))
+        """With "human", show world 0 on the page, in real time."""
+        if self._mode != "human":
+            return
+        from hpac_gym.view.page import Shown
+
+        episodes = self._episodes
+        now = episodes.now
+        setup = episodes.setups[0]
+        if setup is not self._placed:
+            self._placed = setup
+            self.page.place(setup)
+        text = f"{now.state.time[0]:.2f} s, {episodes.task.phases[now.phase[0]]}; {OUTCOMES[episodes.outcome[0]]}"
+        goal = getattr(setup, "goal", None)
+        self.page.wait()
+        self.page.show(Shown.of_state(now.state, episodes.commands.servo[0], text, goal))
 
     def close(self) -> None:
         """Close the page. Closing twice is allowed."""

@@ -1,1 +1,1 @@
-"""A page in the browser that shows a hand in three dimensions; needs viser, the extra ``view``."""
+"""A page in the browser that shows a hand in three dimensions."""

@@ -45,10 +45,11 @@ SLACK_COLOR = np.array([70, 110, 190])
 PULLED_COLOR = np.array([255, 150, 20])
 """Colours of a slack and of a pulled tendon, which differ for colour-blind people too, RGB."""
 GHOSTS = {
-    "rigid": ("rigid prediction", (230, 80, 160), rigid_joints_from_servo),
-    "elastic": ("elastic prediction", (60, 190, 120), elastic_joints_from_servo),
+    "rigid": ("rigid prediction", (230, 80, 160)),
+    "elastic": ("elastic prediction", (60, 190, 120)),
+    "goal": ("goal", (60, 130, 240)),
 }
-"""Predictions that can be laid over the hand: label, colour, function of the servos' angles."""
+"""Postures that can be laid over the hand: label and colour."""
 _ROUND_RANGE = (np.ceil(100 * HPAC.servo_min) / 100, np.floor(100 * HPAC.servo_max) / 100)
 
 
@@ -70,18 +71,30 @@ class Shown:
     """From the object's axes to the hand's."""
     text: str = ""
     """A line below the figures."""
+    goal: Array | None = None
+    """Joint angles that are asked for, shape (15,) [rad]; None where none are."""
+
+    def ghost(self, name: str) -> Array | None:
+        """Joint angles of one of `GHOSTS`, shape (15,) [rad]; None without a goal."""
+        if name == "goal":
+            return self.goal
+        predicted = rigid_joints_from_servo if name == "rigid" else elastic_joints_from_servo
+        return predicted(np.clip(self.servo, HPAC.servo_min, HPAC.servo_max))
 
     @classmethod
-    def of_state(cls, state: SceneState, servo: Array, text: str = "") -> Shown:
-        """The first world of a simulation, and the servos' commands, shape (6,) [rad]."""
+    def of_state(
+        cls, state: SceneState, servo: Array, text: str = "", goal: Array | None = None
+    ) -> Shown:
+        """The first world of a simulation, the servos' commands, shape (6,) [rad], and a goal."""
         return cls(
             state.joint_pos[0],
             servo,
             state.palm_offset[0],
             state.tension[0],
             state.object_pos[0],
-            Rotation.from_matrix(state.object_rotation[0]),
+            Rotation.from_matrix(turn) if (turn := state.object_rotation[0]).any() else None,
             text,
+            goal,
         )
 
 
@@ -94,6 +107,7 @@ class HandPage:
         stop: called by the button that sends ESTOP; None is a page without one.
         browser: open a browser.
         supports: show what the object stands on; nobody knows it of a real hand.
+        driven: something else moves the hand and the object; the sliders only follow.
 
     Attributes:
         address: URL of the page.
@@ -107,54 +121,71 @@ class HandPage:
         stop: Callable[[], None] | None = None,
         browser: bool = False,
         supports: bool = True,
+        driven: bool = False,
     ) -> None:
-        self._setup = setup
+        self._supports = supports
+        self._driven = driven
         with redirect_stdout(io.StringIO()):  # its banner
             self._server = viser.ViserServer("127.0.0.1", label="H-PAC hand", verbose=False)
         self.address = f"http://127.0.0.1:{self._server.get_port()}/"
         self._back = False
         self._due = 0.0
         self._text_due = 0.0
-        self._hand_turn = Rotation.from_quat(setup.hand_quaternion)
-        self._draw_scene(supports)
+        self._light()
         self._draw_controls(about, stop)
+        self._scene: viser.FrameHandle | None = None
+        self.place(setup)
         print(f"hpac_gym: the page is at {self.address}", file=sys.stderr, flush=True)
         if browser:
             webbrowser.open(self.address)
 
     # Scene --------------------------------------------------------------------------------
 
-    def _draw_scene(self, supports: bool) -> None:
+    def _light(self) -> None:
         scene = self._server.scene
         scene.set_up_direction("+z")
         scene.configure_environment_map(None)
         scene.configure_default_lights(cast_shadow=False)
         scene.add_light_ambient("/lamps/all", intensity=1.0)
         scene.add_light_directional("/lamps/sun", intensity=1.2, position=(0.6, 1.0, 1.2))
+
+    def place(self, setup: SceneSetup) -> None:
+        """Show another scene."""
+        with self._server.atomic():
+            if self._scene is not None:
+                self._scene.remove()
+            self._scene = self._server.scene.add_frame("/scene", show_axes=False)
+            self._draw_hand(setup)
+            self._again.visible = setup.object is not None and not self._driven
+            self._object = None
+            if setup.object is not None:
+                self._draw_object(setup)
+
+    def _draw_hand(self, setup: SceneSetup) -> None:
+        self._hand_turn = Rotation.from_quat(setup.hand_quaternion)
         centre = HAND_POSITION + self._hand_turn.apply([0.03, 0.0, 0.1])
-        aside = centre + np.array([-0.04, 0.0, -0.03])  # the panel covers the right
+        aside = centre + np.array([-0.05, 0.0, 0.0])  # the panel covers the right
         self._server.initial_camera.look_at = tuple(aside)
-        self._server.initial_camera.position = tuple(aside + np.array([0.10, 0.26, 0.08]))
+        self._server.initial_camera.position = tuple(aside + np.array([0.12, 0.32, 0.09]))
         self._server.initial_camera.up = (0.0, 0.0, 1.0)
-        self._hands = {name: _Links(self._server, self._setup, name) for name in ("", *GHOSTS)}
-        self._object = None
-        if self._setup.object is None:
+        self._hands = {name: _Links(self._server, setup, name) for name in ("", *GHOSTS)}
+
+    def _draw_object(self, setup: SceneSetup) -> None:
+        self._object = self._server.scene.add_frame("/scene/object", show_axes=False)
+        for index, mesh in enumerate(object_meshes(setup.object)):
+            _add(self._server, f"/scene/object/{index}", mesh)
+        if not self._supports:
             return
-        self._object = scene.add_frame("/object", show_axes=False)
-        for index, mesh in enumerate(object_meshes(self._setup.object)):
-            _add(self._server, f"/object/{index}", mesh)
-        if not supports:
-            return
-        boxes, table, target, (x, y, z, w) = support_boxes(self._setup)
+        boxes, table, target, (x, y, z, w) = support_boxes(setup)
         turn = Rotation.from_quat((x, y, z, w))
         for index, (half, place) in enumerate(boxes):
             box = solid("box", tuple(half), GREY[:3]).moved(place, turn)
-            _add(self._server, f"/support/{index}", box)
+            _add(self._server, f"/scene/support/{index}", box)
         top = solid("box", TABLE_HALF_EXTENTS, WOOD[:3])
-        _add(self._server, "/support/table", top.moved(table))
+        _add(self._server, "/scene/support/table", top.moved(table))
         if target is not None:
             post = solid("box", tuple(target[0]), GREEN[:3])
-            _add(self._server, "/support/target", post.moved(target[1]))
+            _add(self._server, "/scene/support/target", post.moved(target[1]))
 
     # Controls -----------------------------------------------------------------------------
 
@@ -162,7 +193,7 @@ class HandPage:
         gui = self._server.gui
         gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         gui.set_panel_label("H-PAC hand")
-        gui.add_markdown(about)
+        self._about = gui.add_markdown(about)
         self._figures = gui.add_markdown("")
         if stop is not None:
             button = gui.add_button("ESTOP over the wire", color="red")
@@ -180,13 +211,19 @@ class HandPage:
             self._all.on_update(lambda _: self._flex(self._all.value))
             self._open = gui.add_button("Open the hand")
             self._open.on_click(lambda _: self._flex(0.0))
+        self.free(not self._driven)
         self.lift = gui.add_slider("lift [m]", 0.0, 0.12, 0.005, 0.0, visible=False)
-        again = gui.add_button("Put the object back", visible=self._object is not None)
-        again.on_click(lambda _: self._ask_back())
+        self._again = gui.add_button("Put the object back")
+        self._again.on_click(lambda _: self._ask_back())
         with gui.add_folder("Show"):
-            for name, (label, _, _) in GHOSTS.items():
-                box = gui.add_checkbox(label, False)
-                box.on_update(lambda event, name=name: self._hands[name].show(event.target.value))
+            self._boxes = {
+                name: gui.add_checkbox(label, name == "goal", visible=name != "goal")
+                for name, (label, _) in GHOSTS.items()
+            }
+
+    def say(self, about: str) -> None:
+        """Say something else of what is seen."""
+        self._about.content = about
 
     def _flex(self, angle: float) -> None:
         """Set the sliders of the five digits, less the one that turns the thumb."""
@@ -218,6 +255,10 @@ class HandPage:
         """Whether it is time for the next picture."""
         return time.monotonic() >= self._due
 
+    def wait(self) -> None:
+        """Wait until it is."""
+        time.sleep(max(self._due - time.monotonic(), 0.0))
+
     def show(self, shown: Shown) -> None:
         """Show a picture."""
         now = time.monotonic()
@@ -225,9 +266,13 @@ class HandPage:
         with self._server.atomic():
             hand = self._hands[""]
             hand.pose(shown.joint_pos, shown.wrist)
-            for name, (_, _, predicted) in GHOSTS.items():
-                if self._hands[name].visible:
-                    self._hands[name].pose(predicted(shown.servo), shown.wrist)
+            if self._boxes["goal"].visible != (shown.goal is not None):
+                self._boxes["goal"].visible = shown.goal is not None
+            for name, box in self._boxes.items():
+                posture = shown.ghost(name) if box.value else None
+                self._hands[name].show(posture is not None)
+                if posture is not None:
+                    self._hands[name].pose(posture, shown.wrist)
             if shown.tension is not None:
                 hand.pull(shown.tension)
             if self._object is not None and shown.object_pos is not None:
@@ -274,11 +319,10 @@ class _Links:
             [rotation_from_rpy(phalanx.rpy) for phalanx in geometry.phalanges]
         )
         self._axes = np.array([phalanx.axis for phalanx in geometry.phalanges])
-        self.visible = not ghost
         x, y, z, w = setup.hand_quaternion
-        root = f"/{ghost or 'hand'}"
+        root = f"/scene/{ghost or 'hand'}"
         self._palm = server.scene.add_frame(
-            root, show_axes=False, wxyz=(w, x, y, z), visible=self.visible
+            root, show_axes=False, wxyz=(w, x, y, z), visible=not ghost
         )
         paths = {"palm": root}
         self._frames = []
@@ -307,8 +351,8 @@ class _Links:
 
     def show(self, visible: bool) -> None:
         """Show or hide the links."""
-        self.visible = visible
-        self._palm.visible = visible
+        if self._palm.visible != visible:
+            self._palm.visible = visible
 
     def pose(self, joint_pos: Array, wrist: Array) -> None:
         """Move the links."""

@@ -141,7 +141,7 @@ def run(options: argparse.Namespace) -> int:
             hand.tracker = Tracker(options.angles)
             stack.callback(hand.tracker.close)
         if options.view:
-            from hpac_gym.view.page import HandPage  # an extra
+            from hpac_gym.view.page import HandPage
 
             hand.page = HandPage(
                 setup, ABOUT, stop=partial(_estop, board), browser=not options.no_browser

@@ -1,6 +1,7 @@
-"""`render_mode="human"`: what a browser gets over HTTP, on a machine without a display."""
+"""`render_mode="human"`: what the page is told, on a machine without a display. tests/view has the
+page in a browser.
+"""
 
-import io
 import re
 import time
 import urllib.error
@@ -10,67 +11,82 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import HumanRendering
-from PIL import Image
 
-from hpac_gym.envs.page import png
+from hpac_gym.view.page import HandPage
 
 BROWSER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
-def test_a_png_holds_the_very_pixels():
-    picture = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
-    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(png(picture)))), picture)
+@pytest.fixture
+def told(monkeypatch):
+    """Every picture that a page is told to show."""
+    pictures = []
+    show = HandPage.show
+
+    def noting(page, shown):
+        pictures.append(shown)
+        show(page, shown)
+
+    monkeypatch.setattr(HandPage, "show", noting)
+    return pictures
 
 
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
-def test_a_browser_sees_each_step_while_the_hand_moves_in_real_time(engine, monkeypatch, capsys):
+def test_the_page_shows_each_step_while_the_hand_moves_in_real_time(
+    engine, told, monkeypatch, capsys
+):
     monkeypatch.delenv("DISPLAY", raising=False)
     env = gymnasium.make("HPAC-Grasp-v0", engine=engine, render_mode="human")
-    still = gymnasium.make("HPAC-Grasp-v0", engine=engine, render_mode="rgb_array")
     assert not isinstance(env, HumanRendering)
-    for made in (env, still):
-        made.reset(seed=0)
+    env.reset(seed=0)
     (address,) = re.findall(r"http://127\.0\.0\.1:\d+/", capsys.readouterr().err)
-    page = BROWSER.open(address).read()
-    assert b'<img src="stream"' in page
-    with pytest.raises(urllib.error.HTTPError, match="404"):
-        BROWSER.open(address + "etc/passwd")
-    with BROWSER.open(address + "stream") as stream:
-        np.testing.assert_array_equal(_picture(stream), still.render())
-        began = time.monotonic()
-        for _ in range(3):
-            for made in (env, still):
-                made.step(np.zeros(6, np.float32))
-            _picture(stream)  # the last one again
-            np.testing.assert_array_equal(_picture(stream), still.render())
-        assert time.monotonic() - began > 2 / 20
-        assert env.render() is None
-        env.reset()
-        env.close()
-        assert len(stream.read()) > 0  # it ends
-    assert "http" not in capsys.readouterr().err
+    assert b"<html" in BROWSER.open(address).read()
+    began = time.monotonic()
+    for steps in range(1, 5):
+        env.step(np.full(6, -0.5, np.float32))
+        assert len(told) == steps + 1
+        state = env.unwrapped.state
+        np.testing.assert_array_equal(told[-1].joint_pos, state.joint_pos[0])
+        np.testing.assert_array_equal(told[-1].object_pos, state.object_pos[0])
+        np.testing.assert_array_equal(told[-1].servo, env.unwrapped.command.servo)
+    assert time.monotonic() - began > 3 / 20
+    assert told[-1].text == "0.20 s, close; running"
+    assert env.render() is None
+    env.close()
     with pytest.raises(urllib.error.URLError):
         BROWSER.open(address)
-    still.close()
+    assert "http" not in capsys.readouterr().err
 
 
-def test_a_browser_that_leaves_ends_nothing_and_a_vector_shows_its_first_environment(capsys):
+def nodes(env) -> set[str]:
+    """What is in the scene of a page."""
+    return set(env.unwrapped.episodes.pictures.page._server.scene._handle_from_node_name)
+
+
+def test_every_episode_has_its_own_object_on_the_page():
+    env = gymnasium.make("HPAC-GraspAny-v1", engine="mujoco", objects="real", render_mode="human")
+    seen = []
+    for seed in (0, 1, 2, 0):
+        env.reset(seed=seed)
+        seen.append(nodes(env))
+        solids = [name for name in seen[-1] if re.fullmatch(r"/scene/object/\d+", name)]
+        assert len(solids) == len(env.unwrapped.episodes.setups[0].object.model.solids)
+    assert seen[0] == seen[3]
+    assert len({len(names) for names in seen}) > 1
+    env.close()
+
+
+def test_a_vector_shows_its_first_environment_and_a_posture_its_goal(told):
     envs = gymnasium.make_vec("HPAC-Posture-v1", num_envs=2, engine="mujoco", render_mode="human")
     envs.reset(seed=0)
-    (address,) = re.findall(r"http://\S+", capsys.readouterr().err)
-    BROWSER.open(address + "stream").close()
-    for _ in range(3):
-        envs.step(np.zeros((2, 6), np.float32))
+    envs.step(np.full((2, 6), 0.3, np.float32))
     assert envs.render() is None
-    with BROWSER.open(address + "stream") as stream:
-        assert _picture(stream).shape == (360, 480, 3)
+    state = envs.unwrapped.episodes.now.state
+    np.testing.assert_array_equal(told[-1].joint_pos, state.joint_pos[0])
+    np.testing.assert_array_equal(told[-1].goal, envs.unwrapped.episodes.setups[0].goal)
+    assert told[-1].object_rotation is None
+    assert not [name for name in nodes(envs) if name.startswith("/scene/object")]
+    page = envs.unwrapped.episodes.pictures.page
+    assert page._hands["goal"]._palm.visible
+    assert not page._hands["elastic"]._palm.visible
     envs.close()
-
-
-def _picture(stream) -> np.ndarray:
-    """The next part of a stream."""
-    lines = [stream.readline() for _ in range(4)]
-    assert lines[0] == b"--picture\r\n"
-    data = stream.read(int(lines[2].split()[1]))
-    stream.readline()
-    return np.asarray(Image.open(io.BytesIO(data)))

@@ -145,6 +145,20 @@ def test_a_virtual_hand_is_driven_by_its_sliders_or_by_a_program_which_the_page_
 
 @pytest.mark.slow
 @pytest.mark.browser
+def test_a_policy_is_watched_and_the_sliders_follow_it():
+    with opened("show", "--no-browser", "--seed", "3000000") as (_, page, _):
+        page.get_by_text("seed 3000000").wait_for()
+        wait_for(lambda: joint(page, "index") > 0.5, 60)
+        slider = page.locator("[role=slider]").nth(1)
+        assert float(slider.get_attribute("aria-valuenow")) > 0.5
+        assert slider.get_attribute("data-disabled") == "true"
+        page.get_by_text("1 of 1 succeeded").wait_for()
+        wait_for(lambda: joint(page, "index") < 0.1, 60)  # the next episode begins
+        assert not page.get_by_role("button", name="Put the object back").is_visible()
+
+
+@pytest.mark.slow
+@pytest.mark.browser
 def test_a_deployment_and_its_log_are_shown(tmp_path):
     log = tmp_path / "log.jsonl"
     grasp = ("grasp", "--object", "cylinder:0.02,0.05", "--pose", "0.05,0.005,0.11")

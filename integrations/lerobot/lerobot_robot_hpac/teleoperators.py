@@ -216,7 +216,7 @@ class HpacSliders(HpacTeleoperator):
     name = "hpac_sliders"
 
     def _open(self) -> None:
-        from hpac_gym.view.page import HandPage  # an extra
+        from hpac_gym.view.page import HandPage
 
         text = "Each slider is a servo of the hand that LeRobot drives."
         self._page = HandPage(SceneSetup(None), text, browser=self.config.browser)
