@@ -41,7 +41,7 @@ def workspace(points: Points) -> dict[str, tuple[float, float]]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate two sweeps, evaluate them, write records, figures and tables."""
-    hand = load_hand(arguments.hand) if arguments.hand else HPAC
+    hand = load_hand(arguments.model) if arguments.model else HPAC
     out = arguments.out
     reference = Reference.of()
     record = simulate(reference, EVALUATION_STREAM, "evaluation sweep")

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a posture, the list of them, or all on a contact sheet",
     )
     parser.add_argument(
-        "--hand", type=Path, metavar="FILE", help="hand parameters (default: the nominal hand)"
+        "--model", type=Path, metavar="FILE", help="hand file of the commands (default: nominal)"
     )
     parser.add_argument(
         "--out", type=Path, metavar="PNG", help="draw the posture here (all: runs/postures.png)"
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command: list, show, draw or send postures."""
-    hand = load_hand(arguments.hand) if arguments.hand else HPAC
+    hand = load_hand(arguments.model) if arguments.model else HPAC
     everything = arguments.name in ("list", "all")
     shown = list(POSTURES.values()) if everything else [posture(arguments.name)]
     if arguments.json:

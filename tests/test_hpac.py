@@ -135,7 +135,7 @@ def test_the_version_is_that_of_the_package():
         (["nonsense"], "nonsense"),
         (["wiggle", "--port", "/dev/no-such-port"], "/dev/no-such-port"),
         (["posture", "nonsense"], "nonsense"),
-        (["posture", "list", "--hand", "/no/such/hand.toml"], "/no/such/hand.toml"),
+        (["posture", "list", "--model", "/no/such/hand.toml"], "/no/such/hand.toml"),
         (["calibrate", "/no/such/sweep.csv"], "sweep.csv"),
         (["physics", "--engine", "pybullet", "--body", "light"], "pybullet with body light"),
         (["grasps", "-n", "0"], "'0' is not a whole number of at least 1"),

@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_common_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments that the simulated experiment has too."""
     parser.add_argument(
-        "--hand", type=Path, metavar="FILE", help="the model under test (default: the nominal hand)"
+        "--model", type=Path, metavar="FILE", help="hand file under test (default: nominal)"
     )
     parser.add_argument(
         "--out",
@@ -84,7 +84,7 @@ def add_common_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Sweep a hand or read a record, evaluate it, write figures and tables."""
     require()
-    hand = load_hand(arguments.hand) if arguments.hand else HPAC
+    hand = load_hand(arguments.model) if arguments.model else HPAC
     path = arguments.record
     if path is None:
         from hpac_gym.calibration import driven  # takes a second to load

@@ -56,7 +56,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--grasp", metavar="NAME", help="named grasp or type, for the tasks that have them"
     )
-    parser.add_argument("--hand", metavar="FILE", help="hand file, as `hpac calibrate` writes it")
+    parser.add_argument(
+        "--model",
+        metavar="FILE",
+        help="what commands are computed with: a hand file, as `hpac calibrate` writes it",
+    )
     parser.add_argument(
         "--average", type=seconds, default=AVERAGED, metavar="S", help="the first pose's mean [s]"
     )
@@ -88,7 +92,7 @@ def object_of(text: str) -> ObjectSpec:
 def run(options: argparse.Namespace) -> int:
     """Run one episode, or only tell what would be done."""
     env_id = about(options.policy).get("env_id") or options.env or "HPAC-Grasp-v0"
-    hand = load_hand(options.hand) if options.hand else HPAC
+    hand = load_hand(options.model) if options.model else HPAC
     thing = object_of(options.object)
     observer = Observer(env_id, thing, hand, options.grasp, **needed_options(options.policy))
     policy = load_policy(options.policy, observer, options.normalize)
