@@ -43,53 +43,6 @@ if TYPE_CHECKING:
         open_transport,
     )
 
-_HOMES = {
-    "errors": (
-        "BridgeError",
-        "ClippedWarning",
-        "FaultError",
-        "FirmwareMissing",
-        "FrameError",
-        "HandshakeError",
-        "LinkTimeout",
-        "PortError",
-        "RejectedError",
-        "StoppedError",
-        "UnconfirmedWarning",
-    ),
-    "exchange": (
-        "LinkStatistics",
-        "WireLog",
-    ),
-    "hands": (
-        "HostBoard",
-        "VirtualHand",
-    ),
-    "limits": (
-        "pulses_from_servo",
-        "servo_from_pulses",
-    ),
-    "link": ("HandLink",),
-    "protocol": (
-        "Action",
-        "Fault",
-        "Reason",
-        "Reset",
-        "State",
-    ),
-    "reports": (
-        "HandInfo",
-        "HandStatus",
-    ),
-    "stream": ("Stream", "StreamCounts"),
-    "transport": (
-        "SerialTransport",
-        "Transport",
-        "open_transport",
-    ),
-}
-"""The names of this package by module: a stop must not wait for NumPy, so they load when used."""
-
 __all__ = [
     "Action",
     "BridgeError",
@@ -124,10 +77,26 @@ __all__ = [
 ]
 
 
+_MODULES = (
+    "errors",
+    "protocol",
+    "transport",
+    "exchange",
+    "limits",
+    "reports",
+    "stream",
+    "link",
+    "hands",
+)
+"""Where those names are, from light to heavy: a stop must not wait for NumPy, so a name is imported
+when it is used.
+"""
+
+
 def __getattr__(name: str) -> object:
-    for module, names in _HOMES.items():
-        if name in names:
-            value = getattr(import_module(f"hpac_gym.bridge.{module}"), name)
-            globals()[name] = value
-            return value
+    if name in __all__:
+        for module in _MODULES:
+            if hasattr(home := import_module(f"hpac_gym.bridge.{module}"), name):
+                globals()[name] = getattr(home, name)
+                return globals()[name]
     raise AttributeError(f"module 'hpac_gym.bridge' has no attribute {name!r}")

@@ -20,25 +20,14 @@ from hpac_gym.bridge.errors import (
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics, WireLog
 from hpac_gym.bridge.frame import Fields, Frame
 from hpac_gym.bridge.interrupts import interrupts
+from hpac_gym.bridge.last_words import TAKEN_OVER, release
 from hpac_gym.bridge.protocol import VERSION, Fault, Reason, name_of
-from hpac_gym.bridge.reports import HandInfo, KnownState
+from hpac_gym.bridge.reports import HandInfo
 from hpac_gym.bridge.transport import Transport
 
 _HELLO_PERIOD = 0.1
 _PREEMPT_PERIOD = 0.02
 _PREEMPT_TIMEOUT = 3.0
-
-TAKEN_OVER = (
-    "another program has greeted the hand since, or the board has restarted: it is left as it is"
-)
-LAST_WORDS_TIME = 3.0
-"""How long the end of a link asks a silent hand to switch its pulses off [s]."""
-_FIELDS: dict[str, Fields] = {"status": {"period_ms": 0}}
-_LAST_WORDS = ("clear",) * 3 + ("estop",) * 2
-_LAST_WORDS_UNGREETED = ("hello", "clear") * 3
-"""Messages to a device that never answered: not a hand, perhaps, or one that an earlier session
-left holding in a fault; sent once, since nothing says that a hand is there.
-"""
 
 
 class Turns:
@@ -130,17 +119,15 @@ class Connection:
         attempts: int,
         log: WireLog | None = None,
     ) -> None:
-        self.known = KnownState()
         self.info: HandInfo | None = None
-        self.exchange = Exchange(transport, statistics, self.known, turns.check, log)
+        self.exchange = Exchange(transport, statistics, turns.check, log)
+        self.known = self.exchange.known
         self._turns = turns
-        self._statistics = statistics
         self._timeout = timeout
         self._attempts = attempts
         self._owner = os.getpid()
         self.ended = False
         self.thread = current_thread()
-        self._port_gone = False
         self.watchdog = math.inf
         self.fed_at = self.busy_until = 0.0
         interrupts.link_opened(self)
@@ -165,33 +152,17 @@ class Connection:
         try:
             answer = self.exchange.request("hello", timeout=_HELLO_PERIOD, attempts=attempts)
         except LinkTimeout:
-            raise self._handshake_error(patience) from None
+            raise _handshake_error(self.exchange, patience) from None
         if answer.name == "ack":
             reason = name_of(Reason, answer.number("reason"))
             raise HandshakeError(
                 f"the device answers HELLO with an ACK ({reason}): it does not run this hand's firmware"
             )
         self.info = HandInfo.from_frame(answer)
-        self._statistics.connections += 1
-        self._statistics.acked += 1
-        self.learn_fault()
+        self.exchange.statistics.connections += 1
+        self.exchange.statistics.acked += 1
+        self._learn_fault()
         return self.info
-
-    def _handshake_error(self, patience: float) -> HandshakeError:
-        heard = self.exchange.splitter
-        if heard.other_version is not None:
-            return HandshakeError(
-                f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them"
-            )
-        what = (
-            f"{heard.received_bytes} bytes received that are no answer"
-            if heard.received_bytes
-            else "silence"
-        )
-        what = "an echo of what is sent" if self.exchange.host_frames else what
-        return HandshakeError(
-            f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details"
-        )
 
     def request(self, name: str, fields: Fields | None = None, flags: int = 0) -> Frame:
         """Send a message, require that the hand executes it, and return the answer.
@@ -209,7 +180,7 @@ class Connection:
             raise
         if answer.name == "ack" and answer.number("reason") != Reason.ok:
             raise self._refusal(Frame(name, fields=fields or {}), answer)
-        self._statistics.acked += 1
+        self.exchange.statistics.acked += 1
         return answer
 
     def raise_unasked(self, what: str) -> None:
@@ -221,22 +192,22 @@ class Connection:
         if refused is not None:
             raise self._refusal(*refused)
         if self.known.in_fault:
-            self.learn_fault()
+            self._learn_fault()
             raise self.known.fault_error(what)
 
     def _refusal(self, message: Frame, answer: Frame) -> RejectedError:
-        self._statistics.rejected += 1
-        self.learn_fault()
+        self.exchange.statistics.rejected += 1
+        self._learn_fault()
         return self.known.refusal(message, answer)
 
-    def learn_fault(self) -> None:
+    def _learn_fault(self) -> None:
         """Request the kind of a fault whose FAULT frame was lost."""
         if self.known.in_fault and self.known.fault == Fault.none.name:
             self._ask_status()
 
     def _ask_status(self) -> None:
         with suppress(LinkTimeout, PortError):
-            self.exchange.request("status", _FIELDS["status"], 0, self._timeout, self._attempts)
+            self.exchange.request("status", timeout=self._timeout, attempts=self._attempts)
 
     @interrupts.closing
     def end(self, error: BaseException | None = None) -> None:
@@ -251,13 +222,16 @@ class Connection:
         """
         if self.ended:
             return
+        unconfirmed = ""
         interrupt = None
         try:
             if self._owner == os.getpid():
                 with self._turns.preempt("close()", lambda: self.exchange.send("clear")):
-                    unconfirmed, interrupt = ("", None) if self.ended else self._release()
-                known = isinstance(error, RejectedError) and error.reason == Reason.session.name
-                if unconfirmed and not (unconfirmed == TAKEN_OVER and known):
+                    if not self.ended:
+                        greeted = self.info is not None
+                        unconfirmed, interrupt = release(self.exchange, greeted, self._timeout)
+                told = isinstance(error, RejectedError) and error.reason == Reason.session.name
+                if unconfirmed and not (unconfirmed == TAKEN_OVER and told):
                     if error is not None:
                         error.add_note(unconfirmed)
                     if not isinstance(error, HandshakeError):
@@ -267,8 +241,8 @@ class Connection:
                 self.exchange.transport.close()
             if not self.ended:
                 self.ended = True
-                self._statistics.bad_frames += self.exchange.splitter.rejected_frames
-                self._statistics.bad_bytes += self.exchange.splitter.rejected_bytes
+                self.exchange.statistics.bad_frames += self.exchange.splitter.rejected_frames
+                self.exchange.statistics.bad_bytes += self.exchange.splitter.rejected_bytes
                 self.known.forget()
                 interrupts.link_closed(self)
         already_ending = isinstance(error, KeyboardInterrupt | SystemExit)
@@ -276,51 +250,19 @@ class Connection:
             raise interrupt
         interrupts.deliver(already_ending)
 
-    def _last_words(self) -> Iterator[str]:
-        """Messages that end the pulses: all of them once, and then again for `LAST_WORDS_TIME`."""
-        if self.info is None:
-            yield from _LAST_WORDS_UNGREETED
-            return
-        clock = self.exchange.transport.now
-        until = clock() + LAST_WORDS_TIME
-        if self.known.fault == Fault.estop.name:  # its pulses are off, and CLEAR would leave it
-            yield "status"
-        yield from _LAST_WORDS
-        while self.known.may_have_power and clock() < until and not self._port_gone:
-            yield from _LAST_WORDS
 
-    def _release(self) -> tuple[str, BaseException | None]:
-        """Send CLEAR, then ESTOP, until the hand confirms that its pulses are off.
-
-        Returns:
-            A sentence on the failed attempts, empty if the hand has confirmed; and the interrupt
-            received in the meantime (`KeyboardInterrupt`, `SystemExit`), or None.
-        """
-        sent_before = dict(self.exchange.sent)
-        failure = "no answer"
-        interrupt = None
-        for name in self._last_words():
-            try:
-                for word in (name, "status"):  # if refused, or only HELLO, query the state
-                    if self.known.may_have_power:
-                        answer = self.exchange.request(word, _FIELDS.get(word), 0, self._timeout, 1)
-                        if answer.name == "ack" and answer.number("reason") == Reason.session:
-                            return TAKEN_OVER, interrupt
-            except LinkTimeout:
-                pass
-            except Exception as error:
-                failure = str(error)
-                self._port_gone = isinstance(error, PortError)
-            except BaseException as error:
-                interrupt = interrupt or error
-        if not self.known.may_have_power:
-            return "", interrupt
-        counts = (
-            (name.upper(), count - sent_before[name]) for name, count in self.exchange.sent.items()
+def _handshake_error(exchange: Exchange, patience: float) -> HandshakeError:
+    heard = exchange.splitter
+    if heard.other_version is not None:
+        return HandshakeError(
+            f"the hand speaks protocol {heard.other_version}, this library {VERSION}: update one of them"
         )
-        tried = ", ".join(f"{name} × {count}" for name, count in counts if count)
-        advice = "if the servos hold, switch their supply off; the hand's watchdog acts by itself if it was armed"
-        return (
-            f"the hand has not confirmed that it has no pulses (sent {tried or 'nothing'}: {failure}); {advice}",
-            interrupt,
-        )
+    what = (
+        f"{heard.received_bytes} bytes received that are no answer"
+        if heard.received_bytes
+        else "silence"
+    )
+    what = "an echo of what is sent" if exchange.host_frames else what
+    return HandshakeError(
+        f"no hand answered within {patience:g} s ({what}); run `hpac doctor` for details"
+    )

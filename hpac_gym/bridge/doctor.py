@@ -11,7 +11,7 @@ from hpac_gym.bridge.errors import BridgeError, HandshakeError, LinkTimeout, Por
 from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import Frame, FrameSplitter
 from hpac_gym.bridge.protocol import VERSION, Reason, name_of
-from hpac_gym.bridge.reports import HandInfo, HandStatus, KnownState
+from hpac_gym.bridge.reports import HandInfo, HandStatus
 from hpac_gym.bridge.transport import Transport, open_transport
 from hpac_gym.model import HPAC, Hand
 
@@ -67,7 +67,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
         what, _, advice = _without_name(error, name).partition("; ")
         return Finding(name, False, what, advice)
     statistics = LinkStatistics()
-    exchange = Exchange(transport, statistics, KnownState())
+    exchange = Exchange(transport, statistics)
     try:
         answer = _look(exchange)
         if answer.name == "ack":
@@ -81,7 +81,7 @@ def diagnose(name: str, port: str | Callable[[], Transport], hand: Hand = HPAC) 
                 what,
                 "stop the program that controls it before you start another, or run hpac estop",
             )
-        answer = exchange.request("status", {"period_ms": 0})
+        answer = exchange.request("status")
         if answer.name == "ack":
             return _refused(name, "STATUS", answer)
         return _judge(name, info, HandStatus.from_frame(answer), statistics, hand)

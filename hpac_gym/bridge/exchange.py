@@ -135,10 +135,11 @@ class Exchange:
     """The exchange of frames over one connection, in a session of its own.
 
     Args:
-        known: known state of the hand, updated by every frame.
         check: called at every step of a call; raises `StoppedError` if the call must end.
 
     Attributes:
+        known: the state of the hand, updated by every frame.
+        statistics: the counters that it updates.
         session: nonce of this controller's HELLO, which its other messages carry.
         sent: number of frames written, by message name.
         refused: the latest refused message that was sent without waiting for an answer, and its
@@ -152,7 +153,6 @@ class Exchange:
         self,
         transport: Transport,
         statistics: LinkStatistics,
-        known: KnownState,
         check: Callable[[], None] = lambda: None,
         log: WireLog | None = None,
     ) -> None:
@@ -163,8 +163,8 @@ class Exchange:
         self.refused: tuple[Frame, Frame] | None = None
         self.host_frames = 0
         self.on_ack: WeakMethod[Callable[[Frame, Frame], None]] | None = None
-        self._statistics = statistics
-        self._known = known
+        self.statistics = statistics
+        self.known = KnownState()
         self._check = check
         self._log = log
         self._seq = 0
@@ -195,14 +195,14 @@ class Exchange:
         try:
             for attempt in range(attempts):
                 waiting.repeated = attempt > 0
-                self._statistics.retried += waiting.repeated
+                self.statistics.retried += waiting.repeated
                 self._write(frame)
                 self._receive_until(self.transport.now() + timeout, waiting)
                 if waiting.answer is not None:
                     return waiting.answer
         finally:
             del self._open[frame.seq]
-        self._statistics.timeouts += 1
+        self.statistics.timeouts += 1
         raise LinkTimeout(f"no answer to {name}: {attempts} times, {timeout:g} s each")
 
     def send(self, name: str, fields: Fields | None = None, flags: int = 0) -> int:
@@ -227,24 +227,21 @@ class Exchange:
 
     def _frame(self, name: str, fields: Fields | None, flags: int) -> Frame:
         self._seq = self._seq % _SEQ_MAX + 1  # 0 is reserved for unsolicited messages of the hand
-        ours = {
-            part.name: self.session
-            for part in MESSAGES[name].fields
-            if part.name in ("session", "nonce")
-        }
+        usual = {"session": self.session, "nonce": self.session, "period_ms": 0}
+        ours = {part.name: usual[part.name] for part in MESSAGES[name].fields if part.name in usual}
         return Frame(name, self._seq, flags, ours | dict(fields or {}))
 
     def _write(self, frame: Frame) -> None:
         """Write a frame to the port before counting and logging it, so that nothing delays it."""
         data = encode(frame)
         self.sent[frame.name] += 1
-        self._known.about_to_send(frame.name)
+        self.known.about_to_send(frame.name)
         try:
             self.transport.write(data)
         except PortError:
             self._check()
             raise
-        self._statistics.sent += 1
+        self.statistics.sent += 1
         self._record("sent", data[1:-1], frame)
 
     def _receive_until(self, deadline: float, waiting: _Open | None) -> None:
@@ -267,7 +264,7 @@ class Exchange:
         if MESSAGES[frame.name].from_host:
             self.host_frames += 1
             return
-        self._statistics.received += 1
+        self.statistics.received += 1
         round_trip = answered = None
         waiting = self._open.get(frame.seq)
         if waiting is not None and waiting.answer is None and _is_answer(frame, waiting.name):
@@ -275,7 +272,7 @@ class Exchange:
             answered = waiting.name
             round_trip = self.transport.now() - waiting.sent_at
             if not waiting.repeated:
-                self._statistics.round_trips.append(round_trip)
+                self.statistics.round_trips.append(round_trip)
         elif frame.name == "ack":
             sent = next((sent for sent in self._unacknowledged if sent.seq == frame.seq), None)
             on_ack = self.on_ack and self.on_ack()
@@ -283,7 +280,7 @@ class Exchange:
                 on_ack(sent, frame)
             elif sent is not None and frame.number("reason") != Reason.ok:
                 self.refused = sent, frame
-        self._known.take_in(frame, answered)
+        self.known.take_in(frame, answered)
         self._record("received", encoded, frame, round_trip)
 
     def _record(
@@ -294,8 +291,8 @@ class Exchange:
         try:
             self._log.record(self.transport.now(), direction, encoded, frame, round_trip)
         except Exception as error:  # a failing log must not affect the link
-            self._statistics.unlogged += 1
-            if self._statistics.unlogged == 1:
+            self.statistics.unlogged += 1
+            if self.statistics.unlogged == 1:
                 tell(
                     LogWarning(
                         f"the wire log cannot be written, the link continues without it: {error}"

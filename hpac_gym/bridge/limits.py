@@ -5,6 +5,7 @@ Host and firmware compare the hash in the handshake, so that a host drives only 
 limits that it knows."""
 
 import struct
+import warnings
 import zlib
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
@@ -12,9 +13,10 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hpac_gym.bridge.errors import FrameError
+from hpac_gym.bridge.errors import ClippedWarning, FrameError
 from hpac_gym.bridge.protocol import ANGLE_UNIT, CONSTANTS, PULSE, VERSION
 from hpac_gym.model import HPAC, SERVOS, Hand
+from hpac_gym.model.checks import Array
 
 HASHED_PULSE = ("period_ns", "min_ns", "max_ns")
 HASHED_CONSTANTS = (
@@ -63,6 +65,39 @@ def servo_limits(hand: Hand = HPAC) -> tuple[ServoLimits, ...]:
         )
         for i, name in enumerate(SERVOS)
     )
+
+
+class BoardTable:
+    """The servo table that a board was flashed for, and the hand that is commanded on it.
+
+    Attributes:
+        hand: the hand that is commanded.
+        built_for: the hand whose table the board has.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        self.hand = hand
+        self.built_for = hand
+        self._told_clipped = False
+
+    def within(self, servo: Array) -> Array:
+        """Servo angles, shape (6,) [rad]; on a board that was flashed for the nominal hand, those
+        of another hand are clipped to its range, and the first that is clipped is told.
+        """
+        if self.built_for is self.hand:
+            return np.asarray(servo)
+        clipped = np.clip(servo, self.built_for.servo_min, self.built_for.servo_max)
+        beyond = np.abs(clipped - servo) > ANGLE_UNIT / 2
+        if beyond.any() and not self._told_clipped:
+            self._told_clipped = True
+            worst = int(np.argmax(np.abs(clipped - servo)))
+            warnings.warn(
+                f"servo {SERVOS[worst]}: {servo[worst]:.4f} rad is clipped to {clipped[worst]:.4f} rad, the bound of the "
+                f"board, which was flashed for '{self.built_for.name}' and not for '{self.hand.name}'",
+                ClippedWarning,
+                stacklevel=4,
+            )
+        return clipped
 
 
 def limits_hash(

@@ -14,15 +14,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 from weakref import WeakMethod
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.bridge.errors import FrameError, LinkTimeout
-from hpac_gym.bridge.exchange import Exchange
 from hpac_gym.bridge.frame import Fields, Frame
+from hpac_gym.bridge.line import Line
 from hpac_gym.bridge.protocol import ANGLE_UNIT, Reason
 from hpac_gym.bridge.reports import HandStatus
 from hpac_gym.model import SERVOS
@@ -86,21 +85,6 @@ class StreamCounts:
     """Longest time after its own at which a command was sent [s]."""
 
 
-class Link(Protocol):
-    """What a stream needs of a `HandLink`."""
-
-    @property
-    def exchange(self) -> Exchange: ...
-    @property
-    def last_status(self) -> HandStatus | None: ...
-    @property
-    def rate_limit(self) -> Array: ...
-    def status(self) -> HandStatus: ...
-    def within_table(self, servo: Array) -> Array: ...
-    def send_unanswered(self, name: str, fields: Fields) -> int: ...
-    def listen(self, seconds: float, what: str) -> None: ...
-
-
 class Stream:
     """Commands to an armed hand at a fixed rate, on an absolute clock.
 
@@ -118,7 +102,7 @@ class Stream:
         period: time between two commands [s].
     """
 
-    def __init__(self, link: Link, period: float, early: float) -> None:
+    def __init__(self, link: Line, period: float, early: float) -> None:
         if not _PERIODS[0] <= period <= _PERIODS[1]:
             raise FrameError(f"period = {period} s, allowed {_PERIODS[0]} to {_PERIODS[1]} s")
         if not 0 <= early <= period:
@@ -155,7 +139,7 @@ class Stream:
             FaultError: A fault has latched. RejectedError: another program has taken the hand over.
             LinkTimeout, PortError: No answer to any command for a second; the port is gone.
         """
-        target = self._link.within_table(as_finite_vector(target, len(SERVOS), "target"))
+        target = self._link.board.within(as_finite_vector(target, len(SERVOS), "target"))
         if not self._waited:
             self.wait()
         self._waited = False
@@ -163,7 +147,7 @@ class Stream:
         met = np.stack([ramp.poses(now, self._early) for ramp in self._ramps.values()])
         low = met[:, 0].min(axis=0)
         high = met[:, 1].max(axis=0)
-        rate = self._share * self._link.rate_limit
+        rate = self._share * self._link.board.built_for.servo_rate_limit
         reach = AHEAD * self.period * rate
         start = np.clip(met[-1].mean(axis=0), high - reach, low + reach)
         # All six arrive together, as in every move: the way is shortened, not bent.
@@ -178,7 +162,7 @@ class Stream:
         fields: Fields = {"duration_ms": duration_ms, "servo": tuple(steps.tolist())}
         number = self._link.send_unanswered("move", fields)
         self._ramps[number] = Ramp(low, high, to, now, now + 1e-3 * duration_ms)
-        self._asked[self._exchange.send("status", {"period_ms": 0})] = number, now
+        self._asked[self._exchange.send("status")] = number, now
         self.counts.sent += 1
         later: Array = start + min(1.0, 1e3 * self.period / duration_ms) * (to - start)
         return later

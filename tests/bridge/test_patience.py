@@ -20,7 +20,7 @@ from hpac_gym.bridge import (
     StoppedError,
     UnconfirmedWarning,
     connection,
-    link,
+    line,
 )
 from hpac_gym.bridge.connection import Turns
 from hpac_gym.bridge.doctor import _judge, _unanswered, diagnose
@@ -28,8 +28,7 @@ from hpac_gym.bridge.exchange import Exchange, LinkStatistics
 from hpac_gym.bridge.frame import Frame, FrameSplitter, decode, encode
 from hpac_gym.bridge.hands import VirtualTransport
 from hpac_gym.bridge.protocol import FLAG_MINIMUM_JERK, FLAG_NO_ACK, MESSAGES
-from hpac_gym.bridge.reports import KnownState
-from hpac_gym.model import ServoCommand
+from hpac_gym.model import HPAC, ServoCommand
 
 
 class Overheard(VirtualTransport):
@@ -279,7 +278,7 @@ def test_what_is_no_frame_is_counted_when_the_connection_ends(virtual_hand):
 
 
 def test_sequence_numbers_go_round_without_zero(virtual_hand):
-    exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
+    exchange = Exchange(virtual_hand.connect(), LinkStatistics())
     exchange._seq = 0xFFFE
     assert [exchange._frame("status", {"period_ms": 0}, 0).seq for _ in range(3)] == [0xFFFF, 1, 2]
 
@@ -301,9 +300,7 @@ def test_a_call_that_is_stopped_says_so_whatever_the_port_does(virtual_hand, met
     transport = virtual_hand.connect()
     setattr(transport, method, stop)
     with pytest.raises(StoppedError):
-        Exchange(transport, LinkStatistics(), KnownState(), check).request(
-            "estop", timeout=0.0, attempts=1
-        )
+        Exchange(transport, LinkStatistics(), check).request("estop", timeout=0.0, attempts=1)
 
 
 @pytest.mark.parametrize("method", ["write", "read"])
@@ -317,7 +314,7 @@ def test_a_port_that_fails_in_one_direction_ends_the_call_at_once(virtual_hand, 
     transport = virtual_hand.connect()
     setattr(transport, method, fail)
     with pytest.raises(PortError, match="the cable is off"):
-        Exchange(transport, LinkStatistics(), KnownState()).request("estop")
+        Exchange(transport, LinkStatistics()).request("estop")
     assert len(calls) == 1
 
 
@@ -347,7 +344,7 @@ def test_doctor_calls_more_than_ten_and_one_in_a_hundred_damaged_frames_noise(
         status.counters.update(
             {"bad_crc": 0, "bad_frame": 0, "overrun": 0, "accepted": accepted} | {counter: bad}
         )
-        finding = _judge("here", talking.info, status, LinkStatistics(), talking._hand)
+        finding = _judge("here", talking.info, status, LinkStatistics(), HPAC)
         assert (finding.port, finding.healthy) == ("here", not noisy)
         assert ("line noise" in finding.advice) is noisy
         assert not noisy or f"{bad} damaged frames" in finding.what
@@ -374,14 +371,14 @@ def test_doctor_takes_nine_in_ten_printable_bytes_for_text(heard, what):
 def test_doctor_tells_what_the_board_measures_the_trims_and_the_round_trip_in_milliseconds(talking):
     statistics = LinkStatistics()
     statistics.round_trips.extend([0.001, 0.002, 0.009])
-    plain = _judge("here", talking.info, talking.status(), statistics, talking._hand).what
+    plain = _judge("here", talking.info, talking.status(), statistics, HPAC).what
     assert "round trip 2.0 ms" in plain
     assert not any(word in plain for word in ("supply", "heat", "trims"))
     status = dataclasses.replace(
         talking.status(), supply=5.018, heat=np.array([0, 0, 0.34, 0.1, 0, 0])
     )
     info = dataclasses.replace(talking.info, trim_ns=(0, -300, 0, 0, 0, 20_000))
-    what = _judge("here", info, status, LinkStatistics(), talking._hand).what
+    what = _judge("here", info, status, LinkStatistics(), HPAC).what
     assert "boot 1, supply 5.02 V, heat up to 34%, trims 0 -300 0 0 0 20000 ns" in what
 
 
@@ -460,9 +457,9 @@ def test_reconnecting_is_tried_every_twentieth_of_a_second_for_ten(monkeypatch):
     def refuse():
         raise PortError("no such port")
 
-    monkeypatch.setattr(link, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(line, "monotonic", lambda: clock[0])
     monkeypatch.setattr(
-        link,
+        line,
         "sleep",
         lambda seconds: (pauses.append(seconds), clock.__setitem__(0, clock[0] + seconds)),
     )

@@ -338,7 +338,7 @@ def test_a_log_line_has_microseconds_and_a_tenth_of_them_for_a_round_trip(tmp_pa
 
 
 def test_unacknowledged_numbers_are_forgotten_after_a_while(virtual_hand):
-    exchange = Exchange(virtual_hand.connect(), LinkStatistics(), KnownState())
+    exchange = Exchange(virtual_hand.connect(), LinkStatistics())
     for _ in range(300):
         exchange.send("heartbeat", {}, FLAG_NO_ACK)
     assert [frame.seq for frame in exchange._unacknowledged] == list(range(45, 301))

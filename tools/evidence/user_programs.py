@@ -285,7 +285,7 @@ interrupts.interrupts.install = lambda: None
 """,
     "release": """
 from hpac_gym.bridge import connection
-connection.Connection._release = lambda self: ("", None)
+connection.release = lambda *_: ("", None)
 """,
     "finalizer": """
 import weakref

@@ -110,16 +110,11 @@ class Device:
         self.transport.write(wire.frame(kind, seq, payload, flags, version))
         return seq
 
-    def ask(
-        self,
-        kind: int,
-        payload: bytes = b"",
-        flags: int = 0,
-        version: int = wire.VERSION,
-        seq: int | None = None,
-    ) -> wire.Message:
-        """Send a frame and return the first answer with its sequence number, or `SILENCE`."""
-        seq = self.send(kind, payload, flags, version, seq)
+    def ask(self, kind: int, payload: bytes = b"", **how: int) -> wire.Message:
+        """Send a frame, `how` as in `send`, and return the first answer with its sequence number,
+        or `SILENCE`.
+        """
+        seq = self.send(kind, payload, **how)
         until = self.transport.now() + self._patience
         while (left := until - self.transport.now()) > 0:
             heard = self._reader.push(self.transport.read(left))

@@ -1,0 +1,349 @@
+"""The rules of docs/wire.md on what moves a hand and what stops it: ARM, MOVE, the watchdog, ESTOP,
+CLEAR, and the reports of it.
+"""
+
+import struct
+from collections.abc import Callable
+
+from hpac_gym.bridge.evidence import codec as wire
+from hpac_gym.bridge.evidence.device import OURS, SESSION, SILENCE, SLACK, Device, Status
+from hpac_gym.bridge.protocol import CONSTANTS, Action, Fault, Reason, State, name_of
+from hpac_gym.model import SERVOS
+
+EARLY = 0.02  # what a device's clock may be ahead in a fifth of a second [s]
+SILENT_AT = 2000  # pose above rest in which the host falls silent [1e-4 rad]
+
+
+def _arm_bounds(d: Device) -> None:
+    d.idle()
+    d.must(Reason.limits, wire.ARM, d.arm(hash_=d.hash ^ 1), "with another limits hash")
+    d.must(Reason.action, wire.ARM, d.arm(action=3), "with action 3")
+    for watchdog_ms in (
+        0,
+        CONSTANTS["watchdog_min_ms"] - 1,
+        CONSTANTS["watchdog_max_ms"] + 1,
+        0xFFFF,
+    ):
+        d.must(
+            Reason.period,
+            wire.ARM,
+            d.arm(watchdog_ms=watchdog_ms),
+            f"with a watchdog of {watchdog_ms} ms",
+        )
+    d.must_be(State.idle, "after refused ARMs", powered=False)
+
+
+def _starting(d: Device) -> None:
+    d.idle()
+    d.must(Reason.ok, wire.ARM, d.arm())
+    d.must(Reason.starting, wire.MOVE, d.move(0), "right after ARM")
+    seen = []
+    last = 0
+    for _ in range(600):
+        status = d.status()
+        d.expect(
+            status.attached & last == last,
+            f"servos {status.attached:06b} after {last:06b}: one has lost its pulses",
+        )
+        d.expect(
+            (status.attached ^ last).bit_count() <= 1,
+            f"servos {status.attached:06b} after {last:06b}: two at once",
+        )
+        seen += [status.attached] if status.attached != last else []
+        last = status.attached
+        if last == 0x3F and not status.moving:
+            break
+        d.live(0.01)
+    d.expect(
+        len(seen) == len(SERVOS), f"servos started in {len(seen)} steps, must be {len(SERVOS)}"
+    )
+    d.must(Reason.ok, wire.MOVE, d.move(0, 400), "once the hand is at rest")
+
+
+def _moves(d: Device) -> None:
+    d.armed()
+    d.moved(2000)
+    d.moved(500)
+    d.must(Reason.ok, wire.MOVE, d.move(2500, 800), "with minimum jerk", flags=wire.MINIMUM_JERK)
+    d.live(0.4)
+    status = d.status()
+    d.expect(status.moving == 1, "in the middle of a move it says that it does not move")
+    half = [abs(at - rest - 1500) for at, rest in zip(status.servo, d.rest, strict=True)]
+    d.expect(
+        max(half) < 600,
+        f"half-way through minimum jerk {status.servo}, {max(half)} from the middle [1e-4 rad]",
+    )
+    d.live(0.4 + SLACK)
+    d.moved(0)
+
+
+def _move_bounds(d: Device) -> None:
+    d.armed()
+    for i, servo in enumerate(d.limits):
+        for wrong in (servo.min_urad // 100 - 1, servo.max_urad // 100 + 1, -32768, 32767):
+            got = d.refusal(
+                wire.MOVE,
+                d.move([wrong if j == i else rest for j, rest in enumerate(d.rest)], 10_000),
+            )
+            d.expect(
+                got == (Reason.angle, i),
+                f"{SERVOS[i]} to {wrong} [1e-4 rad]: {got}, must be angle at servo {i}",
+            )
+        d.live(0.01)
+    for duration_ms in (0, CONSTANTS["move_min_ms"] - 1, CONSTANTS["move_max_ms"] + 1, 0xFFFF):
+        d.must(Reason.duration, wire.MOVE, d.move(0, duration_ms), f"of {duration_ms} ms")
+    for i, servo in enumerate(d.limits):
+        way = servo.rate_urad_s // 100 // 10  # what 0.1 s allows
+        target = [rest + 3 * way // 2 if j == i else rest for j, rest in enumerate(d.rest)]
+        got = d.refusal(wire.MOVE, d.move(target, 100))
+        d.expect(
+            got == (Reason.rate, i),
+            f"{SERVOS[i]} at 1.5 times its rate limit: {got}, must be rate at servo {i}",
+        )
+        d.live(0.01)
+    status = d.status()
+    d.expect(
+        not status.moving and list(status.servo) == d.rest,
+        f"after refused moves {status.servo}, must be {d.rest}",
+    )
+
+
+def _repeats(d: Device) -> None:
+    d.armed()
+    seq = d.send(wire.HEARTBEAT, OURS) + 100
+    first = d.move(1000)
+    d.must(Reason.ok, wire.MOVE, first, "newer", seq=seq)
+    d.live(0.4 + SLACK)
+    d.must(Reason.ok, wire.MOVE, first, "the same frame again", seq=seq)
+    d.must(Reason.stale, wire.MOVE, d.move(1500), "another MOVE of the same number", seq=seq)
+    d.must(Reason.stale, wire.MOVE, first, "an older number", seq=seq - 1)
+    d.must(
+        Reason.stale,
+        wire.MOVE,
+        first,
+        "a number half the circle ahead",
+        seq=(seq + 0x8000) % 0x10000,
+    )
+    status = d.status()
+    d.expect(not status.moving, "a repeated or old MOVE moves the hand")
+    d.expect(status.last_seq == seq, f"last_seq {status.last_seq}, must be {seq}")
+    d.must(
+        Reason.ok, wire.MOVE, d.move(500), "the largest step ahead", seq=(seq + 0x7FFF) % 0x10000
+    )
+
+
+def _repeat_after_clear(d: Device) -> None:
+    d.armed()
+    seq = d.send(wire.HEARTBEAT, OURS) + 100
+    d.must(Reason.ok, wire.MOVE, d.move(1000), seq=seq)
+    d.must(Reason.ok, wire.CLEAR, OURS)
+    d.must(Reason.ok, wire.ARM, d.arm())
+    d.started()
+    d.must(Reason.stale, wire.MOVE, d.move(1000), "that was carried out before CLEAR", seq=seq)
+
+
+def _no_ack(d: Device) -> None:
+    d.armed(watchdog_ms=CONSTANTS["watchdog_max_ms"])
+    d.expect(
+        d.ask(wire.HEARTBEAT, OURS, flags=wire.NO_ACK) is SILENCE,
+        "HEARTBEAT without ACK was answered",
+    )
+    d.live(0.01)
+    d.expect(
+        d.ask(wire.MOVE, d.move(300), flags=wire.NO_ACK) is SILENCE, "MOVE without ACK was answered"
+    )
+    d.live(0.01)
+    d.must(Reason.duration, wire.MOVE, d.move(0, 1), "without ACK, but refused", flags=wire.NO_ACK)
+
+
+def _silence(d: Device, action: Action, watchdog_ms: int) -> tuple[Status, float]:
+    """Let the watchdog trip; returns the STATUS afterwards, and the earliest time at which it can
+    have tripped [s].
+    """
+    d.armed(action, watchdog_ms)
+    d.moved(SILENT_AT)
+    expires = d.transport.now() + watchdog_ms * 1e-3
+    d.must(Reason.ok, wire.HEARTBEAT, OURS)
+    d.unasked.clear()
+    d.listen(watchdog_ms * 1e-3 - 0.04)
+    d.must_be(State.armed, f"40 ms before the watchdog's {watchdog_ms} ms:")
+    d.listen(0.04 + SLACK)
+    status = d.must_be(State.fault, f"after {watchdog_ms} ms of silence", Fault.watchdog)
+    d.must_have_told(Fault.watchdog)
+    return status, expires
+
+
+def _watchdog_detach(d: Device) -> None:
+    for watchdog_ms in (CONSTANTS["watchdog_min_ms"], CONSTANTS["watchdog_max_ms"]):
+        status, _ = _silence(d, Action.detach, watchdog_ms)
+        d.expect(not status.attached, f"detach leaves servos {status.attached:06b} with pulses")
+
+
+def _watchdog_relax(d: Device) -> None:
+    before, expires = _silence(d, Action.relax, 100)
+    d.expect(
+        before.attached == 0x3F,
+        f"relax has taken the pulses of servos {before.attached ^ 0x3F:06b} at once",
+    )
+    d.listen(0.1)
+    status = d.status()
+    gone = [
+        abs(was - rest) - abs(at - rest)
+        for was, at, rest in zip(before.servo, status.servo, d.rest, strict=True)
+    ]
+    d.expect(
+        min(gone) > 0,
+        f"relax takes servo {gone.index(min(gone))} by {min(gone)} towards rest in 0.1 s [1e-4 rad]",
+    )
+    way = max(abs(rest + SILENT_AT - at) for at, rest in zip(status.servo, d.rest, strict=True))
+    rate = max(servo.rate_urad_s // 100 for servo in d.limits) * CONSTANTS["relax_permille"] / 1000
+    most = rate * (d.transport.now() - expires + EARLY)
+    d.expect(way <= most, f"relax has gone {way} [1e-4 rad], at most {most:.0f} at its rate")
+    d.listen(1.5)
+    status = d.status()
+    d.expect(
+        not status.attached and list(status.servo) == d.rest,
+        f"after relax {status.servo}, servos {status.attached:06b}",
+    )
+
+
+def _watchdog_hold(d: Device) -> None:
+    before, _ = _silence(d, Action.hold, 100)
+    d.listen(CONSTANTS["hold_max_ms"] * 1e-3 - 1.0)
+    status = d.status()
+    d.expect(
+        status.attached == 0x3F and status.servo == before.servo,
+        f"hold: {status.servo}, servos {status.attached:06b}",
+    )
+    d.listen(1.0 + 1.5)
+    d.must_be(State.fault, "1.5 s after hold must have become relax", powered=False)
+
+
+def _watchdog_food(d: Device) -> None:
+    d.armed(Action.detach, 200)
+    d.live(1.0)
+    d.must_be(State.armed, "with a HEARTBEAT every 30 ms")
+    d.armed(Action.detach, 200)
+    before = d.status()
+    other = struct.pack("<I", 5)
+    unfit = [
+        (wire.STATUS, bytes(2)),
+        (wire.HEARTBEAT, other),
+        (wire.HELLO, bytes(4)),
+        (wire.MOVE, d.move(0, 1)),
+    ]
+    for kind, payload in unfit * 5:
+        d.send(kind, payload)
+        d.listen(0.02)
+    status = d.must_be(State.fault, "after 0.4 s of STATUS, strangers and refused MOVEs")
+    d.expect(
+        status.trips - before.trips == 1,
+        f"watchdog_trips counts {status.trips - before.trips} of 1",
+    )
+
+
+def _estop(d: Device) -> None:
+    kinds = (
+        (0, b"", wire.VERSION),
+        (0xFF, b"", wire.VERSION),
+        (0, bytes(7), wire.VERSION),
+        (0, b"", 1),
+        (9, b"\1", 200),
+    )
+    for flags, payload, version in kinds:
+        d.armed(Action.hold)
+        d.unasked.clear()
+        text = f"with flags {flags}, {len(payload)} bytes, version {version}"
+        d.must(Reason.ok, wire.ESTOP, payload, text, flags=flags, version=version)
+        d.must_be(State.fault, "after ESTOP", Fault.estop, powered=False)
+        d.must_have_told(Fault.estop)
+    d.idle()
+    d.must(Reason.ok, wire.ESTOP, b"", "in IDLE")
+    d.must_be(State.fault, "after ESTOP in IDLE", Fault.estop)
+
+
+def _latched(d: Device) -> None:
+    d.armed()
+    d.must(Reason.ok, wire.ESTOP)
+    d.must(Reason.state, wire.ARM, d.arm(), "in a fault")
+    d.must(Reason.state, wire.MOVE, d.move(0), "in a fault")
+    d.must(Reason.ok, wire.HEARTBEAT, OURS, "in a fault")
+    d.must(Reason.session, wire.CLEAR, struct.pack("<I", 5), "of another session, in a fault")
+    hello = d.hello(SESSION)
+    d.expect(hello.state == State.fault, f"HELLO leaves the fault: {name_of(State, hello.state)}")
+    d.must_be(State.fault, "after all but CLEAR", Fault.estop, powered=False)
+    d.must(Reason.ok, wire.CLEAR, OURS, "in a fault")
+    d.must_be(State.idle, "after CLEAR", Fault.none)
+
+
+def _clear(d: Device) -> None:
+    d.armed()
+    d.must(Reason.ok, wire.MOVE, d.move(2000))
+    d.live(0.1)
+    d.must(Reason.ok, wire.CLEAR, OURS, "in a move")
+    status = d.must_be(State.idle, "after CLEAR", powered=False)
+    d.expect(not status.moving, "after CLEAR in a move it says that it moves")
+    d.listen(0.5)
+    later = d.status()
+    d.expect(
+        later.servo == status.servo,
+        f"after CLEAR the commanded pose goes on from {status.servo} to {later.servo}",
+    )
+    d.must(Reason.ok, wire.CLEAR, OURS, "in IDLE")
+
+
+def _periodic(d: Device) -> None:
+    d.idle()
+    d.must(
+        Reason.period, wire.STATUS, struct.pack("<H", CONSTANTS["status_min_ms"] - 1), "every 9 ms"
+    )
+    for ended_by in ("STATUS 0", "HELLO"):
+        d.status(50)
+        d.unasked.clear()
+        d.listen(1.0)
+        count = sum(
+            message.kind == wire.DEVICE_STATUS and message.seq == 0 for message in d.unasked
+        )
+        d.expect(17 <= count <= 21, f"{count} STATUS of number 0 in 1 s, must be 20")
+        d.hello(SESSION) if ended_by == "HELLO" else d.status(0)
+        d.unasked.clear()
+        d.listen(0.3)
+        d.expect(
+            not d.unasked, f"after {ended_by} it still sends {len(d.unasked)} messages by itself"
+        )
+
+
+def _counters(d: Device) -> None:
+    d.idle()
+    before = d.status()
+    for _ in range(5):
+        d.must(Reason.ok, wire.HEARTBEAT, OURS)
+        d.must(Reason.state, wire.MOVE, d.move(0))
+    status = d.status()
+    accepted = (status.accepted - before.accepted) % 2**32
+    d.expect(accepted == 6, f"accepted counts {accepted}, must be 6")
+    d.expect(
+        status.refused - before.refused == 5,
+        f"refused counts {status.refused - before.refused}, must be 5",
+    )
+
+
+MOTION_RULES: dict[str, Callable[[Device], None]] = {
+    "ARM checks hash, action and watchdog": _arm_bounds,
+    "servos start one after the other; MOVE waits for them": _starting,
+    "MOVE arrives; minimum jerk": _moves,
+    "MOVE out of limits, too fast, too short, too long is refused": _move_bounds,
+    "a MOVE comes once; old numbers are refused": _repeats,
+    "a MOVE from before CLEAR is refused": _repeat_after_clear,
+    "no ACK where none is wanted, refusals always": _no_ack,
+    "silence: detach": _watchdog_detach,
+    "silence: relax": _watchdog_relax,
+    "silence: hold, then relax": _watchdog_hold,
+    "messages that feed the watchdog, and others": _watchdog_food,
+    "ESTOP is accepted from any sender, with any contents": _estop,
+    "a fault is latched until CLEAR": _latched,
+    "CLEAR stops motion and pulses": _clear,
+    "periodic STATUS": _periodic,
+    "counters": _counters,
+}
+"""In the order of the document."""

@@ -1,0 +1,65 @@
+"""The last words to a hand: CLEAR, then ESTOP, until it confirms that its pulses are off."""
+
+from hpac_gym.bridge.errors import LinkTimeout, PortError
+from hpac_gym.bridge.exchange import Exchange
+from hpac_gym.bridge.protocol import Fault, Reason
+
+TAKEN_OVER = (
+    "another program has greeted the hand since, or the board has restarted: it is left as it is"
+)
+LAST_WORDS_TIME = 3.0
+"""How long a silent hand is asked to switch its pulses off [s]."""
+_ATTEMPTS: tuple[tuple[str, ...], ...] = (("clear", "status"),) * 3 + (("estop", "status"),) * 2
+"""Messages that end the pulses, each with a question after the state if it was refused."""
+_ATTEMPTS_UNGREETED = (("hello", "status"), ("clear", "status")) * 3
+"""The same for a device that never answered: not a hand, perhaps, or one that an earlier session
+left holding in a fault; sent once, since nothing says that a hand is there.
+"""
+
+
+def release(exchange: Exchange, greeted: bool, timeout: float) -> tuple[str, BaseException | None]:
+    """Send the last words: all of them once, and then again for `LAST_WORDS_TIME`.
+
+    Args:
+        greeted: whether the hand has answered HELLO.
+        timeout: time-out of one answer [s].
+
+    Returns:
+        A sentence on the failed attempts, empty if the hand has confirmed; and the interrupt
+        received in the meantime (`KeyboardInterrupt`, `SystemExit`), or None.
+    """
+    known = exchange.known
+    until = exchange.transport.now() + LAST_WORDS_TIME
+    sent_before = dict(exchange.sent)
+    failure = "no answer"
+    interrupt = None
+    port_gone = False
+    attempts = _ATTEMPTS if greeted else _ATTEMPTS_UNGREETED
+    if greeted and known.fault == Fault.estop.name:  # no pulses, and CLEAR would leave the fault
+        attempts = (("status",), *_ATTEMPTS)
+    while known.may_have_power and attempts:
+        for messages in attempts:
+            try:
+                for name in messages:
+                    if known.may_have_power:
+                        answer = exchange.request(name, timeout=timeout, attempts=1)
+                        if answer.name == "ack" and answer.number("reason") == Reason.session:
+                            return TAKEN_OVER, interrupt
+            except LinkTimeout:
+                pass
+            except Exception as error:
+                failure = str(error)
+                port_gone = isinstance(error, PortError)
+            except BaseException as error:
+                interrupt = interrupt or error
+        again = greeted and not port_gone and exchange.transport.now() < until
+        attempts = _ATTEMPTS if again else ()
+    if not known.may_have_power:
+        return "", interrupt
+    counts = ((name.upper(), count - sent_before[name]) for name, count in exchange.sent.items())
+    tried = ", ".join(f"{name} × {count}" for name, count in counts if count)
+    advice = "if the servos hold, switch their supply off; the hand's watchdog acts by itself if it was armed"
+    return (
+        f"the hand has not confirmed that it has no pulses (sent {tried or 'nothing'}: {failure}); {advice}",
+        interrupt,
+    )
