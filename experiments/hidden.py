@@ -24,7 +24,8 @@ from experiments.quasistatic import Built, Metal, hand_course, softened
 from experiments.results import Column, Part, rows_of, table
 from experiments.rig import NEAR_STOP, rig_of
 from hpac_gym.calibration.combinations import SweptDigit, combinations, values
-from hpac_gym.calibration.identification import IdentificationError, identify
+from hpac_gym.calibration.fitting import IdentificationError
+from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.record import EXTENDING, RecordError, Sweep, joints_of_servo
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS

@@ -14,19 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hpac_gym.calibration.combinations import SweptDigit, values
-from hpac_gym.calibration.identification import (
-    HELD_OUT_EVERY,
-    SPREAD,
-    DigitFit,
-    Identification,
-    doubts,
-    held_out_rows,
-    identify,
-)
+from hpac_gym.calibration.doubts import doubts
+from hpac_gym.calibration.fitting import DigitFit
+from hpac_gym.calibration.identification import SPREAD, Identification, identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.posterior import DRAWS, report_folder, write_draws
 from hpac_gym.calibration.record import Sweep, read_sweep
-from hpac_gym.calibration.samples import DigitSamples, digit_samples
+from hpac_gym.calibration.samples import HELD_OUT_EVERY, DigitSamples, digit_samples, held_out_rows
 from hpac_gym.figures import GREEN, GREY, RED, label, new_figure, require, save
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVOS, Hand, hand_to_toml, load_hand
 from hpac_gym.model.checks import Array

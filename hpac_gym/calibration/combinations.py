@@ -6,14 +6,16 @@ frictions, are multiplied by one factor, no angle changes. Only the combinations
 hand is reconstructed from them with the base hand's d₁, root radius, k_s and EA, on which the
 angles do not depend."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from hpac_gym.model import Digit
+from hpac_gym.model import Digit, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.model.parameters import Friction
+from hpac_gym.model.parameters import Calibration, Friction
 
 TYPICAL_FRICTION = Friction(joint=1e-3, tendon=0.03)
 """Initial friction of the fit: small sealed ball bearings, a braided tendon in polymer guides."""
@@ -114,4 +116,41 @@ def digit_with(base: Digit, wanted: Array) -> SweptDigit:
     )
     return SweptDigit(
         digit, Friction(float(joint_friction * unit), float(tendon_friction)), float(zero)
+    )
+
+
+def hand_with(
+    hand: Hand,
+    swept: Mapping[str, SweptDigit],
+    cmc: Sequence[float] | None,
+    **changes: Any,
+) -> Hand:
+    """A hand with other digits, and what else changes.
+
+    Args:
+        hand: the hand, whose digits remain where `swept` has none.
+        swept: digits with friction and servo zero, by name.
+        cmc: g_CMC and the zero of its servo [rad]; None: as of `hand`.
+        changes: other fields of the hand.
+
+    Raises:
+        ParameterError: The parameters are invalid.
+    """
+    zero = list(hand.calibration.servo_zero)
+    friction = list(hand.calibration.friction)
+    gain = hand.cmc_gain
+    for column, name in enumerate(hand.digits):
+        if name in swept:
+            zero[column] = swept[name].servo_zero
+            friction[column] = swept[name].friction
+    if cmc is not None:
+        gain, zero[-1] = cmc
+    return replace(
+        hand,
+        digits={
+            name: swept[name].digit if name in swept else hand.digits[name] for name in hand.digits
+        },
+        cmc_gain=gain,
+        calibration=Calibration(tuple(zero), tuple(friction)),
+        **changes,
     )

@@ -4,10 +4,10 @@ import numpy as np
 
 from hpac_gym.calibration.processing import (
     FAR,
-    NEIGHBOURS,
     differing_rests,
     group_means,
     noise_of,
+    off_neighbours,
     without_drift,
 )
 from hpac_gym.calibration.record import (
@@ -197,7 +197,7 @@ def _judged_joints(
         f"{where}: points of {JOINTS[joint]} lie up to {np.degrees(off):.0f}° beside the course of the others; were markers "
         "exchanged for a while?"
         for joint in own
-        if (off := _off_course(medians[:, joint])) > OFF_COURSE
+        if (off := off_neighbours(medians[:, joint]).max(initial=0.0)) > OFF_COURSE
     ]
     for joint in own:
         pair = medians[:, [root, joint]]
@@ -225,15 +225,6 @@ def _judged_joints(
                 f"a record that also has frames of the digit's return tells which"
             )
     return faults, remarks
-
-
-def _off_course(angles: Array) -> float:
-    """Largest distance of a joint's point from the running median of its neighbours [rad]."""
-    from scipy import ndimage
-
-    seen = angles[~np.isnan(angles)]
-    off = np.abs(seen - ndimage.median_filter(seen, NEIGHBOURS, mode="nearest"))
-    return float(off.max(initial=0.0))
 
 
 def lag_behind(segment: Sweep, root: int, joint: int) -> tuple[float, float]:

@@ -4,16 +4,14 @@ which `hpac calibrate` writes into the report beside the hand file, and `hpac fo
 They hold as far as the hand obeys the laws of the fit."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from hpac_gym.calibration.combinations import digit_with
+from hpac_gym.calibration.combinations import digit_with, hand_with
 from hpac_gym.calibration.identification import Identification
 from hpac_gym.errors import HpacError
 from hpac_gym.model import Hand
-from hpac_gym.model.parameters import Calibration
 from hpac_gym.output import write_text
 
 DRAWS = 50
@@ -30,38 +28,26 @@ def report_folder(hand_file: Path) -> Path:
     return hand_file.with_name(f"{hand_file.stem}-report")
 
 
-def drawn_hands(hand: Hand, found: dict[str, list[list[float]]]) -> list[Hand]:
+def drawn_hands(hand: Hand, draws: dict[str, list[list[float]]]) -> list[Hand]:
     """The hands of an identification's draws.
 
     Args:
         hand: the calibrated hand, whose numbers remain where there are no draws.
-        found: draws of each digit's `combinations` and of the CMC, as `draws_of`.
+        draws: draws of each digit's `combinations` and of the CMC, as `draws_of`.
     """
-    hands = []
-    for number in range(len(next(iter(found.values())))):
-        digits = dict(hand.digits)
-        zero = list(hand.calibration.servo_zero)
-        friction = list(hand.calibration.friction)
-        gain = hand.cmc_gain
-        for column, name in enumerate(hand.digits):
-            if name in found:
-                swept = digit_with(hand.digits[name], np.array(found[name][number]))
-                digits[name] = swept.digit
-                friction[column] = swept.friction
-                zero[column] = swept.servo_zero
-        if _CMC in found:
-            gain, zero[-1] = found[_CMC][number]
-        calibration = Calibration(tuple(zero), tuple(friction))
-        hands.append(
-            replace(
-                hand,
-                name=f"{hand.name}, draw {number}",
-                digits=digits,
-                cmc_gain=gain,
-                calibration=calibration,
-            )
+    return [
+        hand_with(
+            hand,
+            {
+                name: digit_with(hand.digits[name], np.array(draws[name][number]))
+                for name in hand.digits
+                if name in draws
+            },
+            draws[_CMC][number] if _CMC in draws else None,
+            name=f"{hand.name}, draw {number}",
         )
-    return hands
+        for number in range(len(next(iter(draws.values()))))
+    ]
 
 
 def draws_of(found: Identification) -> dict[str, list[list[float]]]:

@@ -75,7 +75,8 @@ def processed(sweep: Sweep) -> Sweep:
                 continue
             unwrapped = np.full(len(rows), np.nan)
             unwrapped[seen] = np.unwrap(joint_pos[rows[seen], joint])
-            seen[seen] = near_neighbours(unwrapped[seen])
+            off = off_neighbours(unwrapped[seen])
+            seen[seen] = off <= max(FAR * robust_deviation(off), LEAST_FAR)
             missing = 1 - seen.sum() / len(frames)
             if missing > MOST_MISSING:
                 raise RecordError(
@@ -87,15 +88,15 @@ def processed(sweep: Sweep) -> Sweep:
     return without_drift(sweep.with_joint_pos(joint_pos))
 
 
-def near_neighbours(values: Array) -> np.ndarray:
-    """Mask of the samples near the running median, which a steady motion equals; mistaken markers
-    are far from it.
+def off_neighbours(values: Array) -> Array:
+    """Distance of each value, without NaN, from the running median, which a steady motion equals;
+    mistaken markers are far from it.
     """
     from scipy import ndimage
 
-    off = np.abs(values - ndimage.median_filter(values, NEIGHBOURS, mode="nearest"))
-    near: np.ndarray = off <= max(FAR * robust_deviation(off), LEAST_FAR)
-    return near
+    seen = values[~np.isnan(values)]
+    off: Array = np.abs(seen - ndimage.median_filter(seen, NEIGHBOURS, mode="nearest"))
+    return off
 
 
 def sampling_rate(time: Array) -> float:

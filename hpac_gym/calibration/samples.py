@@ -34,6 +34,8 @@ by 0.93 or more.
 """
 TURNED = 0.1
 """Share of the servo's range after a reversal within which friction has not reversed everywhere."""
+HELD_OUT_EVERY = 4
+"""One in this many sampling points is held out for evaluation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +78,14 @@ class DigitSamples:
 
 
 _OF_POINTS = ("servo", "direction", "point", "joint_pos", "deviation", "line")
+
+
+def held_out_rows(samples: DigitSamples) -> np.ndarray:
+    """Mask of the held-out points, shape (k,): every fourth sampling point, excluding the first and
+    the last.
+    """
+    rows: np.ndarray = samples.point % HELD_OUT_EVERY == HELD_OUT_EVERY // 2
+    return rows
 
 
 def digit_samples(

@@ -23,7 +23,8 @@ from experiments.quasistatic import Built, Metal, hand_course
 from experiments.results import rows_of
 from hpac_gym.calibration import calibrate
 from hpac_gym.calibration.combinations import SweptDigit, combinations, digit_with, values
-from hpac_gym.calibration.identification import IdentificationError, identify
+from hpac_gym.calibration.fitting import IdentificationError
+from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.record import JOINT_COLUMNS, PHASES, REST, Sweep, concatenate, write_sweep
 from hpac_gym.calibration.samples import digit_samples
 from hpac_gym.model import (
