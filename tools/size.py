@@ -32,7 +32,9 @@ PRICES = {
         *("evaluation/dataset.py", "evaluation/lerobot.py"),
         *("policies/export.py", "policies/sb3.py", "envs/sb3.py"),
     ),
-    "the benchmark's protocol": ("evaluation/benchmark.py",),
+    "the benchmark's protocol": tuple(
+        f"evaluation/{name}.py" for name in ("benchmark", "results", "splits")
+    ),
 }
 """Parts of `hpac_gym` that would have to go with a capability, alone; what refers to them would
 shrink a little too.

@@ -20,7 +20,7 @@ from experiments.gap import gap_table
 from hpac_gym.envs.options import COMMON
 from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.envs.registered import make_task, options_of_id
-from hpac_gym.evaluation import benchmark
+from hpac_gym.evaluation import results, splits
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
 from hpac_gym.evaluation.statistics import rate_text, wilson_interval
 from hpac_gym.model import HPAC, JOINTS, SERVOS
@@ -271,23 +271,23 @@ def scale_table() -> str:
     return markdown([f"first {len(tries)} held-out seeds", "success", "score"], rows)
 
 
-def result_files() -> dict[str, benchmark.Results]:
+def result_files() -> dict[str, splits.Results]:
     """The benchmark's results files of the documentation, by name."""
-    return {path.stem: benchmark.read(path) for path in sorted((DOCS / "results").glob("*.json"))}
+    return {path.stem: results.read(path) for path in sorted((DOCS / "results").glob("*.json"))}
 
 
 def results_table() -> str:
     """For each environment the success of every results file on every split, in percent."""
     tables = []
-    for env_id in benchmark.SPLITS:
+    for env_id in splits.SPLITS:
         files = {name: file for name, file in result_files().items() if file["env_id"] == env_id}
         if not files:
             continue
         rows = []
-        for split in (*benchmark.SPLITS[env_id], "all splits"):
+        for split in (*splits.SPLITS[env_id], "all splits"):
             cells = []
             for file in files.values():
-                if split in benchmark.lacking(file):
+                if split in splits.lacking(file):
                     cells.append("–")
                     continue
                 (row,) = (row for row in file["summary"] if row["split"] == split)
@@ -310,7 +310,7 @@ def measured_page() -> str:
         "## The benchmark's files",
     ]
     for name, file in result_files().items():
-        parts += [f"### {name.replace('_', ' ')}", benchmark.table(file), f"`{file['command']}`"]
+        parts += [f"### {name.replace('_', ' ')}", results.table(file), f"`{file['command']}`"]
     parts.append("## Measurements")
     for path in sorted((DOCS / "results" / "tables").glob("*.json")):
         table = json.loads(path.read_text(encoding="utf-8"))

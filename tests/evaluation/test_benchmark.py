@@ -17,16 +17,11 @@ from hpac_gym.envs import GraspAny
 from hpac_gym.envs.episodes import Episodes
 from hpac_gym.envs.options import checked_options
 from hpac_gym.errors import EnvError
-from hpac_gym.evaluation import benchmark
-from hpac_gym.evaluation.benchmark import (
-    ResultsError,
-    comparison,
-    env_hash,
-    faults,
-    splits_of,
-    table,
-)
+from hpac_gym.evaluation import benchmark, splits
+from hpac_gym.evaluation import results as results_file
 from hpac_gym.evaluation.evaluate import evaluate
+from hpac_gym.evaluation.results import comparison, faults, table
+from hpac_gym.evaluation.splits import ResultsError, env_hash, splits_of
 from hpac_gym.evaluation.statistics import wilson_interval
 from hpac_gym.policies import Closures, PolicyError
 from hpac_gym.policies.policy import EpisodePolicy
@@ -63,8 +58,8 @@ class Pointer(EpisodePolicy):
 @pytest.fixture(scope="module", autouse=True)
 def tiny():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}})
-        patch.setattr(benchmark, "EPISODES", 40)
+        patch.setitem(splits.SPLITS, TINY, {"one": {}, "two": {}})
+        patch.setattr(results_file, "EPISODES", 40)
         yield
 
 
@@ -157,7 +152,7 @@ def partial(tmp_path):
     """A results file from a machine without PyBullet."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(
-            benchmark.SPLITS, TINY, {"one": {}, "two": {}, "PyBullet": {"engine": "pybullet"}}
+            splits.SPLITS, TINY, {"one": {}, "two": {}, "PyBullet": {"engine": "pybullet"}}
         )
         patch.setattr(benchmark, "is_installed", lambda engine: engine != "pybullet")
         env_hash.cache_clear()
@@ -200,8 +195,8 @@ def test_a_partial_file_is_compared_on_what_both_have(partial):
 @pytest.fixture
 def added(monkeypatch):
     """Tiny-v0 is given a third split, after files have been made."""
-    monkeypatch.setitem(benchmark.SPLITS, TINY, {"one": {}, "two": {}, "three": {}})
-    monkeypatch.setitem(benchmark.ADDED, TINY, ("three",))
+    monkeypatch.setitem(splits.SPLITS, TINY, {"one": {}, "two": {}, "three": {}})
+    monkeypatch.setitem(splits.ADDED, TINY, ("three",))
     env_hash.cache_clear()
     yield
     env_hash.cache_clear()
@@ -213,7 +208,7 @@ def test_a_file_from_before_a_split_stays_valid_and_is_marked(trained, added, mo
     here = trained | {"env_sha256": env_hash(TINY)}
     assert "split 'three' of seed 0 is missing" in list(faults(here)), "a file of today needs it"
     assert "left_out" not in trained
-    monkeypatch.setitem(benchmark.ADDED, TINY, ())
+    monkeypatch.setitem(splits.ADDED, TINY, ())
     assert any("is not that of this version" in fault for fault in faults(trained))
 
 
@@ -233,9 +228,9 @@ def test_a_split_that_was_added_is_judged_alone(tmp_path, trained, added, monkey
 
 
 def test_the_hash_changes_with_the_files_of_calibrated_hands(tmp_path, monkeypatch):
-    alone = benchmark.ADDED[GRASP_ANY]
+    alone = splits.ADDED[GRASP_ANY]
     before = [env_hash(GRASP_ANY), env_hash(GRASP_ANY, alone)]
-    monkeypatch.setattr(benchmark, "FILES", tmp_path)
+    monkeypatch.setattr(splits, "FILES", tmp_path)
     assert env_hash.__wrapped__(GRASP_ANY) != before[0]
     assert env_hash.__wrapped__(GRASP_ANY, alone) == before[1]
 
@@ -320,7 +315,7 @@ def test_two_files_are_compared_by_the_probability_of_improvement(trained):
 
 def test_the_hash_changes_with_the_objects_and_the_splits(monkeypatch):
     before = env_hash(GRASP_ANY)
-    monkeypatch.setattr(benchmark, "object_set", lambda split: ())
+    monkeypatch.setattr(splits, "object_set", lambda split: ())
     assert env_hash.__wrapped__(GRASP_ANY) != before
 
 
@@ -355,18 +350,18 @@ def test_a_mistake_is_one_line(words, told):
 
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_the_results_of_the_repository_are_valid(path):
-    results = benchmark.read(path)
+    results = results_file.read(path)
     assert not list(faults(results))
     assert str(path.relative_to(RESULTS.parents[1])) in results["command"]
 
 
 def test_every_split_differs_from_the_first_in_one_thing_or_from_one_that_does():
-    for splits in map(splits_of, benchmark.SPLITS):
-        for options in splits.values():
+    for of_id in map(splits_of, splits.SPLITS):
+        for options in of_id.values():
             assert (
                 min(
                     len(options.items() ^ other.items())
-                    for other in splits.values()
+                    for other in of_id.values()
                     if other is not options
                 )
                 <= 2
