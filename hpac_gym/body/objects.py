@@ -128,20 +128,20 @@ class Support:
         (gap_x, gap_y) = self.gap or (np.inf, np.inf)
         tall = height + self.wall_height
         half = WALL_THICKNESS / 2
-        found = []
+        walls = []
         for across, along in {
             (sign * self.spread[0], sign * self.spread[1]): None for sign in (-1, 1)
         }:
             across = across + self.offset[0]
             along = along + self.offset[1]
-            found.append(((x, y, height / 2), (across, along, height / 2)))
+            walls.append(((x, y, height / 2), (across, along, height / 2)))
             for side in (-1, 1):
                 if np.isfinite(gap_x):
-                    found.append(
+                    walls.append(
                         ((half, y, tall / 2), (across + side * (gap_x + half), along, tall / 2))
                     )
                 if np.isfinite(gap_y):
-                    found.append(
+                    walls.append(
                         ((x, half, tall / 2), (across, along + side * (gap_y + half), tall / 2))
                     )
-        return found
+        return walls

@@ -101,8 +101,8 @@ def own_object(
             raise ParameterError(f"{name} {given!r} is not one of {', '.join(known)}")
     how = _Decomposition(DETAILS[detail], folder)
     if path.suffix.lower() == ".urdf":
-        solids, found = _of_urdf(path, scale, how)
-        mass = found if mass is None else mass
+        solids, stated_mass = _of_urdf(path, scale, how)
+        mass = stated_mass if mass is None else mass
     else:
         solids = _of_mesh(path, np.full(3, scale), how)
     if mass is None:
@@ -199,13 +199,13 @@ def _of_mesh(path: Path, scale: Array, how: _Decomposition) -> list[Solid]:
 def _kept(path: Path, made_from: dict[str, Any]) -> list | None:
     """Parts cached in a file; None unless it was made from the same mesh with the same settings."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        cache = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    same = isinstance(found, dict) and all(
-        found.get(key) == value for key, value in made_from.items()
+    same = isinstance(cache, dict) and all(
+        cache.get(key) == value for key, value in made_from.items()
     )
-    return found.get("parts") if same else None
+    return cache.get("parts") if same else None
 
 
 def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
@@ -244,8 +244,8 @@ def _decomposed(path: Path, settings: Mapping[str, Any]) -> list:
         remeshed = "preprocess_resolution" in settings and len(mesh.faces) > _MANY_FACES
         settings = {**settings, "preprocess_mode": "on"} if remeshed else settings
         with waiting(f"convex parts of {path.name}"):
-            found = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **settings)
-        parts = [trimesh.convex.convex_hull(corners) for corners, _ in found]
+            convex = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), **settings)
+        parts = [trimesh.convex.convex_hull(corners) for corners, _ in convex]
         if remeshed:  # which changes the size a little
             low, high = trimesh.util.concatenate(parts).bounds
             for part in parts:
@@ -302,14 +302,16 @@ def _of_links(path: Path, robot: Xml.Element, how: _Decomposition) -> tuple[list
             raise ParameterError(f"joints of '{path}' form a ring through link {name!r}")
         for shape in link.findall("collision"):
             turn, offset = _origin(shape)
-            found = _of_geometry(path, shape.find("geometry")[0], how)
-            for solid in found:
+            of_shape = _of_geometry(path, shape.find("geometry")[0], how)
+            for solid in of_shape:
                 if not np.all(np.array(solid.size) > 0):
                     sides = " x ".join(f"{side:g}" for side in solid.size)
                     raise ParameterError(
                         f"a {solid.kind} of '{path}' is {sides} m: sides must be greater than 0 m"
                     )
-            solids += [_moved(solid, rotation @ turn, rotation @ offset + place) for solid in found]
+            solids += [
+                _moved(solid, rotation @ turn, rotation @ offset + place) for solid in of_shape
+            ]
         mass += sum(float(entry.get("value")) for entry in link.findall("inertial/mass"))
     return solids, mass
 

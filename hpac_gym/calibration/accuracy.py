@@ -51,7 +51,7 @@ def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
     """
     rigid = rigid_joints_from_servo(points.servo, hand)
     elastic = elastic_joints_from_servo(points.servo, hand)
-    found = {}
+    by_joint = {}
     for servo in range(len(SERVOS)):
         rows = (points.swept == servo) & (points.phase == FLEXING)
         for joint in joints_of_servo(servo) if rows.any() else ():
@@ -59,10 +59,10 @@ def residuals(points: Points, hand: Hand = HPAC) -> dict[str, Residuals]:
             if seen.size:
                 measured = points.joint_pos[seen, joint]
                 angles = points.servo[seen, servo]
-                found[JOINTS[joint]] = Residuals(
+                by_joint[JOINTS[joint]] = Residuals(
                     angles, measured, measured - rigid[seen, joint], measured - elastic[seen, joint]
                 )
-    return {name: found[name] for name in JOINTS if name in found}
+    return {name: by_joint[name] for name in JOINTS if name in by_joint}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +73,15 @@ class Accuracy:
     max_residual_deg: dict[str, dict[str, float]]
 
 
-def accuracy(found: dict[str, Residuals]) -> Accuracy:
+def accuracy(by_joint: dict[str, Residuals]) -> Accuracy:
     """The paper's metrics for the measured joints."""
 
     def errors(statistic: Callable[[Array], Any]) -> dict[str, dict[str, float]]:
         return {
             kind: {
-                name: float(np.degrees(statistic(np.abs(getattr(found[name], kind)))))
+                name: float(np.degrees(statistic(np.abs(getattr(by_joint[name], kind)))))
                 for name in FIGURE
-                if name in found
+                if name in by_joint
             }
             for kind in ("uncompensated", "compensated")
         }
@@ -94,7 +94,7 @@ def accuracy(found: dict[str, Residuals]) -> Accuracy:
 _KINDS = (("uncompensated", RED, "o"), ("compensated", GREEN, "s"))
 
 
-def residual_figure(found: Mapping[str, Residuals]) -> Figure:
+def residual_figure(by_joint: Mapping[str, Residuals]) -> Figure:
     """The paper's residual figure: nine joints over their servo's angle, red uncompensated, green
     compensated.
 
@@ -102,20 +102,25 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
     counted in the panel's title."""
     figure = new_figure(11, 8)
     axes = figure.subplots(3, 3, sharey=True).flat
-    limit = residual_limit(found)
+    limit = residual_limit(by_joint)
     for axis, name in zip(axes, EVALUATED, strict=True):
         axis.set_title(label(name), fontsize=10)
         axis.axhline(0.0, color=GREY, linewidth=0.8)
         axis.set_ylim(-1.05 * limit, 1.05 * limit)  # a point at the limit is shown whole
-        if name not in found:
+        if name not in by_joint:
             axis.text(0.5, 0.5, "not measured", transform=axis.transAxes, ha="center", color=GREY)
             continue
         beyond = 0
         for kind, color, marker in _KINDS:
-            values = np.degrees(getattr(found[name], kind))
+            values = np.degrees(getattr(by_joint[name], kind))
             beyond += int((np.abs(values) > limit).sum())
             axis.plot(
-                np.degrees(found[name].servo), values, marker, color=color, markersize=3, label=kind
+                np.degrees(by_joint[name].servo),
+                values,
+                marker,
+                color=color,
+                markersize=3,
+                label=kind,
             )
         if beyond:
             axis.set_title(
@@ -132,14 +137,14 @@ def residual_figure(found: Mapping[str, Residuals]) -> Figure:
     return figure
 
 
-def residual_limit(found: Mapping[str, Residuals]) -> float:
+def residual_limit(by_joint: Mapping[str, Residuals]) -> float:
     """Half-range of the residual figure's axis: the paper's 2°, or whole degrees that cover at
     least 98 % of all points [°].
     """
     values = np.concatenate(
         [
-            np.degrees(np.abs(getattr(found[name], kind)))
-            for name in found
+            np.degrees(np.abs(getattr(by_joint[name], kind)))
+            for name in by_joint
             if name in EVALUATED
             for kind, *_ in _KINDS
         ]

@@ -117,28 +117,30 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.check:
         second = read_sweep(arguments.check, allow_missing=True)
         remarks += [f"{arguments.check.name}: {remark}" for remark in judged(second, base)]
-    found = identify(
+    identified = identify(
         record, base, arguments.spread, arguments.radii_known, True, shown=True, draws=DRAWS
     )
-    remarks += doubts(found, base)
-    write_text(arguments.out, hand_to_toml(named(found, base, arguments.record.name)))
+    remarks += doubts(identified, base)
+    write_text(arguments.out, hand_to_toml(named(identified, base, arguments.record.name)))
     written = load_hand(arguments.out)
-    errors = file_errors(found, written) if second is None else check_errors(second, written, base)
+    errors = (
+        file_errors(identified, written) if second is None else check_errors(second, written, base)
+    )
     if second:
         remarks += contradictions(errors)
     folder = report_folder(arguments.out)
-    write_draws(arguments.out, written, found)
-    result = summary(found, base, errors, remarks, bool(second))
-    text = report(found, base, errors, remarks, arguments.check.name if second else "")
+    write_draws(arguments.out, written, identified)
+    result = summary(identified, base, errors, remarks, bool(second))
+    text = report(identified, base, errors, remarks, arguments.check.name if second else "")
     write_text(folder / "report.md", text)
     write_text(folder / "report.json", json.dumps(result, indent=2) + "\n")
     caption = f"{written.name}, {arguments.record.name}; points, every {HELD_OUT_EVERY}th held out"
-    save(fit_figure(found, base, written), folder / "fit.png", caption)
+    save(fit_figure(identified, base, written), folder / "fit.png", caption)
     print(json.dumps(result) if arguments.json else f"{text}\nwritten: {arguments.out}, {folder}")
     return 0
 
 
-def named(found: Identification, base: Hand, record: str) -> Hand:
+def named(identified: Identification, base: Hand, record: str) -> Hand:
     """The identified hand with a name and the sources of its numbers."""
     sources = {
         **base.sources,
@@ -146,9 +148,9 @@ def named(found: Identification, base: Hand, record: str) -> Hand:
     }
     for field in ("d1", "spring_stiffness", "tendon_stiffness"):
         sources[field] = f"of {base.name}: angles do not depend on it once the others are fitted"
-    if any(fit.samples.stops for fit in found.fits.values()):
+    if any(fit.samples.stops for fit in identified.fits.values()):
         sources["workspace"] = f"of {base.name}, up to the stops in {record}"
-    return replace(found.hand, name=f"{base.name}, calibrated", sources=sources)
+    return replace(identified.hand, name=f"{base.name}, calibrated", sources=sources)
 
 
 # Accuracy of the written file ---------------------------------------------------------
@@ -191,11 +193,11 @@ def residuals(
     return {name: table[name] for name in JOINTS if name in table}
 
 
-def file_errors(found: Identification, written: Hand) -> dict[str, FileError]:
+def file_errors(identified: Identification, written: Hand) -> dict[str, FileError]:
     """Errors at the held-out points, by joint."""
     return {
         name: error
-        for name, (samples, rest) in residuals(found.samples, written).items()
+        for name, (samples, rest) in residuals(identified.samples, written).items()
         if (error := _error(name, samples, rest, held_out_rows(samples)))
     }
 
@@ -247,7 +249,7 @@ def contradictions(errors: Mapping[str, FileError]) -> list[str]:
 
 
 def summary(
-    found: Identification,
+    identified: Identification,
     base: Hand,
     errors: dict[str, FileError],
     remarks: list[str],
@@ -273,17 +275,17 @@ def summary(
                 "points_at_stops": fit.samples.at_stops,
                 "missing": list(fit.samples.missing),
             }
-            for name, fit in found.fits.items()
+            for name, fit in identified.fits.items()
         },
-        "cmc": {item.name: asdict(item) for item in found.cmc or ()},
-        "kept": found.kept,
+        "cmc": {item.name: asdict(item) for item in identified.cmc or ()},
+        "kept": identified.kept,
         "file_error": {name: asdict(error) for name, error in errors.items()},
         "remarks": remarks,
     }
 
 
 def report(
-    found: Identification,
+    identified: Identification,
     base: Hand,
     errors: dict[str, FileError],
     remarks: list[str],
@@ -315,13 +317,15 @@ def report(
             "",
         ]
     lines += [EFFECTIVE, ""]
-    for name, fit in found.fits.items():
+    for name, fit in identified.fits.items():
         lines += _digit_report(name, fit, base)
-    if found.cmc:
-        gain, zero = found.cmc
+    if identified.cmc:
+        gain, zero = identified.cmc
         lines += ["## thumb CMC", ""]
         lines += [f"Effective g_CMC {gain.value:.4f}, zero {np.degrees(zero.value):.2f}°.", ""]
-    lines += [f"{name} keeps the design's parameters: {why}." for name, why in found.kept.items()]
+    lines += [
+        f"{name} keeps the design's parameters: {why}." for name, why in identified.kept.items()
+    ]
     lines += [f"Remark: {remark}{'' if remark.endswith('?') else '.'}" for remark in remarks]
     return "\n".join(lines) + "\n"
 
@@ -354,13 +358,13 @@ def _digit_report(name: str, fit: DigitFit, base: Hand) -> list[str]:
     return [*lines, ""]
 
 
-def fit_figure(found: Identification, base: Hand, written: Hand) -> Figure:
+def fit_figure(identified: Identification, base: Hand, written: Hand) -> Figure:
     """Residuals of the points for the design and for the written file, joint by joint; held-out
     points are rings.
     """
     figure = new_figure(13, 9)
     axes = list(figure.subplots(3, 5).flat)
-    designed, table = (residuals(found.samples, hand) for hand in (base, written))
+    designed, table = (residuals(identified.samples, hand) for hand in (base, written))
     for axis, (name, (samples, rest)) in zip(axes, table.items(), strict=False):
         angle = np.degrees(samples.servo)
         out = held_out_rows(samples)

@@ -25,7 +25,7 @@ CMC_UNUSUAL = 0.05
 """Relative deviation of g_CMC above which it is told: the joint is driven without a tendon."""
 
 
-def doubts(found: Identification, base: Hand) -> list[str]:
+def doubts(identified: Identification, base: Hand) -> list[str]:
     """Remarks on what an identification does not explain, or explains by unusual numbers.
 
     Raises:
@@ -33,7 +33,7 @@ def doubts(found: Identification, base: Hand) -> list[str]:
             one of a hand of this kind.
     """
     remarks = []
-    for name, fit in found.fits.items():
+    for name, fit in identified.fits.items():
         scatter = f"{name}: the points scatter {fit.misfit:.1f} times as much about the fit as their samples say"
         if fit.misfit > MOST_MISFIT:
             raise IdentificationError(
@@ -62,14 +62,14 @@ def doubts(found: Identification, base: Hand) -> list[str]:
                 f"{name}: all joints turn {np.mean(off):+.0%} for the same angle of the root joint, against the design: is the "
                 "scale of the root joint's angle off, or its radius?"
             )
-    steps = np.array(list(_zeros_in_steps(found)))
+    steps = np.array(list(_zeros_in_steps(identified)))
     if len(steps) > 2 and abs(abs(steps.mean()) - 1) < ALIKE and steps.std() < ALIKE:
         remarks.append(
             f"the zeros of all {len(steps)} servos are about {steps.mean():+.1f} steps of the sweep: is the servo column one "
             f"point {'ahead of' if steps.mean() < 0 else 'behind'} the angles?"
         )
-    if found.cmc:
-        gain = found.cmc[0].value
+    if identified.cmc:
+        gain = identified.cmc[0].value
         if abs(gain / base.cmc_gain - 1) > CMC_UNUSUAL:
             remarks.append(
                 f"g_CMC = {gain:.3f} is {gain / base.cmc_gain - 1:+.0%} off the design's {base.cmc_gain:.3f}, and no tendon is "
@@ -78,8 +78,8 @@ def doubts(found: Identification, base: Hand) -> list[str]:
     return remarks
 
 
-def _zeros_in_steps(found: Identification) -> Iterator[float]:
+def _zeros_in_steps(identified: Identification) -> Iterator[float]:
     """The servos' zeros in units of the sweep's steps."""
-    zero = found.hand.calibration.servo_zero
-    for column, samples in found.samples.items():
+    zero = identified.hand.calibration.servo_zero
+    for column, samples in identified.samples.items():
         yield float(zero[column] / np.median(np.diff(np.unique(np.round(samples.servo, 6)))))

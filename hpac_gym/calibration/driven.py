@@ -126,10 +126,10 @@ class Segment:
         """
         # Only before the sweep is the digit surely at its stops: friction may hold it back afterwards.
         at_rest = np.logical_and.accumulate([phase == REST for phase, _ in self.labels])
-        found = turns(self.seen, STRIPS[self.servo], lens, at_rest)
+        turned = turns(self.seen, STRIPS[self.servo], lens, at_rest)
         self.joint_pos = np.full((len(self.time), len(JOINTS)), np.nan)
-        self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = found.joint_pos
-        return found.misfit
+        self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = turned.joint_pos
+        return turned.misfit
 
     def slack(self, hand: Hand) -> float:
         """Servo angle at which the swept joint begins to flex, extrapolated from the first two points

@@ -199,7 +199,7 @@ class _Problem:
             xtol=1e-6,
         )
 
-    def draws(self, found: Array, scale: float, count: int) -> Array:
+    def draws(self, solution: Array, scale: float, count: int) -> Array:
         """Draws of the combinations' values from the posterior, shape (count, combinations).
 
         Data and prior get new errors, and the fit is repeated: Bardsley et al. 2014,
@@ -208,21 +208,21 @@ class _Problem:
         as stiff as the design's, to `DRAWN_DRIVE_SPREAD`.
         """
         held = replace(self, prior=self.prior.drive_known(DRAWN_DRIVE_SPREAD))
-        return held.drawn(held.solve(found, scale).x, scale, count)
+        return held.drawn(held.solve(solution, scale).x, scale, count)
 
-    def drawn(self, found: Array, scale: float, count: int) -> Array:
+    def drawn(self, solution: Array, scale: float, count: int) -> Array:
         """The draws about a solution."""
         rng = np.random.default_rng(0)
-        fitted = self.rows(found, scale)
+        fitted = self.rows(solution, scale)
         unit = self.unit
         low, high = self.bounds
 
         def within(steps: Array) -> Array:
-            clipped: Array = np.clip(found + unit * steps, low, high)
+            clipped: Array = np.clip(solution + unit * steps, low, high)
             return clipped
 
         across, along = np.linalg.qr(
-            optimize.approx_fprime(found, lambda unknowns: self.rows(unknowns, scale), 1e-6)
+            optimize.approx_fprime(solution, lambda unknowns: self.rows(unknowns, scale), 1e-6)
         )
         drawn = []
         for _ in range(count):
@@ -233,7 +233,7 @@ class _Problem:
 
             steps = optimize.root(
                 missed,
-                np.zeros(len(found)),
+                np.zeros(len(solution)),
                 jac=lambda _: along * unit,
                 options={"xtol": 1e-3, "factor": 1.0},
             ).x
@@ -282,11 +282,11 @@ def fit_digit(
         raise IdentificationError(
             f"the model misses the points by {np.degrees(worst):.2g}°, more than {np.degrees(WORST_FIT):.2g}°"
         )
-    found = result.x[:count]
+    solution = result.x[:count]
     covariance = np.linalg.inv(result.jac.T @ result.jac)[:count, :count]
-    swept = digit_with(base, prior.values(found))
+    swept = digit_with(base, prior.values(solution))
     drawn = problem.draws(result.x, scale, draws) if draws else np.empty((0, count))
-    return DigitFit(swept, _estimates(prior, found, covariance), samples, scale, drawn)
+    return DigitFit(swept, _estimates(prior, solution, covariance), samples, scale, drawn)
 
 
 def _estimates(prior: Prior, solution: Array, covariance: Array) -> tuple[Estimate, ...]:

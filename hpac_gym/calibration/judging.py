@@ -105,11 +105,11 @@ def judged(sweep: Sweep, base: Hand) -> list[str]:
                     "a camera drifts: did the digit not come back to its stops, or did the camera move? The first "
                     "rest counts, and a drift is fitted"
                 )
-            found = _judged_joints(
+            of_joints = _judged_joints(
                 without_drift(segment, last_rest=not differing), flexed, swept, base
             )
-            faults += found[0]
-            remarks += found[1]
+            faults += of_joints[0]
+            remarks += of_joints[1]
             if not rest[0] < flexed[0] < flexed[-1] < rest[-1]:
                 remarks.append(
                     f"{where}: rest poses at one end only: the camera's offset is taken out, its drift is not"

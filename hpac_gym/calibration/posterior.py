@@ -50,19 +50,19 @@ def drawn_hands(hand: Hand, draws: dict[str, list[list[float]]]) -> list[Hand]:
     ]
 
 
-def draws_of(found: Identification) -> dict[str, list[list[float]]]:
+def draws_of(identified: Identification) -> dict[str, list[list[float]]]:
     """An identification's draws by digit, and of the CMC, shape (draws, numbers) each."""
-    draws = {name: fit.draws.tolist() for name, fit in found.fits.items()}
-    return draws | ({} if found.cmc_draws is None else {_CMC: found.cmc_draws.tolist()})
+    draws = {name: fit.draws.tolist() for name, fit in identified.fits.items()}
+    return draws | ({} if identified.cmc_draws is None else {_CMC: identified.cmc_draws.tolist()})
 
 
-def write_draws(hand_file: Path, hand: Hand, found: Identification) -> None:
+def write_draws(hand_file: Path, hand: Hand, identified: Identification) -> None:
     """Write the draws beside a hand file.
 
     Raises:
         OutputError: As of `write_text`.
     """
-    text = json.dumps({"zero": hand.calibration.servo_zero, "draws": draws_of(found)})
+    text = json.dumps({"zero": hand.calibration.servo_zero, "draws": draws_of(identified)})
     write_text(report_folder(hand_file) / "draws.json", text + "\n")
 
 

@@ -150,15 +150,15 @@ def differing_rests(segment: Sweep) -> dict[str, float]:
     moving = np.flatnonzero(segment.phase != REST)
     rest = np.flatnonzero(segment.phase == REST)
     most = max(MOST_DRIFT * np.ptp(segment.time), LEAST_SHIFT)
-    found = {}
+    shifts = {}
     for joint in joints_of_servo(int(segment.swept[0])) if moving.size else ():
         rests = (rest[rest < moving[0]], rest[rest > moving[-1]])
         first, last = (segment.joint_pos[rows, joint] for rows in rests)
         if np.isfinite(first).any() and np.isfinite(last).any():
             shift = float(np.nanmedian(last) - np.nanmedian(first))
             if abs(shift) > most:
-                found[JOINTS[joint]] = shift
-    return found
+                shifts[JOINTS[joint]] = shift
+    return shifts
 
 
 def without_drift(sweep: Sweep, last_rest: bool = True) -> Sweep:

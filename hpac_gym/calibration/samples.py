@@ -197,7 +197,7 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
     command = np.zeros((len(angles), len(SERVOS)))
     command[:, servo] = np.clip(angles, base.servo_min[servo], base.servo_max[servo])
     design = elastic_joints_from_servo(command, base)
-    found = {}
+    at_stop = {}
     starts = {}
     limit = np.inf
     for i, name in enumerate(samples.joints):
@@ -211,7 +211,7 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
         turning = np.flatnonzero(~(rate < STOP_SLOPE * usual))
         start = turning[-1] + 1 if turning.size else 0
         if start < len(rate):
-            found[name] = float(np.nanmean(course[start:]))
+            at_stop[name] = float(np.nanmean(course[start:]))
             starts[name] = start
         if start > 0 and (start < len(rate) or rate[-1] < BEFORE_STOP * usual):
             start -= 1  # it met the stop within the preceding step
@@ -219,5 +219,5 @@ def _without_stops(samples: DigitSamples, servo: int, base: Hand) -> DigitSample
             limit = min(limit, angles[start])
     kept = samples.servo <= limit + 1e-6
     # This one holds the others.
-    stops = {name: found[name] for name, start in starts.items() if start == min(starts.values())}
+    stops = {name: at_stop[name] for name, start in starts.items() if start == min(starts.values())}
     return replace(samples.only(np.flatnonzero(kept)), stops=stops, at_stops=int((~kept).sum()))

@@ -142,17 +142,17 @@ def evaluate(
     left_out = int(np.isnan(cleaned.joint_pos).sum() - np.isnan(record.joint_pos).sum())
     if left_out:
         remarks = [*remarks, f"{left_out} samples lie far from their neighbours and are left out"]
-    found = residuals(points(cleaned), hand)
-    if not found.keys() & set(EVALUATED):
+    by_joint = residuals(points(cleaned), hand)
+    if not by_joint.keys() & set(EVALUATED):
         raise RecordError(
             f"the record measures none of the joints that the figures show: {', '.join(EVALUATED)}"
         )
-    errors = accuracy(found)
+    errors = accuracy(by_joint)
     result = result | {"remarks": remarks, **asdict(errors)}
     text = "\n".join(
         [accuracy_table(errors), *(f"\nRemark: {remark}." for remark in remarks), "", text]
     )
-    save(residual_figure(found), out / "residuals.png", caption)
+    save(residual_figure(by_joint), out / "residuals.png", caption)
     save(mae_figure(errors), out / "mae.png", caption)
     write_text(out / "accuracy.md", accuracy_table(errors) + "\n")
     write_text(out / "sweep.json", json.dumps(result, indent=2) + "\n")

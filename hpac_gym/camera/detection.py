@@ -161,11 +161,11 @@ def detect(picture: np.ndarray) -> Seen:
     if picture.ndim == 3:
         picture = opencv().cvtColor(picture, opencv().COLOR_BGR2GRAY)
     corners, ids, _ = _detector().detectMarkers(picture)
-    found = [] if ids is None else ids.ravel().tolist()
+    tag_ids = [] if ids is None else ids.ravel().tolist()
     seen = {
         id: square.reshape(4, 2).astype(float)
-        for id, square in zip(found, corners, strict=True)
-        if id in TAGS and found.count(id) == 1
+        for id, square in zip(tag_ids, corners, strict=True)
+        if id in TAGS and tag_ids.count(id) == 1
     }
     if not seen:
         return {}

@@ -67,14 +67,14 @@ def board_place(seen: Seen, tags: list[Tag], lens: Lens) -> Place:
     """
     cv2 = opencv()
     board = points(tags)
-    found = [id for id in board if id in seen]
+    visible = [id for id in board if id in seen]
     name = tags[0].label
-    if len(found) < FEWEST_TAGS:
+    if len(visible) < FEWEST_TAGS:
         raise CameraError(
-            f"{len(found)} of the {len(tags)} tags of the {name}'s board are seen, {FEWEST_TAGS} are needed"
+            f"{len(visible)} of the {len(tags)} tags of the {name}'s board are seen, {FEWEST_TAGS} are needed"
         )
-    corners = np.concatenate([board[id] for id in found])
-    pixels = np.concatenate([seen[id] for id in found])
+    corners = np.concatenate([board[id] for id in visible])
+    pixels = np.concatenate([seen[id] for id in visible])
     given = (lens.matrix, np.array(lens.distortion))
     _, turns, moves, _ = cv2.solvePnPGeneric(corners, pixels, *given, flags=cv2.SOLVEPNP_IPPE)
     fits = []

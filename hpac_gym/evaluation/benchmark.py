@@ -146,21 +146,21 @@ def check(paths: Sequence[Path], as_json: bool = False) -> int:
     exit status, 1 if there are faults.
     """
     files = [read(path) for path in paths]
-    found = [list(faults(results)) for results in files]
-    rows = list(zip(map(str, paths), found, files, strict=True))
+    all_faults = [list(faults(results)) for results in files]
+    rows = list(zip(map(str, paths), all_faults, files, strict=True))
     if as_json:
         told = [
             {"path": path, "faults": bad, "summary": results.get("summary")}
             for path, bad, results in rows
         ]
         print(json.dumps({"files": told}))
-        return int(any(found))
+        return int(any(all_faults))
     for path, bad, results in rows:
         told = "\n".join(f"{path}: {fault}" for fault in bad)
         print(told or f"{path}: valid\n\n{table(results)}\n")
-    if not any(found) and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
+    if not any(all_faults) and len(files) == 2 and files[0]["env_id"] == files[1]["env_id"]:
         print(comparison(*files))
-    return int(any(found))
+    return int(any(all_faults))
 
 
 def judge_all(args: argparse.Namespace) -> Results:

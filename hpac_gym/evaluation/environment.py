@@ -73,13 +73,13 @@ def versions(*more: str) -> dict[str, str]:
     """The versions of Python and of the libraries that a result depends on, and of `more`
     libraries.
     """
-    found = {"python": python_version()}
+    versions_here = {"python": python_version()}
     for name in (*LIBRARIES, *more):
         try:
-            found[name] = version(name)
+            versions_here[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            versions_here[name] = "not installed"
+    return versions_here
 
 
 def other_versions(told: Mapping[str, str]) -> str:

@@ -120,8 +120,8 @@ def run_block(
     with worlds(env_id, options, len(seeds)) as (env, envs):
         for name in names:
             policies = [load_policy(name, env, normalize) for _ in range(envs.num_envs)]
-            found = {each.seed: each for each in results(run_episodes(envs, policies, seeds))}
-            columns.append([found[seed] for seed in seeds])
+            episode_of = {each.seed: each for each in results(run_episodes(envs, policies, seeds))}
+            columns.append([episode_of[seed] for seed in seeds])
     return list(zip(*columns, strict=True))
 
 
@@ -286,7 +286,7 @@ def run(args: argparse.Namespace) -> int:
         "normalize": args.normalize,
     }
     summary = evaluate(names, env_id, args.episodes, **how).summary()
-    told = [{"file": name, **found} for name in files if (found := about(name, args.normalize))]
+    told = [{"file": name, **origin} for name in files if (origin := about(name, args.normalize))]
     if len(told) == 1:
         summary["policy"] = told[0]
     elif told:

@@ -151,7 +151,7 @@ def run(args: argparse.Namespace) -> int:
     given = needed_options(args.policy) | env_options(args, env_id)
     options = {"engine": "mujoco"} | given
     options["model"] = HPAC if args.commands == NOMINAL else load_hand(args.commands or args.file)
-    found = forecast(
+    expected = forecast(
         hands[: args.count],
         args.policy,
         env_id,
@@ -170,6 +170,6 @@ def run(args: argparse.Namespace) -> int:
         "model": args.commands or str(args.file),
         "options": given,
     }
-    line = found.line(f"{args.file}, {told}, commanded with {args.commands or 'it'}")
-    say(args.json, line, **text, **asdict(found))
+    line = expected.line(f"{args.file}, {told}, commanded with {args.commands or 'it'}")
+    say(args.json, line, **text, **asdict(expected))
     return 0

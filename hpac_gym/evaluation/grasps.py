@@ -125,11 +125,11 @@ def benchmark(
     parts = [seeds[start : start + CHUNK] for start in range(0, episodes, CHUNK)]
     cells = [(policy, grasp) for grasp in grasps for policy in policies]
     jobs = [(policy, grasp, variant, part, normalize) for policy, grasp in cells for part in parts]
-    found: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}
+    trials_of: dict[tuple[str, str], list[Trial]] = {cell: [] for cell in cells}
     shown = progress(jobs, "grasps")
     for (policy, grasp, *_), trials in zip(shown, shared(run_trials, jobs, workers), strict=True):
-        found[policy, grasp] += trials
-    return [Row(grasp, policy, tuple(found[policy, grasp]), variant) for policy, grasp in cells]
+        trials_of[policy, grasp] += trials
+    return [Row(grasp, policy, tuple(trials_of[policy, grasp]), variant) for policy, grasp in cells]
 
 
 def table(rows: Sequence[Row]) -> str:

@@ -143,10 +143,10 @@ def _refuse_unknown(table: dict[str, Any], known: Iterable[str], owner: str) -> 
 
 
 def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
-    found = table.get(key)
-    if not isinstance(found, dict):
+    section = table.get(key)
+    if not isinstance(section, dict):
         raise ParameterError(f"table [{key}] is missing")
-    return found
+    return section
 
 
 def _number(table: dict[str, Any], key: str) -> float:

@@ -95,9 +95,9 @@ class CommandMap:
             self.hands[place] = hand
             if id(hand) not in self._known:
                 self._known[id(hand)] = hand, _tables(hand, self._board)
-            _, found = self._known[id(hand)]
-            self._servo[place] = found.servo
-            self._joint_pos[place] = found.joint_pos
+            _, tables = self._known[id(hand)]
+            self._servo[place] = tables.servo
+            self._joint_pos[place] = tables.joint_pos
 
     def servo_from_action(self, action: Array, flexing: Array) -> Array:
         """Servo angles for actions.

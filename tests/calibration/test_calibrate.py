@@ -24,7 +24,11 @@ from hpac_gym.model.settled import settled_joints_from_servo
 
 
 @pytest.fixture
-def calibrate(tmp_path, capsys):
+def calibrate(tmp_path, capsys, monkeypatch):
+    """The command, without what takes longest and says nothing here: the figure, most draws."""
+    monkeypatch.setattr("hpac_gym.calibration.calibrate.save", lambda *_: None)
+    monkeypatch.setattr("hpac_gym.calibration.calibrate.DRAWS", 2)
+
     def run(record, *words):
         path = tmp_path / "sweep.csv"
         write_sweep(path, record)
