@@ -186,14 +186,6 @@ def test_a_move_that_was_refused_unacknowledged_is_named_by_the_next_call(virtua
         armed.sleep(0.1)
 
 
-def test_arm_refuses_a_firmware_with_other_limits(virtual_hand):
-    slower = dataclasses.replace(HPAC, rate_limit=HPAC.rate_limit / 2)
-    with HandLink(virtual_hand.connect, hand=slower) as link:
-        with pytest.raises(HandshakeError, match="limits"):
-            link.arm()
-        assert link.state == "idle"
-
-
 # --- silence, faults
 # ------------------------------------------------------------------------------------------------
 
@@ -427,11 +419,14 @@ def test_a_calibrated_hand_is_commanded_within_the_nominal_table_and_says_what_i
     )
 
 
-def test_a_calibrated_hand_that_is_slower_than_the_board_is_refused(virtual_hand, calibrated_hand):
-    slower = dataclasses.replace(calibrated_hand, rate_limit=HPAC.rate_limit / 2)
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_hand_that_is_slower_than_the_board_is_refused(virtual_hand, calibrated_hand, calibrated):
+    hand = calibrated_hand if calibrated else HPAC
+    slower = dataclasses.replace(hand, rate_limit=HPAC.rate_limit / 2)
     with HandLink(virtual_hand.connect, hand=slower) as link:
         with pytest.raises(HandshakeError, match="limits"):
             link.arm()
+        assert link.state == "idle"
 
 
 def test_a_trim_that_its_field_cannot_tell_is_a_config_fault_before_it_is_another_table():

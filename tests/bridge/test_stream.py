@@ -199,23 +199,21 @@ def test_a_hot_hand_slows_down_and_goes_on(virtual_hand):
     assert (stream.counts.refused, stream.counts.lost) == (0, 0)
 
 
-def test_an_estop_ends_it(virtual_hand):
+@pytest.mark.parametrize(
+    ("frame", "error", "says"),
+    [
+        (Frame("estop", 7, 0, {}), FaultError, "estop"),
+        (Frame("hello", 7, 0, {"nonce": 5}), RejectedError, "another program"),
+    ],
+    ids=["estop", "taken over"],
+)
+def test_another_program_ends_it(virtual_hand, frame, error, says):
     with HandLink(virtual_hand.connect) as link:
         link.arm()
         stream = link.stream()
         stream.send(HPAC.servo_max)
-        link.exchange.transport.write(encode(Frame("estop", 7, 0, {})))
-        with pytest.raises(FaultError, match="estop"):
-            close(stream, 3)
-
-
-def test_a_hand_that_was_taken_over_ends_it(virtual_hand):
-    with HandLink(virtual_hand.connect) as link:
-        link.arm()
-        stream = link.stream()
-        stream.send(HPAC.servo_max)
-        link.exchange.transport.write(encode(Frame("hello", 7, 0, {"nonce": 5})))
-        with pytest.raises(RejectedError, match="another program"):
+        link.exchange.transport.write(encode(frame))
+        with pytest.raises(error, match=says):
             close(stream, 3)
 
 

@@ -16,7 +16,7 @@ from experiments.hidden import LAWS, hidden_hands
 from experiments.rig import Rig
 from experiments.watched import STRIP_LENS, Body
 from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
-from hpac_gym.calibration import driven, sweep
+from hpac_gym.calibration import driven
 from hpac_gym.calibration.driven import LEAST_SLACK, Driver, Eye, Segment, added, joined
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.protocol import Protocol
@@ -459,7 +459,8 @@ def test_a_wrong_strip_leaves_the_record_without_its_angles_and_says_so(wired, t
     wired.body.exchanged = {0: 3, 3: 0}
     lens = tmp_path / "camera.json"
     lens.write_text(STRIP_LENS.to_json())
-    assert hpac.main([*WORDS, "--camera", f"0,{lens}", "--out", str(tmp_path)]) == 2
+    words = [*WORDS, "--camera", f"0,{lens}", "--points", "3", "--out", str(tmp_path)]
+    assert hpac.main(words) == 2
     assert "error: sweep of index_mcp: tag 11 (palm) must stand still" in capsys.readouterr().err
     assert np.isnan(read_sweep(tmp_path / "sweep.csv").joint_pos).all()
     assert not wired.hand.pulses().any()
@@ -481,4 +482,3 @@ def test_every_servo_has_its_side_and_its_strip():
     for servo in SERVOS:
         assert len(STRIPS[servo]) == len(CHAINS[servo])
         assert all(name in JOINTS for name in CHAINS[servo][1:])
-    assert sweep.add_arguments
