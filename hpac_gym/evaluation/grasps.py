@@ -4,7 +4,6 @@ episodes.
 
 import argparse
 import json
-import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -15,9 +14,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hpac_gym.command import whole_number
+from hpac_gym.command import Formatter, whole_number
 from hpac_gym.evaluation.environment import make_env
 from hpac_gym.evaluation.episodes import run_episodes, single
+from hpac_gym.evaluation.evaluate import add_seeds_and_workers
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.evaluation.statistics import success_counts
 from hpac_gym.evaluation.workers import shared
@@ -151,11 +151,12 @@ def table(rows: Sequence[Row]) -> str:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments of `hpac grasps`."""
+    parser.formatter_class = Formatter
     parser.description = _ABOUT
     parser.add_argument(
         "--policy",
         default="scripted",
-        help=f"{NAMES} (default: %(default)s)",
+        help=NAMES,
     )
     parser.add_argument("--normalize", metavar="FILE", help=NORMALIZE)
     parser.add_argument(
@@ -164,7 +165,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=whole_number(1),
         default=50,
         metavar="N",
-        help="episodes per policy and grasp (default: %(default)s; 5 for a quick look)",
+        help="episodes per policy and grasp (5 for a quick look)",
     )
     parser.add_argument(
         "--grasps", nargs="+", metavar="NAME", help="only these (default: all sixteen)"
@@ -173,29 +174,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--variant",
         help="object variant: large, small, heavy, slippery or shape (default: nominal)",
     )
-    parser.add_argument(
-        "--seed-start",
-        type=whole_number(0),
-        default=HELD_OUT_SEED,
-        metavar="SEED",
-        help=f"first seed (default: %(default)s; training uses seeds below {HELD_OUT_SEED})",
-    )
+    add_seeds_and_workers(parser)
     parser.add_argument(
         "--no-baselines", action="store_true", help="do not also run the random policy"
-    )
-    parser.add_argument(
-        "--workers",
-        type=whole_number(1),
-        default=os.cpu_count() or 1,
-        metavar="N",
-        help="number of processes (default: %(default)s)",
     )
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("runs/grasps"),
         metavar="DIR",
-        help="folder for table and pictures (default: %(default)s)",
+        help="folder for table and pictures",
     )
     parser.add_argument(
         "--json", action="store_true", help="print one JSON object instead of the table"

@@ -85,7 +85,9 @@ class CommandMap:
         from each other are commanded by the inverse of their files.
         """
         if not self._inverts:
-            places, hands = range(len(self.hands)), _placed(self.hands, places, hands)
+            placed = dict(enumerate(self.hands)) | dict(zip(places, hands, strict=True))
+            places = list(placed)
+            hands = list(placed.values())
             self._servo = np.empty((len(self.hands), 2, len(SERVOS), POINTS))
             self._joint_pos = np.empty((len(self.hands), 2, len(JOINTS), POINTS))
             self._inverts = True
@@ -157,13 +159,6 @@ _ROOTS = [JOINT_INDEX[name] for name in SERVOS]
 def _alone(rows: Array) -> Array:
     """The row itself of a single place, since NumPy takes twice as long for (1, 6) as for (6,)."""
     return rows[0] if len(rows) == 1 else rows
-
-
-def _placed(hands: list[Hand], places: Sequence[int], others: Sequence[Hand]) -> list[Hand]:
-    placed = list(hands)
-    for place, hand in zip(places, others, strict=True):
-        placed[place] = hand
-    return placed
 
 
 def _tables(hand: Hand, board: Hand) -> _Tables:

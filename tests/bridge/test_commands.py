@@ -244,7 +244,8 @@ print(status, sorted({{"numpy", "gymnasium", "scipy"}} & set(sys.modules)))
     assert "switch the servo supply off" in done.stderr
 
 
-def test_clear_leaves_a_fault_that_holds(host_board, capsys):
+def test_clear_leaves_a_fault_that_holds(host_board, capsys, monkeypatch):
+    monkeypatch.setattr("hpac_gym.bridge.last_words.LAST_WORDS_TIME", 0.1)
     link = HandLink(host_board.connect)
     link.connect()
     link.arm(Action.hold)
@@ -252,7 +253,7 @@ def test_clear_leaves_a_fault_that_holds(host_board, capsys):
     transport.write = lambda data: None
     with pytest.warns(UnconfirmedWarning):
         link.close()
-    time.sleep(0.4)
+    time.sleep(0.6)
     assert host_board.pulses().all()
     assert run("clear", "--port", host_board.port) == 0
     assert capsys.readouterr().out == "left fault watchdog; state idle, pulses on 0 servos\n"
