@@ -190,13 +190,11 @@ class HandLink(Line):
         connection = self._connected()
         deadline = self._now() + seconds
         was_armed = connection.known.armed
-        period = connection.watchdog / _HEARTBEATS_PER_WATCHDOG
+        period = connection.watchdog / _HEARTBEATS_PER_WATCHDOG if was_armed else math.inf
         while (left := deadline - self._now()) > 0:
             due = connection.fed_at + period
-            connection.exchange.listen(
-                min(left, max(due - self._now(), 0.0)) if was_armed else left
-            )
-            if was_armed and self._now() >= due:
+            connection.exchange.listen(min(left, max(due - self._now(), 0.0)))
+            if self._now() >= due:
                 self.heartbeat()
             if was_armed:
                 connection.raise_unasked("it latched while waiting")
