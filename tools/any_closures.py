@@ -44,8 +44,8 @@ def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, 
     success are absent.
     """
     tried = dict.fromkeys(seeds, 0)
-    found = {}
-    while left := [seed for seed in seeds if seed not in found and tried[seed] < most]:
+    tries_of = {}
+    while left := [seed for seed in seeds if seed not in tries_of and tried[seed] < most]:
         each = -(-player.count // len(left))  # keeps all worlds busy
         jobs = [
             (seed, number)
@@ -57,8 +57,8 @@ def first_winners(player: Player, seeds: Sequence[int], most: int) -> dict[int, 
         for (seed, number), held in zip(jobs, won, strict=True):
             tried[seed] = number + 1
             if held:
-                found[seed] = min(number + 1, found.get(seed, most))
-    return found
+                tries_of[seed] = min(number + 1, tries_of.get(seed, most))
+    return tries_of
 
 
 def _closing(decisions: NDArray, first: NDArray, places: NDArray) -> Act:
@@ -68,9 +68,9 @@ def _closing(decisions: NDArray, first: NDArray, places: NDArray) -> Act:
 
 def ceiling(objects: str, seeds: range) -> Iterator[str]:
     """Success rates of the best of several random closures, as lines."""
-    found = first_winners(Player(objects), seeds, TRIES[-1])
+    tries_of = first_winners(Player(objects), seeds, TRIES[-1])
     for most in TRIES:
-        yield f"{objects}, best of {most} random closures: {rate(sum(n <= most for n in found.values()), len(seeds))}"
+        yield f"{objects}, best of {most} random closures: {rate(sum(n <= most for n in tries_of.values()), len(seeds))}"
 
 
 # The script
@@ -140,12 +140,12 @@ def script() -> Iterator[str]:
                     means[kind] + 1.5 * (values[mine & won].mean(0) - values[mine].mean(0)), *BOUNDS
                 )
         yield f"round {number + 1}: {rate(int(won.sum()), EPISODES)}"
-    found = {kind: AnyClosure(*mean.round(2).tolist()) for kind, mean in means.items()}
+    fitted = {kind: AnyClosure(*mean.round(2).tolist()) for kind, mean in means.items()}
     judged = range(JUDGED_FROM, JUDGED_FROM + EPISODES)
     before, after = (
-        play_script(player, judged, table.__getitem__)[1] for table in (ANY_CLOSURES, found)
+        play_script(player, judged, table.__getitem__)[1] for table in (ANY_CLOSURES, fitted)
     )
-    yield from (f"{kind}: {closure}" for kind, closure in found.items())
+    yield from (f"{kind}: {closure}" for kind, closure in fitted.items())
     yield f"before {rate(int(before.sum()), EPISODES)}, after {rate(int(after.sum()), EPISODES)}"
     difference = paired_difference(
         int((after & ~before).sum()), int((before & ~after).sum()), EPISODES
@@ -181,12 +181,12 @@ def main(argv: list[str] | None = None) -> int:
     )
     args = parser.parse_args(argv)
     seeds = range(args.seed_start, args.seed_start + args.episodes)
-    found = {
+    parts = {
         "script": script,
         "ceiling": partial(ceiling, args.objects, seeds),
         "touch": partial(touch, args.episodes, args.trials, args.first, args.varied_hands),
     }
-    for line in found[args.what]():
+    for line in parts[args.what]():
         print(line, flush=True)
     return 0
 

@@ -185,7 +185,7 @@ def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
         for values in (seen, asked)
     )
     target = torch.tensor(won, dtype=torch.float32)
-    found = np.zeros((len(asked), won.shape[1]))
+    shares = np.zeros((len(asked), won.shape[1]))
     for _ in range(5):
         net = nn.Sequential(
             nn.Dropout(0.5),
@@ -199,8 +199,8 @@ def chances(seen: NDArray, won: NDArray, asked: NDArray, seed: int) -> NDArray:
             nn.functional.binary_cross_entropy_with_logits(net(known), target).backward()
             optimizer.step()
         with torch.no_grad():
-            found += net.eval()(new).sigmoid().numpy() / 5
-    return found
+            shares += net.eval()(new).sigmoid().numpy() / 5
+    return shares
 
 
 def arms(seen: NDArray, task: GraspAny) -> dict[str, NDArray]:

@@ -63,10 +63,10 @@ def search_all(work, seeds: range, most: int) -> None:
     rows = (
         TARGET.read_text(encoding="utf-8").splitlines() if TARGET.exists() else [",".join(COLUMNS)]
     )
-    known = {found.seed: found for found in map(Try.of_row, rows[1:])}
+    known = {result.seed: result for result in map(Try.of_row, rows[1:])}
     missing = [seed for seed in seeds if seed not in known]
-    for found in work(search, ((seed, most) for seed in missing)):
-        known[found.seed] = found
+    for result in work(search, ((seed, most) for seed in missing)):
+        known[result.seed] = result
         ordered = [known[seed].row() for seed in sorted(known)]
         TARGET.write_text("\n".join([",".join(COLUMNS), *ordered, ""]), encoding="utf-8")
     tries = [known[seed] for seed in seeds]

@@ -114,10 +114,10 @@ def search(options: argparse.Namespace) -> GraspType:
     return candidate(kind, mean)
 
 
-def write(found: GraspType) -> None:
+def write(grasp_type: GraspType) -> None:
     """Write the result to the data of the posture and the type."""
-    name = found.start.name
-    start = found.start
+    name = grasp_type.start.name
+    start = grasp_type.start
     joints = np.minimum(
         joints_from_synergy(start.closed).round(3), np.floor(1e3 * HPAC.joint_max) / 1e3
     )
@@ -176,14 +176,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true", help="write the result to the data")
     options = parser.parse_args()
-    found = search(options)
-    start = found.start
+    grasp_type = search(options)
+    start = grasp_type.start
     print(
         f"closed = {start.closed.tolist()}\npreshape = {start.preshape.tolist()}\nposition = {list(start.position)}"
     )
     print(f"hand_rpy_deg = {np.degrees(start.hand_rpy).round(1).tolist()}")
     if options.write:
-        write(found)
+        write(grasp_type)
 
 
 if __name__ == "__main__":

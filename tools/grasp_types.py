@@ -104,10 +104,10 @@ def results() -> dict[str, Any]:
     return json.loads(RESULTS.read_text(encoding="utf-8"))
 
 
-def text_of(found: dict[str, Any]) -> str:
+def text_of(outcomes: dict[str, Any]) -> str:
     """Text of the file, with one line per type, hand and set-up."""
     types = []
-    for name, entry in found.items():
+    for name, entry in outcomes.items():
         rows = [f'  "data": "{entry["data"]}"']
         for hand in filter(entry.__contains__, HANDS):
             cells = ",\n".join(
@@ -139,16 +139,16 @@ def success_table(hand: str) -> str:
     """Success with its Wilson 95 % interval in every engine and body, with the number of holds in
     brackets where it differs.
     """
-    found = {name: entry[hand] for name, entry in results().items()}
+    outcomes = {name: entry[hand] for name, entry in results().items()}
     whole = {
         set_up: {
-            key: sum(entry[set_up][key] for entry in found.values())
+            key: sum(entry[set_up][key] for entry in outcomes.values())
             for key in ("successes", "held", "episodes")
         }
         for set_up in SET_UPS
     }
     rows = []
-    for name, entry in {**found, "all": whole}.items():
+    for name, entry in {**outcomes, "all": whole}.items():
         cells = []
         for row in (entry[set_up] for set_up in SET_UPS):
             low, high = wilson_interval(row["successes"], row["episodes"])
@@ -162,21 +162,21 @@ def success_table(hand: str) -> str:
 
 def all_successes_table() -> str:
     """Successes with every kind of hands, in the order of `SET_UPS`, and the episodes of each."""
-    found = results()
+    outcomes = results()
     rows = []
-    for name, entry in found.items():
+    for name, entry in outcomes.items():
         cells = [
             ", ".join(str(entry[hand][set_up]["successes"]) for set_up in SET_UPS) for hand in HANDS
         ]
         rows.append([f"`{name}`", *cells])
     sums = [
         ", ".join(
-            str(sum(entry[hand][set_up]["successes"] for entry in found.values()))
+            str(sum(entry[hand][set_up]["successes"] for entry in outcomes.values()))
             for set_up in SET_UPS
         )
         for hand in HANDS
     ]
-    first = next(iter(found.values()))
+    first = next(iter(outcomes.values()))
     heads = [f"{hand}, of {first[hand][SET_UPS[0]]['episodes']}" for hand in HANDS]
     return markdown(["grasp", *heads], [*rows, ["all", *sums]])
 
@@ -268,7 +268,7 @@ def main() -> None:
     if options.picture:
         picture(options.picture)
         return
-    found = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
+    outcomes = json.loads(options.out.read_text(encoding="utf-8")) if options.out.exists() else {}
     cells = [
         (name, set_up, hand)
         for name in options.types
@@ -276,7 +276,7 @@ def main() -> None:
         for set_up in options.set_ups
     ]
     for name, set_up, hand in progress(cells, "types"):
-        entry = found.setdefault(name, {})
+        entry = outcomes.setdefault(name, {})
         count = options.episodes if hand == "nominal" else options.randomized
         if entry.get("data") != fingerprint(name):
             entry.clear()
@@ -290,7 +290,7 @@ def main() -> None:
         if set_up not in SET_UPS:
             continue
         entry.setdefault(hand, {})[set_up] = row
-        ordered = {name: found[name] for name in GRASP_TYPES if name in found}
+        ordered = {name: outcomes[name] for name in GRASP_TYPES if name in outcomes}
         options.out.write_text(text_of(ordered), encoding="utf-8")
 
 

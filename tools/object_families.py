@@ -111,12 +111,12 @@ def stack(*parts: tuple[Callable[..., Part], tuple[float, ...], float]) -> list[
     """Parts on top of each other, each given by its function, its lengths with the height last
     [mm], and its density.
     """
-    found = []
+    solids = []
     height = 0.0
     for make, lengths, density in parts:
-        found.append(make(*lengths, density, at=(0, 0, height + lengths[-1] / 2)))
+        solids.append(make(*lengths, density, at=(0, 0, height + lengths[-1] / 2)))
         height += lengths[-1]
-    return found
+    return solids
 
 
 def bottle(rng: np.random.Generator) -> list[Part]:
@@ -387,7 +387,7 @@ def entry(name: str, family: str, rng: np.random.Generator) -> tuple[dict[str, A
         part["kind"] in ("cylinder", "sphere") and part.get("axis", "z") == "z" for part in parts
     )
     color = colorsys.hls_to_rgb(rng.uniform(), rng.uniform(0.35, 0.65), 0.5)
-    found = {
+    fields = {
         "about": family,
         "size": size,
         "mass": round(sum(part["mass"] for part in parts), 5),
@@ -399,7 +399,9 @@ def entry(name: str, family: str, rng: np.random.Generator) -> tuple[dict[str, A
         "color": [*(round(level, 2) for level in color), 1.0],
         "solids": parts,
     }
-    return found | {"friction": round(rng.uniform(*friction), 2)}, object_model(name, found, FIELDS)
+    return fields | {"friction": round(rng.uniform(*friction), 2)}, object_model(
+        name, fields, FIELDS
+    )
 
 
 def _metres(part: Part) -> Part:
@@ -427,7 +429,7 @@ def is_fit(model: ObjectModel) -> bool:
 def draw() -> dict[str, dict[str, Any]]:
     """Sample every entry of the file, by name, training objects first."""
     rng = np.random.default_rng(SEED)
-    found = {}
+    drawn = {}
     trained = []
 
     def add(name: str, family: str) -> ObjectModel:
@@ -438,7 +440,7 @@ def draw() -> dict[str, dict[str, Any]]:
                 or min(difference(model, other) for other in trained) > MIN_DIFFERENCE
             )
             if is_fit(model) and new:
-                found[name] = made
+                drawn[name] = made
                 return model
 
     for index, family in enumerate(family for family in FAMILIES for _ in range(TRAIN_OF_EACH)):
@@ -447,7 +449,7 @@ def draw() -> dict[str, dict[str, Any]]:
     held_out += [family for family in NEW_FAMILIES for _ in range(NEW_OF_EACH)]
     for index, family in enumerate(held_out):
         add(f"test_{index:02d}", family)
-    return found
+    return drawn
 
 
 def procedural_objects() -> str:

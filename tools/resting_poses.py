@@ -66,7 +66,7 @@ def restless(physics: Engine, entries: list[tuple[RestingObject, RestingPose]]) 
     physics.advance(still, still, np.zeros((worlds, k, 3)))
     after = physics.state()
     to_world = SceneSetup(None).hand_rotation
-    found = []
+    moved = []
     for index, (thing, _) in enumerate(entries):
         way = np.linalg.norm(after.object_pos[index] - before.object_pos[index])
         first, last = (
@@ -74,8 +74,8 @@ def restless(physics: Engine, entries: list[tuple[RestingObject, RestingPose]]) 
             for state in (before, after)
         )
         if way > 0.005 or not last.same_as(first):
-            found.append(index)
-    return found
+            moved.append(index)
+    return moved
 
 
 def without_restless(

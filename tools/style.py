@@ -30,13 +30,13 @@ def parallel_assignments(source: str) -> Iterator[int]:
 
 def main(paths: list[str]) -> int:
     """Print the place of every violation in these files; returns 1 if there is one."""
-    found = [
+    faults = [
         f"{path}:{line}: unrelated things are assigned in one statement"
         for path in paths
         for line in parallel_assignments(Path(path).read_text(encoding="utf-8"))
     ]
-    print(*found, sep="\n", end="\n" if found else "")
-    return 1 if found else 0
+    print(*faults, sep="\n", end="\n" if faults else "")
+    return 1 if faults else 0
 
 
 if __name__ == "__main__":

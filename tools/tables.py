@@ -129,10 +129,10 @@ def privileged_terms() -> list[Term]:
     Raises:
         ValueError: Tasks have terms of one name that differ in what a reader sees.
     """
-    found: dict[str, Term] = {}
+    by_name: dict[str, Term] = {}
     for task in TASKS.values():
         for term in task.privileged_terms:
-            known = found.setdefault(term.name, term)
+            known = by_name.setdefault(term.name, term)
             if (known.labels, known.unit, known.low, known.high, known.meaning) != (
                 term.labels,
                 term.unit,
@@ -141,7 +141,7 @@ def privileged_terms() -> list[Term]:
                 term.meaning,
             ):
                 raise ValueError(f"privileged term '{term.name}' differs between tasks")
-    return list(found.values())
+    return list(by_name.values())
 
 
 def privileged_table() -> str:
@@ -348,11 +348,11 @@ def deployed_table() -> str:
 def gentle_table() -> str:
     """Successes by crush limit, of `experiments.gentle`."""
     file = DOCS / "results" / "experiments" / "gentle.json"
-    found = json.loads(file.read_text(encoding="utf-8"))
+    counts = json.loads(file.read_text(encoding="utf-8"))
     limits = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
-    policies = {name: [cell] for name, cell in (found["rows"] | found["closures"]).items()}
+    policies = {name: [cell] for name, cell in (counts["rows"] | counts["closures"]).items()}
     for obs in ("deploy", "load"):
-        cells = [cell for name, cell in found.items() if re.fullmatch(rf"{obs}_\d", name)]
+        cells = [cell for name, cell in counts.items() if re.fullmatch(rf"{obs}_\d", name)]
         policies[f'learned, `obs="{obs}"`, {len(cells)} seeds'] = cells
     rows = []
     for name, cells in policies.items():
@@ -382,7 +382,7 @@ def seen_objects_table() -> str:
 
 def seen_hands_table() -> str:
     """Errors of the angles of swept hands, of `experiments.watched`."""
-    found = _watched()
+    watched = _watched()
     rows: list[tuple[Any, ...]] = [
         (
             number,
@@ -391,9 +391,9 @@ def seen_hands_table() -> str:
             f"{cell['exact_file_deg']:.3f}",
             f"{cell['file_deg']:.3f}",
         )
-        for number, cell in enumerate(found["hands"])
+        for number, cell in enumerate(watched["hands"])
     ]
-    cell = found["thumbs"][-1]["a tooth back"]
+    cell = watched["thumbs"][-1]["a tooth back"]
     what = f"{len(rows) - 1}, thumb's horn a tooth back: the thumb"
     rows.append((what, cell["pictures"], _quantiles(cell["angle_deg"]), "", ""))
     head = (

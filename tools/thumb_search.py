@@ -94,10 +94,10 @@ def main() -> None:
     """Print the best posture for each finger."""
     geometry = load_geometry()
     for finger in FINGERS:
-        found = find_opposition(geometry, finger)
+        opposition = find_opposition(geometry, finger)
         print(
-            f"{finger:6} = {np.round(found.synergy, 3).tolist()}  # gap {1e3 * found.gap:.2f} mm, "
-            f"pads {1e3 * found.pad_distance:.2f} mm apart, normals {np.degrees(found.pad_angle):.0f} deg"
+            f"{finger:6} = {np.round(opposition.synergy, 3).tolist()}  # gap {1e3 * opposition.gap:.2f} mm, "
+            f"pads {1e3 * opposition.pad_distance:.2f} mm apart, normals {np.degrees(opposition.pad_angle):.0f} deg"
         )
 
 

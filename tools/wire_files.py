@@ -190,8 +190,8 @@ def _message_rows(title: str, messages: dict[str, protocol.Message]) -> list[str
 
 def _comment(table: str, key: str) -> str:
     section = protocol.SOURCE.split(f"\n[{table}]\n")[1].split("\n[")[0]
-    found = re.search(rf"^{key} = [^#\n]*# *(.*)$", section, re.MULTILINE)
-    return found[1] if found else ""
+    comment = re.search(rf"^{key} = [^#\n]*# *(.*)$", section, re.MULTILINE)
+    return comment[1] if comment else ""
 
 
 _SESSION = 0x12345678
