@@ -137,16 +137,20 @@ def learns(page: Path) -> bool:
     ],
 )
 def test_every_program_of_a_page_runs(page, tmp_path):
+    run_programs(page, tmp_path)
+
+
+def run_programs(page: Path, folder: Path) -> None:
     """In one file, one after the other: a page's programs may use what stands above them. Vector
     environments of processes import that file.
     """
     lines = textwrap.indent("\n".join(blocks(page, "python")), "    ")
-    (tmp_path / "hand.toml").write_text(hand_to_toml(HPAC))  # as `hpac calibrate` writes one
-    file = tmp_path / "programs.py"
+    (folder / "hand.toml").write_text(hand_to_toml(HPAC))  # as `hpac calibrate` writes one
+    file = folder / "programs.py"
     file.write_text(f"def main():\n{lines}\n\n\nif __name__ == '__main__':\n    main()\n")
     done = subprocess.run(
         [sys.executable, str(file)],
-        cwd=tmp_path,
+        cwd=folder,
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
@@ -156,13 +160,16 @@ def test_every_program_of_a_page_runs(page, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+def shell_lines(page: Path) -> list[str]:
+    """The lines of the shell blocks of a page, less their comments."""
+    found = re.findall(r"^```(.*?)\n(.*?)^```", text_of(page), re.S | re.M)
+    text = "\n".join(block for language, block in found if language in ("", "console", "sh"))
+    return [line.partition(" #")[0].strip() for line in text.replace("\\\n", " ").splitlines()]
+
+
 def commands_of(page: Path) -> list[str]:
-    """The lines of `hpac` in the blocks of a page."""
-    lines = []
-    for block in re.findall(r"^```(?:console|sh)?\n(.*?)^```", text_of(page), re.S | re.M):
-        joined = block.replace("\\\n", " ")
-        lines += [line.partition(" #")[0] for line in re.findall(r"^hpac .*", joined, re.M)]
-    return [line for line in lines if "…" not in line]  # less what leaves something out
+    """The lines of `hpac` in the blocks of a page, less what leaves something out."""
+    return [line for line in shell_lines(page) if line.startswith("hpac ") and "…" not in line]
 
 
 def named_in_text(page: Path) -> set[tuple[str, str]]:

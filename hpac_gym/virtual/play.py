@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 from hpac_gym.bridge import pulses_from_servo
 from hpac_gym.command import add_json, say
@@ -32,7 +32,7 @@ def run(options: argparse.Namespace) -> int:
     """Move the hand as the sliders say, until Ctrl-C."""
     from hpac_gym.view.page import HandPage, Shown
 
-    with ExitStack() as stack:
+    with suppress(KeyboardInterrupt), ExitStack() as stack:
         env = stack.enter_context(env_of(options)).unwrapped
         body = Body(env, options.seed or 0, scene(env, options.env, options.seed))
         page = HandPage(body.setup, ABOUT, browser=not options.no_browser)
@@ -57,3 +57,4 @@ def run(options: argparse.Namespace) -> int:
             if page.due():
                 page.show(Shown.of_state(state, servo))
             time.sleep(1 / POSE_HZ)
+    return 0
