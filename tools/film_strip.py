@@ -26,7 +26,7 @@ from hpac_gym.physics.engine import HAND_POSITION
 from hpac_gym.physics.simulation import ENGINES
 from hpac_gym.policies import Policy
 from hpac_gym.policies.baselines import constant_posture
-from hpac_gym.policies.loading import load_policy
+from hpac_gym.policies.loading import load_policy, needed_options
 from hpac_gym.tasks.posture import TOLERANCE
 
 FRAME = (300, 225)
@@ -232,7 +232,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _draw(options: argparse.Namespace) -> int:
-    with gymnasium.make(options.id, engine=options.engine, render_mode="rgb_array") as env:
+    given = {"engine": options.engine} | needed_options(options.policy)
+    with gymnasium.make(options.id, render_mode="rgb_array", **given) as env:
         policy = load_policy(options.policy, env)
         rows = [film_strip(env, policy, seed, options.at) for seed in options.seeds]
     if not any(row.pictures for row in rows):

@@ -17,6 +17,7 @@ from hpac_gym.command import add_json, say
 from hpac_gym.errors import PolicyError, install
 from hpac_gym.output import replacing, writable_folder
 from hpac_gym.policies.closure import Closures
+from hpac_gym.policies.increments import Increments
 from hpac_gym.policies.made_for import require_fit
 from hpac_gym.policies.policy import LearnedPolicy
 from hpac_gym.policies.policy_file import PolicyFile, read_policy
@@ -118,7 +119,7 @@ def card(policy: PolicyFile, evaluation: dict[str, Any] | None = None) -> dict[s
         "observation": [
             dict(zip(names, entry, strict=True)) for entry in fits.get("observation", [])
         ],
-        "decision": decision,
+        "decision": decision | {"increments": about.get("increments")},
         "action": fits.get("action", []),
         "control_hz": fits.get("control_hz"),
         "hand_sha256": fits.get("hand_sha256"),
@@ -171,6 +172,8 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
         decision = told["decision"]
         made = told | {"observation": [list(entry.values()) for entry in told["observation"]]}
         closures = None if decision["closure"] is None else Closures.of(decision["closure"])
+        told_moves = decision.get("increments")
+        moves = None if told_moves is None else Increments.of(told_moves)
         if not (repeat := 1 if closures else decision["control_steps"]) >= 1:
             raise ValueError(f"control_steps is {repeat}, and must be at least 1")
         if (inputs := [entry.name for entry in session.get_inputs()]) != ["observation"]:
@@ -188,7 +191,7 @@ def read_onnx(folder: Path, env: gymnasium.Env[Any, Any]) -> LearnedPolicy:
         decided: NDArray[np.float32] = session.run(None, {"observation": seen})[0][0]
         return decided
 
-    return LearnedPolicy(decide, repeat, closures)
+    return LearnedPolicy(decide, repeat, closures, moves)
 
 
 def export(
@@ -310,6 +313,12 @@ def _page(told: dict[str, Any], film: bool) -> str:
                 f"| {entry['name']} | {entry['low']:g} | {entry['high']:g} |"
                 for entry in decision["numbers"]
             ),
+            "",
+        ]
+    elif decision["increments"]:
+        lines += [
+            "The input is what `hpac_gym.policies.increments.Increments` shows of the observations below: the mean of the first",
+            "ones, then some of the last ones. A decision moves the hand from where it is; its numbers are in the card.",
             "",
         ]
     else:

@@ -94,13 +94,14 @@ def about(name: str, normalize: str | None = None) -> dict[str, Any]:
 
 def needed_options(name: str) -> dict[str, Any]:
     """Options of the environment without which a policy cannot act in it: a free wrist for one that
-    shifts it.
+    shifts it, and the observation of one that sees more than *deploy*.
 
     Raises:
         PolicyError: The file is damaged.
     """
-    closure = about(name).get("closure") or {}
-    return {"wrist": "free"} if closure.get("shift") else {}
+    told = about(name)
+    wrist = {"wrist": "free"} if (told.get("closure") or {}).get("shift") else {}
+    return wrist | ({"obs": told["obs"]} if "obs" in told else {})
 
 
 def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:

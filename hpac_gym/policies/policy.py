@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.closure import Closures
+from hpac_gym.policies.increments import Increments
 from hpac_gym.policies.policy_file import PolicyFile
 
 Observation = ArrayLike | Mapping[str, NDArray[Any]]
@@ -112,6 +113,8 @@ class LearnedPolicy(EpisodePolicy):
             training.
         closures: if given, the actor decides once, on the first observation of an episode; None if
             it sets actions.
+        increments: if given, the actor decides in every step how to move the hand from where it is,
+            on what `Increments.shown` gives.
     """
 
     def __init__(
@@ -119,17 +122,24 @@ class LearnedPolicy(EpisodePolicy):
         actor: Callable[[NDArray[Any]], NDArray[np.float32]],
         action_repeat: int = 1,
         closures: Closures | None = None,
+        increments: Increments | None = None,
     ) -> None:
         self._actor = actor
+        self._increments = increments
         self._action_repeat = action_repeat
         self._closures = closures
 
     @classmethod
     def of(cls, file: PolicyFile) -> LearnedPolicy:
         """The policy of a policy file."""
-        return cls(file.actor, file.action_repeat, file.closures)
+        return cls(file.actor, file.action_repeat, file.closures, file.increments)
 
     def _act(self, observation: Observation, memory: Memory) -> tuple[NDArray[Any], Memory]:
+        if (moves := self._increments) is not None:
+            seen = vector(observation)[None]
+            recent = moves.begin(seen) if memory is None else moves.see(memory, seen)
+            recent = moves.move(recent, self._actor(moves.shown(recent)[0])[None])
+            return recent.action[0].astype(np.float32), recent
         step, decision = memory or (0, None)
         if decision is None or (self._closures is None and step % self._action_repeat == 0):
             decision = self._actor(vector(observation))

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from hpac_gym.errors import PolicyError
 from hpac_gym.output import replacing
 from hpac_gym.policies.closure import Closures
+from hpac_gym.policies.increments import Increments
 
 FORMAT = 2
 SUFFIX = ".hpac"
@@ -102,9 +103,28 @@ class PolicyFile:
         return closures
 
     @property
+    def increments(self) -> Increments | None:
+        """How the actor moves the hand from where it is; None if it does not.
+
+        Raises:
+            PolicyError: They are invalid, or do not match the actor.
+        """
+        if (told := self.about.get("increments")) is None:
+            return None
+        moves = Increments.of(told)
+        observed, decided = self.actor.sizes
+        if observed % (moves.frames + 1) or decided != len(moves.start) or self.closures:
+            raise PolicyError(
+                f"increments do not fit an actor of {observed} values that sets {decided}"
+            )
+        return moves
+
+    @property
     def sizes(self) -> tuple[int, int]:
         """Numbers of observed values and of action values."""
         observed, decided = self.actor.sizes
+        if (moves := self.increments) is not None:
+            return observed // (moves.frames + 1), decided
         return observed, decided if self.closures is None else self.closures.actions(
             np.zeros((1, decided)), [0]
         ).shape[1]
@@ -183,7 +203,7 @@ def read_policy(path: str | os.PathLike[str]) -> PolicyFile:
                 f"policy file '{path}' is damaged: its action_repeat is {policy.action_repeat!r}"
             )
         try:
-            policy.closures  # noqa: B018  raises if the closure is invalid
+            policy.sizes  # noqa: B018  raises if closure or increments are invalid
         except PolicyError as error:
             raise PolicyError(f"policy file '{path}' is damaged: {error}") from None
         return policy

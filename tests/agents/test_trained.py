@@ -28,6 +28,7 @@ def path_of(name):
         ("grasp-any-wrist", "HPAC-GraspAny-v1", 27_050),
         ("grasp-any-best", "HPAC-GraspAny-v1", 448_622),
         ("grasp-type", "HPAC-GraspType-v0", 3_000),
+        ("gentle", "HPAC-Gentle-v0", 1_024),
         ("pick-place", "HPAC-PickPlace-v0", 8_000),
         ("posture", "HPAC-Posture-v1", 8_485),
     ],
@@ -56,6 +57,7 @@ def test_it_says_how_it_was_made(name, env_id, trials):
         pytest.param(
             "grasp-type", "mujoco", 12, 6, marks=pytest.mark.slow
         ),  # a quarter of its types are held out
+        ("gentle", "mujoco", 24, 9),  # one fixed closure holds 8 %
         pytest.param("pick-place", "mujoco", 12, 11, marks=pytest.mark.slow),
         ("posture", "mujoco", 12, 8),  # the constant action reaches none
     ],

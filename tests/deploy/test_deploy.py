@@ -209,6 +209,7 @@ def test_an_episode_leaves_a_log_and_a_hand_without_pulses(tmp_path, capsys):
     [
         (WORDS, "--port is missing"),
         (("posture", *WORDS[1:], "--dry-run"), "HPAC-Posture-v1 cannot be deployed"),
+        (("gentle", *WORDS[1:], "--dry-run"), "HPAC-Gentle-v0 cannot be deployed"),
         (("none.hpac", *WORDS[1:], "--dry-run"), "no policy file 'none.hpac'"),
         (
             ("grasp", "--object", "ball", *WORDS[3:], "--dry-run"),

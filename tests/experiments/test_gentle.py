@@ -1,21 +1,17 @@
-"""The comparison on the gentle task: the teacher's rule, and what its wrapper remembers."""
+"""The comparison on the gentle task: the teacher's rule, and how policies are judged."""
 
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from experiments.gentle import (
-    FREE,
-    LARGEST,
-    OPEN,
-    RULE,
-    STACK,
-    Increments,
-    action_of,
-    episodes_of,
-    summary,
-)
+from agents import gentle
+from agents.gentle import LARGEST, RULE, Hands
+from experiments.gentle import Feeling, episodes_of, fitted, judge, summary
+from hpac_gym.evaluation.seeds import HELD_OUT_SEED
+from hpac_gym.model import synergy_from_action
+from hpac_gym.policies import read_policy
+from hpac_gym.tasks.task import open_hand
 
 
 def moved(force, synergy=0.8, age=40):
@@ -39,38 +35,36 @@ def test_the_rule_closes_what_feels_nothing_and_opens_what_feels_too_much():
     assert moved([0.0] * 6, synergy=0.0, age=0)[0] == 0.0  # the thumb waits
 
 
-def test_an_action_is_the_increment_that_the_hand_makes():
-    env = Increments(2, "load")
+def test_an_action_of_one_is_the_largest_increment():
+    env = Hands(2, "load")
     env.reset()
-    move = np.array([[0.01, 0.02, -0.01, 0.1, 0.0, -0.05]] * 2)
-    env.step(action_of(move))
-    assert env.synergy == pytest.approx(np.maximum(OPEN + move, 0.0))
-    env.step(action_of(np.full((2, 6), 9.0)))
-    assert env.synergy == pytest.approx(np.maximum(OPEN + move, 0.0) + LARGEST)
-    env.close()
-
-
-def test_an_observation_ends_with_the_newest_and_begins_with_the_mean_of_the_first():
-    env = Increments(1, "load")
-    seen = [env.reset()]
-    for _ in range(FREE + 4):
-        seen.append(env.step(np.full((1, 6), 0.2))[0])
-    frames = [one.reshape(STACK, -1) for one in seen]
-    assert np.array_equal(frames[8][-1], frames[10][-2])
-    first = np.mean([frame[-1] for frame in frames[: FREE + 1]], axis=0)
-    assert frames[-1][0] == pytest.approx(first, abs=1e-5)
-    assert np.array_equal(frames[-1][0], frames[-2][0])
+    env.step(np.full((2, 6), 9.0))
+    limit = open_hand(1.2) + LARGEST
+    assert synergy_from_action(env.recent.action) == pytest.approx(np.tile(limit, (2, 1)))
     env.close()
 
 
 def test_the_teacher_holds_more_than_a_hand_that_stays_open():
-    env = Increments(32, "deploy")
-    taught = episodes_of(env, lambda seen: env.taught(RULE), 0)
-    still = episodes_of(env, lambda seen: np.zeros((32, 6)), 0)
+    env = Hands(32, "load")
+    taught = episodes_of(env, env.taught, 0)
+    still = episodes_of(env, lambda: np.zeros((32, 6)), 0)
+    felt = episodes_of(env, Feeling(env, fitted(env), True), 0)
     env.close()
     assert taught["success"].mean() > 0.3
     assert not still["success"].any()
+    assert 0 < felt["success"].sum() < taught["success"].sum()
     cells = summary(taught)
     assert cells["all"]["successes"] == taught["success"].sum()
     groups = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N")
     assert sum(cells[group]["episodes"] for group in groups) == 32
+
+
+def test_a_policy_is_trained_written_and_judged(tmp_path, monkeypatch):
+    monkeypatch.setattr(gentle, "WORLDS", 4)
+    words = ["--out", str(tmp_path), "--rounds", "2", "--steps", str(4 * 88 * 12), "--untold"]
+    assert gentle.main(words) == 0
+    name = str(tmp_path / "policy.hpac")
+    about = read_policy(name).about
+    assert (about["obs"], about["episodes"], about["control_steps"]) == ("load", 8, 4 * 88 * 14)
+    found = judge(name, HELD_OUT_SEED, 4, engine="mujoco", told=False)
+    assert found["all"]["episodes"] == 4

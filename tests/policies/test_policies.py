@@ -83,7 +83,7 @@ def test_a_policy_is_evaluated_by_stable_baselines3_as_a_model_of_its_own():
 
 def test_a_name_that_is_no_policy_is_told_with_those_that_are():
     with pytest.raises(
-        PolicyError, match="no policy file 'best', and not one of random, scripted, grasp"
+        PolicyError, match="no policy file 'best', and not one of random, scripted, gentle, grasp"
     ):
         load_policy("best", gymnasium.make(TINY))
 

@@ -1,0 +1,367 @@
+"""A policy for the gentle task: ``python -m agents.gentle --out runs/gentle``.
+
+The hand is moved by increments. A network learns what a rule that feels the true contact forces
+would have done, on what it does itself (DAgger, Ross et al. 2011); with ``--steps`` PPO of
+Stable-Baselines3 goes on from there, whose critic also sees the true forces. The folder gets
+``policy.hpac``."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.vec_env import VecEnvWrapper
+from torch import nn
+
+from agents import POLICY, target_of
+from agents.networks import MEAN_CLIP, OBSERVATION_CLIP, actor_of, mean_and_scale, scaled
+from hpac_gym.command import command_parser, run, whole_number
+from hpac_gym.envs.sb3 import HandVecEnv
+from hpac_gym.evaluation.environment import versions
+from hpac_gym.evaluation.seeds import training_seed
+from hpac_gym.model import HPAC, action_from_synergy, synergy_from_action
+from hpac_gym.model.checks import Array
+from hpac_gym.output import writable_folder
+from hpac_gym.physics.settings import BODIES
+from hpac_gym.policies import PolicyFile, write_policy
+from hpac_gym.policies.increments import Increments
+from hpac_gym.registration import GENTLE
+from hpac_gym.tasks.task import open_hand
+
+STEPS = 88
+"""Control steps of an episode."""
+CLOSING = 48
+"""Those until the lift."""
+LARGEST = np.array([0.06, 0.10, 0.10, 0.10, 0.10, 0.10])
+"""Largest increment of each driven joint [rad]."""
+PER_RADIAN = 2 / (HPAC.synergy_max - HPAC.synergy_min)
+"""Change of an action for a radian of the synergy."""
+MOVES = Increments(
+    tuple(action_from_synergy(open_hand(1.2)).tolist()), tuple((LARGEST * PER_RADIAN).tolist())
+)
+WORLDS = 128
+HIDDEN = 128
+UNTOLD = 3.0
+"""Crush limit that the rule assumes where none is told [N]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """Numbers of the loop: close fast to just before contact, then by what each digit feels."""
+
+    fast: float = 0.272
+    """Synergy until which the fingers close fast, for an object 50 mm from the palm [rad]."""
+    fastx: float = 5.61
+    """By how much less for each metre more [rad/m]."""
+    fstep: float = 0.0635
+    step: float = 0.0185
+    back: float = 0.00912
+    """Increments: fast, largest closing and largest opening one [rad]."""
+    gain: float = 0.00973
+    """Increment for a newton that is missing [rad/N]."""
+    cmc: float = 0.937
+    tpre: float = 0.138
+    tstep: float = 0.0325
+    """CMC; MP up to which the thumb closes fast, and how fast [rad]."""
+    delay: float = 8.29
+    """Control steps that the thumb waits."""
+    phi: float = 0.82
+    """Share of the crush limit that is aimed at."""
+    thumb: float = 0.871
+    """Share of the aim that the thumb presses with."""
+    over: float = 1.37
+    """Share of the aim beyond which all digits give way."""
+    index: float = 0.673
+    ring: float = 0.595
+    pinky: float = 0.505
+    """Weights of the fingers' shares; the middle's is 1."""
+    slip: float = 107.0
+    """Growth of the aim for each metre that the object slips beyond 2 mm [1/m]."""
+
+    @property
+    def shares(self) -> Array:
+        """Share of the aim that each finger presses with, shape (4,)."""
+        weights = np.array([self.index, 1.0, self.ring, self.pinky])
+        return weights / weights.sum()
+
+    def increments(
+        self, synergy: Array, step: Array, force: Array, limit: Array, far: Array, slip: Array
+    ) -> Array:
+        """Increments of n hands, shape (n, 6) [rad].
+
+        Args:
+            synergy: shape (n, 6) [rad].
+            step: control steps since the episode began, shape (n,).
+            force: of the palm, if it is known, and of every digit, shape (n, 6) [N].
+            limit: crush limit, shape (n,) [N].
+            far: distance from the palm to the object's far side, shape (n,) [m].
+            slip: of the object in the hand, shape (n,) [m].
+        """
+        grown = np.minimum(self.phi * (1 + self.slip * np.maximum(slip - 2e-3, 0.0)), 0.95)
+        aim = (grown * limit)[:, None]
+        shares = np.append(self.thumb, self.shares)
+        squeeze = force.sum(axis=1, keepdims=True) / 2
+        move = np.clip(self.gain * (shares * aim - force[:, 1:]), -self.back, self.step)
+        move[(squeeze > aim)[:, 0]] = np.minimum(move, 0.0)[(squeeze > aim)[:, 0]]
+        move = np.where(squeeze > self.over * aim, -self.back, move)
+        fast = np.clip(self.fast - self.fastx * (far - 0.05), 0.0, 1.2)[:, None]
+        move[:, 1:] = np.where(synergy[:, 1:5] < fast, self.fstep, move[:, 1:])
+        move[:, 0] = np.where(synergy[:, 0] < self.tpre, self.tstep, move[:, 0])
+        move[step < self.delay, 0] = 0.0
+        return np.column_stack([move, np.clip(self.cmc - synergy[:, 5], -0.1, 0.1)])
+
+
+RULE = Rule()
+
+
+class Hands(VecEnvWrapper):
+    """n hands that are moved by increments; they see what `Increments.shown` gives, scaled, and then
+    what only a critic may. An action is a decision before its tanh.
+
+    Attributes:
+        seen: number of entries that the actor sees.
+        recent: what every episode has seen and done.
+        mean, scale: of what the actor sees, shape (seen,).
+    """
+
+    def __init__(self, num_envs: int, obs: str, told: bool = True, body: str = "light") -> None:
+        env = HandVecEnv(GENTLE, num_envs, engine="mujoco", body=body, obs=obs, told=told)
+        self.told = told
+        self.episodes = env.envs.episodes
+        self.recent = MOVES.begin(np.zeros((num_envs, env.observation_space.shape[0]), np.float32))
+        self.seen = MOVES.shown(self.recent).shape[1]
+        self.mean = np.zeros(self.seen)
+        self.scale = np.ones(self.seen)
+        size = self.seen + self._truth().shape[1]
+        bound = OBSERVATION_CLIP
+        super().__init__(
+            env,
+            Box(-bound, bound, (size,), np.float32),
+            Box(-MEAN_CLIP, MEAN_CLIP, (6,), np.float32),
+        )
+
+    def reset(self) -> Array:
+        self.recent = MOVES.begin(self.venv.reset())
+        return self._observed()
+
+    def step_async(self, actions: Array) -> None:
+        self.recent = MOVES.move(self.recent, np.tanh(actions))
+        self.venv.step_async(self.recent.action.astype(np.float32))
+
+    def step_wait(self) -> Any:
+        seen, reward, done, infos = self.venv.step_wait()
+        self.recent = MOVES.see(self.recent, seen).replaced(done, MOVES.begin(seen))
+        observed = self._observed()
+        for world in np.flatnonzero(done):  # no episode is truncated, so that nobody reads it
+            infos[world]["terminal_observation"] = observed[world]
+        return observed, 0.1 * reward, done, infos
+
+    def _observed(self) -> Array:
+        shown = scaled(MOVES.shown(self.recent), self.mean, self.scale)
+        return np.concatenate([shown, self._truth()], axis=1).astype(np.float32)
+
+    def _truth(self) -> Array:
+        """What a critic sees beside: forces, squeeze, limit, slip, mass, friction; of order one."""
+        task = self.episodes.task
+        now = self.episodes.now
+        if now is None:
+            return np.zeros((len(self.recent.step), 11))
+        things = [setup.object for setup in self.episodes.setups]
+        rows = (task.squeeze / 3, task.crush_limit / 5, 20 * task.grip.slip)
+        hidden = ([one.mass / 0.1 for one in things], [one.friction for one in things])
+        return np.column_stack([now.state.contact_force / 3, *rows, *hidden])
+
+    def taught(self) -> Array:
+        """Decisions of the rule, which knows everything but an untold limit, shape (n, 6)."""
+        state = self.episodes.now.state
+        task = self.episodes.task
+        setups = self.episodes.setups
+        step = self.recent.step[:, 0]
+        far = np.array([one.position[0] + one.object.half_extents[0] for one in setups])
+        limit = task.crush_limit if self.told else np.full(len(setups), UNTOLD)
+        synergy = synergy_from_action(self.recent.action)
+        slip = task.grip.slip * (step > CLOSING)
+        moved = RULE.increments(synergy, step, state.contact_force, limit, far, slip)
+        return MOVES.decisions(moved * PER_RADIAN)
+
+
+class Sides(nn.Module):
+    """An actor's hidden layers, which see the first entries alone, and a critic's, which see all."""
+
+    latent_dim_pi = latent_dim_vf = HIDDEN
+
+    def __init__(self, seen: int, everything: int) -> None:
+        super().__init__()
+        self.seen = seen
+        self.actor, self.critic = (
+            nn.Sequential(nn.Linear(size, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU())
+            for size in (seen, everything)
+        )
+
+    def forward(self, entries: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.forward_actor(entries), self.forward_critic(entries)
+
+    def forward_actor(self, entries: torch.Tensor) -> torch.Tensor:
+        return self.actor(entries[:, : self.seen])
+
+    def forward_critic(self, entries: torch.Tensor) -> torch.Tensor:
+        return self.critic(entries)
+
+
+class Asymmetric(ActorCriticPolicy):
+    """Stable-Baselines3's policy with `Sides`; `seen`: number of entries that the actor sees."""
+
+    def __init__(self, *args: Any, seen: int, **settings: Any) -> None:
+        self._seen = seen
+        super().__init__(*args, **settings)
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor = Sides(self._seen, self.features_dim)
+
+    def mean(self, entries: torch.Tensor) -> torch.Tensor:
+        """Mean decisions before their tanh."""
+        return self.action_net(self.mlp_extractor.forward_actor(entries))
+
+
+def learner(env: Hands, seed: int) -> PPO:
+    """A PPO that has learned nothing yet."""
+    return PPO(
+        Asymmetric,
+        env,
+        n_steps=STEPS,
+        batch_size=1024,
+        n_epochs=5,
+        learning_rate=1e-4,
+        gamma=0.99,
+        gae_lambda=0.95,
+        target_kl=0.02,
+        seed=seed,
+        device="cpu",
+        policy_kwargs={"seen": env.seen, "log_std_init": -2.5, "ortho_init": False},
+    )
+
+
+def imitate(model: PPO, env: Hands, rounds: int, seed: int, updates: int = 250) -> None:
+    """DAgger: the policy learns what the rule would have done where the policy has been."""
+    rng = np.random.default_rng(seed)
+    policy = model.policy
+    optimizer = torch.optim.Adam(policy.parameters(), lr=1e-3)
+    shown: list[Array] = []
+    wanted: list[Array] = []
+    env.seed(training_seed(seed, 0, env.num_envs))
+    env.reset()
+    for number in range(rounds):
+        ended = succeeded = 0
+        for _ in range(STEPS):
+            shown.append(MOVES.shown(env.recent))
+            wanted.append(env.taught())
+            raw = np.arctanh(np.clip(wanted[-1], -0.999, 0.999))
+            if number:
+                with torch.no_grad():
+                    rows = torch.from_numpy(scaled(shown[-1], env.mean, env.scale)).float()
+                    raw = policy.mean(rows).clamp(-MEAN_CLIP, MEAN_CLIP).numpy()
+            *_, done, infos = env.step(raw)
+            ended += int(done.sum())
+            succeeded += sum(bool(infos[world]["is_success"]) for world in np.flatnonzero(done))
+        if not number:
+            env.mean, env.scale = mean_and_scale(np.concatenate(shown))
+        data = torch.from_numpy(scaled(np.concatenate(shown), env.mean, env.scale)).float()
+        told = torch.from_numpy(np.concatenate(wanted)).float()
+        optimizer.param_groups[0]["lr"] = 1e-3 * (1 - number / rounds)
+        count = updates * (3 if number == rounds - 1 else 1)
+        for part in rng.integers(len(data), size=(count, 1024)):
+            decided = torch.tanh(policy.mean(data[part]).clamp(-MEAN_CLIP, MEAN_CLIP))
+            loss = (decided - told[part]).square().mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        print(f"round {number}: {succeeded} of {ended} held, loss {loss.item():.4f}", flush=True)
+
+
+class Warm(BaseCallback):
+    """Lets the critic alone learn for the first rollouts, and tells how training goes."""
+
+    def __init__(self, rollouts: int = 10) -> None:
+        super().__init__()
+        self._rollouts = rollouts
+        self._ended: list[bool] = []
+
+    def _on_step(self) -> bool:
+        done = self.locals["dones"]
+        infos = self.locals["infos"]
+        self._ended += [bool(infos[world]["is_success"]) for world in np.flatnonzero(done)]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        number = self.num_timesteps // (STEPS * WORLDS)
+        policy = self.model.policy
+        learns = number > self._rollouts
+        for part in (policy.mlp_extractor.actor, policy.action_net):
+            part.requires_grad_(learns)
+        policy.log_std.requires_grad_(learns)
+        if number % 20 == 0:
+            share = np.mean(self._ended[-2000:])
+            print(f"{self.num_timesteps:,} steps: {share:.3f} held in training", flush=True)
+
+
+def train(
+    out: Path,
+    obs: str = "load",
+    seed: int = 0,
+    rounds: int = 8,
+    steps: int = 0,
+    told: bool = True,
+    body: str = "light",
+) -> None:
+    """Learn, and write the policy file into a folder."""
+    torch.set_num_threads(1)
+    torch.manual_seed(seed)
+    writable_folder(out)
+    env = Hands(WORLDS, obs, told, body)
+    model = learner(env, seed)
+    imitate(model, env, rounds, seed)
+    if steps:
+        env.seed(training_seed(seed, 1, WORLDS))
+        model.learn(steps, callback=Warm())
+    target = target_of(GENTLE, obs=obs, told=told)
+    settings = {"seed": seed, "rounds": rounds, "steps": steps, "body": body, "told": told}
+    about = {
+        **target,
+        "algorithm": "DAgger, then PPO" if steps else "DAgger",
+        "settings": settings | {"hidden": [HIDDEN, HIDDEN]},
+        "obs": obs,
+        "increments": asdict(MOVES),
+        "episodes": WORLDS * rounds,
+        "control_steps": WORLDS * STEPS * rounds + steps,
+        "versions": versions("stable-baselines3"),
+    }
+    parts = [*model.policy.mlp_extractor.actor, model.policy.action_net]
+    write_policy(out / POLICY, PolicyFile(actor_of(parts, env.mean, env.scale), about))
+    env.close()
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = command_parser("agents.gentle", __doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the policy")
+    parser.add_argument("--obs", choices=("deploy", "load"), default="load", help="observation")
+    parser.add_argument("--seed", type=whole_number(0), default=0, help="of the training")
+    parser.add_argument("--rounds", type=whole_number(1), default=8, help="rounds of imitation")
+    parser.add_argument("--steps", type=whole_number(0), default=0, help="control steps of PPO")
+    parser.add_argument("--untold", action="store_true", help="the crush limit is not told")
+    parser.add_argument("--body", choices=tuple(BODIES), default="light", help="the hand's inertia")
+    args = parser.parse_args(argv)
+    train(args.out, args.obs, args.seed, args.rounds, args.steps, not args.untold, args.body)
+    print(args.out / POLICY)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run(main))

@@ -1,0 +1,116 @@
+"""Policies that move the hand by increments, and remember what they saw last: closed loops.
+
+It needs only numpy, so that a host with a real hand runs one without a simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpac_gym.errors import PolicyError
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Recent:
+    """What n episodes have seen and done so far.
+
+    Attributes:
+        action: where each hand has been moved to, shape (n, 6), −1…1.
+        step: control steps since its episode began, shape (n, 1).
+        early: mean of its first observations, shape (n, k).
+        last: its last ones, the newest at the end, shape (n, m, k).
+    """
+
+    action: Array
+    step: Array
+    early: Array
+    last: Array
+
+    def replaced(self, worlds: Array, other: Recent) -> Recent:
+        """The same, with some worlds of another one; `worlds` are booleans, shape (n,)."""
+        chosen = {}
+        for entry in fields(self):
+            mine = getattr(self, entry.name)
+            mask = worlds.reshape(-1, *[1] * (mine.ndim - 1))
+            chosen[entry.name] = np.where(mask, getattr(other, entry.name), mine)
+        return Recent(**chosen)
+
+
+@dataclass(frozen=True, slots=True)
+class Increments:
+    """How such a policy moves the hand, and what it is shown: the mean of the first observations, as
+    a reading of the untouched hand, then some of the last ones, the newest at the end.
+
+    Raises:
+        PolicyError: There are not six numbers of each kind, or one is out of its range.
+    """
+
+    start: tuple[float, ...]
+    """Action at the start posture, −1…1."""
+    largest: tuple[float, ...]
+    """Largest change of the action in a control step. A decision's entry d makes the change d·|d|
+    times that, so that small changes are as easy to find as large ones."""
+    frames: int = 3
+    """Number of last observations."""
+    apart: int = 2
+    """Control steps between them."""
+    first: int = 11
+    """Number of first observations in the mean."""
+
+    def __post_init__(self) -> None:
+        for name in ("start", "largest"):
+            given = np.asarray(getattr(self, name), dtype=float)
+            if given.shape != (6,) or not np.all(np.abs(given) <= 2):
+                raise PolicyError(f"increments {name} = {given.tolist()} must be six numbers, −2…2")
+            object.__setattr__(self, name, tuple(given.tolist()))
+        for name in ("frames", "apart", "first"):
+            if not (type(value := getattr(self, name)) is int and value >= 1):
+                raise PolicyError(f"increments {name} = {value!r} must be a whole number from 1 on")
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> Increments:
+        """The increments that a policy file describes.
+
+        Raises:
+            PolicyError: A name is unknown or missing, or a number invalid.
+        """
+        try:
+            return cls(**told)
+        except (TypeError, ValueError) as error:
+            raise PolicyError(f"invalid increments: {error}") from None
+
+    def begin(self, seen: Array) -> Recent:
+        """The beginning of n episodes, from their first observations, shape (n, k)."""
+        count = len(seen)
+        last = np.repeat(seen[:, None], (self.frames - 1) * self.apart + 1, axis=1)
+        return Recent(np.tile(self.start, (count, 1)), np.zeros((count, 1), int), seen, last)
+
+    def see(self, recent: Recent, seen: Array) -> Recent:
+        """Their next observations, shape (n, k)."""
+        step = recent.step + 1
+        mean = recent.early + (seen - recent.early) / (step + 1)
+        early = np.where(step < self.first, mean, recent.early).astype(seen.dtype)
+        last = np.concatenate([recent.last[:, 1:], seen[:, None]], axis=1)
+        return Recent(recent.action, step, early, last)
+
+    def shown(self, recent: Recent) -> Array:
+        """What the policy decides on, shape (n, (1 + frames)·k)."""
+        frames = np.concatenate([recent.early[:, None], recent.last[:, :: self.apart]], axis=1)
+        return frames.reshape(len(frames), -1)
+
+    def move(self, recent: Recent, decisions: Array) -> Recent:
+        """Carry out decisions, shape (n, 6), −1…1; the result's `action` is that of the hand."""
+        moved = recent.action + decisions * np.abs(decisions) * np.array(self.largest)
+        return Recent(np.clip(moved, -1.0, 1.0), recent.step, recent.early, recent.last)
+
+    def decisions(self, changes: Array) -> Array:
+        """Decisions that make these changes of the action, shape (n, 6), as far as they are allowed."""
+        share = np.clip(changes / np.array(self.largest), -1.0, 1.0)
+        decided: Array = np.sign(share) * np.sqrt(np.abs(share))
+        return decided
