@@ -7,6 +7,7 @@ EXTRA_OF = {
     "coacd": "objects",
     "cv2": "camera",
     "imageio": "video",
+    "imageio_ffmpeg": "video",
     "jax": "sbx",
     "lerobot": "lerobot",
     "matplotlib": "study",

@@ -109,7 +109,10 @@ def _film(path: Path) -> Iterator[Any]:
     """The writer of a film."""
     if path.suffix not in FILMS:
         raise OutputError(f"--record '{path}' must end in {' or '.join(FILMS)}")
-    import imageio.v2 as imageio  # an extra
+    import imageio.v2 as imageio
+
+    if path.suffix == ".mp4":
+        import imageio_ffmpeg  # noqa: F401  an extra, whose absence imageio tells in 29 lines
 
     how = {"format": path.suffix, **FILMS[path.suffix]}
     with replacing(path) as temporary, imageio.get_writer(temporary, **how) as film:

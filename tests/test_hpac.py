@@ -373,6 +373,7 @@ def packages_of_extras() -> dict[str, set[str]]:
 DISTRIBUTION = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
+    "imageio_ffmpeg": "imageio-ffmpeg",
     "sb3_contrib": "sb3-contrib",
     "sbx": "sbx-rl",
     "stable_baselines3": "stable-baselines3",

@@ -35,7 +35,7 @@ ROOMS = {
     "deploy": {"numpy", "scipy", "gymnasium", "matplotlib"},
     "virtual": {"numpy", "scipy"},
     "posture": {"numpy", "matplotlib"},
-    "show": {"imageio"},
+    "show": {"imageio", "imageio_ffmpeg"},
     "hpac_gym": set(),
     "hpac": set(),
 }

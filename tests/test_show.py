@@ -52,6 +52,14 @@ def test_a_film_is_written(tmp_path, capsys):
     assert len(imageio.mimread(path, memtest=False)) > 40
 
 
+def test_a_film_without_its_encoder_names_the_extra(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    assert hpac.main(["show", "--record", str(tmp_path / "film.mp4")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("error: this command needs more: pip install '.[video]'")
+    assert said.count("\n") == 1
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
