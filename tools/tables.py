@@ -7,7 +7,6 @@ hand."""
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -22,7 +21,7 @@ from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.envs.registered import make_task, options_of_id
 from hpac_gym.evaluation import results, splits
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
-from hpac_gym.evaluation.statistics import rate_text, wilson_interval
+from hpac_gym.evaluation.statistics import rate_text
 from hpac_gym.model import HPAC, JOINTS, SERVOS
 from hpac_gym.output import markdown
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
@@ -345,28 +344,39 @@ def deployed_table() -> str:
     return markdown(head, rows)
 
 
-def gentle_table() -> str:
-    """Successes by crush limit, of `experiments.gentle`."""
+def _gentle() -> dict[str, list[list[str]]]:
+    """A row for every policy of `experiments.gentle`, by set-up."""
     file = DOCS / "results" / "experiments" / "gentle.json"
-    counts = json.loads(file.read_text(encoding="utf-8"))
-    limits = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
-    policies = {name: [cell] for name, cell in (counts["rows"] | counts["closures"]).items()}
-    for obs in ("deploy", "load"):
-        cells = [cell for name, cell in counts.items() if re.fullmatch(rf"{obs}_\d", name)]
-        policies[f'learned, `obs="{obs}"`, {len(cells)} seeds'] = cells
+    found: dict[str, list[list[str]]] = {}
+    for name, part in json.loads(file.read_text(encoding="utf-8")).items():
+        what, _, where = name.partition("_")
+        cells = {what: part} if "all" in part else part
+        for label, cell in cells.items() if isinstance(part, dict) else ():
+            if isinstance(cell, dict):
+                row = [label.replace("-", ", seed ")]
+                for limit in GENTLE_LIMITS:
+                    low, high = (100 * bound for bound in cell[limit]["interval_95"])
+                    row.append(f"{100 * cell[limit]['success_rate']:.0f} [{low:.0f}, {high:.0f}]")
+                found.setdefault(where or "mujoco_light", []).append(row)
+    return found
+
+
+GENTLE_LIMITS = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
+
+
+def gentle_table() -> str:
+    """Successes by crush limit on the light body, of `experiments.gentle`."""
+    return markdown(["policy", *GENTLE_LIMITS], _gentle()["mujoco_light"])
+
+
+def gentle_elsewhere_table() -> str:
+    """Successes by crush limit on other bodies, engines, and where the limit is not told."""
     rows = []
-    for name, cells in policies.items():
-        row = [name]
-        for limit in limits:
-            successes, episodes = (
-                sum(cell[limit][count] for cell in cells) for count in ("successes", "episodes")
-            )
-            low, high = wilson_interval(successes, episodes)
-            row.append(f"{100 * successes / episodes:.0f} [{100 * low:.0f}, {100 * high:.0f}]")
-        shares = [100 * cell["3 to 4 N"]["success_rate"] for cell in cells]
-        row.append(f"{min(shares):.0f} … {max(shares):.0f}" if len(cells) > 1 else "")
-        rows.append(row)
-    return markdown(["policy", *limits, "seeds, 3 to 4 N"], rows)
+    for where, found in _gentle().items():
+        if where != "mujoco_light":
+            place = where.replace("_untold", ", limit not told").replace("_", "/")
+            rows += [[place, *row] for row in found]
+    return markdown(["where", "policy", *GENTLE_LIMITS], rows)
 
 
 def seen_objects_table() -> str:
@@ -457,7 +467,8 @@ PAGES: dict[str, Makers] = {
     "environments/grasp.md": task_tables(GRASP) | {"scale": scale_table},
     "environments/grasp_any.md": task_tables(GRASP_ANY),
     "environments/grasp_type.md": task_tables(GRASP_TYPE),
-    "environments/gentle.md": task_tables(GENTLE) | {"gentle": gentle_table},
+    "environments/gentle.md": task_tables(GENTLE)
+    | {"gentle": gentle_table, "gentle-elsewhere": gentle_elsewhere_table},
     "environments/pick_place.md": task_tables(PICK_PLACE),
     "environments/posture.md": task_tables(POSTURE),
     "benchmark.md": {"results": results_table},
