@@ -18,7 +18,7 @@ from hpac_gym.evaluation.evaluate import env_id_of
 from hpac_gym.evaluation.options import add_env_options, env_options
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.output import OutputError, replacing
-from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options
+from hpac_gym.policies.loading import NAMES, NORMALIZE, load_policy, needed_options, shipped_for
 from hpac_gym.registration import GRASP
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Show episodes, one after another."""
-    policy = options.policy or ("scripted" if options.grasp or options.env else "grasp")
+    policy = options.policy or ("scripted" if options.grasp else shipped_for(options.env or GRASP))
     env_id = options.env or env_id_of(policy) or GRASP
     count = options.episodes or (3 if options.record else None)
     mode = "rgb_array" if options.record else "human"

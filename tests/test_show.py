@@ -9,6 +9,7 @@ import urllib.request
 import pytest
 
 import hpac
+from hpac_gym.policies.loading import shipped_for
 
 
 def test_a_trained_policy_is_shown_on_a_page():
@@ -28,6 +29,16 @@ def test_a_trained_policy_is_shown_on_a_page():
         running.kill()
     assert (running.returncode, complaints) == (0, "")
     assert said == "grasp on hpac_gym:HPAC-Grasp-v0: 1 of 1 succeeded\n"
+
+
+def test_an_id_is_shown_with_the_policy_that_comes_for_it(capsys, tmp_path):
+    words = ["--episodes", "1", "--seed", "3000001", "--record", str(tmp_path / "film.gif")]
+    assert hpac.main(["show", "--env", "HPAC-Posture-v1", *words]) == 0
+    assert capsys.readouterr().out.startswith("posture on HPAC-Posture-v1: 1 of 1 succeeded")
+    assert {env_id: shipped_for(env_id) for env_id in ("HPAC-GraspAny-v1", "my:Own-v0")} == {
+        "HPAC-GraspAny-v1": "grasp-any-wrist",
+        "my:Own-v0": "scripted",
+    }
 
 
 def test_ctrl_c_is_the_end_of_what_has_no_other():

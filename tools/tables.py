@@ -21,7 +21,7 @@ from hpac_gym.envs.randomization import PRESETS, Randomization
 from hpac_gym.envs.registered import make_task, options_of_id
 from hpac_gym.evaluation import results, splits
 from hpac_gym.evaluation.closures import scale_of, share_found, winning_closures
-from hpac_gym.evaluation.statistics import rate_text
+from hpac_gym.evaluation.statistics import rate_text, wilson_interval
 from hpac_gym.model import HPAC, JOINTS, SERVOS
 from hpac_gym.output import markdown
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, IDS, PICK_PLACE, POSTURE
@@ -345,20 +345,31 @@ def deployed_table() -> str:
 
 
 def _gentle() -> dict[str, list[list[str]]]:
-    """A row for every policy of `experiments.gentle`, by set-up."""
+    """A row for every rule and kind of policy of `experiments.gentle`, by set-up; the runs of a
+    kind, such as ``load-3``, are one row.
+    """
     file = DOCS / "results" / "experiments" / "gentle.json"
-    found: dict[str, list[list[str]]] = {}
+    runs: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for name, part in json.loads(file.read_text(encoding="utf-8")).items():
         what, _, where = name.partition("_")
         cells = {what: part} if "all" in part else part
         for label, cell in cells.items() if isinstance(part, dict) else ():
             if isinstance(cell, dict):
-                row = [label.replace("-", ", seed ")]
-                for limit in GENTLE_LIMITS:
-                    low, high = (100 * bound for bound in cell[limit]["interval_95"])
-                    row.append(f"{100 * cell[limit]['success_rate']:.0f} [{low:.0f}, {high:.0f}]")
-                found.setdefault(where or "mujoco_light", []).append(row)
-    return found
+                kind = (where or "mujoco_light", label.partition("-")[0])
+                runs.setdefault(kind, []).append(cell)
+    rows: dict[str, list[list[str]]] = {}
+    for (where, label), cells in runs.items():
+        row = [label if len(cells) == 1 else f"{label}, {len(cells)} seeds"]
+        for limit in GENTLE_LIMITS:
+            won, episodes = (
+                sum(cell[limit][key] for cell in cells) for key in ("successes", "episodes")
+            )
+            low, high = (100 * bound for bound in wilson_interval(won, episodes))
+            row.append(f"{100 * won / episodes:.0f} [{low:.0f}, {high:.0f}]")
+        each = [100 * cell[GENTLE_LIMITS[1]]["success_rate"] for cell in cells]
+        row.append(f"{min(each):.0f} … {max(each):.0f}" if len(each) > 1 else "")
+        rows.setdefault(where, []).append(row)
+    return rows
 
 
 GENTLE_LIMITS = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
@@ -366,16 +377,16 @@ GENTLE_LIMITS = ("2.5 to 3 N", "3 to 4 N", "4 to 5 N", "all")
 
 def gentle_table() -> str:
     """Successes by crush limit on the light body, of `experiments.gentle`."""
-    return markdown(["policy", *GENTLE_LIMITS], _gentle()["mujoco_light"])
+    return markdown(["policy", *GENTLE_LIMITS, "seeds, 3 to 4 N"], _gentle()["mujoco_light"])
 
 
 def gentle_elsewhere_table() -> str:
     """Successes by crush limit on other bodies, engines, and where the limit is not told."""
     rows = []
-    for where, found in _gentle().items():
+    for where, made in _gentle().items():
         if where != "mujoco_light":
             place = where.replace("_untold", ", limit not told").replace("_", "/")
-            rows += [[place, *row] for row in found]
+            rows += [[place, *row[:-1]] for row in made]
     return markdown(["where", "policy", *GENTLE_LIMITS], rows)
 
 

@@ -104,6 +104,12 @@ def needed_options(name: str) -> dict[str, Any]:
     return wrist | ({"obs": told["obs"]} if "obs" in told else {})
 
 
+def shipped_for(env_id: str) -> str:
+    """Name of a shipped policy of an environment; ``scripted`` if there is none."""
+    made = {about(name)["env_id"].removeprefix("hpac_gym:"): name for name in reversed(SHIPPED)}
+    return made.get(env_id.removeprefix("hpac_gym:"), "scripted")
+
+
 def policy_file_for(name: str, env: gymnasium.Env[Any, Any]) -> PolicyFile:
     """Read a policy file and check it against the environment.
 
