@@ -355,7 +355,7 @@ def _gentle() -> dict[str, list[list[str]]]:
         cells = {what: part} if "all" in part else part
         for label, cell in cells.items() if isinstance(part, dict) else ():
             if isinstance(cell, dict):
-                kind = (where or "mujoco_light", label.partition("-")[0])
+                kind = (where or "mujoco_light", label.partition("-")[0].replace(".", ", "))
                 runs.setdefault(kind, []).append(cell)
     rows: dict[str, list[list[str]]] = {}
     for (where, label), cells in runs.items():

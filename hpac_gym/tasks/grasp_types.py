@@ -92,6 +92,10 @@ SETTLES = 0.002
 """Displacement in the first step beyond which the arriving hand has pushed the object; settling
 alone takes 1 mm [m].
 """
+BEYOND = 0.2
+"""Angle beyond a joint's stop at which an arriving digit is inside of the support, which pushes it
+out, chosen [rad].
+"""
 LOOK_EVERY = 4
 """Control steps between two evaluations of the contacts of a hold, since one takes about as long as
 a step.
@@ -465,12 +469,16 @@ class GraspByType(Grasp):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        An episode fails where `Grasp` fails; if the hand arrives with its thumb inside a finger, or
-        touches or pushes the object on arrival; and at the end if the object was held but not
+        An episode fails where `Grasp` fails; if the hand arrives with its thumb inside a finger or
+        a digit inside the support, or touches or pushes the object on arrival; and at the end if the object was held but not
         according to the type's rule."""
         outcome = super().judge(state, dt)
         arrived = state.time < 1.5 * dt
-        self.free = self.free & ~(arrived & (state.touching.any(axis=1) | (self._moved > SETTLES)))
+        beyond = np.maximum(state.joint_pos - HPAC.joint_max, HPAC.joint_min - state.joint_pos)
+        inside = (
+            state.touching.any(axis=1) | (self._moved > SETTLES) | (beyond > BEYOND).any(axis=1)
+        )
+        self.free = self.free & ~(arrived & inside)
         self.held = outcome == SUCCESS
         return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)
 

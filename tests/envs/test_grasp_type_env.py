@@ -116,6 +116,19 @@ def test_a_hand_that_arrives_in_the_object_fails_at_once(engine):
             assert info["outcome"] == ("failure" if deeper else "running")
 
 
+@pytest.mark.pybullet
+def test_a_hand_that_arrives_in_the_post_fails_at_once():
+    first = np.array([-1, 1, -1, -1, 1, -1, -0.21, -0.03, -0.35, 0.05, -0.06, -0.1], np.float32)
+    for lower, over in ((0.0, True), (0.3, False)):  # the hand; by so many times 65 mm
+        with make(engine="pybullet", types="small_sphere") as env:
+            env.reset(seed=3)
+            first[8] += lower
+            *_, terminated, _, info = env.step(first)
+            assert terminated == over
+            assert not env.unwrapped.state.touching.any(), "only the support is in the way"
+            assert info["contact_force"] == 0
+
+
 def test_a_hand_cannot_arrive_with_its_thumb_inside_of_a_finger():
     with make(types="large_cylinder") as env:
         for fingers, over in ((-1.0, False), (0.6, True)):
