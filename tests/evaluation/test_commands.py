@@ -93,7 +93,7 @@ def folder(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("--policy best", "no policy file 'best', and not one of random, scripted, grasp"),
+        ("--policy best", "no policy file 'best', and not one of random, scripted, gentle"),
         ("--policy {folder}/file", "is not a policy file (.hpac)"),
         ("--policy {folder}/cut.hpac", "is damaged"),
         ("--policy {folder}", "is not an exported policy"),
