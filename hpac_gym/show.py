@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Show episodes, one after another."""
     policy = options.policy or ("scripted" if options.grasp else shipped_for(options.env or GRASP))
-    env_id = options.env or env_id_of(policy) or GRASP
+    env_id = options.env or env_id_of(policy)
     count = options.episodes or (3 if options.record else None)
     mode = "rgb_array" if options.record else "human"
     with ExitStack() as stack:

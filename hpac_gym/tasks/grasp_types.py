@@ -473,12 +473,10 @@ class GraspByType(Grasp):
         a digit inside the support, or touches or pushes the object on arrival; and at the end if the object was held but not
         according to the type's rule."""
         outcome = super().judge(state, dt)
-        arrived = state.time < 1.5 * dt
-        beyond = np.maximum(state.joint_pos - HPAC.joint_max, HPAC.joint_min - state.joint_pos)
-        inside = (
-            state.touching.any(axis=1) | (self._moved > SETTLES) | (beyond > BEYOND).any(axis=1)
-        )
-        self.free = self.free & ~(arrived & inside)
+        if (arrived := state.time < 1.5 * dt).any():
+            beyond = np.maximum(state.joint_pos - HPAC.joint_max, HPAC.joint_min - state.joint_pos)
+            inside = state.touching.any(axis=1) | (self._moved > SETTLES)
+            self.free = self.free & ~(arrived & (inside | (beyond > BEYOND).any(axis=1)))
         self.held = outcome == SUCCESS
         return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)
 
