@@ -9,7 +9,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE.parent))
 
 from hpac_gym import __version__  # noqa: E402
-from tools.tables import measured_page  # noqa: E402
+from tools.result_tables import measured_page  # noqa: E402
 
 project = "hpac_gym"
 author = "The hpac_gym maintainers"

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.results import percent
 from hpac_gym.bridge import BridgeError, HandLink, HostBoard, StreamCounts
 from hpac_gym.command import run_module, whole_number
 from hpac_gym.deploy.episode import WATCHDOG, Log, run_episode
@@ -224,23 +225,21 @@ def run(arguments: argparse.Namespace) -> int:
     cells = summary(found)
     command = f"python -m experiments.deployed --policy {arguments.policy} --episodes {arguments.episodes}"
     write_text(arguments.out, json.dumps({"command": command, "cells": cells}, indent=1) + "\n")
-    head = ("link", "environment", "wire", "difference", "same outcome", "moves", "refused", "lost")
-    print(markdown(head, [_row(cell) for cell in cells]))
+    print(deployed_table(cells))
     return 0
 
 
-def _row(cell: dict[str, Any]) -> tuple[str, ...]:
-    low, high = cell["difference_95"]
-    return (
-        cell["link"],
-        f"{cell['environment']['success_rate']:.1%}",
-        f"{cell['wire']['success_rate']:.1%}",
-        f"{100 * cell['difference']:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]",
-        f"{cell['same_outcome']:.1%}",
-        f"{cell['moves']:,}",
-        f"{cell['refused']:,}",
-        f"{cell['lost']:,}",
-    )
+def deployed_table(cells: Sequence[Mapping[str, Any]]) -> str:
+    """The rows as a Markdown table."""
+    rows = []
+    for cell in cells:
+        sides = (cell[where] for where in ("environment", "wire"))
+        shares = [f"{one['success_rate']:.1%} {percent(one['interval_95'])}" for one in sides]
+        gain = f"{100 * cell['difference']:+.1f} {percent(cell['difference_95'], '+.1f')}"
+        refused = f"{cell['refused']:,} of {cell['moves']:,}"
+        rows.append((cell["link"], *shares, gain, f"{cell['same_outcome']:.1%}", refused))
+    head = ("link", "environment", "wire", "points", "same outcome", "refused commands")
+    return markdown(head, rows)
 
 
 if __name__ == "__main__":

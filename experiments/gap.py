@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from experiments.chain import calibrated
+from experiments.results import percent
 from hpac_gym.bridge import pulses_from_servo, servo_from_pulses
 from hpac_gym.command import run_module, whole_number
 from hpac_gym.evaluation.episodes import run_episodes, worlds
@@ -191,10 +192,8 @@ def gap_table(cells: Sequence[Mapping[str, Any]]) -> str:
     """The rows as a Markdown table."""
     rows = []
     for cell in cells:
-        low, high = (100 * bound for bound in cell["interval_95"])
-        less, most = (100 * bound for bound in cell["difference_95"])
-        points = f"{100 * cell['difference']:+.1f} [{less:+.1f}, {most:+.1f}]"
-        success = f"{cell['success_rate']:.1%} [{low:.1f}, {high:.1f}]"
+        points = f"{100 * cell['difference']:+.1f} {percent(cell['difference_95'], '+.1f')}"
+        success = f"{cell['success_rate']:.1%} {percent(cell['interval_95'])}"
         rows.append((cell["row"], success, "" if cell is cells[0] else points))
     return markdown(("", "success", "points"), rows)
 

@@ -46,6 +46,11 @@ def mean_of(values: ArrayLike) -> Interval:
     return Interval(centre, centre - half, centre + half)
 
 
+def percent(bounds: Sequence[float], form: str = ".1f") -> str:
+    """Text of the bounds of a share [%]."""
+    return f"[{', '.join(f'{100 * bound:{form}}' for bound in bounds)}]"
+
+
 def range_of(values: ArrayLike) -> Interval:
     """Median and middle 95 % of a population, shape (n,)."""
     return Interval(*np.quantile(values, (0.5, 0.025, 0.975)).tolist())
