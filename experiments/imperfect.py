@@ -20,8 +20,8 @@ import numpy as np
 
 from experiments.bench import rest_pose
 from experiments.results import Column, Interval, range_of, rows_of, table
-from hpac_gym.calibration.calibrate import BOUND, check_errors, expected_worst_deg, file_errors
 from hpac_gym.calibration.doubts import doubts
+from hpac_gym.calibration.file_errors import BOUND, check_errors, expected_worst_deg, file_errors
 from hpac_gym.calibration.fitting import IdentificationError
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged

@@ -23,8 +23,8 @@ from experiments.quasistatic import Built
 from experiments.rig import Rig, rig_of, upright
 from hpac_gym.body.geometry import Phalanx, link_poses, load_geometry
 from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
-from hpac_gym.calibration.calibrate import check_errors
 from hpac_gym.calibration.driven import Driver, Segment
+from hpac_gym.calibration.file_errors import check_errors
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.protocol import Protocol, rest_pose

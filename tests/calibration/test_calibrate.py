@@ -10,7 +10,7 @@ import hpac
 from experiments.bench import JointCamera, Protocol, metal_sweeps
 from experiments.quasistatic import hand_course
 from hpac_gym.calibration import samples
-from hpac_gym.calibration.calibrate import (
+from hpac_gym.calibration.file_errors import (
     BOUND,
     WORST_OF_JOINTS,
     FileError,
