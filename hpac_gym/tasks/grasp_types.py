@@ -35,20 +35,23 @@ from hpac_gym.model import (
 )
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import (
+    HAND_POSITION,
     HAND_QUATERNION,
     PARTS,
     POST,
+    TABLE_HALF_EXTENTS,
     Contacts,
     SceneSetup,
     SceneState,
     matrix_from_quaternion,
+    support_boxes,
 )
 from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_grasp
 from hpac_gym.tasks.grasp_data import NOMINAL, GraspError, NamedGrasp, grasps_from_toml
 from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, look_at
-from hpac_gym.tasks.occlusion import Skeleton
+from hpac_gym.tasks.occlusion import SKIN, Skeleton
 from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
 from hpac_gym.tasks.scripted import CLOSE_TIME, Script
@@ -92,10 +95,8 @@ SETTLES = 0.002
 """Displacement in the first step beyond which the arriving hand has pushed the object; settling
 alone takes 1 mm [m].
 """
-BEYOND = 0.2
-"""Angle beyond a joint's stop at which an arriving digit is inside of the support, which pushes it
-out, chosen [rad].
-"""
+ALONG = 9
+"""Points along each link at which it is compared with the support, at most 8 mm apart."""
 LOOK_EVERY = 4
 """Control steps between two evaluations of the contacts of a hold, since one takes about as long as
 a step.
@@ -434,9 +435,7 @@ class GraspByType(Grasp):
             )
             self.held[world] = False
             self.kept[world] = 0.0
-            self.free[world] = not _SKELETON.thumb_in_finger(
-                joints_from_synergy(setup.synergy, setup.hand), 0
-            )
+            self.free[world] = not in_the_way(setup)
 
     def watch(self, state: SceneState, dt: float, contacts: Callable[[int], Contacts]) -> None:
         """Evaluate the contacts of held objects every `LOOK_EVERY` steps from the end of the lift,
@@ -469,14 +468,13 @@ class GraspByType(Grasp):
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance by one control step and judge the episodes.
 
-        An episode fails where `Grasp` fails; if the hand arrives with its thumb inside a finger or
-        a digit inside the support, or touches or pushes the object on arrival; and at the end if the object was held but not
-        according to the type's rule."""
+        An episode fails where `Grasp` fails; if something is in the hand's way where it arrives
+        (`in_the_way`), or it touches or pushes the object on arrival; and at the end if the object
+        was held but not according to the type's rule."""
         outcome = super().judge(state, dt)
         if (arrived := state.time < 1.5 * dt).any():
-            beyond = np.maximum(state.joint_pos - HPAC.joint_max, HPAC.joint_min - state.joint_pos)
             inside = state.touching.any(axis=1) | (self._moved > SETTLES)
-            self.free = self.free & ~(arrived & (inside | (beyond > BEYOND).any(axis=1)))
+            self.free = self.free & ~(arrived & inside)
         self.held = outcome == SUCCESS
         return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)
 
@@ -504,6 +502,31 @@ def _names(types: str | Sequence[str]) -> tuple[str, ...]:
             f"no grasp type {wrong!r}; there are {', '.join((*TYPE_SPLITS, *GRASP_TYPES))}"
         )
     return tuple(names)
+
+
+def in_the_way(setup: SceneSetup) -> bool:
+    """True if the hand at the start of an episode has its thumb inside a finger, or penetrates the
+    support of its object or the table.
+
+    Judged by geometry: a digit that is wedged against a support stays about its joint's stop.
+    """
+    joint_pos = joints_from_synergy(setup.synergy, setup.hand)
+    if _SKELETON.thumb_in_finger(joint_pos, 0):
+        return True
+    first, second = (
+        HAND_POSITION + ends[0] @ setup.hand_rotation.T
+        for ends in _SKELETON.segments(joint_pos[None], np.array([0]))
+    )
+    bones = first + np.linspace(0, 1, ALONG)[:, None, None] * (second - first)
+    boxes, table, _, turn = support_boxes(setup)
+    turned = (matrix_from_quaternion(turn), *(np.array(box) for box in zip(*boxes, strict=True)))
+    level = np.eye(3), np.array([TABLE_HALF_EXTENTS]), np.array([table])
+    for rotation, half, centre in (turned, level):
+        outside = np.abs((bones[:, :, None] - centre) @ rotation) - half
+        distance = np.linalg.norm(np.maximum(outside, 0.0), axis=-1)
+        if (distance < SKIN * _SKELETON.radius[0, :, None]).any():
+            return True
+    return False
 
 
 def _elsewhere(

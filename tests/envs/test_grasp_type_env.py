@@ -9,6 +9,7 @@ import pytest
 from hpac_gym.envs import GraspTypeSetup
 from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.evaluate import evaluate
+from hpac_gym.model import HPAC
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.grasp_types import (
     GRASP_TYPES,
@@ -116,17 +117,35 @@ def test_a_hand_that_arrives_in_the_object_fails_at_once(engine):
             assert info["outcome"] == ("failure" if deeper else "running")
 
 
-@pytest.mark.pybullet
-def test_a_hand_that_arrives_in_the_post_fails_at_once():
-    first = np.array([-1, 1, -1, -1, 1, -1, -0.21, -0.03, -0.35, 0.05, -0.06, -0.1], np.float32)
-    for lower, over in ((0.0, True), (0.3, False)):  # the hand; by so many times 65 mm
-        with make(engine="pybullet", types="small_sphere") as env:
-            env.reset(seed=3)
+PLACE = [-0.21, -0.03, -0.35, 0.05, -0.06, -0.1]
+"""A wrist whose hand reaches around the post of a small sphere."""
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    ("preshape", "seed", "clear", "beyond"),
+    [
+        ([-1, 1, -1, -1, 1, -1], 3, 0.3, (0.2, 0.6)),
+        ([-0.88, 0.93, -0.92, -0.06, 0.69, -0.83], 0, 0.2, (-0.2, 0.1)),
+    ],
+    ids=["whose joint is pushed far beyond its stop", "that stays about its stop, wedged"],
+)
+def test_a_hand_that_arrives_with_a_digit_in_the_post_fails_at_once(
+    engine, preshape, seed, clear, beyond
+):
+    """And one that is lower, by `clear` times 65 mm, does not."""
+    for lower, over in ((0.0, True), (clear, False)):
+        with make(engine=engine, types="small_sphere") as env:
+            env.reset(seed=seed)
+            first = np.array([*preshape, *PLACE], np.float32)
             first[8] += lower
             *_, terminated, _, info = env.step(first)
             assert terminated == over
-            assert not env.unwrapped.state.touching.any(), "only the support is in the way"
+            state = env.unwrapped.state
+            assert not state.touching.any(), "only the support is in the way"
             assert info["contact_force"] == 0
+            excess = np.max(state.joint_pos[0] - HPAC.joint_max)
+            assert engine == "mujoco" or not over or beyond[0] < excess < beyond[1]
 
 
 def test_a_hand_cannot_arrive_with_its_thumb_inside_of_a_finger():

@@ -3,6 +3,7 @@ only holds.
 """
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from hpac_gym.tasks.grasp_types import (
     GraspTypeConfig,
     data_text,
     grasp_types_from_toml,
+    in_the_way,
     wrist_choice,
 )
 
@@ -312,6 +314,28 @@ def test_an_action_puts_the_hand_where_the_type_has_it(name: str):
         placed.yaw,
         placed.object_quaternion,
     )
+
+
+def test_no_support_is_in_the_way_of_the_types_own_hands_but_a_wider_or_a_higher_one_is():
+    """By geometry, without an engine."""
+    for objects in ("train", "test"):
+        assert not any(map(in_the_way, drawn_setups("all", objects, 200)))
+        setups = drawn_setups("all", objects, 200, wrist="script")
+        assert not any(map(in_the_way, setups))
+    blocked = {
+        name: {
+            setup.grasp
+            for setup in setups
+            if in_the_way(replace(setup, support=replace(setup.support, **support)))
+        }
+        for name, support in (
+            ("wide post", {"half_width": (0.1, 0.1)}),
+            ("high table", {"table_height": 0.255}),
+        )
+    }
+    beside = {"small_sphere", "large_sphere", "disk", "lateral_pinch"}
+    assert beside <= blocked["wide post"] < set(NAMES)
+    assert blocked["high table"] == set(NAMES)
 
 
 def test_the_noise_has_the_spread_of_the_config():
