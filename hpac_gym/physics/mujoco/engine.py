@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import fields
 from operator import itemgetter
 from typing import Any
 
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import (
-    HAND_POSITION,
     Contacts,
     Engine,
     PhysicsError,
@@ -25,16 +25,7 @@ from hpac_gym.physics.engine import (
     Viewpoint,
 )
 from hpac_gym.physics.mujoco.camera import Camera
-from hpac_gym.physics.mujoco.group import (
-    FELT,
-    FORCE,
-    ON_SUPPORT,
-    ON_TARGET,
-    TENSION,
-    TOUCHING,
-    Group,
-    Rows,
-)
+from hpac_gym.physics.mujoco.group import Group, Rows
 from hpac_gym.physics.mujoco.model import Layout
 from hpac_gym.physics.settings import HandSettings, WorldSettings
 
@@ -80,8 +71,6 @@ class MuJoCoEngine(Engine):
         self._rows: dict[Group, Rows] = {}
         self._setups: list[SceneSetup | None] = [None] * num_worlds
         self._steps = np.zeros(num_worlds, int)
-        self._to_hand = np.tile(np.eye(3), (num_worlds, 1, 1))
-        self._felt = np.zeros((num_worlds, FELT))
 
     def require(self, settings: HandSettings) -> None:
         """As `Engine.require`; load-dependent friction is not supported."""
@@ -109,11 +98,9 @@ class MuJoCoEngine(Engine):
             moved |= self._group_of[world] is not group
             self._group_of[world] = group
             self._setups[world] = setup
-            self._to_hand[world] = setup.hand_rotation.T
         for group, entries in jobs.items():
             index = np.array(entries)
             group.start(index, [self._setups[world] for world in entries])
-            self._felt[index] = 0.0
             self._steps[index] = 0
         if moved:
             self._rows = {}
@@ -143,13 +130,11 @@ class MuJoCoEngine(Engine):
                 None if push is None else push[rows],
                 self.every_step,
             )
-            self._felt[rows] = group.felt(rows)
-            if self.every_step and group.model.nsensor:
+            if self.every_step:
                 self._force_steps[rows] = group.force_steps()
             self._steps[rows] += servo.shape[1]
             if worlds := sorted(reasons):
                 group.start(np.array(worlds), [self._setups[world] for world in worlds])
-                self._felt[worlds] = 0.0
                 if self.every_step:
                     self._force_steps[worlds] = 0.0
                 failed |= reasons
@@ -163,45 +148,19 @@ class MuJoCoEngine(Engine):
             )
 
     def state(self) -> SceneState:
+        time = self._steps * self.dt
+        parts = [
+            (rows, group.state(rows, time[rows], self._force_steps[rows]))
+            for group, rows in self._rows.items()
+        ]
+        if len(parts) == 1 and isinstance(parts[0][0], slice):
+            return parts[0][1]
         state = SceneState.empty(self.num_worlds)
-        state.time = self._steps * self.dt
-        for group, rows in self._rows.items():
-            at = group.at
-            qpos = group.qpos[rows]
-            qvel = group.qvel[rows]
-            state.joint_pos[rows] = qpos.take(at.joint, axis=1)
-            state.joint_vel[rows] = qvel.take(at.dof, axis=1)
-            if group.layout.object is not None:
-                self._read_object(state, group, rows, qpos, qvel)
-        felt = self._felt.copy()
-        state.tension = felt[:, TENSION]
-        state.touching = felt[:, TOUCHING] > 0
-        state.contact_force = felt[:, FORCE]
-        state.on_target = felt[:, ON_TARGET] > 0
-        state.supported = (felt[:, ON_SUPPORT] > 0) | state.on_target
-        state.force_steps = self._force_steps
+        state.force_steps = np.zeros_like(self._force_steps)
+        for rows, part in parts:
+            for entry in fields(SceneState):
+                getattr(state, entry.name)[rows] = getattr(part, entry.name)
         return state
-
-    def _read_object(
-        self, state: SceneState, group: Group, rows: Rows, qpos: Array, qvel: Array
-    ) -> None:
-        at = group.at
-        to_hand = self._to_hand[rows]
-        state.palm_offset[rows] = offset = qpos.take(at.wrist, axis=1)
-        if group.layout.fixed:
-            place = group.fields["body_pos"][rows, at.object_body]
-            quaternion = group.fields["body_quat"][rows, at.object_body]
-        else:
-            place = qpos[:, at.object : at.object + 3]
-            quaternion = qpos[:, at.object + 3 : at.object + 7]
-        rotation = to_hand @ _matrices(quaternion)
-        state.object_pos[rows] = _turn(to_hand, place - HAND_POSITION - offset)
-        state.object_rotation[rows] = rotation
-        if not group.layout.fixed:
-            velocity = qvel[:, at.object_dof : at.object_dof + 6]
-            # MuJoCo expresses a free body's angular velocity in the body's own axes.
-            state.object_vel[rows] = _turn(to_hand, velocity[:, :3])
-            state.object_spin[rows] = _turn(rotation, velocity[:, 3:])
 
     def contacts(self, world: int) -> Contacts:
         setup = self._setups[world]
@@ -228,16 +187,14 @@ class MuJoCoEngine(Engine):
         return self._camera.picture(model, data, viewpoint, target)
 
     def save(self, world: int) -> Any:
-        state = self._group_of[world].batch.state[world].copy()
-        return self._setups[world], int(self._steps[world]), self._felt[world].copy(), state
+        return self._setups[world], int(self._steps[world]), self._group_of[world].save(world)
 
     def restore(self, world: int, snapshot: Any) -> None:
-        setup, steps, felt, state = snapshot
+        setup, steps, saved = snapshot
         if setup is not self._setups[world]:
             self.reset([world], [setup])
         self._steps[world] = steps
-        self._felt[world] = felt
-        self._group_of[world].batch.state[world] = state
+        self._group_of[world].restore(world, saved)
 
     def close(self) -> None:
         if self._camera is not None:
@@ -283,24 +240,3 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData, item: int, friction: f
         data.body("object").xpos.copy(),
         friction,
     )
-
-
-def _turn(rotation: Array, vector: Array) -> Array:
-    """Vectors, shape (n, 3), rotated by matrices, shape (n, 3, 3)."""
-    return (rotation @ vector[..., None])[..., 0]
-
-
-def _matrices(quaternion: Array) -> Array:
-    """Rotation matrices of unit quaternions wxyz, shapes (n, 4) and (n, 3, 3)."""
-    products = (quaternion[:, :, None] * quaternion[:, None, :]).reshape(-1, 16)
-    rotation = 2 * (products.take(_FIRST, axis=1) + _SIGN * products.take(_SECOND, axis=1))
-    rotation[:, ::4] = 1 - rotation[:, ::4]
-    return rotation.reshape(-1, 3, 3)
-
-
-_FIRST = np.array([10, 6, 7, 6, 5, 11, 7, 11, 5])
-"""Products yy, xy, xz, xy, xx, yz, xz, yz and xx, and with `_SECOND` zz, zw, yw, zw, zz, xw, yw, xw
-and yy.
-"""
-_SECOND = np.array([15, 3, 2, 3, 15, 1, 2, 1, 10])
-_SIGN = np.array([1, -1, 1, 1, 1, -1, -1, 1, 1])
