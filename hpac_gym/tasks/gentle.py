@@ -20,6 +20,7 @@ from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp, GraspConfig, GraspWeights
 from hpac_gym.tasks.grasp_any import CAMERA_TARGET
 from hpac_gym.tasks.grip import lengths
+from hpac_gym.tasks.occlusion import Rows
 from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import Timetable, wrist_table
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
@@ -99,8 +100,8 @@ class _Camera(Senses):
     def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
         return np.zeros((2, 1, 3))
 
-    def _share(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
-        return np.ones(len(rows))
+    def _share(self, state: SceneState, rows: Rows) -> Array:
+        return np.ones(1)
 
 
 TOLD_OPTION = Option("whether the observation tells the crush limit", (True, False))

@@ -3,6 +3,7 @@ the hand.
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from zlib import crc32
 
 import numpy as np
@@ -17,6 +18,10 @@ SKIN = 0.9
 """Fraction of a capsule's radius that occludes: a point under the edge of a touching finger stays
 visible.
 """
+
+
+Rows = NDArray[np.int_] | slice
+"""Some of n worlds."""
 
 
 class Skeleton:
@@ -35,15 +40,20 @@ class Skeleton:
             [[JOINTS.index(phalanx.joint) for phalanx in digit.phalanges] for digit in digits]
         )
         roots = [digit.phalanges[0] for digit in digits]
-        self._base = np.array([root.origin for root in roots])
-        self._rest = np.array([rotation_from_rpy(root.rpy) for root in roots])
+        rest = np.array([rotation_from_rpy(root.rpy) for root in roots])
         axes = np.array([root.axis for root in roots])
-        self._cross = np.cross(axes[:, None], np.eye(3)).swapaxes(1, 2)
-        self._square = self._cross @ self._cross
+        cross = np.cross(axes[:, None], np.eye(3)).swapaxes(1, 2)
+        # The root links' x and z axes at rest, and by the sine and 1 − cosine of the angle. Worlds
+        # are the last axis of these arrays: NumPy is slow where that is short.
+        self._axes = [
+            np.moveaxis(matrix[:, :, ::2], 2, 0)[..., None]
+            for matrix in (rest, rest @ cross, rest @ cross @ cross)
+        ]
+        self._base = np.array([root.origin for root in roots])[:, None, :, None]
         palm = [part for solid in HPAC_GEOMETRY.palm_solids for part in _capsules(solid)]
-        self._palm = np.array([part.start for part in palm]), np.array([part.end for part in palm])
-        self._length = np.zeros((num_worlds, len(digits), 3))
-        self._end = np.zeros((num_worlds, len(digits), 3))
+        self._palm = np.array([[part.start for part in palm], [part.end for part in palm]])
+        self._length = np.zeros((len(digits), 3, 1, num_worlds))
+        self._end = np.zeros((len(digits), 3, 1, num_worlds))
         self.radius = np.zeros((num_worlds, 3 * len(digits) + len(palm)))
         self.radius[:, 3 * len(digits) :] = [part.radius for part in palm]
         for world in range(num_worlds):
@@ -52,44 +62,40 @@ class Skeleton:
     def fit(self, world: int, geometry: Geometry) -> None:
         """Set the links of one hand to those of a geometry with the nominal palm and joints."""
         links = [phalanx for digit in geometry.digits for phalanx in digit.phalanges]
-        self._length[world].flat = [link.length for link in links]
-        self._end[world].flat = [link.capsule.end[2] for link in links]
+        self._length[..., world].flat = [link.length for link in links]
+        self._end[..., world].flat = [link.capsule.end[2] for link in links]
         self.radius[world, : len(links)] = [link.capsule.radius for link in links]
 
-    def segments(self, joint_pos: Array, worlds: NDArray[np.int_]) -> tuple[Array, Array]:
+    def segments(self, joint_pos: Array, worlds: Rows) -> Array:
         """Ends of the capsules' axes of some hands in the hand frame.
 
         Args:
             joint_pos: shape (k, 15) [rad].
-            worlds: indices of the hands, shape (k,).
+            worlds: indices of the hands, shape (k,), or a slice.
 
         Returns:
-            Shapes (k, m, 3) [m].
+            shape (2, k, m, 3) [m].
         """
-        n = len(joint_pos)
-        angles = joint_pos[:, self._joints]
-        sine = np.sin(angles[:, :, :1, None])
-        cosine = np.cos(angles[:, :, :1, None])
-        root = self._rest @ (np.eye(3) + sine * self._cross + (1 - cosine) * self._square)
-        bend = np.cumsum(
-            np.concatenate([np.zeros((n, len(self._base), 1)), angles[:, :, 1:]], axis=2), axis=2
-        )
+        angles = joint_pos.T[self._joints]
+        root = angles[:, :1]
+        rest, by_sine, by_cosine = self._axes
+        across, ahead = rest + np.sin(root) * by_sine + (1 - np.cos(root)) * by_cosine
         # The other two joints turn about the root link's y axis, so the digit stays in its plane.
-        along = (
-            np.sin(bend)[..., None] * root[:, :, None, :, 0]
-            + np.cos(bend)[..., None] * root[:, :, None, :, 2]
-        )
-        links = np.cumsum(self._length[worlds][..., None] * along, axis=2)
-        start = self._base[:, None] + np.concatenate(
-            [np.zeros_like(links[:, :, :1]), links[:, :, :-1]], axis=2
-        )
-        end = start + self._end[worlds][..., None] * along
-        palm = (np.broadcast_to(part, (n, *part.shape)) for part in self._palm)
-        pairs = zip((start, end), palm, strict=True)
-        first, second = (
-            np.concatenate([digits.reshape(n, -1, 3), part], axis=1) for digits, part in pairs
-        )
-        return first, second
+        root[:] = 0.0
+        bend = np.cumsum(angles, axis=1)[:, :, None]
+        along = np.sin(bend) * across[:, None] + np.cos(bend) * ahead[:, None]
+        links = np.cumsum(self._length[..., worlds] * along, axis=1)
+        start = np.empty_like(links)
+        start[:, :1] = self._base
+        start[:, 1:] = self._base + links[:, :-1]
+        ends = np.empty((2, len(joint_pos), self.radius.shape[1], 3))
+        for capsules, digits, palm in zip(
+            ends, (start, start + self._end[..., worlds] * along), self._palm, strict=True
+        ):
+            count = digits.shape[0] * digits.shape[1]
+            capsules[:, :count] = digits.reshape(count, 3, -1).transpose(2, 0, 1)
+            capsules[:, count:] = palm
+        return ends
 
     def thumb_in_finger(self, joint_pos: Array, world: int) -> bool:
         """True if the thumb of one hand penetrates a finger at these joint angles, shape (15,)
@@ -97,13 +103,19 @@ class Skeleton:
         """
         first, second = self.segments(joint_pos[None], np.array([world]))
         radius = self.radius[[world]]
-        fingers = slice(3, 3 * len(self._base))
+        fingers = slice(3, len(JOINTS))
         first_of = first[:, fingers]
         second_of = second[:, fingers]
         wide = radius[:, fingers]
+        one = np.ones((1, 1), dtype=bool)
         return any(
             covered(
-                first[:, link], second[:, [link]], first_of, second_of, wide + radius[:, [link]]
+                first[:, link],
+                second[:, [link]],
+                one,
+                first_of,
+                second_of,
+                wide + radius[:, [link]],
             ).any()
             for link in range(3)
         )
@@ -126,9 +138,14 @@ def _capsules(solid: Box | Capsule) -> list[Capsule]:
 
 
 def covered(
-    eye: Array, points: Array, first: Array, second: Array, radius: Array
+    eye: Array,
+    points: Array,
+    asked: NDArray[np.bool_],
+    first: Array,
+    second: Array,
+    radius: Array,
 ) -> NDArray[np.bool_]:
-    """True where a capsule occludes a point from the eye.
+    """True where a capsule occludes an asked point from the eye.
 
     Based on the shortest distance between two segments, the line of sight and the capsule's axis:
     Ericson, Real-Time Collision Detection (2005), section 5.1.9.
@@ -136,6 +153,7 @@ def covered(
     Args:
         eye: position of the eye in each world, shape (n, 3) [m].
         points: shape (n, p, 3) [m].
+        asked: the points to examine, shape (n, p); the others are not occluded.
         first: ends of the capsules' axes, shape (n, m, 3) [m].
         second: the other ends, shape (n, m, 3) [m].
         radius: radii of the capsules, shape (n, m) [m].
@@ -143,44 +161,44 @@ def covered(
     Returns:
         shape (n, p).
     """
+    world, point = asked.nonzero()
     ray = points - eye[:, None]
     bone = second - first
     way = eye[:, None] - first
-    a = np.einsum("npi,npi->np", ray, ray)[:, :, None]
-    e = np.einsum("nmi,nmi->nm", bone, bone)[:, None]
-    f = np.einsum("nmi,nmi->nm", bone, way)[:, None]
-    b = ray @ bone.swapaxes(1, 2)
-    c = ray @ way.swapaxes(1, 2)
+    # A row for every asked point, a column for every capsule.
+    b = (ray @ bone.swapaxes(1, 2))[world, point]
+    c = (ray @ way.swapaxes(1, 2))[world, point]
+    a = np.einsum("npi,npi->np", ray, ray)[world, point, None]
+    e = np.einsum("nmi,nmi->nm", bone, bone).take(world, axis=0)
+    f = np.einsum("nmi,nmi->nm", bone, way).take(world, axis=0)
+    excess = np.einsum("nmi,nmi->nm", way, way) - (SKIN * radius) ** 2
     # In place: with many worlds new memory for every operation costs more than the arithmetic.
     along = b * f
     along -= c * e
     apart = a * e
     apart -= b * b
-    along /= np.maximum(apart, 1e-18, out=apart)
-    across = b * _share(along)
+    along /= np.clip(apart, 1e-18, None, out=apart)
+    across = b * np.clip(along, 0.0, 1.0, out=along)
     across += f
     across /= e
-    np.multiply(b, _share(across), out=along)
+    np.multiply(b, np.clip(across, 0.0, 1.0, out=across), out=along)
     along -= c
     along /= a
-    square = np.einsum("nmi,nmi->nm", way, way)[:, None]
-    # square + along (along a + 2 (c − across b)) + across (across e − 2 f)
+    # excess + along (along a + 2 (c − across b)) + across (across e − 2 f)
     distance = np.multiply(across, b, out=apart)
     np.subtract(c, distance, out=distance)
     distance *= 2
-    distance += _share(along) * a
+    distance += np.clip(along, 0.0, 1.0, out=along) * a
     distance *= along
-    distance += square
+    distance += excess.take(world, axis=0)
     rest = np.multiply(across, e, out=b)
-    rest -= 2 * f
+    f *= 2
+    rest -= f
     rest *= across
     distance += rest
-    return np.logical_or.reduce(distance < (SKIN * radius[:, None]) ** 2, axis=2)
-
-
-def _share(value: Array) -> Array:
-    """The value, limited in place to 0…1."""
-    return np.minimum(np.maximum(value, 0.0, out=value), 1.0, out=value)
+    found = np.zeros(asked.shape, dtype=bool)
+    found[world, point] = (distance < 0.0).any(axis=1)
+    return found
 
 
 def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Array]:
@@ -224,6 +242,7 @@ def _area(solid: Solid) -> float:
     return np.pi * x * z  # also for a sphere, whose length is its width; a capsule's ends form one
 
 
+@lru_cache(maxsize=64)
 def _triangles(solid: Solid) -> tuple[Array, Array, Array]:
     """Corners of a hull's faces, shape (m, 3, 3) [m], their outward normals, and their areas
     [m²].

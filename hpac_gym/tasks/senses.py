@@ -4,6 +4,7 @@ their load.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.tendons import Drive
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.occlusion import Skeleton, covered, surface
+from hpac_gym.tasks.occlusion import Rows, Skeleton, covered, surface
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Term
 
 POINTS = 64
@@ -118,7 +119,6 @@ class Senses:
         self._centre = centre
         self._servos = servos
         self._skeleton = Skeleton(num_worlds)
-        self._surfaces: dict[ObjectModel, tuple[Array, Array]] = {}
         self._eye = np.zeros((num_worlds, 3))
         self._points = np.zeros((num_worlds, _SPREAD, 3))
         self._normals = np.zeros((num_worlds, _SPREAD, 3))
@@ -168,9 +168,7 @@ class Senses:
                 [Solid(spec.shape, 1.0, (width, depth, height), np.zeros(3), np.eye(3))],
                 _SPREAD,
             )
-        if spec.model not in self._surfaces:
-            self._surfaces[spec.model] = surface(spec.model.name, spec.model.solids, _SPREAD)
-        points, normals = self._surfaces[spec.model]
+        points, normals = _surface_of(spec.model)
         return spec.scale * points, normals
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
@@ -184,7 +182,8 @@ class Senses:
         rows = np.fromiter(worlds, int)
         seen = self._camera.look(state, rows)
         first = self._count[rows] == 0
-        visible = self._share(state, rows) >= SEEN_SHARE
+        every = len(rows) == len(self._count)  # without copies of what each world has
+        visible = self._share(state, slice(None) if every else rows) >= SEEN_SHARE
         self._seen["visible"][rows] = visible
         taken = rows[visible | first]  # in the first look the hand is not there yet
         for name in ("position", "up", "side", "half_extents"):
@@ -226,15 +225,14 @@ class Senses:
         stalled = stretch - tension / stiffness
         return stalled / radius + tension * radius / self._servos.stiffness
 
-    def _share(self, state: SceneState, rows: NDArray[np.int_]) -> Array:
+    def _share(self, state: SceneState, rows: Rows) -> Array:
         """Visible fraction of the points that face the camera, shape (len(rows),)."""
-        facing, clear, _ = self._sight(state, rows, _PROBED)
-        return (facing & clear).sum(axis=1) / np.maximum(facing.sum(axis=1), 1)
+        facing, hidden, _ = self._sight(state, rows, _PROBED)
+        facing = facing.sum(axis=1)
+        return (facing - hidden.sum(axis=1)) / np.maximum(facing, 1)
 
-    def _sight(
-        self, state: SceneState, rows: NDArray, count: int
-    ) -> tuple[NDArray, NDArray, Array]:
-        """Masks of the points that face the camera and of those that are not occluded, and all
+    def _sight(self, state: SceneState, rows: Rows, count: int) -> tuple[NDArray, NDArray, Array]:
+        """Masks of the points that face the camera and of those of them that are occluded, and all
         points in the hand frame [m].
         """
         rotation = state.object_rotation[rows].swapaxes(1, 2)
@@ -243,16 +241,17 @@ class Senses:
         eye = self._eye[rows]
         facing = np.einsum("npi,npi->np", normals, eye[:, None] - points) > 0
         bones = self._skeleton.segments(state.joint_pos[rows], rows)
-        return facing, ~covered(eye, points, *bones, self._skeleton.radius[rows]), points
+        hidden = covered(eye, points, facing, *bones, self._skeleton.radius[rows])
+        return facing, hidden, points
 
     def points(self, state: SceneState) -> NDArray[np.float32]:
         """Visible points, shape (n, POINTS, 4): x, y, z from `GRASP_CENTRE` in `LENGTH_UNIT`, and
         1; unused rows are zero.
         """
-        facing, clear, points = self._sight(state, np.arange(len(self._eye)), _SPREAD)
+        facing, hidden, points = self._sight(state, slice(None), _SPREAD)
         # One error for all points.
         shift = (self._seen["position"] - state.object_pos) * self._seen["visible"][:, None]
-        seen = facing & clear
+        seen = facing & ~hidden
         found = np.zeros((len(points), POINTS, 4), np.float32)
         order = np.argsort(~seen, axis=1, kind="stable")[:, :POINTS]
         mask = np.take_along_axis(seen, order, axis=1)
@@ -262,6 +261,11 @@ class Senses:
         found[..., :3] = places / LENGTH_UNIT * mask[:, :, None]
         found[..., 3] = mask
         return np.clip(found, -POINTS_BOUND, POINTS_BOUND)
+
+
+@lru_cache(maxsize=256)
+def _surface_of(model: ObjectModel) -> tuple[Array, Array]:
+    return surface(model.name, model.solids, _SPREAD)
 
 
 POINTS_BOUND = 10.0
