@@ -18,15 +18,10 @@ from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.object_sets import RestingObject, RestingPose, resting, split_models
 from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.output import write_text
-from hpac_gym.physics.engine import (
-    HAND_POSITION,
-    POST,
-    Engine,
-    SceneSetup,
-    matrix_from_quaternion,
-)
+from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup, matrix_from_quaternion
 from hpac_gym.physics.mujoco.resting import Found, poses_of
 from hpac_gym.physics.simulation import ENGINES, make_engine
+from hpac_gym.physics.supports import POST
 from hpac_gym.progress import progress
 
 FILE = Path(__file__).parents[1] / "hpac_gym" / "body" / "data" / "resting_poses.toml"

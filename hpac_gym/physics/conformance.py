@@ -29,7 +29,7 @@ from hpac_gym.model import (
 )
 from hpac_gym.model.command import minimum_jerk
 from hpac_gym.physics.engine import HAND_POSITION, Engine, SceneSetup
-from hpac_gym.physics.mjcf import mass_matrix
+from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, make_engine
 from hpac_gym.physics.tendons import Tendons

@@ -7,7 +7,7 @@ one `SceneState` of arrays with a leading axis n. This module is independent of 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from typing import Any, Protocol, TypeVar
@@ -26,18 +26,6 @@ HAND_POSITION = np.array([0.0, 0.0, 0.25])
 """Initial wrist position in the world [m]."""
 HAND_QUATERNION = (0.5, 0.5, 0.5, 0.5)
 """Default orientation of the hand, xyzw: fingers along the world's +x, palm facing +y, thumb up."""
-POST = Support((0.012, 0.012))
-"""Support of an object whose setup has none; this post does not rotate with the object's yaw."""
-TARGET_HALF_WIDTH = 0.05
-"""Half the width of the post at a setup's target [m]."""
-SUPPORT_FRICTION = 0.8
-"""Coulomb coefficient of posts, walls and table, to be multiplied by the object's."""
-TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
-"""Half-extents of the table along x, y and z [m]."""
-GREY = (0.55, 0.55, 0.58, 1.0)
-GREEN = (0.45, 0.62, 0.48, 1.0)
-WOOD = (0.78, 0.70, 0.58, 1.0)
-"""Colours of posts and walls, of the target's post and of the table, RGBA."""
 OBJECT_COLORS = {
     "cylinder": (0.16, 0.50, 0.73, 1.0),
     "box": (0.80, 0.33, 0.23, 1.0),
@@ -94,7 +82,7 @@ class SceneSetup:
     object_quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     """Orientation of the object in the world before its yaw, xyzw."""
     support: Support | None = None
-    """Support of the object; None is `POST`."""
+    """Support of the object; None is `hpac_gym.physics.supports.POST`."""
     target: Array | None = None
     """Target position of the object's centre, on its own post, in the initial hand frame, shape
     (3,) [m]; None for no target.
@@ -204,9 +192,8 @@ _SHAPES = {
     "on_target": (),
     "force_steps": (0,),
 }
-_FLAGS = ("touching", "supported", "on_target")
 _FIELDS = [
-    (_SHAPES.get(entry.name, (3,)), bool if entry.name in _FLAGS else float)
+    (_SHAPES.get(entry.name, (3,)), bool if "bool" in entry.type else float)
     for entry in fields(SceneState)
 ]
 
@@ -331,42 +318,3 @@ def _matrix(x: float, y: float, z: float, w: float) -> Array:
     )
     matrix.setflags(write=False)
     return matrix
-
-
-Placed = tuple[Array, Array]
-"""Half-extents of a box and its centre in the world, shapes (3,) [m]."""
-
-
-def support_boxes(
-    setup: SceneSetup, matrix: Callable[[Sequence[float]], Array] = matrix_from_quaternion
-) -> tuple[list[Placed], Array, Placed | None, tuple[float, float, float, float]]:
-    """Boxes that support the object of a setup.
-
-    Args:
-        setup: setup with an object that is not fixed.
-        matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds
-            differently.
-
-    Returns:
-        Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion
-        xyzw of posts and walls.
-    """
-    rotation = matrix(setup.hand_quaternion)
-    centre = HAND_POSITION + rotation @ setup.position
-    reach = setup.rest_height
-    if reach is None:
-        reach = np.abs(matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
-    support = setup.support or POST
-    turn = setup.object_turn[1] if setup.support else (0.0, 0.0, 0.0, 1.0)
-    floor = support.table_height
-    turned = matrix(turn)
-    below = np.array([centre[0], centre[1], floor])
-    boxes = [
-        (np.array(half), below + turned @ place)
-        for half, place in support.boxes(centre[2] - reach - floor)
-    ]
-    target = None
-    if setup.target is not None:
-        x, y, z = HAND_POSITION + rotation @ setup.target - [0.0, 0.0, reach]
-        target = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2]), np.array([x, y, z / 2])
-    return boxes, below - [0.0, 0.0, TABLE_HALF_EXTENTS[2]], target, turn

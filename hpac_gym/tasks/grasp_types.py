@@ -38,14 +38,12 @@ from hpac_gym.physics.engine import (
     HAND_POSITION,
     HAND_QUATERNION,
     PARTS,
-    POST,
-    TABLE_HALF_EXTENTS,
     Contacts,
     SceneSetup,
     SceneState,
     matrix_from_quaternion,
-    support_boxes,
 )
+from hpac_gym.physics.supports import POST, TABLE_HALF_EXTENTS, support_boxes
 from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_grasp

@@ -25,16 +25,8 @@ from hpac_gym.model import (
     rigid_joints_from_servo,
 )
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import (
-    GREEN,
-    GREY,
-    HAND_POSITION,
-    TABLE_HALF_EXTENTS,
-    WOOD,
-    SceneSetup,
-    SceneState,
-    support_boxes,
-)
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState
+from hpac_gym.physics.supports import GREEN, GREY, TABLE_HALF_EXTENTS, WOOD, support_boxes
 from hpac_gym.view.meshes import Mesh, hand_meshes, object_meshes, solid
 
 PICTURE_HZ = 20

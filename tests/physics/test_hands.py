@@ -23,7 +23,7 @@ from hpac_gym.model import (
 )
 from hpac_gym.physics.conformance import free_space, stiffest_mode
 from hpac_gym.physics.engine import SceneSetup, SceneState
-from hpac_gym.physics.mjcf import mass_matrix
+from hpac_gym.physics.mechanics import mass_matrix
 from hpac_gym.physics.mujoco.engine import MuJoCoEngine
 from hpac_gym.physics.settings import BODIES, HandSettings, WorldSettings
 from hpac_gym.physics.simulation import ENGINES, SET_UPS, Simulation, make_engine

@@ -8,7 +8,8 @@ import pytest
 
 from hpac_gym.body.geometry import load_geometry
 from hpac_gym.model import FINGERS, HPAC, JOINTS, joints_from_synergy, servo_from_synergy
-from hpac_gym.physics.mjcf import FILES, mass_matrix
+from hpac_gym.physics.mechanics import mass_matrix
+from hpac_gym.physics.mjcf import FILES
 from hpac_gym.physics.settings import BODIES
 from hpac_gym.physics.tendons import Tendons
 

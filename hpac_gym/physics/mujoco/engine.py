@@ -57,7 +57,13 @@ class MuJoCoEngine(Engine):
             raise ParameterError(
                 f"solver_iterations = {settings.solver_iterations} must be 0 in MuJoCo: they are Bullet's"
             )
-        threads = max(min(num_worlds, _processors()), 1) if threads is None else threads
+        if threads is None:
+            available = (
+                len(os.sched_getaffinity(0))
+                if hasattr(os, "sched_getaffinity")
+                else os.cpu_count() or 1
+            )
+            threads = max(min(num_worlds, available), 1)
         if not (num_worlds >= 1 and threads >= 1):
             raise ValueError(f"{num_worlds} worlds on {threads} threads: both must be at least 1")
         self.num_worlds = num_worlds
@@ -74,10 +80,10 @@ class MuJoCoEngine(Engine):
 
     def require(self, settings: HandSettings) -> None:
         """As `Engine.require`; load-dependent friction is not supported."""
-        friction = settings.tendon_friction
-        if friction:
+        if settings.tendon_friction:
             raise ParameterError(
-                f'tendon_friction = {friction} must be 0 in MuJoCo, which knows no friction by load: use engine="pybullet"'
+                f"tendon_friction = {settings.tendon_friction} must be 0 in MuJoCo, which knows no friction by load: "
+                'use engine="pybullet"'
             )
 
     def reset(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
@@ -91,9 +97,9 @@ class MuJoCoEngine(Engine):
         for world, setup in sorted(zip(worlds, setups, strict=True), key=itemgetter(0)):
             self.require(setup.hand_settings)
             layout = Layout.of(setup)
-            group = self._groups.get(layout)
-            if group is None:
-                group = self._groups[layout] = Group(layout, *self._options)
+            if layout not in self._groups:
+                self._groups[layout] = Group(layout, *self._options)
+            group = self._groups[layout]
             jobs.setdefault(group, []).append(world)
             moved |= self._group_of[world] is not group
             self._group_of[world] = group
@@ -104,10 +110,8 @@ class MuJoCoEngine(Engine):
             self._steps[index] = 0
         if moved:
             self._rows = {}
-            for group in filter(self._group_of.__contains__, self._groups.values()):
-                rows = np.array(
-                    [world for world, owner in enumerate(self._group_of) if owner is group]
-                )
+            for group in dict.fromkeys(filter(None, self._group_of)):
+                rows = np.flatnonzero([owner is group for owner in self._group_of])
                 self._rows[group] = slice(None) if len(rows) == self.num_worlds else rows
 
     def advance(
@@ -119,24 +123,13 @@ class MuJoCoEngine(Engine):
             PhysicsError: Simulations failed; the error has their worlds, and their time goes on.
         """
         failed: dict[int, str] = {}
-        if self.every_step:
-            self._force_steps = np.zeros(servo.shape[:2])
+        self._force_steps = np.zeros((self.num_worlds, servo.shape[1] * self.every_step))
         for group, rows in self._rows.items():
-            reasons = group.advance(
-                rows,
-                servo[rows],
-                servo_vel[rows],
-                wrist[rows],
-                None if push is None else push[rows],
-                self.every_step,
-            )
-            if self.every_step:
-                self._force_steps[rows] = group.force_steps()
+            reasons = group.advance(rows, servo, servo_vel, wrist, push, self._force_steps)
             self._steps[rows] += servo.shape[1]
             if worlds := sorted(reasons):
                 group.start(np.array(worlds), [self._setups[world] for world in worlds])
-                if self.every_step:
-                    self._force_steps[worlds] = 0.0
+                self._force_steps[worlds] = 0.0
                 failed |= reasons
         if failed:
             first, *others = sorted(failed)
@@ -164,8 +157,29 @@ class MuJoCoEngine(Engine):
 
     def contacts(self, world: int) -> Contacts:
         setup = self._setups[world]
-        friction = setup.hand_settings.contact_friction * setup.object.friction
-        return _contacts(*self.single(world), self._group_of[world].at.object_body, friction)
+        item = self._group_of[world].at.object_body
+        model, data = self.single(world)
+        found = []
+        wrench = np.zeros(6)
+        for index, contact in enumerate(data.contact):
+            bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+            if item not in bodies:
+                continue
+            link = model.body(bodies[1 - bodies.index(item)]).name
+            if link == "palm" or link.endswith("_link"):
+                # The normal points from the first geom to the second.
+                normal = contact.frame[:3] * (1.0 if bodies[1] == item else -1.0)
+                mujoco.mj_contactForce(model, data, index, wrench)
+                found.append((contact.pos + normal * contact.dist / 2, normal, wrench[0], link))
+        points, normals, forces, links = zip(*found, strict=True) if found else [()] * 4
+        return Contacts(
+            np.array(points).reshape(-1, 3),
+            np.array(normals).reshape(-1, 3),
+            np.array(forces),
+            links,
+            data.xpos[item].copy(),
+            setup.hand_settings.contact_friction * setup.object.friction,
+        )
 
     def single(self, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Model and data of one world, with all derived quantities computed from its state."""
@@ -187,14 +201,17 @@ class MuJoCoEngine(Engine):
         return self._camera.picture(model, data, viewpoint, target)
 
     def save(self, world: int) -> Any:
-        return self._setups[world], int(self._steps[world]), self._group_of[world].save(world)
+        group = self._group_of[world]
+        saved = group.batch.state[world].copy(), group.felt[world].copy()
+        return self._setups[world], int(self._steps[world]), saved
 
     def restore(self, world: int, snapshot: Any) -> None:
         setup, steps, saved = snapshot
         if setup is not self._setups[world]:
             self.reset([world], [setup])
         self._steps[world] = steps
-        self._group_of[world].restore(world, saved)
+        group = self._group_of[world]
+        (group.batch.state[world], group.felt[world]) = saved
 
     def close(self) -> None:
         if self._camera is not None:
@@ -203,40 +220,3 @@ class MuJoCoEngine(Engine):
         self._groups.clear()
         self._rows.clear()
         self._group_of = [None] * self.num_worlds
-
-
-def _processors() -> int:
-    """Number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _contacts(model: mujoco.MjModel, data: mujoco.MjData, item: int, friction: float) -> Contacts:
-    """Contacts between the hand and the body of an object, whose surfaces have a friction."""
-    points = []
-    normals = []
-    forces = []
-    links = []
-    wrench = np.zeros(6)
-    for index, contact in enumerate(data.contact):
-        bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-        if item not in bodies:
-            continue
-        other = bodies[1 - bodies.index(item)]
-        name = model.body(other).name
-        if name != "palm" and not name.endswith("_link"):
-            continue
-        # The normal points from the first geom to the second.
-        into = 1.0 if bodies[1] == item else -1.0
-        mujoco.mj_contactForce(model, data, index, wrench)
-        points.append(contact.pos + into * contact.frame[:3] * contact.dist / 2)
-        normals.append(into * contact.frame[:3])
-        forces.append(wrench[0])
-        links.append(name)
-    return Contacts(
-        np.array(points).reshape(-1, 3),
-        np.array(normals).reshape(-1, 3),
-        np.array(forces),
-        tuple(links),
-        data.body("object").xpos.copy(),
-        friction,
-    )

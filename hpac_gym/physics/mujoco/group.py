@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,9 +13,8 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.model import DIGITS, JOINTS, SERVOS, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup, SceneState
-from hpac_gym.physics.mujoco.addresses import Addresses
-from hpac_gym.physics.mujoco.model import FORCE_SIZE, SLOTS, Layout, build
-from hpac_gym.physics.mujoco.parameters import Parameters
+from hpac_gym.physics.mujoco.model import FORCE_SIZE, SLOTS, Addresses, Layout, build
+from hpac_gym.physics.mujoco.parameters import Parameters, object_pose
 from hpac_gym.physics.settings import WorldSettings
 
 Rows = NDArray[np.intp] | slice
@@ -26,14 +24,6 @@ FORCE = slice(TENSION.stop, TENSION.stop + len(PARTS) * SLOTS * FORCE_SIZE)
 STANDS = slice(FORCE.stop, FORCE.stop + 2)
 """Columns of what is felt in a physics step: tensions of the drives [N], the contact sensors of
 `PARTS`, and numbers of contacts of the object with its support and with the target."""
-JOINT = slice(0, len(JOINTS))
-OFFSET = slice(15, 18)
-PLACE = slice(18, 21)
-TURN = slice(21, 25)
-VELOCITY = slice(15, 18)
-SPIN = slice(18, 21)
-"""Columns of what is read of `Addresses.pose` and, from `VELOCITY` on, of `Addresses.motion`; the
-joints come first in both."""
 
 
 class Group:
@@ -63,26 +53,23 @@ class Group:
         self._sensors = (
             self.batch.bind("sensordata") if model.nsensor else np.zeros((num_worlds, 0))
         )
-        self._felt = np.zeros((num_worlds, STANDS.stop))
+        self.felt = np.zeros((num_worlds, STANDS.stop))
         self._read = slice(FORCE.start, FORCE.start + self._sensors.shape[1])
         self._to_hand = np.zeros((num_worlds, 3, 3))
 
     def start(self, worlds: NDArray[np.intp], setups: Sequence[SceneSetup]) -> None:
         """Reset worlds, given in ascending order, to the start of their setups."""
-        for world, setup in zip(worlds, setups, strict=True):
-            self._parameters.set(world, setup)
-        self.batch.set_const(worlds)
         self.batch.state[worlds] = self._blank
         self.batch.warning[worlds] = 0
-        self._felt[worlds] = 0.0
+        self.felt[worlds] = 0.0
         at = self.at
         for world, setup in zip(worlds, setups, strict=True):
-            self.qpos[world, at.joint] = joints_from_synergy(setup.synergy, setup.hand)
+            self._parameters.set(world, setup)
             self._to_hand[world] = setup.hand_rotation.T
+            self.qpos[world, at.joint] = joints_from_synergy(setup.synergy, setup.hand)
             if at.object >= 0:
-                place = HAND_POSITION + setup.hand_rotation @ setup.position
-                (x, y, z, w) = setup.object_turn[0]
-                self.qpos[world, at.object : at.object + 7] = *place, w, x, y, z
+                self.qpos[world, at.object : at.object + 7] = np.hstack(object_pose(setup))
+        self.batch.set_const(worlds)
 
     def advance(
         self,
@@ -91,40 +78,45 @@ class Group:
         servo_vel: Array,
         wrist: Array,
         push: Array | None,
-        every_step: bool,
+        force_steps: Array,
     ) -> dict[int, str]:
-        """Step worlds through tables of servo angles and speeds, wrist offsets and pushes; with
-        `every_step` their sensors are recorded, for `force_steps`.
+        """Step worlds through the tables of `Engine.advance`, each with a row for every world.
+
+        Args:
+            rows: the worlds.
+            force_steps: receives `SceneState.force_steps` of these worlds; has no columns if they are
+                not wanted.
 
         Returns:
             The worlds that failed, each with the reason.
         """
         model = self.batch.model
-        n, steps, _ = servo.shape
+        servo_vel = servo_vel[rows]
+        n, steps, _ = servo_vel.shape
         control = np.empty((n, steps, model.nu))
         drives = control[..., : len(SERVOS)]
         np.multiply(self._parameters.lead[rows, None], servo_vel, out=drives)
-        np.add(servo, drives, out=drives)
+        np.add(servo[rows], drives, out=drives)
         slides = control[..., len(SERVOS) : -len(DIGITS)]
-        slides[:] = wrist[..., : slides.shape[-1]]
+        slides[:] = wrist[rows, :, : slides.shape[-1]]
         np.maximum(servo_vel[..., : len(DIGITS)], 0.0, out=control[..., -len(DIGITS) :])
         columns = mujoco.mjtState.mjSTATE_CTRL.value
         pushed = push is not None and self.at.object >= 0
         if pushed:
             columns |= mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
             forces = np.zeros((n, steps, model.nbody, 6))
-            forces[:, :, self.at.object_body, :3] = push
+            forces[:, :, self.at.object_body, :3] = push[rows]
             control = np.concatenate([control, forces.reshape(n, steps, -1)], axis=2)
-        recorded = self._sensors.size and every_step
-        records = {"sensordata": np.zeros((n, steps, self._sensors.shape[1]))} if recorded else {}
-        self._records = records
+        recorded = {}
+        if force_steps.size and self._sensors.size:
+            recorded["sensordata"] = np.zeros((n, steps, self._sensors.shape[1]))
         failed: dict[int, str] = {}
         handler = mujoco.get_mju_user_warning()
         # Without a handler MuJoCo writes a log file to the working directory.
         mujoco.set_mju_user_warning(lambda text: None)
         try:
             ids = None if isinstance(rows, slice) else rows
-            self.batch.rollout(steps, control, columns, tuple(records), ids, records)
+            self.batch.rollout(steps, control, columns, tuple(recorded), ids, recorded)
         except SimulationError as error:
             failed = {int(world): self.batch.error(int(world)) for world in error.ids}
         finally:
@@ -136,18 +128,12 @@ class Group:
             for world, kind in np.argwhere(self.batch.warning[:, :, 1]):
                 reason = mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_")
                 failed.setdefault(int(world), reason)
-        self._felt[rows, TENSION] = -self._actuators[rows, TENSION]
-        self._felt[rows, self._read] = self._sensors[rows]
+        self.felt[rows, TENSION] = -self._actuators[rows, TENSION]
+        self.felt[rows, self._read] = self._sensors[rows]
+        if recorded:
+            parts = recorded["sensordata"][..., : FORCE.stop - FORCE.start]
+            force_steps[rows] = parts.reshape(n, steps, -1, FORCE_SIZE)[..., 1].sum(axis=2)
         return failed
-
-    def force_steps(self) -> Array | float:
-        """Sums of the forces between hand and object in each of the physics steps that were recorded,
-        shape (m, k) [N]; 0 without an object.
-        """
-        if not self._records:
-            return 0.0
-        parts = self._records["sensordata"][..., : FORCE.stop - FORCE.start]
-        return parts.reshape(*parts.shape[:2], -1, FORCE_SIZE)[..., 1].sum(axis=2)
 
     def state(self, rows: Rows, time: Array, force_steps: Array) -> SceneState:
         """State of worlds at their times, shape (m,) [s], with the forces in their last physics steps,
@@ -155,15 +141,17 @@ class Group:
         """
         pose = self.qpos[rows].take(self.at.pose, axis=1)
         motion = self.qvel[rows].take(self.at.motion, axis=1)
-        offset, place, rotation, velocity, spin = self._object(rows, pose, motion)
-        felt = self._felt[rows]
+        offset, place, rotation, velocity, spin = self._object(
+            rows, pose[:, len(JOINTS) :], motion[:, len(JOINTS) :]
+        )
+        felt = self.felt[rows]
         slots = felt[:, FORCE].reshape(-1, len(PARTS), SLOTS, FORCE_SIZE)
         stands = felt[:, STANDS] > 0
         on_target = stands[:, 1]
         return SceneState(
             time=time,
-            joint_pos=pose[:, JOINT],
-            joint_vel=motion[:, JOINT],
+            joint_pos=pose[:, : len(JOINTS)],
+            joint_vel=motion[:, : len(JOINTS)],
             horn=np.zeros((len(pose), len(SERVOS))),
             tension=felt[:, TENSION].copy(),
             palm_offset=offset,
@@ -179,34 +167,28 @@ class Group:
         )
 
     def _object(self, rows: Rows, pose: Array, motion: Array) -> tuple[Array, ...]:
-        """Offset of the palm; place, rotation, velocity and spin of the object."""
+        """Offset of the palm; place, rotation, velocity and spin of the object; from what follows the
+        joints in `Addresses.pose` and `Addresses.motion`.
+        """
         n = len(pose)
         if self.layout.object is None:
             return tuple(np.zeros((n, *shape)) for shape in ((3,), (3,), (3, 3), (3,), (3,)))
-        offset = pose[:, OFFSET]
+        offset = pose[:, :3]
         if self.layout.fixed:
             fields = self._parameters.fields
             place = fields["body_pos"][rows, self.at.object_body]
             turn = fields["body_quat"][rows, self.at.object_body]
         else:
-            place = pose[:, PLACE]
-            turn = pose[:, TURN]
+            place = pose[:, 3:6]
+            turn = pose[:, 6:]
         to_hand = self._to_hand[rows]
         rotation = to_hand @ _matrices(turn)
         place = _turned(to_hand, place - HAND_POSITION - offset)
         if self.layout.fixed:
             return offset, place, rotation, np.zeros((n, 3)), np.zeros((n, 3))
-        velocity = _turned(to_hand, motion[:, VELOCITY])
+        velocity = _turned(to_hand, motion[:, :3])
         # MuJoCo expresses a free body's angular velocity in the body's own axes.
-        return offset, place, rotation, velocity, _turned(rotation, motion[:, SPIN])
-
-    def save(self, world: int) -> Any:
-        """A snapshot of one world, for `restore`."""
-        return self.batch.state[world].copy(), self._felt[world].copy()
-
-    def restore(self, world: int, snapshot: Any) -> None:
-        """Continue from a snapshot of a world with the same parameters."""
-        self.batch.state[world], self._felt[world] = snapshot
+        return offset, place, rotation, velocity, _turned(rotation, motion[:, 3:])
 
 
 def _turned(rotation: Array, vector: Array) -> Array:
@@ -223,9 +205,10 @@ def _matrices(quaternion: Array) -> Array:
     return rotation.reshape(-1, 3, 3)
 
 
-W, X, Y, Z = range(4)
-_LEFT = np.array([Y, X, X, X, X, Y, X, Y, X, Z, Z, Y, Z, Z, X, Y, X, Y])
-_RIGHT = np.array([Y, Y, Z, Y, X, Z, Z, Z, X, Z, W, W, W, Z, W, W, W, Y])
+_LEFT, _RIGHT = (
+    np.array(["wxyz".index(axis) for axis in axes])
+    for axes in ("yxxxxyxyxzzyzzxyxy", "yyzyxzzzxzwwwzwwwy")
+)
 """Factors of the products yy, xy, xz, xy, xx, yz, xz, yz and xx, and of those that are added to them:
 zz, zw, yw, zw, zz, xw, yw, xw and yy.
 """

@@ -1,5 +1,4 @@
-"""MuJoCo models of a scene: the parts that must be compiled, and the data from which every world
-sets its own values.
+"""MuJoCo models of a scene: the parts that must be compiled, and the addresses of their elements.
 
 Worlds with the same `Layout` share one compiled model; everything that varies between episodes
 (sizes, poses, masses, friction, the hand's parameters) is a field that `mujoco.batch.Batch.expand`
@@ -7,34 +6,23 @@ copies for every world."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import Any
 from xml.etree import ElementTree as Xml
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import HPAC_GEOMETRY, Geometry
-from hpac_gym.body.object_models import ObjectModel, principal_inertia
-from hpac_gym.body.objects import ObjectSpec, Support
-from hpac_gym.model import DIGITS, HPAC
+from hpac_gym.body.object_models import ObjectModel
+from hpac_gym.body.objects import Support
+from hpac_gym.model import DIGITS, JOINTS
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import (
-    GREEN,
-    GREY,
-    HAND_POSITION,
-    PARTS,
-    POST,
-    TABLE_HALF_EXTENTS,
-    WOOD,
-    SceneSetup,
-)
-from hpac_gym.physics.mjcf import hand_mjcf, mass_matrix
+from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup
+from hpac_gym.physics.mjcf import fixed_tendons, hand_mjcf
 from hpac_gym.physics.settings import HandSettings, WorldSettings
+from hpac_gym.physics.supports import GREEN, GREY, POST, TABLE_HALF_EXTENTS, WOOD
 
 SLOTS = 8
 """Largest number of contacts per part of the hand whose forces are summed, strongest first."""
@@ -47,16 +35,6 @@ thousands of newtons that it never exerts in the step."""
 LIMITED_WRIST_STIFFNESS = 2e4
 """Stiffness of the servos of a wrist whose force is limited (`WorldSettings.wrist_effort`) [N/m].
 """
-KINDS = {
-    "sphere": int(mujoco.mjtGeom.mjGEOM_SPHERE),
-    "capsule": int(mujoco.mjtGeom.mjGEOM_CAPSULE),
-    "cylinder": int(mujoco.mjtGeom.mjGEOM_CYLINDER),
-    "box": int(mujoco.mjtGeom.mjGEOM_BOX),
-    "hull": int(mujoco.mjtGeom.mjGEOM_MESH),
-}
-_ALONE = np.zeros(1, dtype=np.intp)
-_ORIGIN = np.zeros(3)
-_STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,84 +81,6 @@ def is_straight(model: ObjectModel) -> bool:
     return alone and np.allclose(model.inertia, np.diag(np.diag(model.inertia)), atol=1e-12)
 
 
-@lru_cache(maxsize=64)
-def inertia_of_hand(geometry: Geometry, armature: tuple[float, float, float]) -> Array:
-    """Joint-space inertia of a hand of the nominal model at half stroke, shape (15, 15) [kg·m²]."""
-    return mass_matrix(geometry, armature, HPAC.synergy_max / 2)
-
-
-def geoms_of(spec: ObjectSpec) -> tuple[NDArray[np.intp], dict[str, Any]]:
-    """Indices of the k primitive solids among an object's, and their values of MuJoCo's geom
-    fields; hulls are compiled.
-    """
-    if spec.model is not None:
-        return _geoms_of_model(spec.model, spec.scale)
-    return _ALONE, _geom_fields(spec.shape, *spec.half_extents)
-
-
-@lru_cache(maxsize=1024)
-def _geoms_of_model(model: ObjectModel, scale: float) -> tuple[NDArray[np.intp], dict[str, Any]]:
-    index = [index for index, solid in enumerate(model.solids) if solid.hull is None]
-    rows = []
-    for solid in (model.solids[i] for i in index):
-        place = scale * solid.center
-        turn = quaternion_from_matrix(solid.rotation)
-        rows.append(
-            _geom_fields(solid.kind, *(scale * side / 2 for side in solid.size), place, turn)
-        )
-    return np.array(index, dtype=np.intp), {
-        name: np.array([row[name] for row in rows]) for name in rows[0]
-    } if rows else {}
-
-
-def _geom_fields(
-    kind: str, x: float, y: float, z: float, place: Array = _ORIGIN, turn: Array = _STRAIGHT
-) -> dict[str, Any]:
-    """MuJoCo's geom fields of a solid with these half-extents [m], at a place [m], turned by a
-    quaternion wxyz.
-    """
-    size, reach = size_of(kind, x, y, z)
-    numbers = {"geom_type": KINDS[kind], "geom_size": size, "geom_pos": place, "geom_quat": turn}
-    return numbers | {"geom_rbound": reach, "geom_aabb": (0.0, 0.0, 0.0, x, y, z)}
-
-
-def size_of(kind: str, x: float, y: float, z: float) -> tuple[tuple[float, float, float], float]:
-    """MuJoCo's size of a solid with these half-extents (radius and half length of round ones), and
-    its bounding radius [m].
-    """
-    match kind:
-        case "box":
-            return (x, y, z), math.hypot(x, y, z)
-        case "sphere":
-            return (x, 0.0, 0.0), x
-        case "cylinder":
-            return (x, z, 0.0), math.hypot(x, z)
-    return (x, z - x, 0.0), z
-
-
-@cache
-def _mass_of(model: ObjectModel) -> tuple[Array, Array]:
-    """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²]."""
-    return model.center_of_mass, model.inertia
-
-
-@lru_cache(maxsize=64)
-def inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
-    """Centre of mass, shape (3,) [m], principal moments about it, shape (3,) [kg·m²], and their
-    axes, quaternion wxyz.
-    """
-    if spec.model is None:
-        x, y, z = (2 * half for half in spec.half_extents)
-        return _ORIGIN, np.array(principal_inertia(spec.shape, spec.mass, (x, y, z))), _STRAIGHT
-    centre, inertia = _mass_of(spec.model)
-    inertia = inertia * (spec.mass / spec.model.mass * spec.scale**2)
-    if is_straight(spec.model):
-        return spec.scale * centre, np.diag(inertia), _STRAIGHT
-    moments, axes = np.linalg.eigh(inertia)
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
-    return spec.scale * centre, moments, quaternion_from_matrix(axes)
-
-
 def quaternion_from_matrix(rotation: Array) -> Array:
     """Quaternion wxyz of a rotation matrix, shape (4,)."""
     quaternion = np.empty(4)
@@ -209,11 +109,10 @@ def build(
     actuators = root.find("actuator")
     option.attrib |= {"timestep": repr(settings.dt), "gravity": f"0 0 {-settings.gravity!r}"}
     # A drive's control leads its servo, and can therefore exceed the servo's range (see
-    # `Group.lead`).
+    # `Parameters.lead`).
     contact = "enable" if settings.collisions else "disable"
     Xml.SubElement(option, "flag", clampctrl="disable", contact=contact)
-    base = next(body for body in world.iter("body") if body.get("name") in ("wrist", "palm"))
-    base.set("pos", " ".join(map(repr, HAND_POSITION.tolist())))
+    world.find("body").set("pos", exact_text(HAND_POSITION))
     if not visuals:
         for body in list(world.iter("body")):
             for geom in [geom for geom in body.findall("geom") if geom.get("class") == "drawn"]:
@@ -285,18 +184,22 @@ def _add_object(root: Xml.Element, world: Xml.Element, layout: Layout) -> None:
 
 def _add_supports(world: Xml.Element, layout: Layout) -> None:
     support = Xml.SubElement(world, "body", name="support")
-    boxes = [(f"support_{index}", GREY, (0.02, 0.02, 0.02)) for index in range(layout.boxes)]
-    for name, color, size in (*boxes, ("table", WOOD, TABLE_HALF_EXTENTS)):
-        _add_box(support, name, color, size)
+    small = (0.02, 0.02, 0.02)
+    boxes = [(support, f"support_{index}", GREY, small) for index in range(layout.boxes)]
+    boxes.append((support, "table", WOOD, TABLE_HALF_EXTENTS))
     if layout.target:
-        _add_box(Xml.SubElement(world, "body", name="target"), "target", GREEN, (0.02, 0.02, 0.02))
-
-
-def _add_box(
-    body: Xml.Element, name: str, color: tuple[float, ...], size: tuple[float, ...]
-) -> None:
-    numbers = {"type": "box", "size": exact_text(size), "rgba": exact_text(color), "priority": "2"}
-    Xml.SubElement(body, "geom", {"class": "body", "name": name, **numbers})
+        boxes.append((Xml.SubElement(world, "body", name="target"), "target", GREEN, small))
+    for body, name, color, size in boxes:
+        Xml.SubElement(
+            body,
+            "geom",
+            {"class": "body"},
+            name=name,
+            type="box",
+            size=exact_text(size),
+            rgba=exact_text(color),
+            priority="2",
+        )
 
 
 def _add_sensors(sensor: Xml.Element, layout: Layout) -> None:
@@ -317,3 +220,73 @@ def _add_sensors(sensor: Xml.Element, layout: Layout) -> None:
 def exact_text(values: Iterable[float]) -> str:
     """Numbers with all their digits, as an XML attribute."""
     return " ".join(map(repr, map(float, values)))
+
+
+class Addresses:
+    """Indices into the arrays of a compiled model that `build` made.
+
+    Attributes:
+        hinge: indices of `JOINTS` among the model's joints.
+        joint: positions of `JOINTS` in qpos.
+        dof: positions of `JOINTS` in qvel.
+        object: position of the object in qpos; −1 without a movable object.
+        object_body: index of the object's body; −1 without an object.
+        pose: positions in qpos of `JOINTS`, of the three slides of the wrist, and of the movable
+            object's place and quaternion, as far as there are any.
+        motion: positions in qvel of `JOINTS`, and of the movable object's velocity and spin.
+        palm: index of the palm's body.
+        hand: bodies of the hand.
+        hand_geoms: geoms of the hand.
+        object_geoms: geoms of the object.
+        boxes: geoms of posts and walls, then the table, then the target's post.
+        guides: sites of the drives' guides, fixed and moving, by digit, shape (5, 2).
+        fixed: couplings, then springs.
+        drives: spatial tendons, by digit.
+        wraps: positions of the fixed tendons' coefficients in wrap_prm.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        bodies = [model.body(index).name for index in range(model.nbody)]
+        joints = [model.joint(index).name for index in range(model.njnt)]
+        geoms = [model.geom(index).name for index in range(model.ngeom)]
+
+        def found(names: list[str], *beginnings: str) -> np.ndarray:
+            rows = [
+                index
+                for beginning in beginnings
+                for index, name in enumerate(names)
+                if name.startswith(beginning)
+            ]
+            return np.array(rows, dtype=int)
+
+        self.hinge = np.array([joints.index(name) for name in JOINTS])
+        self.joint = model.jnt_qposadr[self.hinge]
+        self.dof = model.jnt_dofadr[self.hinge]
+        movable = found(joints, "object")
+        self.object = int(model.jnt_qposadr[movable[0]]) if len(movable) else -1
+        self.object_body = bodies.index("object") if "object" in bodies else -1
+        slides = model.jnt_qposadr[found(joints, "wrist")]
+        self.pose = np.hstack(
+            [self.joint, slides, *(model.jnt_qposadr[movable] + index for index in range(7))]
+        )
+        self.motion = np.hstack(
+            [self.dof, *(model.jnt_dofadr[movable] + index for index in range(6))]
+        )
+        self.palm = bodies.index("palm")
+        self.hand = np.array(
+            [index for index, name in enumerate(bodies) if name == "palm" or name.endswith("_link")]
+        )
+        self.hand_geoms = np.flatnonzero(np.isin(model.geom_bodyid, self.hand))
+        self.object_geoms = found(geoms, "object_")
+        self.boxes = found(geoms, "support_", "table", "target")
+        self.guides = np.array(
+            [
+                [model.site(f"{digit}_{end}_guide").id for end in ("fixed", "moving")]
+                for digit in DIGITS
+            ]
+        )
+        self.fixed = np.array([model.tendon(name).id for name in fixed_tendons()])
+        self.drives = np.array([model.tendon(f"{digit}_drive").id for digit in DIGITS])
+        self.wraps = np.array(
+            [model.tendon_adr[i] + k for i in self.fixed for k in range(model.tendon_num[i])]
+        )

@@ -5,33 +5,30 @@ written from their setups.
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from functools import cache, lru_cache
+from typing import Any
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from hpac_gym.body.geometry import Geometry
-from hpac_gym.model import DIGITS, SERVOS, Hand
+from hpac_gym.body.object_models import ObjectModel, principal_inertia
+from hpac_gym.body.objects import ObjectSpec
+from hpac_gym.model import DIGITS, HPAC, SERVOS, Hand
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import (
-    HAND_POSITION,
-    OBJECT_COLORS,
-    SUPPORT_FRICTION,
-    PhysicsError,
-    SceneSetup,
-    support_boxes,
-)
-from hpac_gym.physics.mjcf import Mechanics, root_frames
-from hpac_gym.physics.mujoco.addresses import Addresses
+from hpac_gym.physics.engine import HAND_POSITION, OBJECT_COLORS, PhysicsError, SceneSetup
+from hpac_gym.physics.mechanics import Mechanics, mass_matrix
 from hpac_gym.physics.mujoco.model import (
+    Addresses,
     Layout,
     build,
-    geoms_of,
-    inertia_of,
-    inertia_of_hand,
+    is_straight,
+    quaternion_from_matrix,
 )
 from hpac_gym.physics.settings import HandSettings, WorldSettings
+from hpac_gym.physics.supports import SUPPORT_FRICTION, support_boxes
 
 BODY_FIELDS = ("body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat")
 GEOM_FIELDS = ("geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb")
@@ -46,6 +43,9 @@ FIELDS = (
 """Fields of the model with separate values for every world."""
 BODIES_KEPT = 64
 """Number of hand geometries whose compiled fields are cached."""
+_ALONE = np.zeros(1, dtype=np.intp)
+_ORIGIN = np.zeros(3)
+_STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 class Parameters:
@@ -72,21 +72,19 @@ class Parameters:
         self._options = settings, visuals
         self._at = at
         self._model = batch.model
-        self._hands: list[tuple[Hand, HandSettings, Geometry] | None] = [None] * batch.nsim
+        self._hands: list[tuple[Geometry, Hand, HandSettings] | None] = [None] * batch.nsim
         self._links = lru_cache(maxsize=BODIES_KEPT)(self._links_of)
 
     def set(self, world: int, setup: SceneSetup) -> None:
         """Write the parameters of one world."""
-        hand = setup.hand
-        settings = setup.hand_settings
+        hand = setup.geometry, setup.hand, setup.hand_settings
         last = self._hands[world]
-        if last is None or last[2] != setup.geometry:
+        if last is None or last[0] != setup.geometry:
             for field, rows, values in self._links(setup.geometry):
                 field[world, rows] = values
-            last = None
-        if last is None or not (last[0] is hand or last[0] == hand) or last[1] != settings:
+        if last != hand:
             self._set_hand(world, setup)
-        self._hands[world] = hand, settings, setup.geometry
+        self._hands[world] = hand
         (x, y, z, w) = setup.hand_quaternion
         self.fields["body_quat"][world, self._at.palm] = w, x, y, z
         if setup.object is not None:
@@ -113,8 +111,8 @@ class Parameters:
         settings = setup.hand_settings
         fields = self.fields
         at = self._at
-        inertia = inertia_of_hand(setup.geometry, settings.armature)
-        numbers = Mechanics.of(hand, settings, inertia, root_frames(setup.geometry))
+        inertia = _inertia_of_hand(setup.geometry, settings.armature)
+        numbers = Mechanics.of(hand, settings, inertia, setup.geometry)
         fields["site_pos"][world, at.guides] = numbers.guides
         fields["jnt_range"][world, at.hinge] = np.stack([hand.joint_min, hand.joint_max], axis=1)
         fields["dof_damping"][world, at.dof] = settings.damping.joint
@@ -127,14 +125,12 @@ class Parameters:
         gain, bias, limits = (
             fields[f"actuator_{name}"][world] for name in ("gainprm", "biasprm", "forcerange")
         )
-        servos = slice(0, len(SERVOS))
-        brakes = slice(self._model.nu - len(DIGITS), self._model.nu)
-        gain[servos, 0] = numbers.gain
-        bias[servos, :3] = numbers.bias
-        limits[servos] = numbers.limit
+        gain[: len(SERVOS), 0] = numbers.gain
+        bias[: len(SERVOS), :3] = numbers.bias
+        limits[: len(SERVOS)] = numbers.limit
         brake = settings.damping.overrun * numbers.bias[: len(DIGITS), 2]
-        gain[brakes, 0] = brake * hand.servo_radius
-        bias[brakes, 2] = brake
+        gain[-len(DIGITS) :, 0] = brake * hand.servo_radius
+        bias[-len(DIGITS) :, 2] = brake
         # Damping acts on the stretch rate, to which the servo's speed contributes.
         self.lead[world] = numbers.bias[:, 2] / numbers.bias[:, 1]
         skin = settings.contact_friction
@@ -144,7 +140,7 @@ class Parameters:
         fields = self.fields
         at = self._at
         spec = setup.object
-        index, values = geoms_of(spec)
+        index, values = _geoms_of(spec)
         rows = at.object_geoms[index]
         for name, value in values.items():
             fields[name][world, rows] = value
@@ -156,17 +152,14 @@ class Parameters:
         )
         color = OBJECT_COLORS[spec.shape] if spec.model is None else spec.model.color
         fields["geom_rgba"][world, rows] = color
-        body = at.object_body
-        fields["body_mass"][world, body] = spec.mass
-        centre, fields["body_inertia"][world, body], turn = inertia_of(spec)
+        body = world, at.object_body
+        fields["body_mass"][body] = spec.mass
+        centre, fields["body_inertia"][body], turn = _inertia_of(spec)
         if self._layout.object != "primitive":
-            fields["body_ipos"][world, body] = centre
-            fields["body_iquat"][world, body] = turn
+            fields["body_ipos"][body] = centre
+            fields["body_iquat"][body] = turn
         if self._layout.fixed:
-            place = HAND_POSITION + setup.hand_rotation @ setup.position
-            (x, y, z, w) = setup.object_turn[0]
-            fields["body_pos"][world, body] = place
-            fields["body_quat"][world, body] = (w, x, y, z)
+            fields["body_pos"][body], fields["body_quat"][body] = object_pose(setup)
 
     def _set_supports(self, world: int, setup: SceneSetup) -> None:
         boxes, table, target, (x, y, z, w) = support_boxes(setup)
@@ -185,3 +178,93 @@ class Parameters:
         fields["geom_size"][world, geom] = fields["geom_aabb"][world, geom, 3:] = half
         fields["geom_rbound"][world, geom] = math.hypot(*half)
         fields["geom_pos"][world, geom] = centre
+
+
+def object_pose(setup: SceneSetup) -> tuple[Array, tuple[float, float, float, float]]:
+    """Place of a setup's object in the world, shape (3,) [m], and its quaternion wxyz."""
+    (x, y, z, w) = setup.object_turn[0]
+    return HAND_POSITION + setup.hand_rotation @ setup.position, (w, x, y, z)
+
+
+@lru_cache(maxsize=64)
+def _inertia_of_hand(geometry: Geometry, armature: tuple[float, float, float]) -> Array:
+    """Joint-space inertia of a hand of the nominal model at half stroke, shape (15, 15) [kg·m²]."""
+    return mass_matrix(geometry, armature, HPAC.synergy_max / 2)
+
+
+def _geoms_of(spec: ObjectSpec) -> tuple[NDArray[np.intp], dict[str, Any]]:
+    """Indices of the k primitive solids among an object's, and their values of MuJoCo's geom
+    fields; hulls are compiled.
+    """
+    if spec.model is not None:
+        return _geoms_of_model(spec.model, spec.scale)
+    return _ALONE, _geom_fields(spec.shape, *spec.half_extents)
+
+
+@lru_cache(maxsize=1024)
+def _geoms_of_model(model: ObjectModel, scale: float) -> tuple[NDArray[np.intp], dict[str, Any]]:
+    index = [index for index, solid in enumerate(model.solids) if solid.hull is None]
+    rows = []
+    for solid in (model.solids[i] for i in index):
+        place = scale * solid.center
+        turn = quaternion_from_matrix(solid.rotation)
+        rows.append(
+            _geom_fields(solid.kind, *(scale * side / 2 for side in solid.size), place, turn)
+        )
+    return np.array(index, dtype=np.intp), {
+        name: np.array([row[name] for row in rows]) for name in rows[0]
+    } if rows else {}
+
+
+def _geom_fields(
+    kind: str, x: float, y: float, z: float, place: Array = _ORIGIN, turn: Array = _STRAIGHT
+) -> dict[str, Any]:
+    """MuJoCo's geom fields of a solid with these half-extents [m], at a place [m], turned by a
+    quaternion wxyz.
+    """
+    size, reach = size_of(kind, x, y, z)
+    return {
+        "geom_type": getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}").value,
+        "geom_size": size,
+        "geom_pos": place,
+        "geom_quat": turn,
+        "geom_rbound": reach,
+        "geom_aabb": (0.0, 0.0, 0.0, x, y, z),
+    }
+
+
+def size_of(kind: str, x: float, y: float, z: float) -> tuple[tuple[float, float, float], float]:
+    """MuJoCo's size of a solid with these half-extents (radius and half length of round ones), and
+    its bounding radius [m].
+    """
+    match kind:
+        case "box":
+            return (x, y, z), math.hypot(x, y, z)
+        case "sphere":
+            return (x, 0.0, 0.0), x
+        case "cylinder":
+            return (x, z, 0.0), math.hypot(x, z)
+    return (x, z - x, 0.0), z
+
+
+@cache
+def _mass_of(model: ObjectModel) -> tuple[Array, Array]:
+    """Centre of mass, shape (3,) [m], and inertia about it, shape (3, 3) [kg·m²]."""
+    return model.center_of_mass, model.inertia
+
+
+@lru_cache(maxsize=64)
+def _inertia_of(spec: ObjectSpec) -> tuple[Array, Array, Array]:
+    """Centre of mass, shape (3,) [m], principal moments about it, shape (3,) [kg·m²], and their
+    axes, quaternion wxyz.
+    """
+    if spec.model is None:
+        x, y, z = (2 * half for half in spec.half_extents)
+        return _ORIGIN, np.array(principal_inertia(spec.shape, spec.mass, (x, y, z))), _STRAIGHT
+    centre, inertia = _mass_of(spec.model)
+    inertia = inertia * (spec.mass / spec.model.mass * spec.scale**2)
+    if is_straight(spec.model):
+        return spec.scale * centre, np.diag(inertia), _STRAIGHT
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return spec.scale * centre, moments, quaternion_from_matrix(axes)

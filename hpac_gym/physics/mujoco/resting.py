@@ -20,9 +20,10 @@ from scipy.spatial.transform import Rotation
 from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.errors import ParameterError
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import POST, SUPPORT_FRICTION
-from hpac_gym.physics.mjcf import CONTACT
-from hpac_gym.physics.mujoco.model import exact_text, quaternion_from_matrix, size_of
+from hpac_gym.physics.mjcf import CONTACT, INERTIA_ENTRIES
+from hpac_gym.physics.mujoco.model import exact_text, quaternion_from_matrix
+from hpac_gym.physics.mujoco.parameters import size_of
+from hpac_gym.physics.supports import POST, SUPPORT_FRICTION
 
 DROPS = 40
 SEED = 12
@@ -83,27 +84,14 @@ class Table:
         world = Xml.SubElement(root, "worldbody")
         size = " ".join(map(repr, (*POST.half_width, 0.1))) if post else "0.5 0.5 0.1"
         contact = CONTACT | {"condim": "6", "friction": f"{SUPPORT_FRICTION * friction} {_ROLLING}"}
-        Xml.SubElement(
-            world, "geom", type="box", size=size, pos="0 0 -0.1", priority="1", **contact
-        )
-        if post:
-            Xml.SubElement(
-                world,
-                "geom",
-                type="box",
-                size="0.5 0.5 0.01",
-                pos="0 0 -0.4",
-                priority="1",
-                **contact,
-            )
+        for half, place in ((size, "0 0 -0.1"), ("0.5 0.5 0.01", "0 0 -0.4"))[: 1 + post]:
+            Xml.SubElement(world, "geom", type="box", size=half, pos=place, priority="1", **contact)
         body = Xml.SubElement(world, "body", name="object")
         Xml.SubElement(body, "freejoint")
-        inertia = model.inertia
-        entries = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
         numbers = {
             "pos": exact_text(model.center_of_mass),
             "mass": repr(model.mass),
-            "fullinertia": exact_text(entries),
+            "fullinertia": exact_text(model.inertia[INERTIA_ENTRIES]),
         }
         Xml.SubElement(body, "inertial", numbers)
         assets = Xml.SubElement(root, "asset")

@@ -15,7 +15,7 @@ from hpac_gym.body.urdf import WRIST_EFFORT, hand_urdf
 from hpac_gym.model import DIGITS, FINGERS, JOINTS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array, as_finite_array
 from hpac_gym.physics.engine import HAND_POSITION
-from hpac_gym.physics.mjcf import armature_of
+from hpac_gym.physics.mechanics import armature_of
 from hpac_gym.physics.pybullet.world import World, quiet_output
 from hpac_gym.physics.settings import HandSettings
 from hpac_gym.physics.tendons import Tendons
@@ -88,7 +88,7 @@ class SimHand:
         for name, index in zip(JOINTS, self._joints, strict=True):
             inertia = np.array(
                 pybullet.getDynamicsInfo(self.body, index, self._client)[2]
-            ) + armature_of(name, settings)
+            ) + armature_of(name, settings.armature)
             pybullet.changeDynamics(
                 self.body,
                 index,

@@ -8,20 +8,19 @@ import numpy as np
 import pybullet
 
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import (
-    GREEN,
-    GREY,
-    HAND_POSITION,
-    SUPPORT_FRICTION,
-    TABLE_HALF_EXTENTS,
-    WOOD,
-    SceneSetup,
-    support_boxes,
-)
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
 from hpac_gym.physics.pybullet.hand import SimHand
 from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
 from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
+from hpac_gym.physics.supports import (
+    GREEN,
+    GREY,
+    SUPPORT_FRICTION,
+    TABLE_HALF_EXTENTS,
+    WOOD,
+    support_boxes,
+)
 
 _EPISODES = 200
 """Number of episodes after which the hand is loaded again."""

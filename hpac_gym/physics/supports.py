@@ -1,0 +1,59 @@
+"""The boxes on which objects stand: posts, walls, the table, and the post of a target."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from hpac_gym.body.objects import Support
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, matrix_from_quaternion
+
+POST = Support((0.012, 0.012))
+"""Support of an object whose setup has none; this post does not rotate with the object's yaw."""
+TARGET_HALF_WIDTH = 0.05
+"""Half the width of the post at a setup's target [m]."""
+SUPPORT_FRICTION = 0.8
+"""Coulomb coefficient of posts, walls and table, to be multiplied by the object's."""
+TABLE_HALF_EXTENTS = (0.35, 0.35, 0.01)
+"""Half-extents of the table along x, y and z [m]."""
+GREY = (0.55, 0.55, 0.58, 1.0)
+GREEN = (0.45, 0.62, 0.48, 1.0)
+WOOD = (0.78, 0.70, 0.58, 1.0)
+"""Colours of posts and walls, of the target's post and of the table, RGBA."""
+Placed = tuple[Array, Array]
+"""Half-extents of a box and its centre in the world, shapes (3,) [m]."""
+
+
+def support_boxes(
+    setup: SceneSetup, matrix: Callable[[Sequence[float]], Array] = matrix_from_quaternion
+) -> tuple[list[Placed], Array, Placed | None, tuple[float, float, float, float]]:
+    """Boxes that support the object of a setup.
+
+    Args:
+        setup: setup with an object that is not fixed.
+        matrix: rotation matrix of a quaternion xyzw; an engine may pass its own, which rounds
+            differently.
+
+    Returns:
+        Posts and walls; centre of the table, shape (3,) [m]; the target's post or None; quaternion
+        xyzw of posts and walls.
+    """
+    rotation = matrix(setup.hand_quaternion)
+    centre = HAND_POSITION + rotation @ setup.position
+    reach = setup.rest_height
+    if reach is None:
+        reach = np.abs(matrix(setup.object_quaternion)[2]) @ setup.object.half_extents
+    support = setup.support or POST
+    turn = setup.object_turn[1] if setup.support else (0.0, 0.0, 0.0, 1.0)
+    floor = support.table_height
+    turned = matrix(turn)
+    below = np.array([centre[0], centre[1], floor])
+    boxes = [
+        (np.array(half), below + turned @ place)
+        for half, place in support.boxes(centre[2] - reach - floor)
+    ]
+    target = None
+    if setup.target is not None:
+        x, y, z = HAND_POSITION + rotation @ setup.target - [0.0, 0.0, reach]
+        target = np.array([TARGET_HALF_WIDTH, TARGET_HALF_WIDTH, z / 2]), np.array([x, y, z / 2])
+    return boxes, below - [0.0, 0.0, TABLE_HALF_EXTENTS[2]], target, turn
