@@ -134,9 +134,9 @@ class MuJoCoEngine(Engine):
         if failed:
             first, *others = sorted(failed)
             place = f"world {first} of {self.num_worlds}{f' and {len(others)} others' if others else ''}"
-            time = (self._steps[first] - servo.shape[1]) * self.dt
             raise PhysicsError(
-                f"{place} failed after {time:.3f} s of its episode: MuJoCo says {failed[first]}",
+                f"{place} failed after {(self._steps[first] - servo.shape[1]) * self.dt:.3f} s of its episode: "
+                f"MuJoCo says {failed[first]}",
                 sorted(failed),
             )
 
@@ -156,36 +156,36 @@ class MuJoCoEngine(Engine):
         return state
 
     def contacts(self, world: int) -> Contacts:
-        setup = self._setups[world]
-        item = self._group_of[world].at.object_body
+        at = self._group_of[world].at
         model, data = self.single(world)
-        found = []
-        wrench = np.zeros(6)
-        for index, contact in enumerate(data.contact):
-            bodies = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-            if item not in bodies:
-                continue
-            link = model.body(bodies[1 - bodies.index(item)]).name
-            if link == "palm" or link.endswith("_link"):
-                # The normal points from the first geom to the second.
-                normal = contact.frame[:3] * (1.0 if bodies[1] == item else -1.0)
-                mujoco.mj_contactForce(model, data, index, wrench)
-                found.append((contact.pos + normal * contact.dist / 2, normal, wrench[0], link))
-        points, normals, forces, links = zip(*found, strict=True) if found else [()] * 4
+        contact = data.contact
+        bodies = model.geom_bodyid[contact.geom]
+        other = bodies.sum(axis=1) - at.object_body
+        rows = np.flatnonzero((bodies == at.object_body).any(axis=1) & np.isin(other, at.hand))
+        # A frame's first axis is the normal, which points from the first geom to the second.
+        into = np.where(bodies[rows, 1] == at.object_body, 1.0, -1.0)
+        normal = into[:, None] * contact.frame[rows, :3]
+        wrench = np.zeros((len(rows), 6))
+        for row, values in zip(rows, wrench, strict=True):
+            mujoco.mj_contactForce(model, data, row, values)
+        setup = self._setups[world]
         return Contacts(
-            np.array(points).reshape(-1, 3),
-            np.array(normals).reshape(-1, 3),
-            np.array(forces),
-            links,
-            data.xpos[item].copy(),
+            contact.pos[rows] + normal * contact.dist[rows, None] / 2,
+            normal,
+            wrench[:, 0],
+            tuple(model.body(body).name for body in other[rows]),
+            data.xpos[at.object_body].copy(),
             setup.hand_settings.contact_friction * setup.object.friction,
         )
 
     def single(self, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """Model and data of one world, with all derived quantities computed from its state."""
+        """Model and data of one world, with all derived quantities computed from its state; the next
+        call with a world of the same layout overwrites them.
+        """
         batch = self._group_of[world].batch
-        model = batch.get_model(world)
-        data = batch.get_data(world)
+        model, data = self._group_of[world].single
+        batch.get_model(world, model)
+        batch.get_data(world, data)
         mujoco.mj_forward(model, data)
         return model, data
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -56,6 +57,11 @@ class Group:
         self.felt = np.zeros((num_worlds, STANDS.stop))
         self._read = slice(FORCE.start, FORCE.start + self._sensors.shape[1])
         self._to_hand = np.zeros((num_worlds, 3, 3))
+
+    @cached_property
+    def single(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Model and data for one of the worlds at a time: making them takes longer than filling them."""
+        return self.batch.get_model(0), self.batch.get_data(0)
 
     def start(self, worlds: NDArray[np.intp], setups: Sequence[SceneSetup]) -> None:
         """Reset worlds, given in ascending order, to the start of their setups."""

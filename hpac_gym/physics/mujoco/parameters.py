@@ -133,8 +133,7 @@ class Parameters:
         bias[-len(DIGITS) :, 2] = brake
         # Damping acts on the stretch rate, to which the servo's speed contributes.
         self.lead[world] = numbers.bias[:, 2] / numbers.bias[:, 1]
-        skin = settings.contact_friction
-        fields["geom_friction"][world, at.hand_geoms, 0] = skin * skin
+        fields["geom_friction"][world, at.hand_geoms, 0] = np.square(settings.contact_friction)
 
     def _set_object(self, world: int, setup: SceneSetup) -> None:
         fields = self.fields
@@ -150,8 +149,9 @@ class Parameters:
         fields["geom_friction"][world, rows, 0] = (
             setup.hand_settings.contact_friction * spec.friction
         )
-        color = OBJECT_COLORS[spec.shape] if spec.model is None else spec.model.color
-        fields["geom_rgba"][world, rows] = color
+        fields["geom_rgba"][world, rows] = (
+            spec.model.color if spec.model else OBJECT_COLORS[spec.shape]
+        )
         body = world, at.object_body
         fields["body_mass"][body] = spec.mass
         centre, fields["body_inertia"][body], turn = _inertia_of(spec)
