@@ -1,7 +1,7 @@
 """Accuracy of printed tags before a camera, on rendered pictures: ``python -m experiments.watched``.
 
 The object's pose in the hand's frame, from one picture of 1280 × 720 pixels from 0.4 m; and whole
-sweeps, in lock-step: `calibration.driven` → link → firmware in virtual time → pulses → a MuJoCo hand →
+sweeps, in lock-step: `calibration.driver` → link → firmware in virtual time → pulses → a MuJoCo hand →
 pictures of the tags on its links from 0.3 m → angles → record → `hpac calibrate`. The pictures are
 pieces of the print of the sheet (`experiments.pictures`) where the simulated links are, blurred by 0.6
 pixels, with noise of 3 grey values and an uneven light; the hand itself is not drawn."""
@@ -23,12 +23,13 @@ from experiments.quasistatic import Built
 from experiments.rig import Rig, rig_of, upright
 from hpac_gym.body.geometry import Phalanx, link_poses, load_geometry
 from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
-from hpac_gym.calibration.driven import Driver, Segment
+from hpac_gym.calibration.driver import Driver
 from hpac_gym.calibration.file_errors import check_errors
 from hpac_gym.calibration.identification import identify
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.protocol import Protocol, rest_pose
 from hpac_gym.calibration.record import Sweep, concatenate
+from hpac_gym.calibration.segment import Segment
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.detection import Lens, Seen, detect
 from hpac_gym.camera.poses import object_place

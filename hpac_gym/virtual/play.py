@@ -10,7 +10,8 @@ from hpac_gym.bridge import pulses_from_servo
 from hpac_gym.command import add_json, say
 from hpac_gym.tasks.task import CONTROL_HZ
 from hpac_gym.virtual.body import Body
-from hpac_gym.virtual.commands import POSE_HZ, add_scene, env_of, scene
+from hpac_gym.virtual.hand import POSE_HZ
+from hpac_gym.virtual.scene import add_scene, env_of, scene
 
 OPPOSED = 1.2
 """Angle of the thumb's CMC at the start, at which the thumb opposes the fingers [rad]."""

@@ -17,7 +17,8 @@ from experiments.rig import Rig
 from experiments.watched import STRIP_LENS, Body
 from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.calibration import driven
-from hpac_gym.calibration.driven import LEAST_SLACK, Driver, Eye, Segment, added, joined
+from hpac_gym.calibration.driven import LEAST_SLACK, Eye
+from hpac_gym.calibration.driver import Driver
 from hpac_gym.calibration.judging import judged
 from hpac_gym.calibration.protocol import Protocol
 from hpac_gym.calibration.record import (
@@ -28,6 +29,7 @@ from hpac_gym.calibration.record import (
     read_sweep,
     write_sweep,
 )
+from hpac_gym.calibration.segment import Segment, added, joined
 from hpac_gym.camera import CameraError
 from hpac_gym.camera.angles import turns
 from hpac_gym.camera.detection import Watch

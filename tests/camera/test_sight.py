@@ -5,7 +5,7 @@ import pytest
 
 from experiments.watched import STAND_OFF
 from hpac_gym.body.geometry import Capsule, link_poses, load_geometry
-from hpac_gym.calibration.driven import OUT_OF_SIGHT
+from hpac_gym.calibration.driver import OUT_OF_SIGHT
 from hpac_gym.camera.sheet import CHAINS
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVO_INDEX, elastic_joints_from_servo
 

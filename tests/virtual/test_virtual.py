@@ -26,7 +26,8 @@ from hpac_gym.registration import GRASP, GRASP_ANY
 from hpac_gym.tasks.task import RUNNING, SUCCESS
 from hpac_gym.virtual.body import LATCH_US, LATE, Body, LockStep
 from hpac_gym.virtual.body import Path as WristPath
-from hpac_gym.virtual.commands import CAN, Virtual, scene
+from hpac_gym.virtual.hand import Virtual
+from hpac_gym.virtual.scene import CAN, scene
 from hpac_gym.virtual.wire import BadTransport, Faults, Way
 from tests.processes import wait_for
 

@@ -1,0 +1,159 @@
+"""The samples of a driven sweep, as they come, and the angles that a camera or another program gives
+them."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hpac_gym.calibration.record import (
+    FLEXING,
+    JOINT_COLUMNS,
+    REST,
+    RecordError,
+    Sweep,
+    concatenate,
+    read_sweep,
+)
+from hpac_gym.camera.angles import turns
+from hpac_gym.camera.detection import Lens, Seen
+from hpac_gym.camera.sheet import CHAINS, STRIPS
+from hpac_gym.model import JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS, Hand, elastic_joints_from_servo
+from hpac_gym.model.checks import Array
+
+APART = 0.1
+"""Longest time between an angle of another program and the sample that takes it [s]."""
+FLEXED = 0.05
+"""Least angle of a joint that has surely begun to flex (chosen) [rad]."""
+
+
+@dataclass(slots=True)
+class Segment:
+    """The samples of one sweep of one servo, as they come."""
+
+    servo: str
+    trial: int = 0
+    labels: list[tuple[int, int]] = field(default_factory=list)
+    """Phase and point."""
+    time: list[float] = field(default_factory=list)
+    """[s]; it stands still while the hand is armed."""
+    unix: list[float] = field(default_factory=list)
+    """Time of the day of each sample, since 1970 [s]."""
+    commanded: list[Array] = field(default_factory=list)
+    seen: list[Seen] = field(default_factory=list)
+    joint_pos: Array | None = None
+    """Shape (samples, 15) [rad]; None: not known yet."""
+
+    def sweep(self) -> Sweep:
+        """The record; angles that are not known are empty."""
+        count = len(self.time)
+        phase, point = np.array(self.labels, dtype=int).reshape(-1, 2).T
+        unknown = np.full((count, len(JOINTS)), np.nan)
+        return Sweep(
+            np.full(count, self.trial),
+            np.full(count, SERVO_INDEX[self.servo]),
+            phase,
+            point,
+            np.array(self.time),
+            np.array(self.commanded).reshape(-1, len(SERVOS)),
+            unknown if self.joint_pos is None else self.joint_pos,
+        )
+
+    def angles_from_tags(self, lens: Lens) -> float:
+        """Find the joint angles, and return the misfit of the tags [pixels].
+
+        Raises:
+            CameraError: As of `turns`.
+        """
+        # Only before the sweep is the digit surely at its stops: friction may hold it back afterwards.
+        at_rest = np.logical_and.accumulate([phase == REST for phase, _ in self.labels])
+        turned = turns(self.seen, STRIPS[self.servo], lens, at_rest)
+        self.joint_pos = np.full((len(self.time), len(JOINTS)), np.nan)
+        self.joint_pos[:, [JOINT_INDEX[name] for name in CHAINS[self.servo][1:]]] = turned.joint_pos
+        return turned.misfit
+
+    def slack(self, hand: Hand) -> float:
+        """Servo angle at which the swept joint begins to flex, extrapolated from the first two points
+        where it has flexed, along the design's curve [rad]; infinite without two.
+
+        About 0, the tendon may have been taut at rest already. How far it had then moved the joints is
+        in no picture: a constant shift of the angles fits as well as none.
+        """
+        swept = SERVO_INDEX[self.servo]
+        joint = JOINT_INDEX[self.servo]
+        record = self.sweep()
+        held = (record.phase == FLEXING) & (record.point >= 0)
+        means = [
+            (record.servo[rows, swept].mean(), np.nanmedian(record.joint_pos[rows, joint]))
+            for rows in (held & (record.point == point) for point in np.unique(record.point[held]))
+        ]
+        flexed = [mean for mean in means if mean[1] > FLEXED]
+        if len(flexed) < 2:
+            return np.inf
+        (first, second), seen = np.transpose(flexed[:2])
+        course = np.zeros((200, len(SERVOS)))
+        course[:, swept] = np.linspace(hand.servo_min[swept], hand.servo_max[swept], len(course))
+        angles = elastic_joints_from_servo(course, hand)[:, joint]
+        near, far = np.interp(seen, angles, course[:, swept])
+        return float(first - near * (second - first) / (far - near))
+
+
+def joined(segments: Sequence[Segment], path: Path) -> None:
+    """Give segments the angles that another program wrote, by the time of the day.
+
+    Args:
+        segments: get their `joint_pos`.
+        path: a CSV file with the columns ``time_s``, seconds since 1970, and any of
+            ``joint_{name}_rad``.
+
+    Raises:
+        RecordError: The file cannot be read, or has no such columns, or a time goes back.
+    """
+    try:
+        rows = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8 text"
+        raise RecordError(f"angles {path}: {reason}") from None
+    names = [name for name in JOINT_COLUMNS if rows and name in rows[0]]
+    if not names or "time_s" not in rows[0]:
+        raise RecordError(
+            f"angles {path}: no rows with time_s and any of {', '.join(JOINT_COLUMNS[:2])} …"
+        )
+    try:
+        at = np.array([float(row["time_s"]) for row in rows])
+        angles = np.array([[float(row[name] or "nan") for name in names] for row in rows])
+    except (TypeError, ValueError) as error:
+        raise RecordError(f"angles {path}: {error}") from None
+    if not (np.diff(at) > 0).all() or np.nanmax(np.abs(angles), initial=0.0) > np.pi:
+        raise RecordError(f"angles {path}: times must increase, and angles lie within ±π rad")
+    for segment in segments:
+        wanted = np.array(segment.unix)
+        segment.joint_pos = np.full((len(wanted), len(JOINTS)), np.nan)
+        for column, name in enumerate(names):
+            known = ~np.isnan(angles[:, column])
+            if not known.any():
+                continue
+            after = np.searchsorted(at[known], wanted).clip(1, max(known.sum() - 1, 1))
+            near = np.minimum(
+                *(np.abs(at[known][(after - i).clip(0, known.sum() - 1)] - wanted) for i in (0, 1))
+            )
+            angle = np.interp(wanted, at[known], angles[known, column])
+            segment.joint_pos[:, JOINT_COLUMNS.index(name)] = np.where(near <= APART, angle, np.nan)
+
+
+def added(path: Path, segments: Sequence[Segment]) -> Sweep:
+    """The record of some segments, and of those in a file that are not among them.
+
+    Raises:
+        RecordError: The file is no record.
+    """
+    parts = [segment.sweep() for segment in segments if segment.time]
+    new = {(segment.trial, SERVO_INDEX[segment.servo]) for segment in segments if segment.time}
+    if path.exists():
+        before = read_sweep(path)
+        for rows in before.segments():
+            if (int(before.trial[rows[0]]), int(before.swept[rows[0]])) not in new:
+                parts.append(before[rows])
+    return concatenate(parts)

@@ -1,0 +1,207 @@
+"""A virtual hand in real time: body, board, wire, arm and camera."""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hpac_gym.bridge import HostBoard, servo_from_pulses
+from hpac_gym.calibration.record import JOINT_COLUMNS
+from hpac_gym.command import say
+from hpac_gym.deploy import arm as arms
+from hpac_gym.deploy import poses
+from hpac_gym.errors import ParameterError
+from hpac_gym.model.checks import Array
+from hpac_gym.output import OutputError
+from hpac_gym.physics.engine import PhysicsError, SceneState
+from hpac_gym.tasks.posture import CAMERA_NOISE
+from hpac_gym.tasks.task import OUTCOMES, RUNNING
+from hpac_gym.virtual.body import Body
+from hpac_gym.virtual.wire import Relay
+
+POSE_HZ = 60
+"""Poses a second, and looks at the pulses."""
+
+
+class Tracker:
+    """A camera that measures the joints, as a file of angles for `hpac sweep --angles`.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._rng = np.random.default_rng(0)
+        try:
+            self._file = path.open("w", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise OutputError(f"cannot write '{path}': {error.strerror}") from None
+        print("time_s", *JOINT_COLUMNS, sep=",", file=self._file)
+
+    def write(self, joint_pos: Array) -> None:
+        """Write joint angles, shape (15,) [rad], with the camera's noise."""
+        seen = joint_pos + CAMERA_NOISE * self._rng.standard_normal(len(joint_pos))
+        row = [f"{angle:.5f}" for angle in seen]
+        print(f"{time.time():.4f}", *row, sep=",", file=self._file)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class Virtual:
+    """A body, the board that drives it, its arm and its camera, in real time.
+
+    Args:
+        body: the body.
+        board: the running firmware.
+        relay: a bad wire in front of it.
+        arm_port: UDP port at which the arm is told; 0 is a free one.
+        pose_port: UDP port to which poses are sent; 0 is a free one.
+
+    Raises:
+        ParameterError: A port cannot be opened.
+
+    Attributes:
+        port: the hand's port.
+        page: a `hpac_gym.view.page.HandPage`, or None.
+        tracker: a `Tracker`, or None.
+        as_json: whether outcomes are told as JSON.
+        blind: time from the beginning of an episode to the loss of its object [s].
+        arm_port, pose_port: the UDP ports.
+    """
+
+    def __init__(
+        self, body: Body, board: HostBoard, relay: Relay | None, arm_port: int, pose_port: int
+    ) -> None:
+        self.body = body
+        self.port = relay.port if relay else board.port
+        self._board = board
+        self._relay = relay
+        self._arm = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._arm.setblocking(False)
+        self._camera = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._camera.setblocking(False)
+        try:
+            self._arm.bind(("127.0.0.1", arm_port))
+            self.pose_port = pose_port or _free_port()
+            self._camera.connect(("127.0.0.1", self.pose_port))
+        except (OSError, OverflowError) as error:
+            self.close()
+            raise ParameterError(f"UDP port {arm_port or pose_port}: {error}") from None
+        self.arm_port = self._arm.getsockname()[1]
+        self._began = time.monotonic()
+        self._due = 0.0
+        self._phase = ""
+        self._episodes = 0
+        self._told = RUNNING
+        self.page: Any = None
+        self.tracker: Tracker | None = None
+        self.blind = np.inf
+        self._seen_until = np.inf
+
+    def turn(self) -> None:
+        """Wait until there is something to do, and do it; to be called again and again."""
+        now = time.monotonic() - self._began
+        until = min(self._due, self._relay.due() if self._relay else np.inf)
+        watched = [self._arm, *(self._relay.descriptors() if self._relay else ())]
+        select.select(watched, [], [], max(until - now, 0.0))
+        now = time.monotonic() - self._began
+        if self._relay:
+            self._relay.turn(now)
+        self._hear(round(1e6 * now))
+        if now >= self._due:
+            self._due = max(self._due + 1 / POSE_HZ, now)
+            pulses = self._board.pulses()
+            by_hand = self.page.wanted() if self.page else None
+            try:
+                self.body.follow(round(1e6 * now), pulses, by_hand)
+            except PhysicsError as error:
+                said = f"{error}; everything is put back"
+                say(self.as_json, said, episode=self._episodes, error=str(error))
+                self.body.place(self.body.setup)
+            state = self.body.state()
+            self.body.tidy_up(state)
+            if not pulses.any():
+                self._seen_until = np.inf
+            if now < self._seen_until:
+                self._see(state)
+            self._judge()
+            if self.tracker:
+                self.tracker.write(state.joint_pos[0])
+            if self.page:
+                self._show(state, pulses)
+
+    def _see(self, state: SceneState) -> None:
+        """Send the object's pose."""
+        pose = self.body.seen(state)
+        packet = {poses.PACKET: poses.VERSION, "position": pose.position.tolist()}
+        with suppress(OSError):  # nobody listens
+            self._camera.send(json.dumps(packet | {"quaternion": pose.quaternion}).encode())
+
+    def _show(self, state: SceneState, pulses: Array) -> None:
+        """Show the hand on the page, whose sliders drive it while no program does."""
+        from hpac_gym.view.page import Shown
+
+        if self.page.wants_object_back():
+            self.body.place(self.body.setup, state.horn[0])
+        if self.page.due():
+            driven = bool(pulses.any())
+            self.page.free(not driven)
+            servo = servo_from_pulses(pulses) if pulses.all() else self.page.wanted()
+            outcome = f"episode {self._episodes}: {OUTCOMES[self.body.outcome]}"
+            driver = "A program drives the hand. " if driven else "The sliders drive the hand. "
+            self.page.show(Shown.of_state(state, servo, driver + outcome * bool(self._episodes)))
+
+    def _hear(self, now_us: int) -> None:
+        """The arm does what it is told; what is no packet is ignored."""
+        while True:
+            try:
+                data, address = self._arm.recvfrom(4096)
+            except OSError:
+                return
+            try:
+                told = json.loads(data)
+                if told[arms.PACKET] != arms.VERSION:
+                    continue
+                if told["phase"] != "ready":
+                    self.body.tell(told)
+                elif self._phase != "ready":
+                    if self.body.outcome != RUNNING:  # the hand may have kept its power since
+                        self.body.place(self.body.setup, self.body.state().horn[0])
+                    self.body.begin(now_us)
+                    self._seen_until = 1e-6 * now_us + self.blind
+                    self._told = RUNNING
+                    self._episodes += 1
+                self._phase = told["phase"]
+                if self._phase == "ready":
+                    answer = json.dumps({arms.PACKET: arms.VERSION, "ready": True})
+                    self._arm.sendto(answer.encode(), address)
+            except (OSError, ValueError, KeyError, TypeError):
+                continue
+
+    def _judge(self) -> None:
+        """Tell the outcome of an episode once."""
+        if self.body.outcome not in (RUNNING, self._told):
+            self._told = self.body.outcome
+            outcome = OUTCOMES[self._told]
+            said = f"episode {self._episodes}: {outcome}"
+            say(self.as_json, said, episode=self._episodes, outcome=outcome)
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._arm.close()
+        self._camera.close()
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
