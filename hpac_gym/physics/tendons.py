@@ -160,8 +160,9 @@ class Drive:
         stretch = radius * servo + chord - self.length
         rate = radius * servo_vel - arm * joint_vel
         if stretch > 0.0:
-            return min(max(self.stiffness * stretch + self.viscosity * rate, 0.0), self.limit), arm
-        return (self.brake * min(rate, 0.0) if joint_vel > 0.0 else 0.0), arm
+            pull = self.stiffness * stretch + self.viscosity * rate
+            return (0.0 if pull < 0.0 else self.limit if pull > self.limit else pull), arm
+        return (self.brake * rate if rate < 0.0 < joint_vel else 0.0), arm
 
 
 class Tendons:
@@ -199,16 +200,14 @@ class Tendons:
         viscosity /= 1 + viscosity * dt * mobility
         rows, stiffness = coupling_rows(hand)
         springs, spring_stiffness = spring_rows(hand)
-        stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + springs.T @ (
-            spring_stiffness[:, None] * springs
-        )
+        self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
+        stiffness_matrix = rows.T @ (stiffness[:, None] * rows) + self._spring_torque
         viscosity_matrix = rows.T @ (viscosity[: len(rows), None] * rows) + damping.joint * np.eye(
             len(JOINTS)
         )
         self._linear = -np.hstack([stiffness_matrix, viscosity_matrix])
         self._coupling = stiffness[:, None] * rows
         self._levers = np.abs(rows).T
-        self._spring_torque = springs.T @ (spring_stiffness[:, None] * springs)
         self._state = np.empty(2 * len(JOINTS))
 
         slacks, shares = (

@@ -139,11 +139,11 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
         motors(body, joints, mode, **named)
 
     def joint_states(body: int, joints: list[int], *_: Any, **__: Any) -> list[tuple[float, float]]:
-        if all(joint in slides for joint in joints):
-            return [(slides[joint], 0.0) for joint in joints]
         told = state()
         return [
-            (float(told.joint_pos[joint_of[joint]]), float(told.joint_vel[joint_of[joint]]))
+            (slides[joint], 0.0)
+            if joint in slides
+            else (float(told.joint_pos[joint_of[joint]]), float(told.joint_vel[joint_of[joint]]))
             for joint in joints
         ]
 
@@ -158,37 +158,21 @@ def told(env: gymnasium.Env, story: Callable[[float], State]) -> Iterator[None]:
     def velocity(body: int, *_: Any, **__: Any) -> tuple[list[float], list[float]]:
         return state().velocity.tolist(), state().spin.tolist()
 
-    def contacts(first: int, second: int, *_: Any, **__: Any) -> list[tuple]:
+    def contacts(item: int, *_: Any, **__: Any) -> list[tuple]:
         told = state()
-        if bodies.hand in (first, second):
-            centre = start + told.slipped + way
-            rows = []
-            for place, (part, force) in enumerate(told.forces.items()):
-                outward = np.array([np.cos(2.4 * place), np.sin(2.4 * place), 0.2 * place - 0.3])
-                outward /= np.linalg.norm(outward)
-                point = centre + 0.02 * outward
-                rows.append(
-                    (
-                        0,
-                        bodies.hand,
-                        bodies.object,
-                        link_of[part],
-                        -1,
-                        point,
-                        point,
-                        outward,
-                        0.0,
-                        force,
-                    )
-                )
-            return rows
-        touched = second if first == bodies.object else first
-        met = (told.supported and touched == bodies.fixed[0]) or (
-            told.placed and touched == bodies.fixed[-1]
-        )
-        return (
-            [(0, bodies.object, touched, -1, -1, start, start, (0, 0, 1), 0.0, 1.0)] if met else []
-        )
+        centre = start + told.slipped + way
+        rows = []
+        for place, (part, force) in enumerate(told.forces.items()):
+            outward = np.array([np.cos(2.4 * place), np.sin(2.4 * place), 0.2 * place - 0.3])
+            outward /= np.linalg.norm(outward)
+            point = centre + 0.02 * outward
+            rows.append(
+                (0, item, bodies.hand, -1, link_of[part], point, point, -outward, 0.0, force)
+            )
+        for met, support in ((told.supported, bodies.fixed[0]), (told.placed, bodies.fixed[-1])):
+            if met:
+                rows.append((0, item, support, -1, -1, start, start, (0, 0, 1), 0.0, 1.0))
+        return rows
 
     with patch.multiple(
         pybullet,

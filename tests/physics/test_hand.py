@@ -72,7 +72,7 @@ def test_no_joint_has_a_motor(scene):
             hand.body, link, (0.3, 0, 0), (0, 0, 0.02), pybullet.LINK_FRAME, hand.world.client
         )
         scene.advance(still, still, np.zeros((1, 3)), None)
-    bent, _ = hand.joint_state()
+    bent, *_ = hand.state()
     assert bent[JOINT_INDEX["index_mcp"]] > 0.1
     assert abs(bent[JOINT_INDEX["middle_mcp"]]) < 1e-3
 
@@ -97,7 +97,7 @@ def test_fingers_do_not_reach_each_other(scene):
     for _ in range(60):
         share = rng.choice([0.0, 1.0, rng.uniform()], 6)
         hand.reset(share * HPAC.synergy_max)
-        assert np.allclose(hand.joint_state()[0], joints_from_synergy(share * HPAC.synergy_max))
+        assert np.allclose(hand.state()[0], joints_from_synergy(share * HPAC.synergy_max))
         for one, other in itertools.combinations(FINGERS, 2):
             for pair in itertools.product(links[one], links[other]):
                 near = pybullet.getClosestPoints(

@@ -5,6 +5,7 @@ world.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,8 @@ from hpac_gym.physics.engine import (
     SceneState,
     Viewpoint,
 )
-from hpac_gym.physics.pybullet.scene import FORCE, LINK, NORMAL, POINT, Scene
+from hpac_gym.physics.pybullet.scene import FORCE, LINK, NORMAL, POINT, Scene, matrix
 from hpac_gym.physics.settings import HandSettings, WorldSettings
-
-_PART = {name: index for index, name in enumerate(PARTS)}
 
 
 class PyBulletEngine(Engine):
@@ -36,7 +35,8 @@ class PyBulletEngine(Engine):
     Args:
         num_worlds: n.
         settings: settings of every world.
-        visuals: load visual shapes; without them a reset is faster and the physics identical.
+        visuals: load visual shapes; without them a reset is faster, the physics identical, and a
+            picture shows boxes.
 
     Raises:
         ValueError: Fewer than one world.
@@ -62,10 +62,6 @@ class PyBulletEngine(Engine):
         # Beside an object and above one: for many worlds this would take too much memory.
         stages = 2 if num_worlds == 1 else 1
         self.scenes = [Scene(settings, visuals, stages) for _ in range(num_worlds)]
-        self._setups: list[SceneSetup | None] = [None] * num_worlds
-        self._time = [0.0] * num_worlds
-        # Tables of each world's episode so far.
-        self._past: list[list[tuple[Array, ...]]] = [[] for _ in range(num_worlds)]
 
     def require(self, settings: HandSettings) -> None:
         """As `Engine.require`; inertia at the servos' hubs is not supported."""
@@ -80,22 +76,16 @@ class PyBulletEngine(Engine):
             self.require(setup.hand_settings)
         for world, setup in zip(worlds, setups, strict=True):
             self.scenes[world].reset(setup)
-            self._setups[world] = setup
-            self._time[world] = 0.0
-            self._past[world] = []
 
     def advance(
         self, servo: Array, servo_vel: Array, wrist: Array, push: Array | None = None
     ) -> None:
         pushes = [None] * self.num_worlds if push is None else push
         self._force_steps = np.zeros((self.num_worlds, servo.shape[1] * self.every_step))
-        for world, (scene, past, *tables) in enumerate(
-            zip(self.scenes, self._past, servo, servo_vel, wrist, pushes, strict=True)
+        for scene, *tables in zip(
+            self.scenes, servo, servo_vel, wrist, pushes, self._force_steps, strict=True
         ):
-            scene.advance(*tables, self._force_steps[world])
-            past.append(tuple(tables))
-        for _ in range(servo.shape[1]):
-            self._time = [time + self.dt for time in self._time]
+            scene.advance(*tables)
 
     def state(self) -> SceneState:
         """As `Engine.state`.
@@ -104,51 +94,52 @@ class PyBulletEngine(Engine):
             PhysicsError: A world's joint angles are not finite.
         """
         found = SceneState.empty(self.num_worlds)
-        found.time = np.array(self._time)
         found.force_steps = self._force_steps
         for world, scene in enumerate(self.scenes):
-            if self._setups[world] is not None:
+            if scene.setup is not None:
                 self._read(found, world, scene)
-        if not np.isfinite(found.joint_pos).all():
-            bad = int(np.argmin(np.isfinite(found.joint_pos).all(axis=1)))
-            raise PhysicsError(
-                f"world {bad} of {self.num_worlds}: joint angles {found.joint_pos[bad]} rad are not finite"
-            )
         return found
 
     def _read(self, found: SceneState, world: int, scene: Scene) -> None:
-        found.joint_pos[world], found.joint_vel[world] = scene.hand.joint_state()
+        joint_pos, joint_vel, offset = scene.hand.state()
+        if not isfinite(sum(joint_pos)):
+            raise PhysicsError(
+                f"world {world} of {self.num_worlds}: joint angles {joint_pos} rad are not finite"
+            )
+        found.time[world] = scene.time
+        found.joint_pos[world] = joint_pos
+        found.joint_vel[world] = joint_vel
         found.tension[world] = scene.hand.tension
-        found.palm_offset[world] = offset = scene.hand.palm_offset
+        found.palm_offset[world] = offset
         if scene.object is None:
             return
         position, quaternion = scene.object.pose()
+        linear, angular = scene.object.velocity()
         to_hand = scene.to_hand
-        found.object_pos[world] = to_hand @ (position - HAND_POSITION - offset)
-        rotation = np.array(pybullet.getMatrixFromQuaternion(quaternion)).reshape(3, 3)
-        found.object_rotation[world] = to_hand @ rotation
-        linear, angular = pybullet.getBaseVelocity(
-            scene.object.body, physicsClientId=scene.world.client
-        )
-        found.object_vel[world] = to_hand @ linear
-        found.object_spin[world] = to_hand @ angular
-        touching = found.touching[world]
-        force = found.contact_force[world]
-        for contact in scene.contacts():
-            part = _PART[scene.hand.part_of_link[contact[LINK]]]
+        found.object_pos[world] = to_hand.dot(position - HAND_POSITION - offset)
+        found.object_rotation[world] = to_hand.dot(matrix(quaternion))
+        found.object_vel[world] = to_hand.dot(linear)
+        found.object_spin[world] = to_hand.dot(angular)
+        contacts, others = scene.contacts()
+        touching = [False] * len(PARTS)
+        force = [0.0] * len(PARTS)
+        for contact in contacts:
+            part = scene.hand.part_of_link[contact[LINK]]
             touching[part] = True
             force[part] += contact[FORCE]
-        found.supported[world] = any(map(scene.touches, scene.supports))
-        found.on_target[world] = scene.target_post is not None and scene.touches(scene.target_post)
+        found.touching[world] = touching
+        found.contact_force[world] = force
+        found.supported[world] = bool(others)
+        found.on_target[world] = scene.target_post in others
 
     def contacts(self, world: int) -> Contacts:
         scene = self.scenes[world]
-        setup = self._setups[world]
-        found = scene.contacts()
+        setup = scene.setup
+        found, _ = scene.contacts()
         names = {index: name for name, index in scene.hand.link_index.items()} | {-1: "palm"}
         return Contacts(
             np.array([contact[POINT] for contact in found]).reshape(-1, 3),
-            -np.array([contact[NORMAL] for contact in found]).reshape(-1, 3),
+            np.array([contact[NORMAL] for contact in found]).reshape(-1, 3),
             np.array([contact[FORCE] for contact in found]),
             tuple(names[contact[LINK]] for contact in found),
             scene.object.pose()[0],
@@ -160,14 +151,12 @@ class PyBulletEngine(Engine):
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             list(target), viewpoint.distance, viewpoint.yaw_deg, viewpoint.pitch_deg, 0.0, 2
         )
-        width = viewpoint.width
-        height = viewpoint.height
         projection = pybullet.computeProjectionMatrixFOV(
-            viewpoint.field_of_view_deg, width / height, 0.02, 3.0
+            viewpoint.field_of_view_deg, viewpoint.width / viewpoint.height, 0.02, 3.0
         )
         pixels = pybullet.getCameraImage(
-            width,
-            height,
+            viewpoint.width,
+            viewpoint.height,
             view,
             projection,
             lightDirection=[0.5, 0.8, 1.0],
@@ -175,24 +164,24 @@ class PyBulletEngine(Engine):
             renderer=pybullet.ER_TINY_RENDERER,
             physicsClientId=self.scenes[world].world.client,
         )[2]
-        return np.reshape(np.asarray(pixels, dtype=np.uint8), (height, width, 4))[:, :, :3]
+        return np.reshape(
+            np.asarray(pixels, dtype=np.uint8), (viewpoint.height, viewpoint.width, 4)
+        )[:, :, :3]
 
     def save(self, world: int) -> Any:
-        """As `Engine.save`: the tables of the episode so far. PyBullet's own snapshots omit part of
+        """As `Engine.save`: the episode's setup and tables. PyBullet's own snapshots omit part of
         the contact state.
         """
-        return self._setups[world], self._time[world], list(self._past[world])
+        return self.scenes[world].setup, list(self.scenes[world].past)
 
     def restore(self, world: int, snapshot: Any) -> None:
         """As `Engine.restore`: replays the episode from its start, in about a millisecond per
         control step.
         """
-        self._setups[world], time, past = snapshot
-        self.scenes[world].reset(self._setups[world])
+        setup, past = snapshot
+        self.scenes[world].reset(setup)
         for tables in past:
             self.scenes[world].advance(*tables)
-        self._time[world] = time
-        self._past[world] = list(past)
 
     def close(self) -> None:
         for scene in self.scenes:

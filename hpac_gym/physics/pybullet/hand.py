@@ -14,7 +14,7 @@ from hpac_gym.body.geometry import Geometry
 from hpac_gym.body.urdf import WRIST_EFFORT, hand_urdf
 from hpac_gym.model import DIGITS, FINGERS, JOINTS, Hand, joints_from_synergy
 from hpac_gym.model.checks import Array, as_finite_array
-from hpac_gym.physics.engine import HAND_POSITION
+from hpac_gym.physics.engine import HAND_POSITION, PARTS
 from hpac_gym.physics.mechanics import armature_of
 from hpac_gym.physics.pybullet.world import World, quiet_output
 from hpac_gym.physics.settings import HandSettings
@@ -34,6 +34,45 @@ _LOAD_FLAGS = (
 )
 
 
+def _load(
+    world: World,
+    settings: HandSettings,
+    geometry: Geometry,
+    on_wrist: bool,
+    orientation: ArrayLike,
+) -> tuple[int, dict[str, int], dict[str, int]]:
+    """Load the body of a hand, with the armatures of its joints; returns the body, and the indices
+    of its joints and links by name.
+    """
+    client = world.client
+    flags = _LOAD_FLAGS if world.visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
+    with TemporaryDirectory() as folder:  # PyBullet loads from files only
+        file = Path(folder, "hand.urdf")
+        file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
+        body = pybullet.loadURDF(
+            str(file),
+            list(HAND_POSITION),
+            list(orientation),
+            useFixedBase=True,
+            flags=flags,
+            physicsClientId=client,
+        )
+    info = [
+        pybullet.getJointInfo(body, index, client)
+        for index in range(pybullet.getNumJoints(body, client))
+    ]
+    joints = {entry[1].decode(): entry[0] for entry in info}
+    for name in JOINTS:
+        inertia = np.array(pybullet.getDynamicsInfo(body, joints[name], client)[2])
+        pybullet.changeDynamics(
+            body,
+            joints[name],
+            localInertiaDiagonal=(inertia + armature_of(name, settings.armature)).tolist(),
+            physicsClientId=client,
+        )
+    return body, joints, {entry[12].decode(): entry[0] for entry in info}
+
+
 class SimHand:
     """One hand in a `World`, at `HAND_POSITION`.
 
@@ -44,7 +83,6 @@ class SimHand:
         geometry: geometry of the hand.
         on_wrist: mount the palm on three slides.
         orientation: quaternion xyzw of the hand's frame in the world, shape (4,).
-        visuals: load visual shapes.
     """
 
     def __init__(
@@ -55,46 +93,21 @@ class SimHand:
         geometry: Geometry,
         on_wrist: bool,
         orientation: ArrayLike,
-        visuals: bool,
     ) -> None:
         self.world = world
         self._client = world.client
-        flags = _LOAD_FLAGS if visuals else _LOAD_FLAGS | pybullet.URDF_IGNORE_VISUAL_SHAPES
-        with TemporaryDirectory() as folder:  # PyBullet loads from files only
-            file = Path(folder, "hand.urdf")
-            file.write_text(_urdf(geometry, on_wrist), encoding="utf-8")
-            self.body = pybullet.loadURDF(
-                str(file),
-                list(HAND_POSITION),
-                list(orientation),
-                useFixedBase=True,
-                flags=flags,
-                physicsClientId=self._client,
-            )
-        info = [
-            pybullet.getJointInfo(self.body, i, self._client)
-            for i in range(pybullet.getNumJoints(self.body, self._client))
-        ]
-        self.link_index = {entry[12].decode(): entry[0] for entry in info}
-        self.joint_index = {entry[1].decode(): entry[0] for entry in info}
-        self.part_of_link = {
-            index: next((digit for digit in DIGITS if name.startswith(digit)), "palm")
+        self.body, self.joint_index, self.link_index = _load(
+            world, settings, geometry, on_wrist, orientation
+        )
+        self.part_of_link = {-1: 0} | {
+            index: next((part for part, digit in enumerate(PARTS) if name.startswith(digit)), 0)
             for name, index in self.link_index.items()
-        } | {-1: "palm"}
+        }
         self._joints = [self.joint_index[name] for name in JOINTS]
         self._slides = [self.joint_index[name] for name in _SLIDES if name in self.joint_index]
-        self._rotation = np.reshape(pybullet.getMatrixFromQuaternion(list(orientation)), (3, 3))
+        self._moving = self._joints + self._slides
+        self._rotation = np.reshape(pybullet.getMatrixFromQuaternion(orientation), (3, 3))
         self._axes = self._rotation.T.tolist()
-        for name, index in zip(JOINTS, self._joints, strict=True):
-            inertia = np.array(
-                pybullet.getDynamicsInfo(self.body, index, self._client)[2]
-            ) + armature_of(name, settings.armature)
-            pybullet.changeDynamics(
-                self.body,
-                index,
-                localInertiaDiagonal=inertia.tolist(),
-                physicsClientId=self._client,
-            )
         self.collide(True)
         self.configure(hand, settings)
 
@@ -102,16 +115,8 @@ class SimHand:
         """Switch to another hand. The armature, which is set on loading, stays the same."""
         self.hand = hand
         self.settings = settings
-        for name, index in self.joint_index.items():
-            friction = settings.joint_friction if name in JOINTS else 0.0
-            pybullet.setJointMotorControl2(
-                self.body,
-                index,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocity=0,
-                force=friction,
-                physicsClientId=self._client,
-            )
+        friction = [settings.joint_friction] * len(self._joints)
+        self._brake(self._moving, friction + [0.0] * len(self._slides))
         for index in range(-1, len(self.joint_index)):
             pybullet.changeDynamics(
                 self.body,
@@ -127,15 +132,22 @@ class SimHand:
         pybullet.changeDynamics(
             self.body, -1, maxJointVelocity=MAX_JOINT_SPEED, physicsClientId=self._client
         )
+        half_stroke = np.zeros(len(self._moving))
+        half_stroke[self._joints] = joints_from_synergy(hand.synergy_max / 2, hand)
+        with quiet_output():  # it warns about unit axes that are off in the last bit
+            inertia = np.array(
+                pybullet.calculateMassMatrix(
+                    self.body, half_stroke.tolist(), physicsClientId=self._client
+                )
+            )
         self.tendons = Tendons(
             hand,
-            self.inertia(),
+            inertia[np.ix_(self._joints, self._joints)],
             self.world.settings.dt,
             settings.damping,
             settings.slack,
             settings.strength,
         )
-        self.tension = [0.0] * len(DIGITS)
 
     def collide(self, solid: bool) -> None:
         """Enable or disable collisions of the hand. Fingers cannot reach each other, so pairs of
@@ -143,25 +155,11 @@ class SimHand:
         """
         solid = solid and self.world.settings.collisions
         for name, index in self.link_index.items():
-            group = _FINGER if name.split("_")[0] in FINGERS else _OTHER
-            mask = ~_FINGER if group == _FINGER else -1
+            finger = name.split("_")[0] in FINGERS
+            (group, mask) = (_FINGER, ~_FINGER) if finger else (_OTHER, -1)
             pybullet.setCollisionFilterGroupMask(
                 self.body, index, group * solid, mask * solid, self._client
             )
-
-    def inertia(self) -> Array:
-        """Joint-space inertia of the fifteen joints at half stroke, armature included, shape (15,
-        15) [kg·m²].
-        """
-        posture = np.zeros(len(self.joint_index))
-        posture[self._joints] = joints_from_synergy(self.hand.synergy_max / 2, self.hand)
-        with quiet_output():  # it warns about unit axes that are off in the last bit
-            matrix = np.array(
-                pybullet.calculateMassMatrix(
-                    self.body, posture.tolist(), physicsClientId=self._client
-                )
-            )
-        return matrix[np.ix_(self._joints, self._joints)]
 
     # State ---------------------------------------------------------------------
 
@@ -172,30 +170,28 @@ class SimHand:
             synergy: shape (6,) [rad].
         """
         synergy = as_finite_array(synergy, 6, "synergy")
-        for index, angle in zip(self._joints, joints_from_synergy(synergy, self.hand), strict=True):
-            pybullet.resetJointState(self.body, index, angle, 0.0, physicsClientId=self._client)
+        angles = [*joints_from_synergy(synergy, self.hand), *[0.0] * len(self._slides)]
+        pybullet.resetJointStatesMultiDof(
+            self.body,
+            self._moving,
+            [[angle] for angle in angles],
+            [[0.0]] * len(angles),
+            physicsClientId=self._client,
+        )
         self.tension = [0.0] * len(DIGITS)
         self._wrist: list[float] | None = None
-        for slide in self._slides:
-            pybullet.resetJointState(self.body, slide, 0.0, 0.0, physicsClientId=self._client)
         self.move_wrist([0.0, 0.0, 0.0])
 
-    def joint_state(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """True joint angles [rad] and speeds [rad/s], 15 of each. The real hand cannot measure
-        them.
+    def state(self) -> tuple[tuple[float, ...], tuple[float, ...], Array]:
+        """True joint angles [rad] and speeds [rad/s], 15 of each, and the offset of the palm from
+        its start, along the world's axes, shape (3,) [m]. The real hand measures none of them.
         """
-        joint_pos, joint_vel, *_ = zip(
-            *pybullet.getJointStates(self.body, self._joints, self._client), strict=True
+        positions, speeds, *_ = zip(
+            *pybullet.getJointStates(self.body, self._moving, self._client), strict=True
         )
-        return joint_pos, joint_vel
-
-    @property
-    def palm_offset(self) -> Array:
-        """Offset of the palm from its start, along the world's axes, shape (3,) [m]."""
-        if not self._slides:
-            return np.zeros(3)
-        states = pybullet.getJointStates(self.body, self._slides, self._client)
-        return self._rotation @ [state[0] for state in states]
+        count = len(self._joints)
+        offset = self._rotation.dot(positions[count:]) if self._slides else np.zeros(3)
+        return positions[:count], speeds[:count], offset
 
     # Motion --------------------------------------------------------------------
 
@@ -229,25 +225,31 @@ class SimHand:
             servo: angles of the horns, 6 values [rad].
             servo_vel: their speeds, 6 values [rad/s].
         """
-        joint_pos, joint_vel = self.joint_state()
+        joint_pos, joint_vel, *_ = zip(
+            *pybullet.getJointStates(self.body, self._joints, self._client), strict=True
+        )
         torque, self.tension = self.tendons.torque(joint_pos, joint_vel, servo, servo_vel)
         if self.settings.tendon_friction:
             friction = (
                 self.settings.joint_friction
                 + self.settings.tendon_friction * self.tendons.load(joint_pos, self.tension)
             )
-            pybullet.setJointMotorControlArray(
-                self.body,
-                self._joints,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocities=[0.0] * len(self._joints),
-                forces=friction.tolist(),
-                physicsClientId=self._client,
-            )
+            self._brake(self._joints, friction.tolist())
         pybullet.setJointMotorControlArray(
             self.body,
             self._joints,
             pybullet.TORQUE_CONTROL,
             forces=torque,
+            physicsClientId=self._client,
+        )
+
+    def _brake(self, joints: list[int], friction: list[float]) -> None:
+        """Set the Coulomb friction of joints [N·m] and slides [N]."""
+        pybullet.setJointMotorControlArray(
+            self.body,
+            joints,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=[0.0] * len(joints),
+            forces=friction,
             physicsClientId=self._client,
         )

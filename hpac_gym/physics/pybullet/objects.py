@@ -1,5 +1,7 @@
 """Free objects and fixed boxes as PyBullet bodies."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pybullet
 from numpy.typing import ArrayLike
@@ -10,6 +12,7 @@ from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import OBJECT_COLORS
 from hpac_gym.physics.pybullet.world import World
+from hpac_gym.physics.supports import SUPPORT_FRICTION
 
 SPIN_DECAY = 6.0
 """Spin damping rate of a named object [1/s]. The direct solver has no torsional friction at a
@@ -24,7 +27,6 @@ class SimObject:
         spec: description of the object.
         position: position of its centre in the world, shape (3,) [m].
         orientation: quaternion xyzw, shape (4,).
-        visuals: load visual shapes.
         fixed: make the body static.
     """
 
@@ -34,17 +36,14 @@ class SimObject:
         spec: ObjectSpec,
         position: ArrayLike,
         orientation: ArrayLike = (0, 0, 0, 1),
-        visuals: bool = True,
         fixed: bool = False,
     ) -> None:
         self.spec = spec
-        self._fixed = fixed
+        self._world = world
         self._client = world.client
         place = list(position), list(orientation)
         self.body = (
-            self._primitive(*place, visuals)
-            if spec.model is None
-            else self._model(spec.model, *place, visuals)
+            self._primitive(*place) if spec.model is None else self._model(spec.model, *place)
         )
         pybullet.changeDynamics(
             self.body,
@@ -57,25 +56,26 @@ class SimObject:
         if fixed:
             pybullet.changeDynamics(self.body, -1, mass=0.0, physicsClientId=self._client)
 
-    def _primitive(self, position: list[float], orientation: list[float], visuals: bool) -> int:
+    def _primitive(self, position: list[float], orientation: list[float]) -> int:
         self._to_frame: tuple[Array, Array] | None = None
         spec = self.spec
         client = self._client
-        visual = -1
         kind, lengths = _form(spec, "height")
         solid = pybullet.createCollisionShape(kind, **lengths, physicsClientId=client)
-        if visuals:
-            kind, lengths = _form(spec, "length")
-            visual = pybullet.createVisualShape(
-                kind, **lengths, rgbaColor=OBJECT_COLORS[spec.shape], physicsClientId=client
-            )
+        # A body without a visual shape gets one, which takes longest if it is round.
+        kind, lengths = (
+            _form(spec, "length")
+            if self._world.visuals
+            else (pybullet.GEOM_BOX, {"halfExtents": spec.half_extents})
+        )
+        visual = pybullet.createVisualShape(
+            kind, **lengths, rgbaColor=OBJECT_COLORS[spec.shape], physicsClientId=client
+        )
         return pybullet.createMultiBody(
             spec.mass, solid, visual, position, orientation, physicsClientId=client
         )
 
-    def _model(
-        self, model: ObjectModel, position: list[float], orientation: list[float], visuals: bool
-    ) -> int:
+    def _model(self, model: ObjectModel, position: list[float], orientation: list[float]) -> int:
         # Without the second flag a cylinder becomes a faceted hull that keeps 1 mm distance from
         # the hand.
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE | pybullet.URDF_USE_IMPLICIT_CYLINDER
@@ -85,7 +85,7 @@ class SimObject:
             position,
             orientation,
             globalScaling=spec.scale,
-            flags=flags if visuals else flags | pybullet.URDF_IGNORE_VISUAL_SHAPES,
+            flags=flags if self._world.visuals else flags | pybullet.URDF_IGNORE_VISUAL_SHAPES,
             physicsClientId=self._client,
         )
         mass, _, inertia, middle, turn, *_ = pybullet.getDynamicsInfo(body, -1, self._client)
@@ -106,7 +106,7 @@ class SimObject:
         """Damp a named object's spin, once per physics step; PyBullet's own damping does not act on
         its base.
         """
-        _, spin = pybullet.getBaseVelocity(self.body, self._client)
+        _, spin = self.velocity()
         kept = 1.0 - SPIN_DECAY * dt
         pybullet.resetBaseVelocity(
             self.body,
@@ -116,49 +116,48 @@ class SimObject:
 
     def push(self, force: list[float]) -> None:
         """Apply a force [N], along the world's axes, at the centre of mass in the next physics
-        step; fixed objects ignore it.
+        step.
         """
-        if self._fixed:
-            return
         # Of mass, whatever the object's frame is.
         centre, _ = pybullet.getBasePositionAndOrientation(self.body, self._client)
         pybullet.applyExternalForce(
             self.body, -1, force, centre, pybullet.WORLD_FRAME, physicsClientId=self._client
         )
 
-    def pose(self) -> tuple[Array, Array]:
-        """Centre, shape (3,) [m], and orientation, quaternion xyzw, shape (4,), in the world."""
+    def pose(self) -> tuple[Array, Sequence[float]]:
+        """Centre, shape (3,) [m], and orientation, quaternion xyzw, in the world."""
         position, orientation = pybullet.getBasePositionAndOrientation(self.body, self._client)
         if self._to_frame is not None:
             position, orientation = pybullet.multiplyTransforms(
                 position, orientation, *self._to_frame
             )
-        return np.array(position), np.array(orientation)
+        return np.array(position), orientation
+
+    def velocity(self) -> tuple[Sequence[float], Sequence[float]]:
+        """Velocity of the centre of mass [m/s] and spin [rad/s], along the world's axes."""
+        return pybullet.getBaseVelocity(self.body, self._client)
 
 
 def add_fixed_box(
     world: World,
     half_extents: ArrayLike,
     position: ArrayLike,
-    color: ArrayLike | None,
-    friction: float,
+    color: ArrayLike,
     orientation: ArrayLike = (0, 0, 0, 1),
 ) -> int:
-    """Add a static box, such as a table, and return its body; a box without a colour is
-    invisible.
-    """
+    """Add a static box, such as a table, and return its body."""
     client = world.client
     box = {"halfExtents": list(half_extents)}
     visual = -1
     solid = pybullet.createCollisionShape(pybullet.GEOM_BOX, **box, physicsClientId=client)
-    if color is not None:
+    if world.visuals:
         visual = pybullet.createVisualShape(
             pybullet.GEOM_BOX, **box, rgbaColor=list(color), physicsClientId=client
         )
     body = pybullet.createMultiBody(
         0, solid, visual, list(position), list(orientation), physicsClientId=client
     )
-    pybullet.changeDynamics(body, -1, lateralFriction=friction, physicsClientId=client)
+    pybullet.changeDynamics(body, -1, lateralFriction=SUPPORT_FRICTION, physicsClientId=client)
     return body
 
 

@@ -4,6 +4,9 @@ the current episode.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
+
 import numpy as np
 import pybullet
 
@@ -16,7 +19,6 @@ from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.supports import (
     GREEN,
     GREY,
-    SUPPORT_FRICTION,
     TABLE_HALF_EXTENTS,
     WOOD,
     support_boxes,
@@ -24,13 +26,14 @@ from hpac_gym.physics.supports import (
 
 _EPISODES = 200
 """Number of episodes after which the hand is loaded again."""
-LINK = 3
-POINT = 6
+BODY = 2
+LINK = 4
+POINT = 5
 NORMAL = 7
 DISTANCE = 8
 FORCE = 9
-"""Indices into a PyBullet contact: link of the hand, point on the object, normal out of the object,
-distance, normal force.
+"""Indices into a PyBullet contact of the object: the other body and its link, point on the object,
+normal into the object, distance, normal force.
 """
 
 
@@ -44,15 +47,17 @@ class Stage:
     Args:
         settings: settings of the world.
         visuals: load visual shapes.
+
+    Attributes:
+        start: what loading determines: armature, orientation, mounting and geometry of the hand.
+        added: bodies besides the hand, which are removed before the next episode.
     """
 
     def __init__(self, settings: WorldSettings, visuals: bool) -> None:
-        self.world = World(settings)
-        self._visuals = visuals
+        self.world = World(settings, visuals)
         self.hand: SimHand | None = None
         self.start: tuple | None = None
-        """What loading determines: armature, orientation, mounting and geometry of the hand."""
-        self._added: list[int] = []
+        self.added: list[int] = []
         self._episodes = 0
 
     def prepare(self, setup: SceneSetup) -> None:
@@ -66,11 +71,9 @@ class Stage:
         if (start := start_of(setup)) != self.start or self._episodes == _EPISODES:
             if self.hand is not None:
                 self.world.clear()
-                self._added.clear()
+                self.added.clear()
             _, quaternion, on_wrist, geometry = start
-            self.hand = SimHand(
-                self.world, hand, settings, geometry, on_wrist, quaternion, self._visuals
-            )
+            self.hand = SimHand(self.world, hand, settings, geometry, on_wrist, quaternion)
             self.start = start
             self._episodes = 0
             pybullet.stepSimulation(client)
@@ -78,19 +81,15 @@ class Stage:
         elif self.hand.hand is not hand or self.hand.settings != settings:
             self.hand.configure(hand, settings)
         self._episodes += 1
-        for body in reversed(self._added):
+        for body in reversed(self.added):
             pybullet.removeBody(body, physicsClientId=client)
-        self._added.clear()
+        self.added.clear()
         # Drop the cached pairs of nearby links: the solver processes contacts in the order in which
         # pairs first met.
         self.hand.collide(False)
         pybullet.performCollisionDetection(client)
         self.hand.collide(True)
         pybullet.restoreState(self._snapshot, physicsClientId=client)
-
-    def add(self, *bodies: int) -> None:
-        """Bodies to be removed before the next episode."""
-        self._added += bodies
 
 
 def start_of(setup: SceneSetup) -> tuple:
@@ -111,38 +110,41 @@ class Scene:
     Attributes:
         world: the PyBullet world of the current episode.
         hand: the simulated hand.
+        setup: the setup of the current episode; None before the first one.
+        time: time since the episode began [s].
+        past: the tables of the episode so far, those of a control step in a row.
         object: the simulated object; None for a hand alone.
-        supports: bodies that the object may stand on: posts, walls, table, and the target's post.
         target_post: the body at the setup's target; None without one.
     """
 
     def __init__(self, settings: WorldSettings, visuals: bool, stages: int = 1) -> None:
         self._room = stages
-        self._settings = settings
-        self._visuals = visuals
-        self._stages = [Stage(settings, visuals)]
+        self._new = partial(Stage, settings, visuals)
+        self._stages = [self._new()]
         self.world = self._stages[0].world
         self.hand: SimHand | None = None
+        self.setup: SceneSetup | None = None
+        self.time = 0.0
 
     def reset(self, setup: SceneSetup) -> None:
         """Set up an episode. The same setup gives the same trajectory, to the bit, regardless of
         earlier episodes.
         """
+        self.setup = setup
+        self.time = 0.0
+        self.past: list[tuple[Array | None, ...]] = []
         stage = self._staged(setup)
         self.world = stage.world
         self.hand = stage.hand
         self.hand.reset(setup.synergy)
         self.object: SimObject | None = None
-        self.supports: tuple[int, ...] = ()
         self.target_post: int | None = None
-        self.to_hand = _matrix(setup.hand_quaternion).T
+        self.to_hand = matrix(setup.hand_quaternion).T
         if setup.object is None:
             return
         centre = HAND_POSITION + self.to_hand.T @ setup.position
         orientation, _ = setup.object_turn
-        self.object = SimObject(
-            self.world, setup.object, centre, orientation, self._visuals, setup.fixed
-        )
+        self.object = SimObject(self.world, setup.object, centre, orientation, setup.fixed)
         if (
             torsion := self.world.settings.torsion
         ):  # Bullet multiplies it by the other body's lateral friction
@@ -150,9 +152,9 @@ class Scene:
             pybullet.changeDynamics(
                 self.object.body, -1, spinningFriction=spinning, physicsClientId=self.world.client
             )
+        stage.added.append(self.object.body)
         if not setup.fixed:
-            self._add_supports(setup)
-        stage.add(self.object.body, *self.supports)
+            stage.added += self._supports(setup)
 
     def _staged(self, setup: SceneSetup) -> Stage:
         """The stage of a setup, with its hand at rest; the last one used is the last of the list."""
@@ -160,29 +162,21 @@ class Scene:
         stages = self._stages
         same = [stage for stage in stages if stage.start in (start, None)]
         if not same and len(stages) < self._room:
-            same = [Stage(self._settings, self._visuals)]
+            same = [self._new()]
         stage = same[0] if same else stages[0]
         self._stages = [*(other for other in stages if other is not stage), stage]
         stage.prepare(setup)
         return stage
 
-    def _add_supports(self, setup: SceneSetup) -> None:
-        boxes, table, target, turn = support_boxes(setup, _matrix)
-        posts = [self._fixed_box(half_extents, place, GREY, turn) for half_extents, place in boxes]
-        self.supports = (*posts, self._fixed_box(TABLE_HALF_EXTENTS, table, WOOD))
+    def _supports(self, setup: SceneSetup) -> Iterator[int]:
+        """Add posts and walls, the table, and the target's post."""
+        boxes, table, target, turn = support_boxes(setup, matrix)
+        for box in boxes:
+            yield add_fixed_box(self.world, *box, GREY, turn)
+        yield add_fixed_box(self.world, TABLE_HALF_EXTENTS, table, WOOD)
         if target is not None:
-            self.target_post = self._fixed_box(*target, GREEN)
-            self.supports = (*self.supports, self.target_post)
-
-    def _fixed_box(self, half_extents, position, color, turn=(0.0, 0.0, 0.0, 1.0)) -> int:
-        return add_fixed_box(
-            self.world,
-            half_extents,
-            position,
-            color if self._visuals else None,
-            SUPPORT_FRICTION,
-            turn,
-        )
+            self.target_post = add_fixed_box(self.world, *target, GREEN)
+            yield self.target_post
 
     def advance(
         self,
@@ -195,12 +189,14 @@ class Scene:
         """Carry out k physics steps, one row of each table per step: shapes (k, 6) [rad], (k, 6)
         [rad/s], (k, 3) [m] and (k, 3) [N], or None for no push. The hand's normal forces on the
         object are summed into `force_steps`, shape (k,) [N], or (0,) if nobody asks."""
+        self.past.append((servo, servo_vel, wrist, push))
         dt = self.world.settings.dt
         client = self.world.client
         hand = self.hand
         item = self.object
         swings = item is not None and item.spec.model is not None
-        pushes = [None] * len(servo) if item is None or push is None else push.tolist()
+        pushed = push is not None and item is not None and not self.setup.fixed
+        pushes = push.tolist() if pushed else [None] * len(servo)
         for step, (angles, speeds, offset, force) in enumerate(
             zip(servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True)
         ):
@@ -211,32 +207,28 @@ class Scene:
             if force is not None:
                 item.push(force)
             pybullet.stepSimulation(client)
-            if len(force_steps) and item is not None:
-                force_steps[step] = sum(contact[FORCE] for contact in self.contacts())
+            self.time += dt
+            if len(force_steps):
+                force_steps[step] = sum(contact[FORCE] for contact in self.contacts()[0])
+
+    def contacts(self) -> tuple[list[tuple], set[int]]:
+        """PyBullet's contact points between object and hand, without those at a positive distance,
+        and the other bodies that the object touches.
+        """
+        if self.object is None:
+            return [], set()
+        found = pybullet.getContactPoints(self.object.body, physicsClientId=self.world.client)
+        hand = self.hand.body
+        touched = {contact[BODY] for contact in found}
+        of_hand = [contact for contact in found if contact[BODY] == hand and contact[DISTANCE] <= 0]
+        return of_hand, touched - {hand}
 
     def close(self) -> None:
         """Disconnect from all worlds. Closing twice is allowed."""
         for stage in self._stages:
             stage.world.close()
 
-    def touches(self, body: int) -> bool:
-        """True if the object touches another body."""
-        return bool(
-            pybullet.getContactPoints(self.object.body, body, physicsClientId=self.world.client)
-        )
 
-    def contacts(self) -> list[tuple]:
-        """PyBullet's contact points between hand and object, without those at a positive
-        distance.
-        """
-        if self.object is None:
-            return []
-        found = pybullet.getContactPoints(
-            self.hand.body, self.object.body, physicsClientId=self.world.client
-        )
-        return [contact for contact in found if contact[DISTANCE] <= 0]
-
-
-def _matrix(quaternion: tuple[float, ...]) -> Array:
+def matrix(quaternion: tuple[float, ...]) -> Array:
     """The rotation matrix of a quaternion xyzw, shape (3, 3)."""
-    return np.reshape(pybullet.getMatrixFromQuaternion(quaternion), (3, 3))
+    return np.array(pybullet.getMatrixFromQuaternion(quaternion)).reshape(3, 3)

@@ -38,10 +38,13 @@ with quiet_output():  # PyBullet prints a greeting on import
 
 
 class World:
-    """A physics client without a window. Close it when done."""
+    """A physics client without a window, whose bodies have visual shapes if asked for. Close it when
+    done.
+    """
 
-    def __init__(self, settings: WorldSettings = WorldSettings()) -> None:
+    def __init__(self, settings: WorldSettings = WorldSettings(), visuals: bool = False) -> None:
         self.settings = settings
+        self.visuals = visuals
         self.client = pybullet.connect(pybullet.DIRECT)
         self.clear()
 
