@@ -40,7 +40,7 @@ import numpy as np
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.envs import GRASPS
 from hpac_gym.envs.randomization import PRESETS
-from hpac_gym.model import HPAC, SERVOS, action_from_synergy
+from hpac_gym.model import HPAC, JOINTS, SERVOS, action_from_synergy
 from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.registration import GENTLE, GRASP, GRASP_ANY, GRASP_TYPE, PICK_PLACE, POSTURE
@@ -238,9 +238,8 @@ class Episode:
 def fix_on_mujoco(env: gymnasium.Env, fixed: bool) -> None:
     """Fix the object of an environment that has been reset where it is, or let it go."""
     for group in env.unwrapped.episodes.simulation.engine._rows:
-        begin = group.at.object_dof
-        if begin >= 0:
-            group.fields["dof_damping"][:, begin : begin + 6] = 1e9 if fixed else 0.0
+        moved = group.at.motion[len(JOINTS) :]
+        group.parameters.fields["dof_damping"][:, moved] = 1e9 if fixed else 0.0
 
 
 def play(

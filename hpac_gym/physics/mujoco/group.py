@@ -14,17 +14,19 @@ from hpac_gym.body.geometry import HPAC_GEOMETRY
 from hpac_gym.model import DIGITS, JOINTS, SERVOS, joints_from_synergy
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import HAND_POSITION, PARTS, SceneSetup, SceneState
-from hpac_gym.physics.mujoco.model import FORCE_SIZE, SLOTS, Addresses, Layout, build
+from hpac_gym.physics.mujoco.model import SLOTS, Addresses, Layout, build
 from hpac_gym.physics.mujoco.parameters import Parameters, object_pose
 from hpac_gym.physics.settings import WorldSettings
 
 Rows = NDArray[np.intp] | slice
 """Worlds of one layout: their indices, or a full slice if all have it."""
 TENSION = slice(0, len(DIGITS))
-FORCE = slice(TENSION.stop, TENSION.stop + len(PARTS) * SLOTS * FORCE_SIZE)
-STANDS = slice(FORCE.stop, FORCE.stop + 2)
-"""Columns of what is felt in a physics step: tensions of the drives [N], the contact sensors of
-`PARTS`, and numbers of contacts of the object with its support and with the target."""
+FORCE = slice(TENSION.stop, TENSION.stop + len(PARTS) * SLOTS)
+NUMBER = slice(FORCE.stop, FORCE.stop + len(PARTS) + 2)
+"""Columns of what is felt in a physics step: tensions of the drives [N]; normal forces in the slots of
+`PARTS` [N]; numbers of contacts of the object with `PARTS`, with its support and with the target."""
+CONTROLS = mujoco.mjtState.mjSTATE_CTRL.value
+PUSHES = mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 
 
 class Group:
@@ -46,7 +48,7 @@ class Group:
         model = build(layout, settings, visuals, HPAC_GEOMETRY)
         self.at = Addresses(model)
         self.batch = Batch(model, num_worlds, threads)
-        self._parameters = Parameters(layout, settings, visuals, self.batch, self.at)
+        self.parameters = Parameters(layout, settings, visuals, self.batch, self.at)
         self.qpos = self.batch.bind("qpos")
         self.qvel = self.batch.bind("qvel")
         self._blank = self.batch.state[0].copy()
@@ -54,8 +56,8 @@ class Group:
         self._sensors = (
             self.batch.bind("sensordata") if model.nsensor else np.zeros((num_worlds, 0))
         )
-        self.felt = np.zeros((num_worlds, STANDS.stop))
-        self._read = slice(FORCE.start, FORCE.start + self._sensors.shape[1])
+        self.felt = np.zeros((num_worlds, NUMBER.stop))
+        self._touched = slice(FORCE.start, FORCE.start + len(self.at.touch))
         self._to_hand = np.zeros((num_worlds, 3, 3))
 
     @cached_property
@@ -70,11 +72,11 @@ class Group:
         self.felt[worlds] = 0.0
         at = self.at
         for world, setup in zip(worlds, setups, strict=True):
-            self._parameters.set(world, setup)
+            self.parameters.set(world, setup)
             self._to_hand[world] = setup.hand_rotation.T
             self.qpos[world, at.joint] = joints_from_synergy(setup.synergy, setup.hand)
             if at.object >= 0:
-                self.qpos[world, at.object : at.object + 7] = np.hstack(object_pose(setup))
+                self.qpos[world, at.object : at.object + 7] = object_pose(setup)
         self.batch.set_const(worlds)
 
     def advance(
@@ -101,15 +103,15 @@ class Group:
         n, steps, _ = servo_vel.shape
         control = np.empty((n, steps, model.nu))
         drives = control[..., : len(SERVOS)]
-        np.multiply(self._parameters.lead[rows, None], servo_vel, out=drives)
+        np.multiply(self.parameters.lead[rows, None], servo_vel, out=drives)
         np.add(servo[rows], drives, out=drives)
         slides = control[..., len(SERVOS) : -len(DIGITS)]
         slides[:] = wrist[rows, :, : slides.shape[-1]]
         np.maximum(servo_vel[..., : len(DIGITS)], 0.0, out=control[..., -len(DIGITS) :])
-        columns = mujoco.mjtState.mjSTATE_CTRL.value
+        columns = CONTROLS
         pushed = push is not None and self.at.object >= 0
         if pushed:
-            columns |= mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
+            columns |= PUSHES
             forces = np.zeros((n, steps, model.nbody, 6))
             forces[:, :, self.at.object_body, :3] = push[rows]
             control = np.concatenate([control, forces.reshape(n, steps, -1)], axis=2)
@@ -135,10 +137,10 @@ class Group:
                 reason = mujoco.mjtWarning(int(kind)).name.removeprefix("mjWARN_")
                 failed.setdefault(int(world), reason)
         self.felt[rows, TENSION] = -self._actuators[rows, TENSION]
-        self.felt[rows, self._read] = self._sensors[rows]
+        self.felt[rows, self._touched] = self._sensors[rows].take(self.at.touch, axis=1)
         if recorded:
-            parts = recorded["sensordata"][..., : FORCE.stop - FORCE.start]
-            force_steps[rows] = parts.reshape(n, steps, -1, FORCE_SIZE)[..., 1].sum(axis=2)
+            forces = self.at.touch[: FORCE.stop - FORCE.start]
+            force_steps[rows] = recorded["sensordata"].take(forces, axis=2).sum(axis=2)
         return failed
 
     def state(self, rows: Rows, time: Array, force_steps: Array) -> SceneState:
@@ -151,9 +153,8 @@ class Group:
             rows, pose[:, len(JOINTS) :], motion[:, len(JOINTS) :]
         )
         felt = self.felt[rows]
-        slots = felt[:, FORCE].reshape(-1, len(PARTS), SLOTS, FORCE_SIZE)
-        stands = felt[:, STANDS] > 0
-        on_target = stands[:, 1]
+        touching = felt[:, NUMBER] > 0
+        on_target = touching[:, -1]
         return SceneState(
             time=time,
             joint_pos=pose[:, : len(JOINTS)],
@@ -165,9 +166,9 @@ class Group:
             object_rotation=rotation,
             object_vel=velocity,
             object_spin=spin,
-            touching=slots[:, :, 0, 0] > 0,
-            contact_force=np.add.reduce(slots[..., 1], axis=2),
-            supported=stands[:, 0] | on_target,
+            touching=touching[:, : len(PARTS)],
+            contact_force=np.add.reduce(felt[:, FORCE].reshape(-1, len(PARTS), SLOTS), axis=2),
+            supported=touching[:, len(PARTS)] | on_target,
             on_target=on_target,
             force_steps=force_steps,
         )
@@ -181,7 +182,7 @@ class Group:
             return tuple(np.zeros((n, *shape)) for shape in ((3,), (3,), (3, 3), (3,), (3,)))
         offset = pose[:, :3]
         if self.layout.fixed:
-            fields = self._parameters.fields
+            fields = self.parameters.fields
             place = fields["body_pos"][rows, self.at.object_body]
             turn = fields["body_quat"][rows, self.at.object_body]
         else:
@@ -207,7 +208,7 @@ def _matrices(quaternion: Array) -> Array:
     products = quaternion.take(_LEFT, axis=1) * quaternion.take(_RIGHT, axis=1)
     products *= _FACTOR
     rotation = products[:, :9] + products[:, 9:]
-    rotation[:, ::4] += 1
+    rotation += _DIAGONAL
     return rotation.reshape(-1, 3, 3)
 
 
@@ -218,4 +219,6 @@ _LEFT, _RIGHT = (
 """Factors of the products yy, xy, xz, xy, xx, yz, xz, yz and xx, and of those that are added to them:
 zz, zw, yw, zw, zz, xw, yw, xw and yy.
 """
+_DIAGONAL = np.array([1.0, *[-0.0] * 3] * 2 + [1.0])
+"""Ones on the diagonal; adding −0 changes nothing, not even a −0."""
 _FACTOR = 2.0 * np.array([-1, 1, 1, 1, -1, 1, 1, 1, -1, -1, -1, 1, 1, -1, -1, -1, 1, -1])

@@ -243,6 +243,9 @@ class Addresses:
         fixed: couplings, then springs.
         drives: spatial tendons, by digit.
         wraps: positions of the fixed tendons' coefficients in wrap_prm.
+        touch: positions in sensordata of the normal forces in the slots of `PARTS`, then of the numbers
+            of contacts of the object with each of them, with its support and with the target, as
+            far as there are any.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -290,3 +293,6 @@ class Addresses:
         self.wraps = np.array(
             [model.tendon_adr[i] + k for i in self.fixed for k in range(model.tendon_num[i])]
         )
+        slots = np.arange(len(PARTS) * SLOTS * FORCE_SIZE).reshape(len(PARTS), SLOTS, FORCE_SIZE)
+        rest = np.arange(slots.size, model.nsensordata)
+        self.touch = np.hstack([slots[..., 1].ravel(), slots[:, 0, 0], rest])[: model.nsensordata]

@@ -159,7 +159,7 @@ class Parameters:
             fields["body_ipos"][body] = centre
             fields["body_iquat"][body] = turn
         if self._layout.fixed:
-            fields["body_pos"][body], fields["body_quat"][body] = object_pose(setup)
+            fields["body_pos"][body], fields["body_quat"][body] = np.split(object_pose(setup), [3])
 
     def _set_supports(self, world: int, setup: SceneSetup) -> None:
         boxes, table, target, (x, y, z, w) = support_boxes(setup)
@@ -180,10 +180,10 @@ class Parameters:
         fields["geom_pos"][world, geom] = centre
 
 
-def object_pose(setup: SceneSetup) -> tuple[Array, tuple[float, float, float, float]]:
-    """Place of a setup's object in the world, shape (3,) [m], and its quaternion wxyz."""
+def object_pose(setup: SceneSetup) -> Array:
+    """Place of a setup's object in the world [m], then its quaternion wxyz, shape (7,)."""
     (x, y, z, w) = setup.object_turn[0]
-    return HAND_POSITION + setup.hand_rotation @ setup.position, (w, x, y, z)
+    return np.array((*(HAND_POSITION + setup.hand_rotation @ setup.position), w, x, y, z))
 
 
 @lru_cache(maxsize=64)
