@@ -141,11 +141,11 @@ class Commands:
         they are on the way.
         """
         self.servo = streamed_servo(self.servo, target, 1.0 / CONTROL_HZ, self._map.bounds)
-        moved = [1.0 if faults is None else faults.moved() for faults in self._faults]
         arrived = self.servo.copy()
-        if self.transmit is not None and moved[0]:
-            arrived[0] = self.transmit(self.command).servo
-        for world, share in enumerate(moved):
+        for world, faults in enumerate(self._faults):
+            share = 1.0 if faults is None else faults.moved()
+            if self.transmit is not None and share:
+                arrived[world] = self.transmit(self.command).servo
             if share < 1.0:
                 last = self._arrived[world]
                 arrived[world] = last + share * (arrived[world] - last)

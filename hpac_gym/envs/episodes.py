@@ -168,7 +168,14 @@ class Episodes:
                 chosen = [self.task.chosen(self.setups[world], actions[world]) for world in first]
                 self._begin(first, chosen)
         self.simulation.command(self.commands.stream(target), self.dt)
-        failed = self._advance()
+        failed: list[int] = []
+        try:
+            self.simulation.advance(*self.wrists.advance())
+        except PhysicsError as error:
+            if not error.worlds:
+                raise
+            warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=2)
+            failed = [world for world in error.worlds if self.outcome[world] == RUNNING]
         state = self.simulation.state()
         phase = self.now.phase
         self.task.watch(state, self.dt, self.simulation.engine.contacts)
@@ -181,17 +188,6 @@ class Episodes:
         if self.options.reward == "dense":
             return sum(self.terms.values())
         return self.task.sparse_reward(self.now)
-
-    def _advance(self) -> list[int]:
-        """Carry out the physics of one control step; returns the worlds whose episodes it ended."""
-        try:
-            self.simulation.advance(*self.wrists.advance())
-        except PhysicsError as error:
-            if not error.worlds:
-                raise
-            warnings.warn(f"{error}; it ends as a failure", PhysicsWarning, stacklevel=3)
-            return [world for world in error.worlds if self.outcome[world] == RUNNING]
-        return []
 
     def _look(
         self,

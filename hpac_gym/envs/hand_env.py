@@ -156,8 +156,8 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if action.ndim != 1:
             raise ShapeError(f"action must have shape ({size},), not {action.shape}")
         reward = float(episodes.step(action[None])[0])
-        self._running = bool(episodes.outcome[0] == RUNNING)
-        self.episodes.pictures.show()
+        self._running = episodes.outcome.item() == RUNNING
+        episodes.pictures.show()
         return self._observe(), reward, not self._running, False, self._info()
 
     def save_state(self) -> Any:
@@ -187,18 +187,16 @@ class HandEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._running = running
 
     def _observe(self) -> Observation:
-        seen = self.episodes.observe()
+        seen = self._episodes.observe()
         return {name: part[0] for name, part in seen.items()} if isinstance(seen, dict) else seen[0]
 
     def _info(self) -> dict[str, Any]:
-        episodes = self.episodes
+        episodes = self._episodes
         report = self.task.report(episodes.now)
         info = {name: values.tolist()[0] for name, values in report.items()}
         if not self.task.goal_terms:
-            info["reward_terms"] = {
-                name: float(values[0]) for name, values in episodes.terms.items()
-            }
-        if episodes.outcome[0] != RUNNING:
+            info["reward_terms"] = {name: values.item() for name, values in episodes.terms.items()}
+        if not self._running:
             info["epsilon"] = quality(episodes, 0)
         return info
 

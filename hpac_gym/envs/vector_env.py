@@ -138,8 +138,7 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
     def _restart(self, worlds: list[int], infos: dict[str, Any], given: Any = None) -> None:
         """Start episodes in some worlds, and add their infos."""
         generators = [self._generators[world] for world in worlds]
-        chosen = given and [given[world] for world in worlds]
-        drawn = self.episodes.reset(worlds, generators, chosen)
+        drawn = self.episodes.reset(worlds, generators, given and [given[at] for at in worlds])
         self._steps[worlds] = 0
         self._over[worlds] = False
         begin(infos, self.episodes, worlds, drawn, self._add_info)
@@ -207,9 +206,8 @@ class HandVectorEnv(VectorEnv[Any, NDArray, NDArray]):
             raise AttributeError(f"get_attr: {name!r} is not one of {', '.join(ATTRIBUTES)}")
         if name == "randomization":
             return tuple(self.episodes.randomizations)
-        return (
-            getattr(self, f"single_{name}" if name.endswith("_space") else name),
-        ) * self.num_envs
+        name = f"single_{name}" if name.endswith("_space") else name
+        return (getattr(self, name),) * self.num_envs
 
     def set_attr(self, name: str, values: Any) -> None:
         """Set the `randomization` of every environment, from its next episode on: one for each in a

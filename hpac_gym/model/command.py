@@ -65,7 +65,7 @@ def synergy_from_action(action: ArrayLike, hand: Hand = HPAC) -> Array:
         WorkspaceError: NaN, or outside −1…1 by more than float32 rounding.
     """
     action = as_array(action, len(SERVOS), "action")
-    if not (np.abs(action) <= 1 + _ACTION_TOLERANCE).all():
+    if not np.abs(action).max(initial=0.0) <= 1 + _ACTION_TOLERANCE:
         as_bounded_array(
             action, -_ACTION_BOUND, _ACTION_BOUND, SERVOS, "action", "(no unit)", _ACTION_TOLERANCE
         )
@@ -204,7 +204,7 @@ def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC
     """
     travel = target - servo
     duration = (np.abs(travel) / hand.servo_rate_limit).max(axis=-1, keepdims=True)
-    return servo + np.where(duration <= period, 1.0, period / np.maximum(duration, period)) * travel
+    return servo + period / np.maximum(duration, period) * travel
 
 
 def stream_command(

@@ -17,15 +17,17 @@ from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.physics.settings import GRAVITY
 from hpac_gym.settings import setting
 from hpac_gym.tasks.cameras import CameraNoise
-from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp, GraspConfig, GraspWeights
+from hpac_gym.tasks.grasp import OBJECT_OPTION, Grasp
 from hpac_gym.tasks.grasp_any import CAMERA_TARGET
+from hpac_gym.tasks.grasp_setups import GraspConfig, GraspWeights
 from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.occlusion import Rows
 from hpac_gym.tasks.options import Option, config_option
 from hpac_gym.tasks.phases import Timetable, wrist_table
+from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
 from hpac_gym.tasks.task import FAILURE
-from hpac_gym.tasks.terms import PRIVILEGED_TERMS, Moment, RewardTerm, Term, column
+from hpac_gym.tasks.terms import Moment, RewardTerm, Term, column
 
 _FINE = 1e-3
 """Time between points of the wrist's path from which its acceleration is computed [s]."""

@@ -3,134 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from hpac_gym.body.objects import SHAPES, ObjectSpec, Support
+from hpac_gym.body.objects import SHAPES, ObjectSpec
 from hpac_gym.body.own_objects import as_object
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState
-from hpac_gym.settings import check_bounds, setting, settings_from
+from hpac_gym.settings import settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp_data import (
     GRASPS,
     NOMINAL,
     GraspError,
-    NamedGrasp,
-    Variant,
     named_grasp,
 )
-from hpac_gym.tasks.grip import Grip, lengths
+from hpac_gym.tasks.grasp_setups import (
+    OBJECT_RANGES,
+    PALM_SURFACE,
+    RANGES,
+    GraspConfig,
+    setup_of_grasp,
+)
 from hpac_gym.tasks.options import Option, config_option
-from hpac_gym.tasks.phases import PHASES, Timetable, phase_at, wrist_table
+from hpac_gym.tasks.phases import PHASES, phase_at, wrist_table
+from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.task import (
-    FAILURE,
-    RUNNING,
-    SUCCESS,
     Task,
     contact_term,
     effort_term,
+    judged,
     open_hand,
     outcome_term,
+    paid_where,
 )
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
     OBJECT_TERMS,
-    PRIVILEGED_TERMS,
-    Moment,
     RewardTerm,
     progress_terms,
 )
 
-PALM_SURFACE = 0.0125
-"""Distance of the palm's surface from the yz-plane of the hand frame [m]."""
-
 CLOSE = PHASES.index("close")
-OBJECT_RANGES = ("radius", "sphere_radius", "half_height", "mass", "friction")
-"""Fields of `GraspConfig` that draw the object itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class GraspWeights:
-    """Weights of the dense reward terms."""
-
-    thumb: float = 0.1
-    finger: float = 0.05
-    opposed: float = 0.2
-    push: float = -0.3
-    carry: float = 0.5
-    effort: float = -0.01
-    success: float = 10.0
-    failure: float = -5.0
-
-
-@dataclass(frozen=True, slots=True)
-class GraspConfig:
-    """Uniform sampling ranges of an episode, drop criterion, and reward weights.
-
-    Raises:
-        ParameterError: A number or a range leaves its bounds.
-    """
-
-    radius: tuple[float, float] = setting(
-        (0.010, 0.030), "half width of a box, radius of a cylinder [m]", bounds=(0.002, 0.06)
-    )
-    sphere_radius: tuple[float, float] = setting(
-        (0.020, 0.033),
-        "radius of a sphere, a golf ball's to a tennis ball's; smaller ones roll off before the hand closes [m]",
-        bounds=(0.002, 0.06),
-    )
-    half_height: tuple[float, float] = setting(
-        (0.030, 0.060), "half-height of a box or cylinder [m]", bounds=(0.005, 0.15)
-    )
-    mass: tuple[float, float] = setting((0.05, 0.25), "mass of the object [kg]", bounds=(1e-3, 2.0))
-    friction: tuple[float, float] = setting(
-        (0.6, 1.0),
-        "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9",
-        bounds=(0.05, 3.0),
-    )
-    gap: tuple[float, float] = setting(
-        (0.003, 0.030), "distance from the palm to the object [m]", bounds=(0.0, 0.1)
-    )
-    towards_thumb: tuple[float, float] = setting(
-        (-0.030, 0.035),
-        "place of the object's centre along y of the hand frame [m]",
-        bounds=(-0.1, 0.1),
-    )
-    beyond_wrist: tuple[float, float] = setting(
-        (0.095, 0.140),
-        "place of the object's centre along z of the hand frame [m]",
-        bounds=(0.02, 0.25),
-    )
-    box_yaw: tuple[float, float] = setting(
-        (-0.8, 0.8), "yaw of a box about the vertical [rad]", bounds=(-np.pi, np.pi)
-    )
-    thumb_preshape: float = setting(
-        1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57)
-    )
-    drop_distance: float = setting(
-        0.06, "displacement in the hand beyond which an object is dropped [m]", bounds=(5e-3, 1.0)
-    )
-    timetable: Timetable = field(default_factory=Timetable)
-    weights: GraspWeights = field(default_factory=GraspWeights)
-
-    def __post_init__(self) -> None:
-        check_bounds(self, "config")
-
-
-RANGES = tuple(
-    entry.name
-    for entry in fields(GraspConfig)
-    if "bounds" in entry.metadata and entry.name != "drop_distance"
-)
-"""Fields of `GraspConfig` that draw an episode."""
 GRASP_OPTION = Option(
     "a named grasp with its object; None draws a primitive in front of the open hand",
     (None, *GRASPS),
@@ -166,7 +85,7 @@ class Grasp(Task):
     shapes: tuple[str, ...] = SHAPES
     """Shapes of the primitives, equally likely."""
     privileged_terms = PRIVILEGED_TERMS
-    changing = ("grip", "_place", "_moved", "_lifted")
+    changing = ("grip", "_lifted")
     config_class = GraspConfig
 
     def __init__(
@@ -181,7 +100,9 @@ class Grasp(Task):
             self._refuse_ranges(
                 OBJECT_RANGES, "an object of one's own has its own size, mass and friction"
             )
-        self.duration = self.timetable.ends[-1]
+        self._ends = self.timetable.ends
+        self._lift_end = self._ends[1]
+        self.duration = self._ends[-1]
         self.terms = (*COMMAND_TERMS, *OBJECT_TERMS, *progress_terms(PHASES, self.duration))
         self.reward_terms = self._rewards()
 
@@ -200,18 +121,17 @@ class Grasp(Task):
                 "carry",
                 f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free "
                 "of its support",
-                self._carry,
+                lambda now: paid_where(
+                    now.began != CLOSE, lambda: weights.carry * now.grip.firmness
+                ),
             ),
             effort_term(weights),
             outcome_term(weights),
         )
 
     def prepare(self, num_worlds: int, noise: CameraNoise) -> ObjectCamera:
-        self.grip = Grip(num_worlds)
-        self._place = np.zeros((num_worlds, 3))
-        self._moved = np.zeros(num_worlds)
         self._lifted = np.zeros(num_worlds, dtype=bool)
-        return ObjectCamera(num_worlds, noise)
+        return super().prepare(num_worlds, noise)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         """Draw one episode: the object, its place in front of the palm, and the open hand."""
@@ -245,17 +165,14 @@ class Grasp(Task):
         return SceneSetup(spec, np.array(place), yaw, open_hand(config.thumb_preshape), hand)
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
-        index = np.asarray(worlds)
-        self._place[index] = [setup.position for setup in setups]
-        self._moved[index] = 0.0
-        self._lifted[index] = False
-        self.grip.start(index)
+        super().start(worlds, setups)
+        self._lifted[np.asarray(worlds)] = False
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         return wrist_table(self.timetable, times)
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        return phase_at(time, self.timetable.ends)
+        return phase_at(time, self._ends)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
         """Advance the hold timers by one control step and judge the episodes.
@@ -264,30 +181,22 @@ class Grasp(Task):
         not hold it (`Grip`). It succeeds at the end of the timetable if the object was held through
         the shake in six directions and not dropped on the way down."""
         self.grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
-        lifted = state.time > self.timetable.ends[1] - dt / 2
+        lifted = state.time > self._lift_end - dt / 2
         self.grip.settle(lifted & ~self._lifted)
         self._lifted = lifted
-        self._moved = lengths(state.object_pos - self._place)
-        failed = (self._moved > self.config.drop_distance) | (lifted & ~self.grip.holds)
-        over = state.time >= self.duration - dt / 2
-        return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
+        failed = (self.grip.moved > self.config.drop_distance) | (lifted & ~self.grip.holds)
+        return judged(failed, state.time >= self.duration - dt / 2)
 
     def _push_term(self) -> RewardTerm:
         weight = self.config.weights.push
-
-        def value(now: Moment) -> Array:
-            return np.where(
-                now.began == CLOSE,
-                weight * np.minimum(self._moved / self.config.drop_distance, 1.0),
-                0.0,
-            )
-
+        farthest = self.config.drop_distance
         return RewardTerm(
-            "push", f"while closing: {weight:g} · min(displacement / drop_distance, 1)", value
+            "push",
+            f"while closing: {weight:g} · min(displacement / drop_distance, 1)",
+            lambda now: paid_where(
+                now.began == CLOSE, lambda: weight * np.minimum(now.grip.moved / farthest, 1.0)
+            ),
         )
-
-    def _carry(self, now: Moment) -> Array:
-        return np.where(now.began == CLOSE, 0.0, self.config.weights.carry * self.grip.firmness)
 
 
 class GraspByName(Grasp):
@@ -353,45 +262,3 @@ def grasp_task(
     if object is not None:
         raise GraspError(f"grasp {grasp!r} has its own object: give either grasp or object")
     return GraspByName(grasp, variant, config)
-
-
-def setup_of_grasp(
-    grasp: NamedGrasp,
-    variant: Variant,
-    rng: np.random.Generator,
-    hand: Hand = HPAC,
-    spread: float = 1.0,
-) -> SceneSetup:
-    """Draw one episode of a named grasp, with `spread` times its position and yaw noise."""
-    model = variant.object or grasp.object
-    spec = ObjectSpec(
-        model.shape,
-        tuple(variant.scale * half for half in model.half_extents),
-        variant.mass * model.mass,
-        variant.friction * grasp.friction,
-        model.name,
-        variant.scale,
-    )
-    noise = spread * rng.uniform(-1.0, 1.0, 4)
-    return SceneSetup(
-        spec,
-        np.array(grasp.position) + noise[:3] * grasp.position_noise,
-        float(noise[3] * grasp.yaw_noise),
-        grasp.preshape,
-        hand,
-        hand_quaternion=quaternion_from_rpy(grasp.hand_rpy),
-        object_quaternion=quaternion_from_rpy(grasp.object_rpy),
-        support=_scaled(grasp.support, variant.scale),
-    )
-
-
-def quaternion_from_rpy(rpy: tuple[float, float, float]) -> tuple[float, float, float, float]:
-    """The quaternion xyzw of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
-    x, y, z, w = Rotation.from_euler("xyz", rpy).as_quat().tolist()
-    return x, y, z, w
-
-
-def _scaled(support: Support, scale: float) -> Support:
-    """The support with the distance between its walls scaled like the object."""
-    gap: Array | None = None if support.gap is None else np.array(support.gap) * scale
-    return replace(support, gap=None if gap is None else tuple(gap.tolist()))

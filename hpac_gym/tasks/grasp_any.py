@@ -19,6 +19,8 @@ from hpac_gym.tasks import placing
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grasp_any_setups import (
     CLOSE,
+    DOWN,
+    HIDDEN_TERMS,
     PHASES,
     RAMP,
     SHAKE,
@@ -26,28 +28,29 @@ from hpac_gym.tasks.grasp_any_setups import (
     SIDES,
     GraspAnyConfig,
     Setups,
+    pull_of,
 )
 from hpac_gym.tasks.grip import Grip, lengths
 from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import phase_at, wrist_table
+from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
 from hpac_gym.tasks.scripted import ScriptedGraspAny
 from hpac_gym.tasks.senses import LOAD_TERMS, Senses, ServoSenses
 from hpac_gym.tasks.task import (
     FAILURE,
-    RUNNING,
     SUCCESS,
     Task,
-    contact_score,
+    contact_scores,
     effort_term,
+    judged,
     outcome_term,
+    paid_where,
+    touching_set,
 )
 from hpac_gym.tasks.terms import (
-    AXES,
     COMMAND_TERMS,
     GRASP_CENTRE,
-    LENGTH_UNIT,
     OBJECT_TERMS,
-    PRIVILEGED_TERMS,
     Moment,
     RewardTerm,
     Term,
@@ -60,19 +63,6 @@ HANDS = ("nominal", "train", "test")
 WRIST_ACTIONS = ("wrist_x", "wrist_y", "wrist_z", "wrist_yaw")
 WRIST_REACH = np.array([0.03, 0.03, 0.03, 0.5])
 """Wrist motion for an action of 1: along the world's axes [m], and about the vertical [rad]."""
-DOWN = np.array([0.0, 0.0, -1.0])
-
-
-def _pull_of(setup: SceneSetup) -> Array:
-    pull = getattr(setup, "pull", None)
-    return DOWN if pull is None else pull
-
-
-def _centre_of_mass(setup: SceneSetup) -> Array:
-    model = setup.object.model
-    return np.zeros(3) if model is None else setup.object.scale * model.center_of_mass / LENGTH_UNIT
-
-
 SEEN_TERM = Term(
     "object_seen",
     ("seen",),
@@ -82,29 +72,6 @@ SEEN_TERM = Term(
     "whether the camera sees the object now; if not, the fields above hold its last measurement",
     lambda now: column(now.seen["visible"]),
 )
-HIDDEN_TERMS = (
-    Term(
-        "centre_of_mass",
-        AXES,
-        "0.05 m",
-        -4.0,
-        4.0,
-        "of the object, from its centre along its own axes",
-        _centre_of_mass,
-        fixed=True,
-    ),
-    Term(
-        "pull",
-        AXES,
-        "1",
-        -1.0,
-        1.0,
-        "world direction of the final force ramp",
-        _pull_of,
-        fixed=True,
-    ),
-)
-"""Terms that only a critic may observe: where the object's mass is, and the final force."""
 OBJECTS_OPTION = Option(
     "split from which objects are drawn; the other two must not be used in training", SPLITS
 )
@@ -134,24 +101,22 @@ class Closing:
         pushed: growth of the object's displacement as a fraction of `reach`, shape (n,).
     """
 
-    changing = ("gained", "pushed", "_touch", "_distance", "_place")
+    changing = ("gained", "pushed", "_touch", "_distance")
 
     def __init__(self, num_worlds: int, config: GraspAnyConfig) -> None:
-        self._config = config
+        self._scores = contact_scores(config.weights)
+        self._reach = config.reach
         self.gained, self.pushed, self._touch, self._distance = np.zeros((4, num_worlds))
-        self._place = np.zeros((num_worlds, 3))
 
-    def start(self, worlds: NDArray[np.int_], places: Sequence[Array]) -> None:
-        """Begin episodes with the objects at their places in the hand frame [m]."""
-        self._place[worlds] = places
+    def start(self, worlds: NDArray[np.int_]) -> None:
+        """Begin episodes."""
         for values in (self.gained, self.pushed, self._touch, self._distance):
             values[worlds] = 0.0
 
-    def follow(self, state: SceneState) -> None:
-        """Advance by one control step."""
-        touch = contact_score(self._config.weights, state.touching)
-        distance = lengths(state.object_pos - self._place) / self._config.reach
-        distance = np.minimum(distance, 1.0)
+    def follow(self, touching: NDArray[np.bool_], moved: Array) -> None:
+        """Advance by one control step, for `SceneState.touching` and `Grip.moved`."""
+        touch = self._scores.take(touching_set(touching))
+        distance = np.minimum(moved / self._reach, 1.0)
         self.gained = touch - self._touch
         self.pushed = distance - self._distance
         self._touch = touch
@@ -201,7 +166,8 @@ class GraspAny(Task):
         self.config = config
         self.setups = Setups(objects, hands, config, object)
         self.wrist_actions = WRIST_ACTIONS if wrist == "free" else ()
-        self.duration = config.ends[-1]
+        self._ends = config.ends
+        self.duration = self._ends[-1]
         self.terms = (
             *COMMAND_TERMS,
             *OBJECT_TERMS,
@@ -219,25 +185,28 @@ class GraspAny(Task):
                 "contact",
                 f"while closing, change of the contact score in this step: {weights.thumb:g} for the thumb, "
                 f"{weights.finger:g} for each finger, {weights.opposed:g} when they oppose each other",
-                lambda now: np.where(now.began == CLOSE, self.closing.gained, 0.0),
+                lambda now: paid_where(now.began == CLOSE, lambda: self.closing.gained),
             ),
             RewardTerm(
                 "push",
                 f"while closing: {weights.push:g} · growth of the object's displacement as a fraction of `reach`",
-                lambda now: np.where(now.began == CLOSE, weights.push * self.closing.pushed, 0.0),
+                lambda now: paid_where(
+                    now.began == CLOSE, lambda: weights.push * self.closing.pushed
+                ),
             ),
             RewardTerm(
                 "carry",
                 f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support",
-                lambda now: np.where(now.began == CLOSE, 0.0, weights.carry * now.grip.firmness),
+                lambda now: paid_where(
+                    now.began != CLOSE, lambda: weights.carry * now.grip.firmness
+                ),
             ),
             RewardTerm(
                 "force",
                 f"{weights.force:g} · holding force / {config.ramp_force:g} N, once, at the end of a successful episode",
-                lambda now: np.where(
+                lambda now: paid_where(
                     now.outcome == SUCCESS,
-                    weights.force * (self.holding_force / config.ramp_force),
-                    0.0,
+                    lambda: weights.force * (self.holding_force / config.ramp_force),
                 ),
             ),
             effort_term(weights),
@@ -271,27 +240,27 @@ class GraspAny(Task):
         )
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
+        super().start(worlds, setups)
         index = np.asarray(worlds)
         self._mass[index, 0] = [setup.object.mass for setup in setups]
-        self._pull[index] = [_pull_of(setup) for setup in setups]
-        self.closing.start(index, [setup.position for setup in setups])
+        self._pull[index] = [pull_of(setup) for setup in setups]
+        self.closing.start(index)
         self._names[index] = [
             spec.model.name if spec.model else spec.shape
             for spec in (setup.object for setup in setups)
         ]
         self.holding_force[index] = self.turn[index] = 0.0
         self._phase[index] = self.sides[index] = 0
-        self.grip.start(index)
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         return wrist_table(self.config.timetable, times)
 
     def phase(self, time: Array) -> NDArray[np.int_]:
-        return phase_at(time, self.config.ends)
+        return phase_at(time, self._ends)
 
     def push(self, times: Array) -> Array | None:
-        begin = self.config.ends[SHAKE]
-        middle = self.config.ends[SIDES]
+        begin = self._ends[SHAKE]
+        middle = self._ends[SIDES]
         if times.max() <= begin:
             return None
         side = np.clip(
@@ -305,7 +274,7 @@ class GraspAny(Task):
 
     def _ramp(self, time: Array) -> Array:
         """Magnitude of the final force ramp [N] at times [s]."""
-        share = (time - self.config.ends[SIDES]) / self.config.ramp_time
+        share = (time - self._ends[SIDES]) / self.config.ramp_time
         return self.config.ramp_force * np.minimum(np.maximum(share, 0.0), 1.0)
 
     def judge(self, state: SceneState, dt: float) -> NDArray[np.int_]:
@@ -315,31 +284,31 @@ class GraspAny(Task):
         does not hold it (`Grip`) between the end of the lift and the end of the shake. An episode
         in which the object is held through the shake succeeds, and ends when the object slips or
         the force ramp ends. Knocking an object over is no failure."""
-        config = self.config
         grip = self.grip
         ran = self._phase
         grip.follow(state.object_pos, state.touching.any(axis=1), state.supported, dt)
         # Phase of the next step.
-        self._phase = phase_at(state.time + dt / 2, (*config.ends[:-1], np.inf))
-        begins = self._phase != ran
-        grip.settle(begins & (self._phase == SHAKE))
+        phase = self._phase = phase_at(state.time + dt / 2, self._ends)
+        begins = phase != ran
+        grip.settle(begins & (phase == SHAKE))
         held = grip.holds
-        grip.settle(begins & (self._phase > SHAKE))
-        closing = self._phase == CLOSE
-        judged = ran <= SHAKE
-        self.closing.follow(state)
+        grip.settle(begins & (phase > SHAKE))
+        closing = phase == CLOSE
         self._grasped[closing] = state.object_rotation[closing]
-        cosine = (np.einsum("nij,nij->n", self._grasped, state.object_rotation) - 1) / 2
-        self.turn = np.where(judged, np.arccos(np.clip(cosine, -1.0, 1.0)), self.turn)
-        beyond = lengths(state.object_pos - GRASP_CENTRE) > config.reach
-        failed = np.where(closing, beyond, judged & (self._phase >= SHAKE) & ~held)
-        side = np.round((state.time - config.ends[SHAKE]) / config.side_time, 6)
-        self.sides += (ran == SIDES) & held & (side == np.floor(side))
-        self.holding_force = np.where(
-            (ran == RAMP) & held, self._ramp(state.time), self.holding_force
-        )
-        over = ~judged & (~held | (state.time >= self.duration - dt / 2))
-        return np.where(failed, FAILURE, np.where(over, SUCCESS, RUNNING))
+        self.closing.follow(state.touching, grip.moved)
+        shaken = ran > SHAKE
+        if not shaken.all():
+            cosine = (np.einsum("nij,nij->n", self._grasped, state.object_rotation) - 1) / 2
+            turn = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
+            self.turn = np.where(shaken, self.turn, turn)
+        if shaken.any():
+            side = np.round((state.time - self._ends[SHAKE]) / self.config.side_time, 6)
+            self.sides += (ran == SIDES) & held & (side == np.floor(side))
+            pulled = (ran == RAMP) & held
+            self.holding_force = np.where(pulled, self._ramp(state.time), self.holding_force)
+        beyond = lengths(state.object_pos - GRASP_CENTRE) > self.config.reach
+        failed = (closing & beyond) | ((phase >= SHAKE) & ~(shaken | held))
+        return judged(failed, shaken & (~held | (state.time >= self.duration - dt / 2)))
 
     def report(self, now: Moment) -> dict[str, Any]:
         return super().report(now) | {

@@ -21,6 +21,7 @@ from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks import placing
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
 from hpac_gym.tasks.task import open_hand
+from hpac_gym.tasks.terms import AXES, LENGTH_UNIT, Term
 
 PHASES = ("close", "lift", "shake", "sides", "ramp")
 CLOSE, LIFT, SHAKE, SIDES, RAMP = range(len(PHASES))
@@ -122,6 +123,45 @@ class GraspAnySetup(SceneSetup):
 
     pull: Array | None = None
     """World direction of the force ramp, a unit vector, shape (3,)."""
+
+
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def pull_of(setup: SceneSetup) -> Array:
+    """World direction of the final force ramp of an episode, shape (3,)."""
+    pull = getattr(setup, "pull", None)
+    return DOWN if pull is None else pull
+
+
+def _centre_of_mass(setup: SceneSetup) -> Array:
+    model = setup.object.model
+    return np.zeros(3) if model is None else setup.object.scale * model.center_of_mass / LENGTH_UNIT
+
+
+HIDDEN_TERMS = (
+    Term(
+        "centre_of_mass",
+        AXES,
+        "0.05 m",
+        -4.0,
+        4.0,
+        "of the object, from its centre along its own axes",
+        _centre_of_mass,
+        fixed=True,
+    ),
+    Term(
+        "pull",
+        AXES,
+        "1",
+        -1.0,
+        1.0,
+        "world direction of the final force ramp",
+        pull_of,
+        fixed=True,
+    ),
+)
+"""Terms that only a critic may observe: where the object's mass is, and the final force."""
 
 
 class Setups:

@@ -46,9 +46,10 @@ from hpac_gym.physics.engine import (
 from hpac_gym.physics.supports import POST, TABLE_HALF_EXTENTS, support_boxes
 from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.grasp import CLOSE, Grasp, quaternion_from_rpy, setup_of_grasp
+from hpac_gym.tasks.grasp import CLOSE, Grasp
 from hpac_gym.tasks.grasp_data import NOMINAL, GraspError, NamedGrasp, grasps_from_toml
 from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Rule, look_at
+from hpac_gym.tasks.grasp_setups import quaternion_from_rpy, setup_of_grasp
 from hpac_gym.tasks.occlusion import SKIN, Skeleton
 from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
@@ -471,7 +472,7 @@ class GraspByType(Grasp):
         was held but not according to the type's rule."""
         outcome = super().judge(state, dt)
         if (arrived := state.time < 1.5 * dt).any():
-            inside = state.touching.any(axis=1) | (self._moved > SETTLES)
+            inside = state.touching.any(axis=1) | (self.grip.moved > SETTLES)
             self.free = self.free & ~(arrived & inside)
         self.held = outcome == SUCCESS
         return np.where(~self.free | (self.held & (self._missed != "")), FAILURE, outcome)

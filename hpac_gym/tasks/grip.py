@@ -13,42 +13,44 @@ MAX_SLIP = 0.02
 """Displacement of a carried object in the hand beyond which it counts as slipped out of the grasp
 [m].
 """
-_MISSED_STEPS = 1
-"""Control steps without contact that do not end a grip: an object shaken off one finger lands on
-another.
-"""
 
 
 class Grip:
     """Tracks the grip in n worlds.
 
-    The hand carries the object while it touches it and no support does. It holds the object while
-    it carries it without interruption and the slip since carrying began, or since `settle`, is at
-    most `MAX_SLIP`.
+    The hand carries the object while it touches it and no support does; a single control step
+    without contact does not end that, since an object shaken off one finger lands on another. It
+    holds the object while it carries it without interruption and the slip since carrying began, or
+    since `settle`, is at most `MAX_SLIP`.
 
     Attributes:
         carrying: True where the hand carries the object, shape (n,).
         time: duration of carrying without interruption, shape (n,) [s].
         slip: displacement of the object's centre in the hand since then, or since `settle`, shape
             (n,) [m].
+        moved: displacement since the episode began, shape (n,) [m].
     """
 
-    changing = ("carrying", "time", "slip", "_missed", "_origin", "_now")
+    changing = ("carrying", "time", "slip", "moved", "_touched", "_origins", "_now")
 
     def __init__(self, num_worlds: int) -> None:
         self.carrying = np.zeros(num_worlds, dtype=bool)
         self.time = np.zeros(num_worlds)
         self.slip = np.zeros(num_worlds)
-        self._missed = np.zeros(num_worlds, dtype=int)
-        self._origin = np.zeros((num_worlds, 3))
+        self.moved = np.zeros(num_worlds)
+        self._touched = np.zeros(num_worlds, dtype=bool)
+        # Where the carrying began, and where the episode began.
+        self._origins = np.zeros((2, num_worlds, 3))
         self._now = np.zeros((num_worlds, 3))
 
-    def start(self, worlds: Sequence[int]) -> None:
-        """Begin episodes: nothing is carried."""
+    def start(self, worlds: Sequence[int], places: Sequence[Array]) -> None:
+        """Begin episodes with the objects at their places in the hand frame [m]; nothing is
+        carried.
+        """
         index = np.asarray(worlds)
         self.carrying[index] = False
-        self.time[index] = self.slip[index] = 0.0
-        self._missed[index] = 0
+        self.time[index] = self.slip[index] = self.moved[index] = 0.0
+        self._origins[1, index] = places
 
     def follow(
         self, object_pos: Array, touched: NDArray[np.bool_], supported: NDArray[np.bool_], dt: float
@@ -61,23 +63,22 @@ class Grip:
             supported: True where anything else supports the object, shape (n,).
             dt: control period [s].
         """
-        self._now = object_pos
-        missed = self._missed + 1
-        carries = touched | (self.carrying & (missed <= _MISSED_STEPS))
-        carries &= ~supported
-        self._missed = missed * (carries & ~touched)
+        carries = (touched | (self.carrying & self._touched)) & ~supported
         begins = carries & ~self.carrying
-        if begins.any():
-            self._origin = np.where(begins[:, None], object_pos, self._origin)
+        if np.count_nonzero(begins):
+            self._origins[0, begins] = object_pos[begins]
+        self._now = object_pos
+        self._touched = touched
         self.carrying = carries
         self.time = (self.time + dt) * carries
-        self.slip = np.where(carries, lengths(object_pos - self._origin), 0.0)
+        slip, self.moved = lengths(object_pos - self._origins)
+        self.slip = np.where(carries, slip, 0.0)
 
     def settle(self, where: NDArray[np.bool_]) -> None:
         """Set the slip of carried objects to zero: motion while the grasp forms is not slip."""
         where = where & self.carrying
-        if where.any():
-            self._origin[where] = self._now[where]
+        if np.count_nonzero(where):
+            self._origins[0, where] = self._now[where]
             self.slip[where] = 0.0
 
     @property
@@ -94,5 +95,5 @@ class Grip:
 
 
 def lengths(vectors: Array) -> Array:
-    """Lengths of vectors, shape (n, 3) to (n,): `numpy.linalg.norm` without its checks."""
-    return np.sqrt(np.add.reduce(vectors * vectors, axis=1))
+    """Lengths of vectors, shape (..., 3) to (...,): `numpy.linalg.norm` without its checks."""
+    return np.sqrt(np.add.reduce(vectors * vectors, axis=-1))

@@ -1,6 +1,5 @@
 """The phases of a grasp and the wrist's path through them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import pi, sin
@@ -72,17 +71,19 @@ def wrist_table(timetable: Timetable, times: tuple[float, ...]) -> Array:
     return np.array([timetable.wrist_offset(time) for time in times])
 
 
-def phase_at(time: Array, ends: Sequence[float]) -> NDArray[np.int_]:
+def phase_at(time: Array, ends: tuple[float, ...]) -> NDArray[np.int_]:
     """Index of the phase that is running or begins at times [s], given the phases' end times [s];
     the last phase stays.
     """
-    return np.minimum(_limits(tuple(ends)).searchsorted(time), len(ends) - 1)
+    return _limits(ends).searchsorted(time)
 
 
 @lru_cache(maxsize=64)
 def _limits(ends: tuple[float, ...]) -> Array:
-    """End times of phases, in ascending order, which rounding may miss by 1e-9, shape (m,) [s]."""
-    return np.array(ends) - 1e-9
+    """End times of all phases but the last, in ascending order, which rounding may miss by 1e-9
+    [s].
+    """
+    return np.array(ends[:-1]) - 1e-9
 
 
 def moved(share: float) -> float:

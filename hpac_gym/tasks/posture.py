@@ -25,9 +25,10 @@ from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, MarkerCamera
 from hpac_gym.tasks.options import config_option
+from hpac_gym.tasks.privileged import HAND_TERMS
 from hpac_gym.tasks.scripted import Script
 from hpac_gym.tasks.task import RUNNING, GoalSetup, Task
-from hpac_gym.tasks.terms import COMMAND_TERMS, HAND_TERMS, Layout, Moment, RewardTerm, Term
+from hpac_gym.tasks.terms import COMMAND_TERMS, Layout, Moment, RewardTerm, Term
 
 TOLERANCE = 0.05
 """Default of `PostureConfig.tolerance` [rad]."""

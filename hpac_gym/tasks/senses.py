@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.body.object_models import ObjectModel, Solid
+from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model import DIGITS, JOINT_INDEX, SERVOS
 from hpac_gym.model.checks import Array
@@ -145,29 +145,20 @@ class Senses:
         self._skeleton.fit(world, setup.geometry)
         self._points[world], self._normals[world] = self._surface(setup.object)
         self._eye[world] = self._centre + setup.hand_rotation.T @ eye_offset(self._view)
-        settings = setup.hand_settings
-        drives = [
-            Drive.of(digit, slack, strength)
-            for digit, slack, strength in zip(
-                setup.hand.digits.values(), settings.slack, settings.strength, strict=True
-            )
-        ]
-        self._drives[world] = np.transpose(
-            [[getattr(one, name) for name in _LAW] for one in drives]
-        )
         if self._servos is not None:
+            settings = setup.hand_settings
+            for digit, values in enumerate(
+                zip(setup.hand.digits.values(), settings.slack, settings.strength, strict=True)
+            ):
+                drive = Drive.of(*values)
+                self._drives[world, :, digit] = [getattr(drive, name) for name in _LAW]
             deviation = self._servos.load_bias * factor
             self._bias[world] = deviation * self._rng[world].standard_normal(len(DIGITS))
         self._count[world] = 0
 
     def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
         if spec.model is None:
-            width, depth, height = (2 * half for half in spec.half_extents)
-            return surface(
-                spec.shape,
-                [Solid(spec.shape, 1.0, (width, depth, height), np.zeros(3), np.eye(3))],
-                _SPREAD,
-            )
+            return surface(spec.shape, spec.solid_model.solids, _SPREAD)
         points, normals = _surface_of(spec.model)
         return spec.scale * points, normals
 

@@ -27,7 +27,7 @@ from hpac_gym.tasks.scripted import Script, ScriptedClosure
 from hpac_gym.tasks.terms import Moment, RewardTerm, Term
 
 OUTCOMES = ("running", "success", "failure")
-RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))
+RUNNING, SUCCESS, FAILURE = range(len(OUTCOMES))  # `judged` counts on 0 and 1
 _OUTCOMES = np.array(OUTCOMES, dtype=object)
 
 
@@ -109,7 +109,7 @@ class Task(ABC):
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin to judge episodes in some worlds."""
-        self.grip.start(worlds)
+        self.grip.start(worlds, [setup.position for setup in setups])
 
     def wrist_path(self, setup: SceneSetup, times: tuple[float, ...]) -> Array:
         """Offset of the wrist at times [s], along the world's axes, shape (len(times), 3) [m]."""
@@ -150,7 +150,7 @@ class Task(ABC):
             "is_success": now.outcome == SUCCESS,
             "outcome": _OUTCOMES[now.outcome],
             "phase": _names(self.phases)[now.phase],
-            "contact_force": now.state.contact_force.sum(axis=1),
+            "contact_force": np.add.reduce(now.state.contact_force, axis=1),
             "hold_time": now.grip.time.copy(),
             "slip": now.grip.slip.copy(),
         }
@@ -184,8 +184,10 @@ FINGER_PARTS = slice(PARTS.index(FINGERS[0]), PARTS.index(FINGERS[-1]) + 1)
 THUMB_PART = PARTS.index("thumb")
 
 
-def contact_score(weights: Weights, touching: NDArray[np.bool_]) -> Array:
-    """Score of the parts that touch the object, shape (n,), for `SceneState.touching`."""
+def contact_scores(weights: Weights) -> Array:
+    """Scores of all sets of parts that may touch the object, for `touching_set`."""
+    sets = np.arange(1 << 8, dtype=np.uint8)[:, None]
+    touching = np.unpackbits(sets, axis=1, count=len(PARTS)).astype(bool)
     fingers = touching[:, FINGER_PARTS].sum(axis=1)
     thumb = touching[:, THUMB_PART]
     return (
@@ -193,8 +195,29 @@ def contact_score(weights: Weights, touching: NDArray[np.bool_]) -> Array:
     )
 
 
+def touching_set(touching: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """The set of parts that touch as a number, shape (n,), for `SceneState.touching`."""
+    return np.packbits(touching, axis=1)[:, 0]
+
+
+def paid_where(where: NDArray[np.bool_], value: Callable[[], Array]) -> Array:
+    """The value in some worlds and 0 in the others, shape (n,); computed only if one is paid."""
+    count = np.count_nonzero(where)
+    if count == 0:
+        return np.zeros(len(where))
+    return value() if count == len(where) else np.where(where, value(), 0.0)
+
+
+def judged(failed: NDArray[np.bool_], over: NDArray[np.bool_]) -> NDArray[np.int_]:
+    """Indices into `OUTCOMES`, shape (n,): failure, else success of episodes that are over."""
+    outcome = over.astype(int)
+    outcome[failed] = FAILURE
+    return outcome
+
+
 def contact_term(weights: Weights, phase: int) -> RewardTerm:
     """Reward for touching the object in one phase."""
+    scores = contact_scores(weights)
     meaning = (
         f"while closing: {weights.thumb:g} for the thumb and {weights.finger:g} for each finger that touches the object, "
         f"{weights.opposed:g} when they oppose each other"
@@ -202,7 +225,9 @@ def contact_term(weights: Weights, phase: int) -> RewardTerm:
     return RewardTerm(
         "contact",
         meaning,
-        lambda now: np.where(now.began == phase, contact_score(weights, now.state.touching), 0.0),
+        lambda now: paid_where(
+            now.began == phase, lambda: scores.take(touching_set(now.state.touching))
+        ),
     )
 
 
@@ -211,7 +236,7 @@ def effort_term(weights: Weights) -> RewardTerm:
     return RewardTerm(
         "effort",
         f"{weights.effort:g} · sum of the squared changes of the action",
-        lambda now: weights.effort * np.square(now.action_change).sum(axis=1),
+        lambda now: weights.effort * np.add.reduce(np.square(now.action_change), axis=1),
     )
 
 
@@ -219,7 +244,7 @@ def outcome_term(weights: Weights) -> RewardTerm:
     """Reward for how an episode ends."""
     by_outcome = np.array([0.0, weights.success, weights.failure])
     meaning = f"{weights.success:g} for success or {weights.failure:g} for failure, once"
-    return RewardTerm("outcome", meaning, lambda now: by_outcome[now.outcome])
+    return RewardTerm("outcome", meaning, lambda now: by_outcome.take(now.outcome))
 
 
 @cache

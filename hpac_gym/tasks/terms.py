@@ -14,18 +14,14 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from hpac_gym.body.objects import SHAPES
-from hpac_gym.model import DIGITS, JOINTS, SERVOS
+from hpac_gym.model import JOINTS, SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import PARTS, SceneSetup, SceneState
+from hpac_gym.physics.engine import SceneSetup, SceneState
 from hpac_gym.tasks.grip import Grip
 
 LENGTH_UNIT = 0.05
 """Lengths in the observation are multiples of this [m], so that every entry is of the order of one.
 """
-FORCE_UNIT = 10.0
-"""Unit of forces in the observation [N]."""
-SPEED_UNIT = 10.0
-"""Unit of joint speeds and of the object's spin in the observation [rad/s]."""
 GRASP_CENTRE = np.array([0.045, 0.005, 0.1125])
 """Origin of `object_pos` in the hand frame [m]: in front of the knuckles."""
 AXES = ("x", "y", "z")
@@ -177,7 +173,7 @@ def progress_terms(phases: tuple[str, ...], duration: float) -> tuple[Term, ...]
             0.0,
             1.0,
             "phase of the wrist motion, one-hot",
-            lambda now: rows[now.phase],
+            lambda now: rows.take(now.phase, axis=0),
         ),
         Term(
             "progress",
@@ -186,229 +182,9 @@ def progress_terms(phases: tuple[str, ...], duration: float) -> tuple[Term, ...]
             0.0,
             1.0,
             "share of the episode that has passed",
-            lambda now: column(now.state.time) / duration,
+            lambda now: now.state.time[:, None] / duration,
         ),
     )
-
-
-HAND_TERMS = (
-    Term(
-        "true_joint_pos",
-        JOINTS,
-        "rad",
-        -0.5,
-        2.0,
-        "true joint angle",
-        lambda now: now.state.joint_pos,
-    ),
-    Term(
-        "true_joint_vel",
-        JOINTS,
-        "10 rad/s",
-        -5.0,
-        5.0,
-        "true joint speed",
-        lambda now: now.state.joint_vel / SPEED_UNIT,
-    ),
-    Term("horn", SERVOS, "rad", 0.0, 2.0, "angle of the servo's horn", lambda now: now.state.horn),
-    Term(
-        "tension",
-        SERVOS[:-1],
-        "10 N",
-        0.0,
-        10.0,
-        "tension of the driving tendon",
-        lambda now: now.state.tension / FORCE_UNIT,
-    ),
-)
-"""True state of the hand, which only a critic may observe."""
-
-PRIVILEGED_TERMS = (
-    Term(
-        "last_action",
-        SERVOS,
-        "1",
-        -1.0,
-        1.0,
-        "last action; before the first one, that of the initial posture",
-        lambda now: now.last_action,
-    ),
-    Term(
-        "contact_force",
-        PARTS,
-        "10 N",
-        0.0,
-        10.0,
-        "normal force between the object and a part of the hand",
-        lambda now: now.state.contact_force / FORCE_UNIT,
-    ),
-    *HAND_TERMS,
-    Term(
-        "true_object_pos",
-        AXES,
-        "0.05 m",
-        -4.0,
-        4.0,
-        "true centre of the object in the hand frame, from `GRASP_CENTRE`",
-        lambda now: (now.state.object_pos - GRASP_CENTRE) / LENGTH_UNIT,
-    ),
-    Term(
-        "true_object_up",
-        AXES,
-        "1",
-        -1.0,
-        1.0,
-        "true z axis of the object in the hand frame",
-        lambda now: now.state.object_rotation[:, :, 2],
-    ),
-    Term(
-        "true_object_side",
-        AXES,
-        "1",
-        -1.0,
-        1.0,
-        "true x axis of the object in the hand frame",
-        lambda now: now.state.object_rotation[:, :, 0],
-    ),
-    Term(
-        "object_vel",
-        AXES,
-        "m/s",
-        -5.0,
-        5.0,
-        "velocity of the object relative to the world, along the axes of the hand frame",
-        lambda now: now.state.object_vel,
-    ),
-    Term(
-        "object_spin",
-        AXES,
-        "10 rad/s",
-        -5.0,
-        5.0,
-        "angular velocity of the object, along the axes of the hand frame",
-        lambda now: now.state.object_spin / SPEED_UNIT,
-    ),
-    Term(
-        "supported",
-        ("touches",),
-        "0/1",
-        0.0,
-        1.0,
-        "whether the object touches its support or the table",
-        lambda now: column(now.state.supported),
-    ),
-    Term(
-        "hold_time",
-        ("time",),
-        "s",
-        0.0,
-        10.0,
-        "duration of carrying the object without interruption",
-        lambda now: column(now.grip.time),
-    ),
-    Term(
-        "slip",
-        ("distance",),
-        "0.05 m",
-        0.0,
-        4.0,
-        "displacement of the object's centre in the hand since then",
-        lambda now: column(now.grip.slip / LENGTH_UNIT),
-    ),
-    Term(
-        "object_start",
-        AXES,
-        "0.05 m",
-        -10.0,
-        10.0,
-        "`true_object_pos` at the start of the episode",
-        lambda setup: (setup.position - GRASP_CENTRE) / LENGTH_UNIT,
-        fixed=True,
-    ),
-    Term(
-        "true_object_size",
-        AXES,
-        "0.05 m",
-        0.0,
-        4.0,
-        "true half extents of the object along its own axes",
-        lambda setup: np.array(setup.object.half_extents) / LENGTH_UNIT,
-        fixed=True,
-    ),
-    Term(
-        "object_mass",
-        ("mass",),
-        "kg",
-        0.0,
-        5.0,
-        "true mass of the object",
-        lambda setup: [setup.object.mass],
-        fixed=True,
-    ),
-    Term(
-        "object_friction",
-        ("friction",),
-        "1",
-        0.0,
-        5.0,
-        "true Coulomb coefficient between skin and object",
-        lambda setup: [setup.object.friction * setup.hand_settings.contact_friction],
-        fixed=True,
-    ),
-    Term(
-        "joint_friction",
-        ("friction",),
-        "0.01 N·m",
-        0.0,
-        2.0,
-        "Coulomb friction of every joint",
-        lambda setup: [setup.hand_settings.joint_friction / 0.01],
-        fixed=True,
-    ),
-    Term(
-        "tendon_stiffness",
-        DIGITS,
-        "1000 N",
-        0.0,
-        10.0,
-        "EA of a digit's tendon",
-        lambda setup: [digit.tendon_stiffness / 1e3 for digit in setup.hand.digits.values()],
-        fixed=True,
-    ),
-    Term(
-        "slack",
-        DIGITS,
-        "mm",
-        0.0,
-        3.0,
-        "slack that a driving tendon winds up before it pulls",
-        lambda setup: [1e3 * slack for slack in setup.hand_settings.slack],
-        fixed=True,
-    ),
-    Term(
-        "servo_lag",
-        ("lag",),
-        "0.1 s",
-        0.0,
-        2.0,
-        "delay from a command to the servos' response",
-        lambda setup: [setup.hand_settings.servo.lag / 0.1],
-        fixed=True,
-    ),
-    Term(
-        "dead_band",
-        ("error",),
-        "0.01 rad",
-        0.0,
-        10.0,
-        "largest error that causes no servo motion",
-        lambda setup: [setup.hand_settings.servo.dead_band / 0.01],
-        fixed=True,
-    ),
-)
-"""Terms that are known only in simulation: for a critic, whose actor observes only the deployed
-part.
-"""
 
 
 class Layout:
@@ -423,7 +199,7 @@ class Layout:
         slices: slice of each term's entries, by the term's name.
     """
 
-    changing = ("_values",)
+    changing = ("_fixed",)
 
     def __init__(self, terms: Sequence[Term], num_worlds: int) -> None:
         low = np.concatenate([np.full(len(term.labels), term.low) for term in terms])
@@ -434,20 +210,22 @@ class Layout:
             term.name: slice(end - len(term.labels), end)
             for term, end in zip(terms, ends, strict=True)
         }
-        self._values = np.zeros((num_worlds, ends[-1]))
-        self._fixed = [(term.value, self.slices[term.name]) for term in terms if term.fixed]
-        self._changing = [(term.value, self.slices[term.name]) for term in terms if not term.fixed]
+        self._terms = tuple(terms)
+        self._fixed = {
+            term.name: np.zeros((num_worlds, len(term.labels)), np.float32)
+            for term in terms
+            if term.fixed
+        }
 
     def start(self, worlds: Sequence[int], setups: Sequence[SceneSetup]) -> None:
         """Begin episodes with these setups."""
-        for world, setup in zip(worlds, setups, strict=True):
-            for value, where in self._fixed:
-                self._values[world, where] = value(setup)
+        for term in self._terms:
+            if term.fixed:
+                self._fixed[term.name][np.asarray(worlds)] = [term.value(one) for one in setups]
 
     def see(self, now: Moment) -> NDArray[np.float32]:
         """Observation vectors, shape (n, size), clipped to the bounds (an object out of view)."""
-        for value, where in self._changing:
-            self._values[:, where] = value(now)
-        return np.minimum(
-            np.maximum(self._values, self.space.low), self.space.high, dtype=np.float32
-        )
+        parts = [self._fixed[term.name] if term.fixed else term.value(now) for term in self._terms]
+        seen = np.concatenate(parts, axis=1, dtype=np.float32)
+        np.maximum(seen, self.space.low, out=seen)
+        return np.minimum(seen, self.space.high, out=seen)

@@ -21,6 +21,7 @@ from hpac_gym.model import HPAC, SERVOS
 from hpac_gym.physics.settings import HandSettings
 from hpac_gym.registration import GRASP, GRASP_TYPE, IDS, POSTURE
 from hpac_gym.tasks.cameras import CameraNoise
+from hpac_gym.tasks.grip import Grip
 from hpac_gym.tasks.posture import PostureConfig
 from tests.envs.fingerprints import (
     BATCHES,
@@ -224,21 +225,30 @@ def test_a_million_times_as_much_as_rounding_changes_no_fingerprint(case):
         assert not changed(case, randomize=Randomization(object_position=(1e-12, 1e-12)))
 
 
+FOLLOW = Grip.follow
+
+
+def unforgiving(grip: Grip, *given: Any) -> None:
+    """`Grip.follow` that forgives no step without contact."""
+    FOLLOW(grip, *given)
+    grip._touched = np.zeros_like(grip._touched)
+
+
 @pytest.mark.pybullet
 @pytest.mark.parametrize(
     ("name", "number", "value"),
     [
         ("HPAC-Grasp-v0/privileged/held", "tasks.quality.CONE_EDGES", 4),
         ("HPAC-Grasp-v0", "tasks.terms.LENGTH_UNIT", 0.051),
-        ("HPAC-Grasp-v0/nominal/privileged", "tasks.terms.FORCE_UNIT", 10.1),
-        ("HPAC-Grasp-v0/nominal/privileged", "tasks.terms.SPEED_UNIT", 10.1),
+        ("HPAC-Grasp-v0/nominal/privileged", "tasks.privileged.FORCE_UNIT", 10.1),
+        ("HPAC-Grasp-v0/nominal/privileged", "tasks.privileged.SPEED_UNIT", 10.1),
         ("HPAC-Grasp-v0/image", "envs.observations.IMAGE_SIZE", 83),
         ("HPAC-Grasp-v0/large_sphere/privileged", "physics.pybullet.objects.SPIN_DECAY", 5.0),
-        ("HPAC-Grasp-v0/privileged/missed", "tasks.grip._MISSED_STEPS", 2),
+        ("HPAC-Grasp-v0/privileged/missed", "tasks.grip.Grip.follow", unforgiving),
         ("HPAC-Grasp-v0/privileged/slips", "tasks.grip.MAX_SLIP", 0.022),
-        ("HPAC-PickPlace-v0/privileged/placed", "tasks.grip._MISSED_STEPS", 2),
+        ("HPAC-PickPlace-v0/privileged/placed", "tasks.grip.Grip.follow", unforgiving),
         ("HPAC-PickPlace-v0/privileged/jams", "physics.pybullet.hand.WRIST_EFFORT", 150.0),
-        ("HPAC-Posture-v1/nominal/privileged", "tasks.terms.FORCE_UNIT", 10.1),
+        ("HPAC-Posture-v1/nominal/privileged", "tasks.privileged.FORCE_UNIT", 10.1),
         ("HPAC-Posture-v1/image", "envs.observations.IMAGE_SIZE", 83),
         (
             "HPAC-Posture-v1/sparse/nominal",

@@ -9,7 +9,8 @@ from hpac_gym.envs.observations import IMAGE_SIZE
 from hpac_gym.model import HPAC, elastic_joints_from_servo
 from hpac_gym.tasks.cameras import CameraNoise
 from hpac_gym.tasks.grip import MAX_SLIP
-from hpac_gym.tasks.terms import FORCE_UNIT, GRASP_CENTRE, LENGTH_UNIT, SPEED_UNIT, Layout
+from hpac_gym.tasks.privileged import FORCE_UNIT, SPEED_UNIT
+from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Layout
 from tests.envs.episodes import EASY, a_setup, part, steps
 
 ID = "HPAC-Grasp-v0"

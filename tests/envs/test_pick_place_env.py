@@ -26,7 +26,7 @@ def scripted(env):
     """Infos, last state and setup of scripted episodes, by their seeds."""
 
     def episode(seed: int):
-        infos, _ = run(env, ScriptedPickPlace(), seed=seed)
+        infos, _ = run(env, env.unwrapped.task.script(), seed=seed)
         return infos, env.unwrapped.state, env.unwrapped.episodes.setups[0]
 
     return [episode(seed) for seed in range(6)]
@@ -45,8 +45,8 @@ def test_scripted_placing_succeeds_where_holding_on_or_doing_nothing_fails(env, 
     assert sum(won) >= 3
     for seed in np.flatnonzero(won)[:3].tolist():
         assert not any(
-            run(env, policy(), seed=seed)[0][-1]["is_success"]
-            for policy in (NeverOpens, Still, ScriptedClosure)
+            run(env, policy, seed=seed)[0][-1]["is_success"]
+            for policy in (NeverOpens(PickPlaceTimetable()), Still(), ScriptedClosure())
         )
 
 

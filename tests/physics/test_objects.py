@@ -19,8 +19,9 @@ from hpac_gym.physics.pybullet.objects import SimObject, add_fixed_box
 from hpac_gym.physics.pybullet.scene import Scene
 from hpac_gym.physics.pybullet.world import World
 from hpac_gym.physics.settings import WorldSettings
-from hpac_gym.tasks.grasp import GraspByName, quaternion_from_rpy
+from hpac_gym.tasks.grasp import GraspByName
 from hpac_gym.tasks.grasp_data import GRASPS, NOMINAL
+from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
 
 MODELS = load_object_models()
 REAL = {name: model for name, model in MODELS.items() if model.source}

@@ -13,8 +13,9 @@ from hpac_gym.body.objects import ObjectSpec, Support
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, POSTURES
 from hpac_gym.physics.engine import matrix_from_quaternion
-from hpac_gym.tasks.grasp import GraspByName, quaternion_from_rpy
+from hpac_gym.tasks.grasp import GraspByName
 from hpac_gym.tasks.grasp_data import FAMILIES, GRASPS, NOMINAL, grasps_from_toml
+from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
 
 NAMES = list(GRASPS)
 MODELS = load_object_models()

@@ -18,9 +18,9 @@ from hpac_gym.model import (
     servo_from_action,
 )
 from hpac_gym.physics.engine import HAND_QUATERNION, matrix_from_quaternion
-from hpac_gym.tasks.grasp import quaternion_from_rpy
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
 from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Look, Rule
+from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
 from hpac_gym.tasks.grasp_types import (
     GRASP_TYPES,
     START,

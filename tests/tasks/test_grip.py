@@ -19,6 +19,7 @@ def grip_after(*stories, moved=0.0) -> Grip:
     last step moves the object.
     """
     grip = Grip(len(stories))
+    grip.start(range(len(stories)), [PLACE - ASIDE] * len(stories))
     for step, now in enumerate(zip(*stories, strict=True)):
         touched, supported = np.array(now).T
         place = PLACE + (moved * ASIDE if step == len(stories[0]) - 1 else 0.0)
@@ -45,6 +46,7 @@ def test_slip_counts_from_where_the_carrying_began():
     np.testing.assert_allclose(grip.firmness, [0.1, 1.0])
     assert grip.holds.all()
     assert not grip_after([TOUCHED, TOUCHED], moved=1.1 * MAX_SLIP).holds
+    np.testing.assert_allclose(grip.moved, 1.0 + 0.9 * MAX_SLIP)
 
 
 def test_what_moved_before_the_grasp_settled_is_no_slip():
@@ -62,7 +64,8 @@ def test_what_moved_before_the_grasp_settled_is_no_slip():
 
 def test_an_episode_that_starts_carries_nothing_and_leaves_the_others_alone():
     grip = grip_after([TOUCHED, TOUCHED], [TOUCHED, TOUCHED])
-    grip.start([1])
+    grip.start([1], [PLACE])
     np.testing.assert_array_equal(grip.carrying, [True, False])
     assert grip.time[0] == pytest.approx(2 * DT)
     assert grip.time[1] == 0.0
+    np.testing.assert_allclose(grip.moved, [1.0, 0.0])
