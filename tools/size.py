@@ -30,7 +30,8 @@ PRICES = {
     "objects of one's own": ("body/own_objects.py", "physics/mujoco/resting.py"),
     "data sets, ONNX, Stable-Baselines3": (
         *("evaluation/dataset.py", "evaluation/lerobot.py"),
-        *("policies/export.py", "policies/sb3.py", "envs/sb3.py"),
+        *("policies/export.py", "policies/card.py", "policies/onnx_model.py"),
+        *("policies/sb3.py", "envs/sb3.py"),
     ),
     "the benchmark's protocol": tuple(
         f"evaluation/{name}.py" for name in ("benchmark", "results", "splits")

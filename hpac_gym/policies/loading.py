@@ -9,8 +9,9 @@ from gymnasium.spaces import Box, Dict, Space
 
 from hpac_gym.errors import PolicyError
 from hpac_gym.policies.baselines import BASELINES
-from hpac_gym.policies.export import read_card, read_onnx
+from hpac_gym.policies.card import read_card
 from hpac_gym.policies.made_for import id_of, require_fit
+from hpac_gym.policies.onnx_model import read_onnx
 from hpac_gym.policies.policy import LearnedPolicy, Policy
 from hpac_gym.policies.policy_file import SHIPPED, PolicyFile, policy_path, read_policy
 from hpac_gym.policies.sb3 import about_model, is_model, read_model

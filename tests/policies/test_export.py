@@ -12,9 +12,10 @@ from hpac_gym.envs.randomization import changed_hand
 from hpac_gym.evaluation import evaluate
 from hpac_gym.model import HPAC
 from hpac_gym.policies import Actor, Closures, PolicyError, PolicyFile, read_policy, write_policy
-from hpac_gym.policies.export import export, read_onnx
+from hpac_gym.policies.export import export
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.policies.made_for import made_for
+from hpac_gym.policies.onnx_model import read_onnx
 from hpac_gym.policies.policy_file import SHIPPED
 from tests.options import called
 

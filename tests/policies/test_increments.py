@@ -6,9 +6,10 @@ import pytest
 
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.policies import LearnedPolicy, PolicyError
-from hpac_gym.policies.export import export, read_onnx
+from hpac_gym.policies.export import export
 from hpac_gym.policies.increments import Increments
 from hpac_gym.policies.loading import load_policy, needed_options
+from hpac_gym.policies.onnx_model import read_onnx
 from hpac_gym.policies.policy_file import SHIPPED
 from hpac_gym.registration import GENTLE
 from tests.policies.episodes import actions_of
