@@ -195,8 +195,7 @@ class Scene:
         hand = self.hand
         item = self.object
         swings = item is not None and item.spec.model is not None
-        pushed = push is not None and item is not None and not self.setup.fixed
-        pushes = push.tolist() if pushed else [None] * len(servo)
+        pushes = [None] * len(servo) if item is None or push is None else push.tolist()
         for step, (angles, speeds, offset, force) in enumerate(
             zip(servo.tolist(), servo_vel.tolist(), wrist.tolist(), pushes, strict=True)
         ):
@@ -219,9 +218,10 @@ class Scene:
             return [], set()
         found = pybullet.getContactPoints(self.object.body, physicsClientId=self.world.client)
         hand = self.hand.body
-        touched = {contact[BODY] for contact in found}
-        of_hand = [contact for contact in found if contact[BODY] == hand and contact[DISTANCE] <= 0]
-        return of_hand, touched - {hand}
+        return (
+            [contact for contact in found if contact[BODY] == hand and contact[DISTANCE] <= 0],
+            {contact[BODY] for contact in found} - {hand},
+        )
 
     def close(self) -> None:
         """Disconnect from all worlds. Closing twice is allowed."""
