@@ -47,15 +47,21 @@ class Camera:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._renderer)
             self._size = view.width, view.height
         camera = mujoco.MjvCamera()
-        option = mujoco.MjvOption()
         camera.lookat[:] = target
         camera.distance = view.distance
         camera.azimuth = view.yaw_deg + 90.0
         camera.elevation = view.pitch_deg
         model.vis.global_.fovy = view.field_of_view_deg
         scene = mujoco.MjvScene(model, MAX_SHAPES)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(model, data, option, mujoco.MjvPerturb(), camera, everything, scene)
+        mujoco.mjv_updateScene(
+            model,
+            data,
+            mujoco.MjvOption(),
+            mujoco.MjvPerturb(),
+            camera,
+            mujoco.mjtCatBit.mjCAT_ALL.value,
+            scene,
+        )
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = (
             False  # shadows take three quarters of the rendering time without a GPU
         )

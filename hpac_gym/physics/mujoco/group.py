@@ -26,7 +26,6 @@ NUMBER = slice(FORCE.stop, FORCE.stop + len(PARTS) + 2)
 """Columns of what is felt in a physics step: tensions of the drives [N]; normal forces in the slots of
 `PARTS` [N]; numbers of contacts of the object with `PARTS`, with its support and with the target."""
 CONTROLS = mujoco.mjtState.mjSTATE_CTRL.value
-PUSHES = mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
 
 
 class Group:
@@ -111,7 +110,7 @@ class Group:
         columns = CONTROLS
         pushed = push is not None and self.at.object >= 0
         if pushed:
-            columns |= PUSHES
+            columns |= mujoco.mjtState.mjSTATE_XFRC_APPLIED.value
             forces = np.zeros((n, steps, model.nbody, 6))
             forces[:, :, self.at.object_body, :3] = push[rows]
             control = np.concatenate([control, forces.reshape(n, steps, -1)], axis=2)
@@ -219,6 +218,5 @@ _LEFT, _RIGHT = (
 """Factors of the products yy, xy, xz, xy, xx, yz, xz, yz and xx, and of those that are added to them:
 zz, zw, yw, zw, zz, xw, yw, xw and yy.
 """
-_DIAGONAL = np.array([1.0, *[-0.0] * 3] * 2 + [1.0])
-"""Ones on the diagonal; adding −0 changes nothing, not even a −0."""
+_DIAGONAL = np.array([1.0, *[-0.0] * 3] * 2 + [1.0])  # adding −0 changes nothing, not even a −0
 _FACTOR = 2.0 * np.array([-1, 1, 1, 1, -1, 1, 1, 1, -1, -1, -1, 1, 1, -1, -1, -1, 1, -1])

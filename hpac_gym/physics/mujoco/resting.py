@@ -88,12 +88,13 @@ class Table:
             Xml.SubElement(world, "geom", type="box", size=half, pos=place, priority="1", **contact)
         body = Xml.SubElement(world, "body", name="object")
         Xml.SubElement(body, "freejoint")
-        numbers = {
-            "pos": exact_text(model.center_of_mass),
-            "mass": repr(model.mass),
-            "fullinertia": exact_text(model.inertia[INERTIA_ENTRIES]),
-        }
-        Xml.SubElement(body, "inertial", numbers)
+        Xml.SubElement(
+            body,
+            "inertial",
+            pos=exact_text(model.center_of_mass),
+            mass=repr(model.mass),
+            fullinertia=exact_text(model.inertia[INERTIA_ENTRIES]),
+        )
         assets = Xml.SubElement(root, "asset")
         for index, solid in enumerate(model.solids):
             shape = {
@@ -217,8 +218,9 @@ def poses_of(model: ObjectModel, friction: float) -> dict[str, Any]:
     raised = [
         (pose, share) for pose, share in poses if needs_stand(pose, model) and on_post.keeps(pose)
     ]
-    numbers = []
-    for pose, share in raised or poses:
-        quaternion = Rotation.from_matrix(pose.rotation).as_quat(canonical=True)
-        numbers.append([*(round(float(value), 6) + 0.0 for value in quaternion), round(share, 3)])
-    return {"stand": bool(raised), "poses": numbers}
+    shares = [
+        (Rotation.from_matrix(pose.rotation).as_quat(canonical=True).tolist(), share)
+        for pose, share in raised or poses
+    ]
+    rows = [[*(round(x, 6) + 0.0 for x in turn), round(share, 3)] for turn, share in shares]
+    return {"stand": bool(raised), "poses": rows}
