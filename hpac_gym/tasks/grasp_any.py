@@ -225,7 +225,8 @@ class GraspAny(Task):
         self.turn = np.zeros(num_worlds)
         self.sides = np.zeros(num_worlds, dtype=int)
         servos = ServoSenses() if self.obs == "load" else None
-        return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET, servos)
+        seen = self.obs == "points"
+        return Senses(num_worlds, noise, self.viewpoint, CAMERA_TARGET, servos, seen)
 
     def setup(self, rng: np.random.Generator, hand: Hand = HPAC) -> SceneSetup:
         return self.setups.draw(rng, hand)

@@ -24,6 +24,12 @@ Rows = NDArray[np.int_] | slice
 """Some of n worlds."""
 
 
+_DRAWN = 320
+"""Number of draws for which the solids of an object are chosen together."""
+_AT_ONCE = 32
+"""Number of points that are drawn before it is asked whether there are enough."""
+
+
 class Skeleton:
     """Capsule models of n hands: three links per digit, then the palm.
 
@@ -205,8 +211,8 @@ def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Arra
     """Uniformly random points of an object's surface [m], and their outward normals, shapes (count,
     3).
 
-    The name is the seed, so that an object always has the same points. Points inside another solid
-    are left out.
+    The name is the seed, so that an object always has the same points, of which fewer are the first
+    ones. Points inside another solid are left out.
 
     Args:
         name: name of the object.
@@ -214,21 +220,19 @@ def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Arra
         count: number of points.
     """
     rng = np.random.default_rng(crc32(name.encode()))
-    points = np.zeros((0, 3))
-    normals = np.zeros((0, 3))
     areas = np.array([_area(solid) for solid in solids])
-    while len(points) < count:
-        chosen = rng.choice(len(solids), 2 * count, p=areas / areas.sum())
-        drawn = [_on_surface(solids[index], rng) for index in chosen]
-        place = np.array([place for place, _ in drawn])
-        normal = np.array([normal for _, normal in drawn])
-        inside = np.any(
-            [_inside(solid, place) & (chosen != index) for index, solid in enumerate(solids)],
-            axis=0,
-        )
-        points = np.concatenate([points, place[~inside]])
-        normals = np.concatenate([normals, normal[~inside]])
-    return points[:count], normals[:count]
+    found = np.zeros((2, 0, 3))
+    while found.shape[1] < count:
+        chosen = rng.choice(len(solids), _DRAWN, p=areas / areas.sum())
+        for part in np.split(chosen, range(_AT_ONCE, _DRAWN, _AT_ONCE)):
+            if found.shape[1] >= count:
+                break
+            drawn = np.array([_on_surface(solids[index], rng) for index in part]).swapaxes(0, 1)
+            inside = [
+                _inside(solid, drawn[0]) & (part != index) for index, solid in enumerate(solids)
+            ]
+            found = np.concatenate([found, drawn[:, ~np.any(inside, axis=0)]], axis=1)
+    return found[0, :count], found[1, :count]
 
 
 def _area(solid: Solid) -> float:

@@ -102,6 +102,7 @@ class Senses:
         view: viewpoint of the camera; it follows the wrist.
         centre: point at which it looks, in the hand frame, shape (3,) [m].
         servos: feedback of the servos; None reads none.
+        points: whether `points` is asked for, which takes more points of an object's surface.
     """
 
     changing = ("_camera", "_rng", "_count", "_seen")
@@ -113,6 +114,7 @@ class Senses:
         view: Viewpoint,
         centre: Array,
         servos: ServoSenses | None = ServoSenses(),
+        points: bool = False,
     ) -> None:
         self._camera = ObjectCamera(num_worlds, noise)
         self._view = view
@@ -120,8 +122,9 @@ class Senses:
         self._servos = servos
         self._skeleton = Skeleton(num_worlds)
         self._eye = np.zeros((num_worlds, 3))
-        self._points = np.zeros((num_worlds, _SPREAD, 3))
-        self._normals = np.zeros((num_worlds, _SPREAD, 3))
+        self._spread = _SPREAD if points else _PROBED
+        self._points = np.zeros((num_worlds, self._spread, 3))
+        self._normals = np.zeros((num_worlds, self._spread, 3))
         self._drives = np.zeros((num_worlds, 7, len(DIGITS)))
         self._rng: list[np.random.Generator | None] = [None] * num_worlds
         self._bias = np.zeros((num_worlds, len(DIGITS)))
@@ -158,8 +161,8 @@ class Senses:
 
     def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
         if spec.model is None:
-            return surface(spec.shape, spec.solid_model.solids, _SPREAD)
-        points, normals = _surface_of(spec.model)
+            return surface(spec.shape, spec.solid_model.solids, self._spread)
+        points, normals = _surface_of(spec.model, self._spread)
         return spec.scale * points, normals
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
@@ -255,8 +258,8 @@ class Senses:
 
 
 @lru_cache(maxsize=256)
-def _surface_of(model: ObjectModel) -> tuple[Array, Array]:
-    return surface(model.name, model.solids, _SPREAD)
+def _surface_of(model: ObjectModel, count: int) -> tuple[Array, Array]:
+    return surface(model.name, model.solids, count)
 
 
 POINTS_BOUND = 10.0

@@ -98,6 +98,13 @@ def test_points_of_a_surface_lie_on_it_and_are_spread_evenly(kind):
     np.testing.assert_allclose(normals.mean(axis=0), 0.0, atol=0.05)
 
 
+def test_fewer_points_of_a_surface_are_the_first_ones():
+    model = load_object_models()["spray_can"]
+    few = surface("spray_can", model.solids, 48)
+    for some, more in zip(few, surface("spray_can", model.solids, 160), strict=True):
+        np.testing.assert_array_equal(some, more[:48])
+
+
 def test_no_point_of_a_surface_is_inside_another_solid():
     model = load_object_models()["spray_can"]
     points, _ = surface("spray_can", model.solids, 500)
@@ -127,7 +134,7 @@ def state_of(setup: SceneSetup, joint_pos: np.ndarray) -> SceneState:
 
 
 def senses(setup: SceneSetup, noise: CameraNoise = CameraNoise(0, 0, 0), **options) -> Senses:
-    made = Senses(1, noise, FRONT, CENTRE, **options)
+    made = Senses(1, noise, FRONT, CENTRE, points=True, **options)
     made.start(0, setup, 1.0, np.random.default_rng(0))
     return made
 
