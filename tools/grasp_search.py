@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from hpac_gym.model import FINGERS, HPAC, JOINT_INDEX, joints_from_synergy
 from hpac_gym.model.checks import Array
-from hpac_gym.tasks.grasp_types import GRASP_TYPES, GraspType
+from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, GraspType
 from tools.type_trials import TypeTrial, run_types
 
 ROOT = Path(__file__).parents[1] / "hpac_gym"

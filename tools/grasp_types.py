@@ -30,7 +30,7 @@ from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import SET_UPS
 from hpac_gym.policies.loading import load_policy
 from hpac_gym.progress import progress
-from hpac_gym.tasks.grasp_types import GRASP_TYPES, data_text
+from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, data_text
 from tools.type_trials import run_types
 
 RESULTS = Path(__file__).parents[1] / "docs" / "grasp_types.json"

@@ -26,7 +26,10 @@ PRICES = {
     "conformance of a device to the wire": ("bridge/evidence",),
     "camera and printed tags": ("camera",),
     "a second engine": ("physics/pybullet", "body/object_urdf.py"),
-    "grasp types": ("tasks/grasp_types.py", "tasks/grasp_rules.py"),
+    "grasp types": tuple(
+        f"tasks/{name}.py"
+        for name in ("grasp_types", "grasp_type_data", "grasp_rules", "grasp_holds", "arrival")
+    ),
     "objects of one's own": ("body/own_objects.py", "physics/mujoco/resting.py"),
     "data sets, ONNX, Stable-Baselines3": (
         *("evaluation/dataset.py", "evaluation/lerobot.py"),

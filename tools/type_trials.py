@@ -18,7 +18,8 @@ from hpac_gym.physics.settings import WorldSettings
 from hpac_gym.physics.simulation import make_engine
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.grasp_data import NamedGrasp
-from hpac_gym.tasks.grasp_types import GraspByType, GraspType
+from hpac_gym.tasks.grasp_type_data import GraspType
+from hpac_gym.tasks.grasp_types import GraspByType
 from hpac_gym.tasks.scripted import CLOSE_TIME
 from hpac_gym.tasks.task import CONTROL_HZ
 
@@ -103,12 +104,12 @@ def run_types(
             if step.number == 0:
                 job[here] = next(jobs)
                 policies[here].grasp = types[job[here]].start
-            hold = task.hold(here)
+            hold = task.holds.hold(here)
             # An episode that ends before the hold gets one sample.
             if (step.over or step.number == close_end) and not hold.looks:
                 episodes = envs.episodes
-                task.look(here, episodes.now.state, episodes.simulation.engine.contacts(here))
-                hold = task.hold(here)
+                task.holds.look(here, episodes.now.state, episodes.simulation.engine.contacts(here))
+                hold = task.holds.hold(here)
             if step.over:
                 yield (
                     job[here],

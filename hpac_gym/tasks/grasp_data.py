@@ -6,7 +6,8 @@ The numbers are in ``data/grasps.toml``; the names are those of the grasp shapes
 
 import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from types import MappingProxyType
@@ -129,14 +130,30 @@ def grasps_from_toml(
         raise ParameterError(f"grasps: {error}") from None
     found = {}
     for name, entry in table.items():
-        try:
+        with refusing(f"grasp {name}"):
             entry = {"closed": closed[name].tolist()} | entry if name in closed else dict(entry)
             found[name] = _grasp(name, entry, models, common)
-        except KeyError as error:
-            raise ParameterError(f"grasp {name}: {error.args[0]} is missing") from None
-        except (TypeError, ValueError) as error:
-            raise ParameterError(f"grasp {name}: {error}") from None
     return found
+
+
+@contextmanager
+def refusing(name: str) -> Iterator[None]:
+    """Refuse a table of that name if a field is missing, unknown or out of bounds.
+
+    Raises:
+        ParameterError: It is.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise ParameterError(f"{name}: {error.args[0]} is missing") from None
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"{name}: {error}") from None
+
+
+def with_tuples(table: Mapping[str, Any]) -> dict[str, Any]:
+    """A table whose lists are tuples."""
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in table.items()}
 
 
 def _grasp(
@@ -158,12 +175,7 @@ def _grasp(
         position=_vector(entry, "position"),
         preshape=_synergy(entry, "preshape"),
         closed=_synergy(entry, "closed"),
-        support=Support(
-            **{
-                key: tuple(v) if isinstance(v, list) else v
-                for key, v in entry.pop("support").items()
-            }
-        ),
+        support=Support(**with_tuples(entry.pop("support"))),
         position_noise=_vector(entry, "position_noise"),
         yaw_noise=float(entry.pop("yaw_noise")),
         held_out=MappingProxyType(held_out),

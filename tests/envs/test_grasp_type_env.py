@@ -11,16 +11,10 @@ from hpac_gym.errors import ParameterError
 from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.model import HPAC
 from hpac_gym.policies.policy import EpisodePolicy
-from hpac_gym.tasks.grasp_types import (
-    GRASP_TYPES,
-    HELD_OUT_TYPES,
-    LOOK_EVERY,
-    SETTLES,
-    START,
-    WRIST_CENTRE,
-    WRIST_REACH,
-    WRIST_TURN,
-)
+from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
+from hpac_gym.tasks.grasp_rules import LOOK_EVERY
+from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, HELD_OUT_TYPES
+from hpac_gym.tasks.grasp_types import SETTLES
 from tests.envs.episodes import EASY, run
 from tools.tables import DOCS
 

@@ -12,7 +12,8 @@ from hpac_gym.envs import Grasp, HandEnv
 from hpac_gym.envs.snapshots import undeclared
 from hpac_gym.errors import EpisodeError
 from hpac_gym.physics.simulation import ENGINES
-from hpac_gym.tasks.grasp_types import GRASP_TYPES, wrist_choice
+from hpac_gym.tasks.arrival import wrist_choice
+from hpac_gym.tasks.grasp_type_data import GRASP_TYPES
 
 GRASP = "HPAC-Grasp-v0"
 PICK_PLACE = "HPAC-PickPlace-v0"

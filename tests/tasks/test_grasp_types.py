@@ -18,20 +18,18 @@ from hpac_gym.model import (
     servo_from_action,
 )
 from hpac_gym.physics.engine import HAND_QUATERNION, matrix_from_quaternion
+from hpac_gym.tasks.arrival import START, in_the_way, wrist_choice
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
-from hpac_gym.tasks.grasp_rules import ASKED, Hold, Hole, Look, Rule
+from hpac_gym.tasks.grasp_holds import Hold, Hole, Look
+from hpac_gym.tasks.grasp_rules import ASKED, Rule
 from hpac_gym.tasks.grasp_setups import quaternion_from_rpy
-from hpac_gym.tasks.grasp_types import (
+from hpac_gym.tasks.grasp_type_data import (
     GRASP_TYPES,
-    START,
     TYPE_SPLITS,
-    GraspByType,
-    GraspTypeConfig,
     data_text,
     grasp_types_from_toml,
-    in_the_way,
-    wrist_choice,
 )
+from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig
 
 NAMES = list(GRASPS)
 TIPS = {
@@ -200,10 +198,12 @@ def test_rules_that_tell_nothing_or_contradict_the_hand_are_refused():
     for changed, message in (
         ({"touch": ("toe",)}, "touch has toe, which is not one of palm, thumb"),
         ({"through": ("palm",)}, "through has palm"),
-        ({"fingers": 5}, "fingers 5 and digits 0 must be 0 to 4"),
-        ({"across": 1.5}, "across 1.5 must be 0 to 1"),
-        ({"press": -1.0}, "press -1.0 N must be at least 0"),
-        ({"axis": "w"}, "axis 'w' must be x, y or z"),
+        ({"fingers": 5}, r"fingers = 5 must be a number within \[0, 4\]"),
+        ({"across": 1.5}, r"across = 1.5 must be a number within \[0, 1\]"),
+        ({"press": -1.0}, r"press = -1.0 must be a number within \[0, inf\["),
+        ({"turn_deg": 0.0}, r"turn_deg = 0.0 must be a number within \]0, inf\["),
+        ({"side": "thumb"}, "side 'thumb' is not one of"),
+        ({"axis": "w"}, "axis 'w' is not one of x, y, z"),
     ):
         with pytest.raises(ParameterError, match=message):
             Rule(**changed)
