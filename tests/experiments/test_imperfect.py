@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.imperfect import (
-    CHOSEN_ON,
+from experiments.imperfect import CHOSEN_ON, judge
+from experiments.imperfect_hands import (
     BuiltDigit,
     ImperfectHand,
     Imperfections,
     Session,
-    judge,
     swept,
     tabulated,
 )
