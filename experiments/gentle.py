@@ -20,7 +20,8 @@ import gymnasium
 import numpy as np
 
 import hpac_gym  # noqa: F401  registers the environments
-from agents.gentle import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD, Hands
+from agents.gentle import Hands
+from agents.gentle_rule import CLOSING, MOVES, PER_RADIAN, RULE, STEPS, UNTOLD
 from hpac_gym.command import run_module
 from hpac_gym.evaluation.episodes import run_episodes, worlds
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED

@@ -6,7 +6,8 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from agents import gentle
-from agents.gentle import LARGEST, RULE, Hands
+from agents.gentle import Hands
+from agents.gentle_rule import LARGEST, RULE
 from experiments.gentle import Feeling, episodes_of, fitted, judge, summary
 from hpac_gym.evaluation.seeds import HELD_OUT_SEED
 from hpac_gym.model import synergy_from_action
