@@ -4,30 +4,29 @@ notice.
 `make -C firmware mutants` makes them all over core and ESP32 port and prints the score; it takes
 tens of minutes. What it has found stands in build/mutants.txt, and a run that was cut short goes on
 from there: a mutant that was noticed is not tried again while its source stays as it is, a survivor
-is. `--sample N` draws N of them. `--controls` tries the named faults below alone, in seconds: the
+is. `--sample N` draws N of them. `--controls` tries the `named_faults` alone, in seconds: the
 negative controls of the tests themselves.
 
-Rules: delete a statement, flip a comparison, exchange `&&` and `||`, delete one operand of them,
-replace an index by 0, add one to a constant, swap two arguments. A mutant that compiles to the same
-object code is no mutant. The judges run in turn, the quickest first, until one notices: the unit
-tests, the hostile host, the flipped bits (core) or the chips that are not there (port); and once
-more with sanitizers."""
+The rules are in `mutations`. A mutant that compiles to the same object code is no mutant. The judges
+run in turn, the quickest first, until one notices: the unit tests, the hostile host, the flipped bits
+(core) or the chips that are not there (port); and once more with sanitizers."""
 
 from __future__ import annotations
 
 import argparse
 import hashlib
 import random
-import re
 import subprocess
 import sys
 import tempfile
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from math import sqrt
 from pathlib import Path
 from threading import Lock
+
+from mutations import Mutant, mutants_of
+from named_faults import CONTROLS
 
 FIRMWARE = Path(__file__).parents[1]
 BOARD = FIRMWARE / "board"
@@ -55,220 +54,8 @@ nothing that the hand does differs. Those are not tried again and left out of th
 count against it."""
 
 
-@dataclass(frozen=True)
-class Mutant:
-    """One fault: `source` with the characters `start` to `end` replaced."""
-
-    source: Path
-    rule: str
-    start: int
-    end: int
-    text: str
-
-    def mutated(self, code: str) -> str:
-        """The source text with the fault in it."""
-        return code[: self.start] + self.text + code[self.end :]
-
-    def describe(self, code: str) -> str:
-        """One line that does not change with line numbers."""
-        begin = code.rfind("\n", 0, self.start) + 1
-        line = self.mutated(code)[
-            begin : code.find("\n", self.end) + len(self.text) - (self.end - self.start)
-        ]
-        return f"{self.source.name}: {self.rule}: {' '.join(line.split())}"
-
-
-_STATEMENT = re.compile(
-    r"^ +(?! |return \S|break|static|const|case|typedef|enum|else|default|\w+ \*?\w+[^;=(]*;)([^;{}#\n]*(?:\n[^;{}#\n]*)*?);",
-    re.M,
-)
-_DECLARATION = re.compile(r"(?:unsigned |const |struct )*\w+ [*]?\w+(?:\[[^]]*\])* =")
-_FLIPS = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "=="}
-_COMPARISON = re.compile(r"(?<=[\w)\]] )(<=|>=|==|!=|<|>)(?= )")
-_LEAST = re.compile(r"(?=\b([\w>.()\[\], -]+?) ([<>]) ([\w>.()\[\], *-]+?) \? \1 : \3)")
-_LOGIC = re.compile(r"(&&|\|\|)")
-_CONSTANT = re.compile(
-    r"(?<![\w.#%\[])(\d+u?l?l?|HPAC_[A-Z_]+(?:MS|US|MV|URAD|URAD_S|PERMILLE|MAX|MIN|SERVO|SERVOS|LENGTH|NS))(?![\w.(])"
-)
-_PARAMETER = re.compile(r"\b\w+_t \*?\w+$")
-_INDEX = re.compile(r"\[((?!0[u]?\])[^\[\]\n]+)\](?! = \{)")
-_CALL = re.compile(r"\b([a-z_]\w*)\(((?:[^(),]|\([^()]*\))+), ((?:[^(),]|\([^()]*\))+)([,)])")
-
-
-def _operands(body: str, start: int, end: int) -> list[tuple[int, int]]:
-    """Spans whose deletion leaves one operand of the `&&` or `||` at `start` to `end`: the operator
-    with the operand before it, and with the one after it.
-    """
-    left = _edge(body, start - 1, -1, "([{,;?:=")
-    right = _edge(body, end, 1, ")]},;?:")
-    return [(left, end), (start, right)]
-
-
-def _edge(body: str, at: int, step: int, stops: str) -> int:
-    """Where an operand ends: at a bracket that it lies in, a stop, or another `&&` or `||`."""
-    depth = 0
-    while 0 < at < len(body) - 1:
-        here = body[at]
-        pair = body[at : at + 2]
-        if depth == 0 and (pair in ("&&", "||") or body[at - 1 : at + 1] in ("&&", "||")):
-            break
-        if here in "([{" if step > 0 else here in ")]}":
-            depth += 1
-        elif (
-            depth == 0 and here in stops and pair not in ("==", "!=") and body[at - 1] not in "=!<>"
-        ):
-            break
-        elif here in ")]}" if step > 0 else here in "([{":
-            depth -= 1
-        elif depth == 0 and step < 0 and re.match(r"\breturn\b", body[at - 5 : at + 1]):
-            break
-        at += step
-    return at if step > 0 else at + 1
-
-
-def mutants_of(source: Path) -> list[Mutant]:
-    """Every mutant of one file."""
-    code = source.read_text()
-    body = re.sub(
-        r"/\*.*?\*/|^#.*?(?<!\\)$|\"[^\"\n]*\"", lambda m: " " * len(m[0]), code, flags=re.M | re.S
-    )
-    # Tables of a CRC.
-    body = re.sub(r"\[(?:16|256)\] = \{.*?\};", lambda m: " " * len(m[0]), body, flags=re.S)
-    found = []
-    for m in _STATEMENT.finditer(body):
-        if not _DECLARATION.match(m[1].strip()) and m[1].count("(") == m[1].count(")"):
-            found.append(
-                Mutant(
-                    source,
-                    "deleted",
-                    m.start(1),
-                    m.end(1),
-                    "/* " + " ".join(code[m.start(1) : m.end(1)].split()) + " */",
-                )
-            )
-    least = [m.start(2) for m in _LEAST.finditer(body)]  # of two equal ones either may be taken
-    found += [
-        Mutant(source, "flipped", m.start(1), m.end(1), _FLIPS[m[1]])
-        for m in _COMPARISON.finditer(body)
-        if m.start(1) not in least
-    ]
-    found += [
-        Mutant(source, "and/or", m.start(1), m.end(1), "||" if m[1] == "&&" else "&&")
-        for m in _LOGIC.finditer(body)
-    ]
-    found += [
-        Mutant(source, "constant", m.start(1), m.end(1), f"({m[1]} + 1)")
-        for m in _CONSTANT.finditer(body)
-    ]
-    found += [
-        Mutant(source, "indexed", m.start(1), m.end(1), "0")
-        for m in _INDEX.finditer(body)
-        if not _PARAMETER.search(body[: m.start()])
-    ]
-    for m in _LOGIC.finditer(body):
-        for start, end in _operands(body, m.start(), m.end()):
-            found.append(Mutant(source, "operand", start, end, ""))
-    for m in _CALL.finditer(body):
-        first = code[m.start(2) : m.end(2)]
-        second = code[m.start(3) : m.end(3)]
-        if first != second and not re.search(
-            r"\n\w[^;{]*$", body[: m.start()]
-        ):  # not a function's own head
-            found.append(Mutant(source, "swapped", m.start(2), m.end(3), f"{second}, {first}"))
-    return found
-
-
 PATIENCE = {"plain": 15, "sanitized": 60}
 """A judge that takes more processor time hangs; the slowest takes a few seconds [s]."""
-
-CONTROLS = [  # name, file, text, replacement, the judge that must notice
-    (
-        "hold: a move runs on after the watchdog",
-        "state",
-        "        hpac_motion_stop(hand);\n    }\n    if",
-        "    }\n    if",
-        "driver",
-    ),
-    (
-        "watchdog: strangers feed it",
-        "dispatch",
-        "    hand->count.accepted++;\n    if",
-        "    hand->heard_us = hand->now_us;\n    if",
-        "driver",
-    ),
-    (
-        "watchdog: the wrong action",
-        "state",
-        "(hpac_action_t)hand->action",
-        "HPAC_ACTION_HOLD",
-        "driver",
-    ),
-    (
-        "relax: too fast",
-        "motion",
-        "limits->rate_urad_s * HPAC_RELAX_PERMILLE",
-        "limits->rate_urad_s * 1000",
-        "driver",
-    ),
-    (
-        "start: two servos at once",
-        "state",
-        "hand->start_left_us = hpac_motion_start_us(hand, i);",
-        ";",
-        "driver",
-    ),
-    (
-        "late tick: the motion jumps",
-        "state",
-        "late_us < room_us ? (uint32_t)late_us : room_us",
-        "(uint32_t)late_us",
-        "driver",
-    ),
-    (
-        "stream: the credit never ends",
-        "motion",
-        "return left + filled - used;",
-        "return credit_max(limits) + filled;",
-        "driver",
-    ),
-    (
-        "e-stop: out of the session",
-        "dispatch",
-        "if (type == HPAC_ESTOP) {\n        estop(hand, seq);\n        return;",
-        "if (type == HPAC_ESTOP && hand->session != 0u) {\n        estop(hand, seq);\n        return;",
-        "driver",
-    ),
-    ("stale: an old number after CLEAR", "state", "    hand->repeatable = false;\n", "", "driver"),
-    (
-        "flipped bit: no slew limit",
-        "motion",
-        "|| credit_now(hand, i) < -(int64_t)ROUNDING_URAD * NRAD_PER_URAD",
-        "",
-        "flips",
-    ),
-    (
-        "flipped bit: no table",
-        "motion",
-        "!within(limits_of(hand, i), hpac_motion_angle(hand, i))\n            ||",
-        "",
-        "flips",
-    ),
-    (
-        "flipped bit: a hold without end",
-        "state",
-        " && hand->safe_until_us <= hand->now_us + longest_us",
-        "",
-        "flips",
-    ),
-    ("flipped bit: state not looked at", "state", "if (!sound(hand)) {", "if (false) {", "flips"),
-    (
-        "flipped bit: clock not looked at",
-        "state",
-        "hand->now_us != ~hand->not_now_us || ",
-        "",
-        "flips",
-    ),
-]
 
 
 class Workshop:
@@ -439,17 +226,14 @@ def judge_all(
             unlisted += line not in known
             print(f"survived: {line}" + (f" | {known[line]}" if line in known else ""))
         tally.setdefault(mutant.source.name, Counter())[verdict or "survived"] += 1
-    total = Counter()
+    tally["all"] = total = sum(tally.values(), Counter())
     print(f"{'file':20} {'mutants':>8} {'noticed':>8} {'survived':>8} {'equivalent':>10}")
-    for name, counts in [*tally.items(), ("all", None)]:
-        counts = counts if counts is not None else total
-        total += counts if counts is not total else Counter()
+    for name, counts in tally.items():
         equivalent = counts["equivalent"] + counts["same"]
         noticed = sum(counts[judge] for judge in (*JUDGES["plain"], *VARIANTS))
         print(
             f"{name:20} {noticed + counts['survived']:8} {noticed:8} {counts['survived']:8} {equivalent:10}"
         )
-    noticed = sum(total[judge] for judge in (*JUDGES["plain"], *VARIANTS))
     share = 100 * noticed / (noticed + total["survived"])
     low, high = wilson(noticed, noticed + total["survived"])
     of = f", a sample: 95 % interval {100 * low:.1f} to {100 * high:.1f} %" if sampled else ""
