@@ -24,8 +24,8 @@ from hpac_gym.model import (
     scaled_hand,
     servo_from_joints,
 )
+from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.checks import Array
-from hpac_gym.model.parameters import Calibration
 from hpac_gym.model.settled import (
     EXTENSION,
     FLEXION,

@@ -15,7 +15,7 @@ from hpac_gym import posture as posture_command
 from hpac_gym.body.geometry import link_poses, load_geometry
 from hpac_gym.bridge import commands
 from hpac_gym.model import HPAC, JOINT_INDEX, POSTURES, joints_from_synergy, posture, reach
-from hpac_gym.model.parameters import Calibration, Friction
+from hpac_gym.model.calibration import Calibration, Friction
 from tests.options import called
 
 GEOMETRY = load_geometry()

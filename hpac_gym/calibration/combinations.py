@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from hpac_gym.model import Digit, Hand
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.checks import Array
-from hpac_gym.model.parameters import Calibration, Friction
 
 TYPICAL_FRICTION = Friction(joint=1e-3, tendon=0.03)
 """Initial friction of the fit: small sealed ball bearings, a braided tendon in polymer guides."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from hpac_gym.envs.options import CALIBRATED
 from hpac_gym.model import DIGITS, HPAC, Hand, load_hand
-from hpac_gym.model.parameters import Calibration, Friction
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.physics.engine import SceneSetup
 
 FILES = Path(__file__).parents[1] / "body" / "data" / "calibrated"

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from hpac_gym.errors import ParameterError
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.joints import DIGITS
-from hpac_gym.model.parameters import Calibration, Digit, Friction, Hand
+from hpac_gym.model.parameters import Digit, Hand
 
 SCHEMA = 1
 """Version of the hand file that this code reads."""

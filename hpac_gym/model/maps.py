@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.checks import Array
 from hpac_gym.model.command import servo_from_action, synergy_from_action
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
-from hpac_gym.model.parameters import Calibration, Hand, unchecked_servo_from_synergy
+from hpac_gym.model.parameters import Hand, unchecked_servo_from_synergy
 from hpac_gym.model.settled import (
     EXTENSION,
     FLEXION,

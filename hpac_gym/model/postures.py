@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hpac_gym.errors import HpacError
+from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.checks import Array, as_finite_vector
 from hpac_gym.model.command import servo_from_joints
 from hpac_gym.model.elasticity import elastic_joints_from_servo
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.joints import FINGERS, JOINT_INDEX, JOINTS
-from hpac_gym.model.parameters import Calibration, Hand
+from hpac_gym.model.parameters import Hand
 from hpac_gym.model.settled import settled_joints_from_servo, settled_servo_from_joints
 from hpac_gym.model.workspace import clip_to_workspace
 

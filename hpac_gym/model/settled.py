@@ -10,11 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hpac_gym.model.calibration import Friction
 from hpac_gym.model.checks import Array, as_bounded_array, as_finite_array
 from hpac_gym.model.files import HPAC
 from hpac_gym.model.guides import chord_from_included, included_from_chord
 from hpac_gym.model.joints import JOINT_INDEX, JOINTS, SERVOS
-from hpac_gym.model.parameters import Digit, Friction, Hand
+from hpac_gym.model.parameters import Digit, Hand
 
 FLEXION = 1.0
 EXTENSION = -1.0

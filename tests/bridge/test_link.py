@@ -41,9 +41,7 @@ from hpac_gym.model import (
     move_duration,
     stream_command,
 )
-from hpac_gym.model.parameters import (
-    Calibration,
-)
+from hpac_gym.model.calibration import Calibration
 from tests.bridge.devices import Device, of_another_version, refusing
 from tools.evidence.sessions import BadTransport
 

@@ -35,7 +35,7 @@ from hpac_gym.camera.angles import turns
 from hpac_gym.camera.detection import Watch
 from hpac_gym.camera.sheet import CHAINS, STRIPS
 from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
-from hpac_gym.model.parameters import Calibration
+from hpac_gym.model.calibration import Calibration
 from hpac_gym.model.settled import settled_joints_from_servo
 
 SHORT = Protocol(points=9, seconds_per_point=1.0, hold=0.5, rest=1.0, both_directions=True)

@@ -36,7 +36,7 @@ from hpac_gym.model import (
     load_hand,
     servo_from_joints,
 )
-from hpac_gym.model.parameters import Friction
+from hpac_gym.model.calibration import Friction
 from hpac_gym.model.settled import (
     EXTENSION,
     digit_statics,

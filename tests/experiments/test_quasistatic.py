@@ -17,7 +17,7 @@ from hpac_gym.model import (
     rigid_joints_from_servo,
     scaled_hand,
 )
-from hpac_gym.model.parameters import Calibration, Friction
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.settled import EXTENSION, settled_joints_from_servo
 
 SERVO = np.linspace(HPAC.servo_min, HPAC.servo_max, 21)

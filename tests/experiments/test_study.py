@@ -19,7 +19,7 @@ from hpac_gym.calibration.processing import points, processed
 from hpac_gym.calibration.record import concatenate
 from hpac_gym.figures import label
 from hpac_gym.model import HPAC, JOINTS
-from hpac_gym.model.parameters import Calibration, Friction
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.settled import EXTENSION, FLEXION, settled_joints_from_servo
 from tests.options import parsed
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hpac_gym.model import HPAC, SERVOS, elastic_joints_from_servo, servo_from_action
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.joints import JOINT_INDEX
 from hpac_gym.model.maps import CommandMap
-from hpac_gym.model.parameters import Calibration, Friction
 from hpac_gym.model.settled import settled_joints_from_servo
 
 ZEROS = (-0.08, 0.03, -0.05, 0.02, -0.1, 0.04)

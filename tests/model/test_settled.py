@@ -20,8 +20,8 @@ from hpac_gym.model import (
     scaled_hand,
     servo_from_joints,
 )
+from hpac_gym.model.calibration import Calibration, Friction
 from hpac_gym.model.files import hand_from_toml
-from hpac_gym.model.parameters import Calibration, Friction
 from hpac_gym.model.settled import (
     EXTENSION,
     FLEXION,
