@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from hpac_gym.body.object_models import FIELDS, ObjectModel, bounds_of, object_model, solids_from
+from hpac_gym.body.object_models import FIELDS, ObjectModel, object_model, solids_from
 from hpac_gym.body.object_sets import SPAN, difference
+from hpac_gym.body.solids import bounds_of
 
 SEED = 20261122
 MIN_MASS = 0.008

@@ -11,7 +11,8 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from hpac_gym.body.object_models import ObjectModel, Solid, load_object_models
+from hpac_gym.body.object_models import ObjectModel, load_object_models
+from hpac_gym.body.solids import Solid
 from hpac_gym.body.urdf import HEADER, add_inertial, add_shape, text_of
 from hpac_gym.errors import HpacError
 from hpac_gym.model.checks import Array

@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from hpac_gym.body.object_models import ObjectModel, Solid, load_object_models
+from hpac_gym.body.object_models import ObjectModel, load_object_models
+from hpac_gym.body.solids import Solid
 
 Shape = Literal["cylinder", "box", "sphere"]
 SHAPES: tuple[Shape, ...] = ("cylinder", "box", "sphere")
@@ -73,16 +74,7 @@ class ObjectSpec:
             name = f"own {self.shape}"
             return ObjectModel(name, name, (x, y, z), self.mass, self.shape, GREY, (solid,))
         heavier = self.mass / self.model.mass
-        solids = tuple(
-            replace(
-                solid,
-                mass=heavier * solid.mass,
-                size=tuple(self.scale * side for side in solid.size),
-                center=self.scale * solid.center,
-                inner_radius=self.scale * solid.inner_radius,
-            )
-            for solid in self.model.solids
-        )
+        solids = tuple(solid.scaled(self.scale, heavier) for solid in self.model.solids)
         size = tuple(self.scale * side for side in self.model.size)
         return replace(self.model, mass=self.mass, size=size, solids=solids)
 

@@ -18,8 +18,9 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from hpac_gym.body.geometry import rotation_about, rotation_from_rpy
-from hpac_gym.body.object_models import Hull, ObjectModel, Solid, bounds_of
+from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.objects import GREY, ObjectSpec
+from hpac_gym.body.solids import Hull, Solid, bounds_of
 from hpac_gym.errors import ParameterError, install
 from hpac_gym.model.checks import Array
 from hpac_gym.output import write_text
@@ -108,7 +109,7 @@ def own_object(
     if mass is None:
         raise ParameterError(f"'{path}' says no mass: give one in kg")
     _check_positive(path, "mass", mass, MAX_MASS)
-    return _spec(path, [_moved(solid, _UP[up], np.zeros(3)) for solid in solids], mass, friction)
+    return _spec(path, [solid.moved(_UP[up]) for solid in solids], mass, friction)
 
 
 def as_object(given: ObjectSpec | Mapping[str, Any]) -> ObjectSpec:
@@ -158,13 +159,6 @@ def _spec(path: Path, solids: list[Solid], mass: float, friction: float) -> Obje
     x, y, z = size.tolist()
     model = ObjectModel(path.stem, f"own object {path.name}", (x, y, z), mass, "box", GREY, parts)
     return ObjectSpec("box", model.half_extents, mass, friction, model)
-
-
-def _moved(solid: Solid, rotation: Array, place: Array) -> Solid:
-    """A solid rotated about the origin, then translated."""
-    return replace(
-        solid, center=rotation @ solid.center + place, rotation=rotation @ solid.rotation
-    )
 
 
 # Meshes ------------------------------------------------------------------------
@@ -269,17 +263,18 @@ def _of_urdf(path: Path, scale: float, how: _Decomposition) -> tuple[list[Solid]
     """
     try:
         robot = Xml.parse(path).getroot()
-        solids, mass = _of_links(path, robot, how)
+        solids = _of_links(path, robot, how)
+        mass = sum(float(entry.get("value")) for entry in robot.findall("link/inertial/mass"))
     except ParameterError:
         raise
     except (Xml.ParseError, AttributeError, IndexError, TypeError, ValueError) as error:
         raise ParameterError(f"'{path}' is not a URDF: {error}") from None
     if not solids:
         raise ParameterError(f"'{path}' has no collision shape")
-    return [_scaled(solid, scale) for solid in solids], mass or None
+    return [solid.scaled(scale, scale**3) for solid in solids], mass or None
 
 
-def _of_links(path: Path, robot: Xml.Element, how: _Decomposition) -> tuple[list[Solid], float]:
+def _of_links(path: Path, robot: Xml.Element, how: _Decomposition) -> list[Solid]:
     parents = {}
     for joint in robot.findall("joint"):
         if joint.get("type") != "fixed":
@@ -288,7 +283,6 @@ def _of_links(path: Path, robot: Xml.Element, how: _Decomposition) -> tuple[list
             )
         parents[joint.find("child").get("link")] = joint.find("parent").get("link"), *_origin(joint)
     solids = []
-    mass = 0.0
     for link in robot.findall("link"):
         rotation = np.eye(3)
         place = np.zeros(3)
@@ -302,18 +296,14 @@ def _of_links(path: Path, robot: Xml.Element, how: _Decomposition) -> tuple[list
             raise ParameterError(f"joints of '{path}' form a ring through link {name!r}")
         for shape in link.findall("collision"):
             turn, offset = _origin(shape)
-            of_shape = _of_geometry(path, shape.find("geometry")[0], how)
-            for solid in of_shape:
-                if not np.all(np.array(solid.size) > 0):
+            for solid in _of_geometry(path, shape.find("geometry")[0], how):
+                if not all(side > 0 for side in solid.size):
                     sides = " x ".join(f"{side:g}" for side in solid.size)
                     raise ParameterError(
                         f"a {solid.kind} of '{path}' is {sides} m: sides must be greater than 0 m"
                     )
-            solids += [
-                _moved(solid, rotation @ turn, rotation @ offset + place) for solid in of_shape
-            ]
-        mass += sum(float(entry.get("value")) for entry in link.findall("inertial/mass"))
-    return solids, mass
+                solids.append(solid.moved(rotation @ turn, rotation @ offset + place))
+    return solids
 
 
 def _origin(element: Xml.Element) -> tuple[Array, Array]:
@@ -351,14 +341,6 @@ def _of_geometry(path: Path, form: Xml.Element, how: _Decomposition) -> list[Sol
         "capsule": (length + wide, ball + tube),
     }[form.tag]
     return [Solid(form.tag, volume, (wide, wide, whole), np.zeros(3), np.eye(3))]
-
-
-def _scaled(solid: Solid, scale: float) -> Solid:
-    x, y, z = (scale * side for side in solid.size)
-    hull = None if solid.hull is None else Hull(scale * solid.hull.vertices, solid.hull.faces)
-    return replace(
-        solid, mass=scale**3 * solid.mass, size=(x, y, z), center=scale * solid.center, hull=hull
-    )
 
 
 def _numbers(text: str) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from hpac_gym.body.geometry import Array, Box, Capsule, Geometry, Phalanx, Vector
-from hpac_gym.body.object_models import principal_inertia
+from hpac_gym.body.solids import principal_inertia
 from hpac_gym.model import HPAC, JOINTS
 
 HAND_URDF = "hpac_hand.urdf"
