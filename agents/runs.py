@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from agents import POLICY, RunError
-from agents.curves import BOARD, CURVE, PAGE, PICTURE, RESULTS
+from agents.curves import PAGE, PICTURE, RESULTS
+from agents.progress import BOARD, CURVE
 from agents.recipes import Recipe, settings_of
 from hpac_gym.evaluation.environment import other_versions, versions
 

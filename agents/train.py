@@ -21,7 +21,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents import POLICY, RecipeError, RunError, target_of
-from agents.curves import CURVE, Progress, drop_rows_after, report
+from agents.curves import report
+from agents.progress import CURVE, Progress, drop_rows_after
 from agents.recipes import (
     RECIPES,
     Recipe,

@@ -204,7 +204,8 @@ def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC
     """
     travel = target - servo
     duration = (np.abs(travel) / hand.servo_rate_limit).max(axis=-1, keepdims=True)
-    return servo + period / np.maximum(duration, period) * travel
+    within: Array = servo + period / np.maximum(duration, period) * travel
+    return within
 
 
 def stream_command(

@@ -3,7 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from agents.curves import Progress, drop_rows_after, read_curve, report
+from agents.curves import read_curve, report
+from agents.progress import Progress, drop_rows_after
 
 
 def go_on(folder, done: int, end: int) -> None:

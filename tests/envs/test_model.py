@@ -6,10 +6,10 @@ from dataclasses import replace
 import gymnasium
 import numpy as np
 import pytest
-from hpac_gym.model.calibration import Calibration
 
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import HPAC, JOINT_INDEX, SERVOS, hand_to_toml
+from hpac_gym.model.calibration import Calibration
 from hpac_gym.policies.loading import load_policy
 
 ROOTS = [JOINT_INDEX[name] for name in SERVOS]
