@@ -95,11 +95,11 @@ class Servos:
         moved = np.empty_like(told)
         least = -self._reach
         horn = self.horn
-        for step, there in enumerate(told):
+        for there, way, after in zip(told, moved, angle, strict=True):
             error = there - horn
-            way = np.minimum(np.maximum(error, least), self._reach, out=moved[step])
+            np.minimum(np.maximum(error, least), self._reach, out=way)
             way[np.abs(error) <= self._dead_band] = 0.0
-            horn = np.add(horn, way, out=angle[step])
+            horn = np.add(horn, way, out=after)
         self.horn = horn.copy()
         angle += self.zero
         moved /= self._dt
