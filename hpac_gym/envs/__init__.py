@@ -14,9 +14,9 @@ from hpac_gym.tasks.grasp_any import GraspAny
 from hpac_gym.tasks.grasp_any_setups import GraspAnyConfig, GraspAnySetup
 from hpac_gym.tasks.grasp_data import GRASPS, GraspError
 from hpac_gym.tasks.grasp_types import GraspByType, GraspTypeConfig, GraspTypeSetup
-from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig, ScriptedPickPlace
+from hpac_gym.tasks.pick_place import PickPlace, PickPlaceConfig
 from hpac_gym.tasks.posture import Posture, PostureConfig
-from hpac_gym.tasks.scripted import ScriptedClosure
+from hpac_gym.tasks.scripted import ScriptedClosure, ScriptedPickPlace
 
 register_all()
 

@@ -243,16 +243,12 @@ class GoalRewards:
     def compute_terminated(
         self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
     ) -> NDArray[np.bool_]:
-        """Always False: a posture that is reached has to be held."""
+        """Always False: a posture that is reached has to be held, and only the time limit truncates."""
         return np.zeros(
             np.broadcast_shapes(np.shape(achieved_goal), np.shape(desired_goal))[:-1], dtype=bool
         )[()]
 
-    def compute_truncated(
-        self, achieved_goal: NDArray, desired_goal: NDArray, info: Any
-    ) -> NDArray[np.bool_]:
-        """Always False: only the time limit truncates an episode."""
-        return self.compute_terminated(achieved_goal, desired_goal, info)
+    compute_truncated = compute_terminated
 
 
 class GoalEnv(HandEnv):

@@ -34,7 +34,6 @@ class Wrists:
                 f"physics_hz = {rate} Hz must be a multiple of {CONTROL_HZ} Hz, the rate of the commands"
             )
         self._task = task
-        self._pushes = type(task).push is not Task.push
         self._substeps = rate // CONTROL_HZ
         times = np.cumsum(np.full(round(task.duration * CONTROL_HZ) * self._substeps, dt))
         self.times = tuple(times.tolist())
@@ -62,5 +61,4 @@ class Wrists:
         """
         step = np.minimum(self.step, len(self._clock) - 1)
         self.step += 1
-        push = self._task.push(self._clock[step]) if self._pushes else None
-        return self._way[self._worlds, step], push
+        return self._way[self._worlds, step], self._task.push(self._clock[step])

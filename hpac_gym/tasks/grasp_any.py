@@ -40,12 +40,11 @@ from hpac_gym.tasks.task import (
     FAILURE,
     SUCCESS,
     Task,
-    contact_scores,
+    contact_score,
     effort_term,
     judged,
     outcome_term,
     paid_where,
-    touching_set,
 )
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
@@ -104,7 +103,7 @@ class Closing:
     changing = ("gained", "pushed", "_touch", "_distance")
 
     def __init__(self, num_worlds: int, config: GraspAnyConfig) -> None:
-        self._scores = contact_scores(config.weights)
+        self._score = contact_score(config.weights)
         self._reach = config.reach
         self.gained, self.pushed, self._touch, self._distance = np.zeros((4, num_worlds))
 
@@ -115,7 +114,7 @@ class Closing:
 
     def follow(self, touching: NDArray[np.bool_], moved: Array) -> None:
         """Advance by one control step, for `SceneState.touching` and `Grip.moved`."""
-        touch = self._scores.take(touching_set(touching))
+        touch = self._score(touching)
         distance = np.minimum(moved / self._reach, 1.0)
         self.gained = touch - self._touch
         self.pushed = distance - self._distance

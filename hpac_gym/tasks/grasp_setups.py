@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hpac_gym.body.objects import ObjectSpec, Support
+from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model import HPAC, Hand
-from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup
 from hpac_gym.settings import check_bounds, setting
 from hpac_gym.tasks.grasp_data import NamedGrasp, Variant
@@ -116,6 +115,7 @@ def setup_of_grasp(
         variant.scale,
     )
     noise = spread * rng.uniform(-1.0, 1.0, 4)
+    gap = grasp.support.gap and tuple((np.array(grasp.support.gap) * variant.scale).tolist())
     return SceneSetup(
         spec,
         np.array(grasp.position) + noise[:3] * grasp.position_noise,
@@ -124,7 +124,7 @@ def setup_of_grasp(
         hand,
         hand_quaternion=quaternion_from_rpy(grasp.hand_rpy),
         object_quaternion=quaternion_from_rpy(grasp.object_rpy),
-        support=_scaled(grasp.support, variant.scale),
+        support=replace(grasp.support, gap=gap),
     )
 
 
@@ -132,9 +132,3 @@ def quaternion_from_rpy(rpy: tuple[float, float, float]) -> tuple[float, float, 
     """The quaternion xyzw of URDF's fixed-axis roll, pitch, yaw: Rz(yaw) Ry(pitch) Rx(roll)."""
     x, y, z, w = Rotation.from_euler("xyz", rpy).as_quat().tolist()
     return x, y, z, w
-
-
-def _scaled(support: Support, scale: float) -> Support:
-    """The support with the distance between its walls scaled like the object."""
-    gap: Array | None = None if support.gap is None else np.array(support.gap) * scale
-    return replace(support, gap=None if gap is None else tuple(gap.tolist()))

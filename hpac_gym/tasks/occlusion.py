@@ -2,7 +2,6 @@
 the hand.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 from zlib import crc32
 
@@ -22,12 +21,6 @@ visible.
 
 Rows = NDArray[np.int_] | slice
 """Some of n worlds."""
-
-
-_DRAWN = 320
-"""Number of draws for which the solids of an object are chosen together."""
-_AT_ONCE = 32
-"""Number of points that are drawn before it is asked whether there are enough."""
 
 
 class Skeleton:
@@ -207,9 +200,10 @@ def covered(
     return found
 
 
-def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Array]:
+@lru_cache(maxsize=256)
+def surface(name: str, solids: tuple[Solid, ...], count: int) -> tuple[Array, Array]:
     """Uniformly random points of an object's surface [m], and their outward normals, shapes (count,
-    3).
+    3), read-only.
 
     The name is the seed, so that an object always has the same points, of which fewer are the first
     ones. Points inside another solid are left out.
@@ -223,8 +217,8 @@ def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Arra
     areas = np.array([_area(solid) for solid in solids])
     found = np.zeros((2, 0, 3))
     while found.shape[1] < count:
-        chosen = rng.choice(len(solids), _DRAWN, p=areas / areas.sum())
-        for part in np.split(chosen, range(_AT_ONCE, _DRAWN, _AT_ONCE)):
+        # Chosen for many points at a time, which are then drawn as far as they are needed.
+        for part in np.split(rng.choice(len(solids), 320, p=areas / areas.sum()), 10):
             if found.shape[1] >= count:
                 break
             drawn = np.array([_on_surface(solids[index], rng) for index in part]).swapaxes(0, 1)
@@ -232,6 +226,7 @@ def surface(name: str, solids: Sequence[Solid], count: int) -> tuple[Array, Arra
                 _inside(solid, drawn[0]) & (part != index) for index, solid in enumerate(solids)
             ]
             found = np.concatenate([found, drawn[:, ~np.any(inside, axis=0)]], axis=1)
+    found.setflags(write=False)
     return found[0, :count], found[1, :count]
 
 

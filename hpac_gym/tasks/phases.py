@@ -1,4 +1,4 @@
-"""The phases of a grasp and the wrist's path through them."""
+"""The phases of a grasp, and of a pick and place, and the wrist's path through them."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -65,6 +65,75 @@ class Timetable:
         return tuple(offset)
 
 
+@dataclass(frozen=True, slots=True)
+class PickPlaceTimetable:
+    """Durations of the moves [s], and path of the wrist: sideways to the object, up, across, down,
+    and back.
+
+    Raises:
+        ValueError: A duration that is not positive.
+    """
+
+    carry: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Displacement from the object's initial position to the target, in the world [m]."""
+    reach_time: float = 0.6
+    close_time: float = 1.2
+    lift_time: float = 0.6
+    carry_time: float = 0.8
+    lower_time: float = 0.5
+    release_time: float = 0.8
+    retreat_time: float = 0.6
+    rest_time: float = 0.4
+    reach: tuple[float, float, float] = (0.04, 0.12, 0.0)
+    """Displacement to the object, and reversed at the end, in the world [m]."""
+    lift_height: float = 0.10
+    """Height of the lift [m]."""
+    clearance: float = 0.003
+    """Height above the target at which the object is released [m]."""
+
+    def __post_init__(self) -> None:
+        if not min(self.durations) > 0:
+            raise ValueError(f"durations of {self} must be greater than 0 s")
+
+    @property
+    def durations(self) -> tuple[float, ...]:
+        """Durations of reach, close, lift, carry, lower, release, retreat and rest [s]."""
+        return (
+            self.reach_time,
+            self.close_time,
+            self.lift_time,
+            self.carry_time,
+            self.lower_time,
+            self.release_time,
+            self.retreat_time,
+            self.rest_time,
+        )
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """End times of `durations` [s]."""
+        return tuple(np.cumsum(self.durations).tolist())
+
+    def wrist_path(self, times: tuple[float, ...]) -> Array:
+        """Offset of the wrist in the world at times [s], shape (len(times), 3) [m]: one
+        minimum-jerk profile per move.
+        """
+        offset = np.zeros((len(times), 3))
+        ends = self.ends
+        reach = np.array(self.reach)
+        up = np.array([0.0, 0.0, self.lift_height])
+        moves = (  # start time [s], duration [s] and displacement, shape (3,) [m]
+            (0.0, self.reach_time, reach),
+            (ends[1], self.lift_time, up),
+            (ends[2], self.carry_time, np.array(self.carry)),
+            (ends[3], self.lower_time, np.array([0.0, 0.0, self.clearance]) - up),
+            (ends[5], self.retreat_time, -reach),
+        )
+        for begin, duration, way in moves:
+            offset += _shares(begin, duration, times)[:, None] * way
+        return offset
+
+
 @lru_cache(maxsize=16)
 def wrist_table(timetable: Timetable, times: tuple[float, ...]) -> Array:
     """`Timetable.wrist_offset` at times [s], shape (len(times), 3) [m]."""
@@ -102,3 +171,9 @@ def _swing(share: float) -> float:
 
 _SWING_PEAK = 3**1.5 / 8
 """Maximum of sin 2πs · sin² πs, at s = 1/3."""
+
+
+@lru_cache(maxsize=64)
+def _shares(begin: float, duration: float, times: tuple[float, ...]) -> Array:
+    """Completed fractions, at times [s], of a move with a start time [s] and a duration [s]."""
+    return np.array([moved((time - begin) / duration) for time in times])

@@ -5,7 +5,7 @@ how to close and open.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,25 +13,17 @@ from numpy.typing import NDArray
 
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.errors import ParameterError
-from hpac_gym.model import HPAC, SERVO_INDEX, Hand, action_from_synergy
+from hpac_gym.model import HPAC, Hand
 from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
-from hpac_gym.settings import settings_from
+from hpac_gym.settings import check_bounds, setting, settings_from
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp_setups import PALM_SURFACE
 from hpac_gym.tasks.grip import lengths
 from hpac_gym.tasks.options import config_option
-from hpac_gym.tasks.phases import CONTROL_HZ, phase_at
-from hpac_gym.tasks.pick_place_setups import (
-    CLOSE,
-    LIFT,
-    PHASES,
-    PLACE,
-    PickPlaceConfig,
-    PickPlaceTimetable,
-)
+from hpac_gym.tasks.phases import PickPlaceTimetable, phase_at
 from hpac_gym.tasks.privileged import PRIVILEGED_TERMS
-from hpac_gym.tasks.scripted import Script
+from hpac_gym.tasks.scripted import ScriptedPickPlace
 from hpac_gym.tasks.task import (
     FAILURE,
     RUNNING,
@@ -55,13 +47,88 @@ from hpac_gym.tasks.terms import (
     progress_terms,
 )
 
-PLACE_TIME = 0.9
-PLACE_CLOSED = 0.56
-PLACE_THUMB = 0.9
-PLACE_OPPOSED = 1.04
-"""Closure for pick and place: duration from open to closed [s], fraction of the fingers' full
-closure, MP of the closed thumb [rad] and constant CMC [rad]; a hand that closes less releases
-sooner."""
+PHASES = ("reach", "close", "lift", "place")
+REACH, CLOSE, LIFT, PLACE = range(4)
+
+
+@dataclass(frozen=True, slots=True)
+class PickPlaceWeights:
+    """Weights of the dense reward terms."""
+
+    thumb: float = 0.1
+    finger: float = 0.05
+    opposed: float = 0.2
+    push: float = -0.3
+    carry: float = 0.5
+    effort: float = -0.01
+    success: float = 20.0
+    failure: float = -5.0
+    place: float = 0.5
+    release: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PickPlaceConfig:
+    """Uniform sampling ranges of an episode, success criteria, and reward weights.
+
+    Raises:
+        ParameterError: A number or a range leaves its bounds.
+    """
+
+    radius: tuple[float, float] = setting(
+        (0.020, 0.028), "radius of a cylinder, half-width of a box [m]", bounds=(0.002, 0.06)
+    )
+    half_height: tuple[float, float] = setting(
+        (0.068, 0.080),
+        "half-height, tall enough for the hand to clear the object's support [m]",
+        bounds=(0.005, 0.15),
+    )
+    mass: tuple[float, float] = setting((0.05, 0.20), "mass of the object [kg]", bounds=(1e-3, 2.0))
+    friction: tuple[float, float] = setting(
+        (0.6, 1.0),
+        "Coulomb coefficient of the object's surface; the hand's skin multiplies it by 0.9",
+        bounds=(0.05, 3.0),
+    )
+    gap: tuple[float, float] = setting(
+        (0.006, 0.015),
+        "distance from the palm to the object, once the wrist has reached it [m]",
+        bounds=(0.0, 0.1),
+    )
+    towards_thumb: tuple[float, float] = setting(
+        (-0.005, 0.010),
+        "place of the object's centre along y of the hand frame [m]",
+        bounds=(-0.1, 0.1),
+    )
+    beyond_wrist: tuple[float, float] = setting(
+        (0.105, 0.125),
+        "place of the object's centre along z of the hand frame, once the wrist has reached it [m]",
+        bounds=(0.02, 0.25),
+    )
+    carry_forward: tuple[float, float] = setting(
+        (-0.04, 0.08), "target offset along the fingers [m]", bounds=(-0.3, 0.3)
+    )
+    carry_aside: tuple[float, float] = setting(
+        (0.16, 0.24), "target offset along the palm's normal [m]", bounds=(0.07, 0.4)
+    )
+    thumb_preshape: float = setting(
+        1.2, "initial CMC, at which the thumb opposes the fingers [rad]", bounds=(0.0, 1.57)
+    )
+    drop_distance: float = setting(
+        0.06,
+        "displacement from its intended place beyond which an object is dropped [m]",
+        bounds=(5e-3, 1.0),
+    )
+    tolerance: float = setting(
+        0.03, "largest horizontal distance from the target [m]", bounds=(1e-3, 0.2)
+    )
+    upright: float = setting(
+        0.05, "largest tilt of an object that stands [rad]", bounds=(1e-3, 1.57)
+    )
+    timetable: PickPlaceTimetable = field(default_factory=PickPlaceTimetable)
+    weights: PickPlaceWeights = field(default_factory=PickPlaceWeights)
+
+    def __post_init__(self) -> None:
+        check_bounds(self, "config")
 
 
 class PickPlace(Task):
@@ -232,23 +299,3 @@ class PickPlace(Task):
     def _set_down(self, now: Moment) -> Array:
         weights = self.config.weights
         return weights.place + weights.release * ~now.state.touching.any(axis=1)
-
-
-class ScriptedPickPlace(Script):
-    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its
-    target.
-    """
-
-    def __init__(self, timetable: PickPlaceTimetable) -> None:
-        self._close = timetable.ends[0]
-        self._open = timetable.ends[4]
-
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action, shape (6,); the observation is ignored."""
-        self._time += 1 / CONTROL_HZ
-        closed = PLACE_CLOSED * HPAC.synergy_max
-        closed[SERVO_INDEX["thumb_mp"]] = PLACE_THUMB
-        share = min(max((self._time - self._close) / PLACE_TIME, 0.0), 1.0)
-        synergy = closed * (share if self._time < self._open else 0.0)
-        synergy[SERVO_INDEX["thumb_cmc"]] = PLACE_OPPOSED
-        return action_from_synergy(synergy).astype(np.float32)

@@ -205,13 +205,11 @@ class ScriptedPosture(Script):
     motion in progress is not corrected as an error.
 
     Args:
-        gain: fraction of the driven joints' errors that each step adds to the command.
         near: largest distance of the command from the goal at which it is corrected [rad]; 0:
             never, a constant action.
     """
 
-    def __init__(self, gain: float = POSTURE_GAIN, near: float = POSTURE_NEAR) -> None:
-        self._gain = gain
+    def __init__(self, near: float = POSTURE_NEAR) -> None:
         self._near = near
 
     def act(self, observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -222,7 +220,7 @@ class ScriptedPosture(Script):
         )
         command = observation["observation"][..., _COMMANDED].astype(float)
         synergy = np.where(
-            np.abs(command - goal) < self._near, command + self._gain * (goal - reached), goal
+            np.abs(command - goal) < self._near, command + POSTURE_GAIN * (goal - reached), goal
         )
         return action_from_synergy(np.clip(synergy, HPAC.synergy_min, HPAC.synergy_max)).astype(
             np.float32

@@ -1,5 +1,5 @@
 """Scripted policies: simple baselines that a learned policy has to beat. A task makes its own
-(`Task.script`); those of one task only are beside it.
+(`Task.script`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpac_gym.model import HPAC, SERVO_INDEX, action_from_synergy
 from hpac_gym.tasks.grasp_data import NamedGrasp
-from hpac_gym.tasks.phases import CONTROL_HZ
+from hpac_gym.tasks.phases import CONTROL_HZ, PickPlaceTimetable
 from hpac_gym.tasks.terms import LENGTH_UNIT, Layout, Term
 
 CLOSE_TIME = 0.8
@@ -23,6 +23,13 @@ THUMB_OPPOSED = 1.2
 THUMB_TIME = 0.7
 OPPOSED_TIME = 0.3
 """Closing times of the thumb's MP and CMC in `ScriptedGraspAny` [s]."""
+PLACE_TIME = 0.9
+PLACE_CLOSED = 0.56
+PLACE_THUMB = 0.9
+PLACE_OPPOSED = 1.04
+"""Closure for pick and place: duration from open to closed [s], fraction of the fingers' full
+closure, MP of the closed thumb [rad] and constant CMC [rad]; a hand that closes less releases
+sooner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,3 +163,23 @@ class ScriptedGraspAny(Script):
         else:
             width = abs(along @ up) * z + np.sqrt(max(1 - (along @ up) ** 2, 0.0)) * x
         return beside, int(np.searchsorted(ANY_WIDTHS, 2 * width))
+
+
+class ScriptedPickPlace(Script):
+    """Closes as `ScriptedClosure` once the wrist has arrived, and opens once the object is over its
+    target.
+    """
+
+    def __init__(self, timetable: PickPlaceTimetable) -> None:
+        self._close = timetable.ends[0]
+        self._open = timetable.ends[4]
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action, shape (6,); the observation is ignored."""
+        self._time += 1 / CONTROL_HZ
+        closed = PLACE_CLOSED * HPAC.synergy_max
+        closed[SERVO_INDEX["thumb_mp"]] = PLACE_THUMB
+        share = min(max((self._time - self._close) / PLACE_TIME, 0.0), 1.0)
+        synergy = closed * (share if self._time < self._open else 0.0)
+        synergy[SERVO_INDEX["thumb_cmc"]] = PLACE_OPPOSED
+        return action_from_synergy(synergy).astype(np.float32)

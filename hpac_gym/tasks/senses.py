@@ -4,12 +4,10 @@ their load.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpac_gym.body.object_models import ObjectModel
 from hpac_gym.body.objects import ObjectSpec
 from hpac_gym.model import DIGITS, JOINT_INDEX, SERVOS
 from hpac_gym.model.checks import Array
@@ -160,9 +158,9 @@ class Senses:
         self._count[world] = 0
 
     def _surface(self, spec: ObjectSpec) -> tuple[Array, Array]:
-        if spec.model is None:
-            return surface(spec.shape, spec.solid_model.solids, self._spread)
-        points, normals = _surface_of(spec.model, self._spread)
+        model = spec.model or spec.solid_model
+        name = spec.shape if spec.model is None else model.name
+        points, normals = surface(name, model.solids, self._spread)
         return spec.scale * points, normals
 
     def look(self, state: SceneState, worlds: Iterable[int]) -> dict[str, Array]:
@@ -255,11 +253,6 @@ class Senses:
         found[..., :3] = places / LENGTH_UNIT * mask[:, :, None]
         found[..., 3] = mask
         return np.clip(found, -POINTS_BOUND, POINTS_BOUND)
-
-
-@lru_cache(maxsize=256)
-def _surface_of(model: ObjectModel, count: int) -> tuple[Array, Array]:
-    return surface(model.name, model.solids, count)
 
 
 POINTS_BOUND = 10.0

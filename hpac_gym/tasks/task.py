@@ -184,20 +184,17 @@ FINGER_PARTS = slice(PARTS.index(FINGERS[0]), PARTS.index(FINGERS[-1]) + 1)
 THUMB_PART = PARTS.index("thumb")
 
 
-def contact_scores(weights: Weights) -> Array:
-    """Scores of all sets of parts that may touch the object, for `touching_set`."""
-    sets = np.arange(1 << 8, dtype=np.uint8)[:, None]
+def contact_score(weights: Weights) -> Callable[[NDArray[np.bool_]], Array]:
+    """Score of the parts that touch the object, shape (n,), as a function of
+    `SceneState.touching`.
+    """
+    sets = np.arange(1 << 8, dtype=np.uint8)[:, None]  # all that packbits makes of six parts
     touching = np.unpackbits(sets, axis=1, count=len(PARTS)).astype(bool)
     fingers = touching[:, FINGER_PARTS].sum(axis=1)
     thumb = touching[:, THUMB_PART]
-    return (
-        weights.thumb * thumb + weights.finger * fingers + weights.opposed * (thumb & (fingers > 0))
-    )
-
-
-def touching_set(touching: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """The set of parts that touch as a number, shape (n,), for `SceneState.touching`."""
-    return np.packbits(touching, axis=1)[:, 0]
+    opposed = thumb & (fingers > 0)
+    scores = weights.thumb * thumb + weights.finger * fingers + weights.opposed * opposed
+    return lambda touching: scores.take(np.packbits(touching, axis=1)[:, 0])
 
 
 def paid_where(where: NDArray[np.bool_], value: Callable[[], Array]) -> Array:
@@ -217,7 +214,7 @@ def judged(failed: NDArray[np.bool_], over: NDArray[np.bool_]) -> NDArray[np.int
 
 def contact_term(weights: Weights, phase: int) -> RewardTerm:
     """Reward for touching the object in one phase."""
-    scores = contact_scores(weights)
+    score = contact_score(weights)
     meaning = (
         f"while closing: {weights.thumb:g} for the thumb and {weights.finger:g} for each finger that touches the object, "
         f"{weights.opposed:g} when they oppose each other"
@@ -225,9 +222,7 @@ def contact_term(weights: Weights, phase: int) -> RewardTerm:
     return RewardTerm(
         "contact",
         meaning,
-        lambda now: paid_where(
-            now.began == phase, lambda: scores.take(touching_set(now.state.touching))
-        ),
+        lambda now: paid_where(now.began == phase, lambda: score(now.state.touching)),
     )
 
 

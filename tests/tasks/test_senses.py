@@ -81,7 +81,7 @@ def test_a_capsule_covers_what_is_behind_it_and_nothing_else():
 def test_points_of_a_surface_lie_on_it_and_are_spread_evenly(kind):
     size = {"box": (0.02, 0.04, 0.06), "sphere": (0.04, 0.04, 0.04)}.get(kind, (0.03, 0.03, 0.08))
     solid = Solid(kind, 1.0, size, np.array([0.01, 0.0, 0.0]), np.eye(3))
-    points, normals = surface(kind, [solid], 2000)
+    points, normals = surface(kind, (solid,), 2000)
     half = np.array(size) / 2
     own = points - solid.center
     if kind == "box":
