@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 
-from experiments import commands, hidden, populations, reference, rivals, tracking, trials
+from experiments import commands, hidden, labels, populations, reference, rivals, tracking, trials
 from experiments.populations import Workshop
 from experiments.results import Part
 from hpac_gym.command import run_module, whole_number
@@ -136,7 +136,7 @@ PARTS: dict[str, Callable[[argparse.Namespace], Part]] = {
         options.seed,
         0 if options.quick else max(_hands(options, 100) // 20, 2),
     ),
-    "labels": lambda options: hidden.labels(
+    "labels": lambda options: labels.labels(
         _hands(options, 100),
         options.seed,
         0 if options.quick else max(_hands(options, 100) // 50, 2),

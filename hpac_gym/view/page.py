@@ -9,85 +9,22 @@ import time
 import webbrowser
 from collections.abc import Callable
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 
 import numpy as np
 import viser
 from scipy.spatial.transform import Rotation
 
-from hpac_gym.body.geometry import Phalanx, rotation_from_rpy
-from hpac_gym.model import (
-    DIGITS,
-    HPAC,
-    JOINT_INDEX,
-    SERVOS,
-    elastic_joints_from_servo,
-    rigid_joints_from_servo,
-)
+from hpac_gym.model import DIGITS, HPAC, JOINT_INDEX, SERVOS
 from hpac_gym.model.checks import Array
-from hpac_gym.physics.engine import HAND_POSITION, SceneSetup, SceneState
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
 from hpac_gym.physics.supports import GREEN, GREY, TABLE_HALF_EXTENTS, WOOD, support_boxes
-from hpac_gym.view.meshes import Mesh, hand_meshes, object_meshes, solid
+from hpac_gym.view.links import Links, add_mesh
+from hpac_gym.view.meshes import object_meshes, solid
+from hpac_gym.view.shown import GHOSTS, Shown
 
 PICTURE_HZ = 20
 """Pictures a second."""
-STRONG = 20.0
-"""Tension from which on a tendon has its strongest colour [N]."""
-SLACK_COLOR = np.array([70, 110, 190])
-PULLED_COLOR = np.array([255, 150, 20])
-"""Colours of a slack and of a pulled tendon, which differ for colour-blind people too, RGB."""
-GHOSTS = {
-    "rigid": ("rigid prediction", (230, 80, 160)),
-    "elastic": ("elastic prediction", (60, 190, 120)),
-    "goal": ("goal", (60, 130, 240)),
-}
-"""Postures that can be laid over the hand: label and colour."""
 _ROUND_RANGE = (np.ceil(100 * HPAC.servo_min) / 100, np.floor(100 * HPAC.servo_max) / 100)
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """What a picture shows."""
-
-    joint_pos: Array
-    """Joint angles, shape (15,) [rad]."""
-    servo: Array
-    """Commanded servo angles, of which the predictions are, shape (6,) [rad]."""
-    wrist: Array
-    """Offset of the wrist along the world's axes, shape (3,) [m]."""
-    tension: Array | None = None
-    """Tension of the driving tendons, shape (5,) [N]; None where nobody knows it."""
-    object_pos: Array | None = None
-    """Centre of the object in the hand's frame, shape (3,) [m]."""
-    object_rotation: Rotation | None = None
-    """From the object's axes to the hand's."""
-    text: str = ""
-    """A line below the figures."""
-    goal: Array | None = None
-    """Joint angles that are asked for, shape (15,) [rad]; None where none are."""
-
-    def ghost(self, name: str) -> Array | None:
-        """Joint angles of one of `GHOSTS`, shape (15,) [rad]; None without a goal."""
-        if name == "goal":
-            return self.goal
-        predicted = rigid_joints_from_servo if name == "rigid" else elastic_joints_from_servo
-        return predicted(np.clip(self.servo, HPAC.servo_min, HPAC.servo_max))
-
-    @classmethod
-    def of_state(
-        cls, state: SceneState, servo: Array, text: str = "", goal: Array | None = None
-    ) -> Shown:
-        """The first world of a simulation, the servos' commands, shape (6,) [rad], and a goal."""
-        return cls(
-            state.joint_pos[0],
-            servo,
-            state.palm_offset[0],
-            state.tension[0],
-            state.object_pos[0],
-            Rotation.from_matrix(turn) if (turn := state.object_rotation[0]).any() else None,
-            text,
-            goal,
-        )
 
 
 class HandPage:
@@ -160,24 +97,24 @@ class HandPage:
         self._server.initial_camera.look_at = tuple(aside)
         self._server.initial_camera.position = tuple(aside + np.array([0.12, 0.32, 0.09]))
         self._server.initial_camera.up = (0.0, 0.0, 1.0)
-        self._hands = {name: _Links(self._server, setup, name) for name in ("", *GHOSTS)}
+        self._hands = {name: Links(self._server, setup, name) for name in ("", *GHOSTS)}
 
     def _draw_object(self, setup: SceneSetup) -> None:
         self._object = self._server.scene.add_frame("/scene/object", show_axes=False)
         for index, mesh in enumerate(object_meshes(setup.object)):
-            _add(self._server, f"/scene/object/{index}", mesh)
+            add_mesh(self._server, f"/scene/object/{index}", mesh)
         if not self._supports:
             return
         boxes, table, target, (x, y, z, w) = support_boxes(setup)
         turn = Rotation.from_quat((x, y, z, w))
         for index, (half, place) in enumerate(boxes):
             box = solid("box", tuple(half), GREY[:3]).moved(place, turn)
-            _add(self._server, f"/scene/support/{index}", box)
+            add_mesh(self._server, f"/scene/support/{index}", box)
         top = solid("box", TABLE_HALF_EXTENTS, WOOD[:3])
-        _add(self._server, "/scene/support/table", top.moved(table))
+        add_mesh(self._server, "/scene/support/table", top.moved(table))
         if target is not None:
             post = solid("box", tuple(target[0]), GREEN[:3])
-            _add(self._server, "/scene/support/target", post.moved(target[1]))
+            add_mesh(self._server, "/scene/support/target", post.moved(target[1]))
 
     # Controls -----------------------------------------------------------------------------
 
@@ -293,75 +230,3 @@ def _figures(shown: Shown) -> str:
         pull = "" if shown.tension is None else f"{abs(shown.tension[i]):.1f}"
         rows.append(f"| {digit} | {shown.joint_pos[JOINT_INDEX[servo]]:.2f} | {pull} |")
     return "\n".join(rows) + f"\n\n{shown.text}"
-
-
-def _add(server: viser.ViserServer, name: str, mesh: Mesh, **more: object) -> None:
-    color = tuple(round(255 * part) for part in mesh.color[:3])
-    given = {"color": color, "flat_shading": mesh.flat, "cast_shadow": False, **more}
-    server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, **given)
-
-
-class _Links:
-    """The links of the hand, or of a ghost that a prediction lays over it."""
-
-    def __init__(self, server: viser.ViserServer, setup: SceneSetup, ghost: str) -> None:
-        geometry = setup.geometry
-        self._joints = [JOINT_INDEX[phalanx.joint] for phalanx in geometry.phalanges]
-        self._turn = Rotation.from_matrix(
-            [rotation_from_rpy(phalanx.rpy) for phalanx in geometry.phalanges]
-        )
-        self._axes = np.array([phalanx.axis for phalanx in geometry.phalanges])
-        x, y, z, w = setup.hand_quaternion
-        root = f"/scene/{ghost or 'hand'}"
-        self._palm = server.scene.add_frame(
-            root, show_axes=False, wxyz=(w, x, y, z), visible=not ghost
-        )
-        paths = {"palm": root}
-        self._frames = []
-        self._tendons: dict[str, list[viser.LineSegmentsHandle]] = {name: [] for name in DIGITS}
-        for phalanx in geometry.phalanges:
-            paths[phalanx.link] = path = f"{paths[phalanx.parent]}/{phalanx.link}"
-            self._frames.append(
-                server.scene.add_frame(path, show_axes=False, position=phalanx.origin)
-            )
-            if not ghost:
-                self._add_tendon(server, path, phalanx)
-        look = {"color": GHOSTS[ghost][1], "opacity": 0.35} if ghost else {}
-        for index, (link, mesh) in enumerate(hand_meshes(geometry)):
-            if not (ghost and link == "palm"):
-                _add(server, f"{paths[link]}/mesh_{index}", mesh, **look)
-        self._told = np.full(len(DIGITS), -1)
-
-    def _add_tendon(self, server: viser.ViserServer, path: str, phalanx: Phalanx) -> None:
-        """A tendon is drawn along the palmar side of a link."""
-        reach = 1.08 * phalanx.capsule.radius
-        ends = np.array([[[reach, 0.0, 0.0], [reach, 0.0, phalanx.capsule.end[2]]]])
-        line = server.scene.add_line_segments(
-            f"{path}/tendon", ends, tuple(SLACK_COLOR), thickness=0.0022
-        )
-        self._tendons[phalanx.joint.split("_")[0]].append(line)
-
-    def show(self, visible: bool) -> None:
-        """Show or hide the links."""
-        if self._palm.visible != visible:
-            self._palm.visible = visible
-
-    def pose(self, joint_pos: Array, wrist: Array) -> None:
-        """Move the links."""
-        self._palm.position = tuple(HAND_POSITION + wrist)
-        flexed = Rotation.from_rotvec(self._axes * joint_pos[self._joints][:, None])
-        for frame, turn in zip(
-            self._frames, (self._turn * flexed).as_quat(scalar_first=True), strict=True
-        ):
-            frame.wxyz = turn
-
-    def pull(self, tension: Array) -> None:
-        """Colour the tendons by their tension, in sixteen steps."""
-        steps = np.rint(16 * np.clip(tension / STRONG, 0.0, 1.0)).astype(int)
-        for digit, lines in enumerate(self._tendons.values()):
-            if steps[digit] == self._told[digit]:
-                continue
-            color = SLACK_COLOR + steps[digit] / 16 * (PULLED_COLOR - SLACK_COLOR)
-            for line in lines:
-                line.colors = np.rint(color).astype(np.uint8)
-        self._told = steps

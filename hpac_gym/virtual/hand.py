@@ -148,7 +148,7 @@ class Virtual:
 
     def _show(self, state: SceneState, pulses: Array) -> None:
         """Show the hand on the page, whose sliders drive it while no program does."""
-        from hpac_gym.view.page import Shown
+        from hpac_gym.view.shown import Shown
 
         if self.page.wants_object_back():
             self.body.place(self.body.setup, state.horn[0])

@@ -20,7 +20,8 @@ from hpac_gym.body.object_sets import (
 from hpac_gym.errors import ParameterError
 from hpac_gym.physics.engine import matrix_from_quaternion
 from hpac_gym.tasks.grasp_data import GRASPS
-from tools.object_families import FAMILIES, MAX_MASS, MIN_DIFFERENCE, MIN_MASS, NEW_FAMILIES
+from tools.families import FAMILIES, NEW_FAMILIES
+from tools.object_families import MAX_MASS, MIN_DIFFERENCE, MIN_MASS
 
 SETS = {split: object_set(split) for split in SPLITS}
 EVERY = [thing for things in SETS.values() for thing in things]

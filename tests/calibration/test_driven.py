@@ -14,7 +14,7 @@ import pytest
 import hpac
 from experiments.hidden import LAWS, hidden_hands
 from experiments.rig import Rig
-from experiments.watched import STRIP_LENS, Body
+from experiments.strips import STRIP_LENS, Body
 from hpac_gym.bridge import FaultError, HandLink, VirtualHand, servo_from_pulses
 from hpac_gym.calibration import driven
 from hpac_gym.calibration.driven import LEAST_SLACK, Eye

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments import hidden
+from experiments import labels
 from experiments.bench import Protocol, metal_sweeps
 from hpac_gym.calibration import calibrate, sweep
 from hpac_gym.calibration.judging import judged, lag_behind
@@ -17,7 +17,7 @@ from tests.options import parsed
 
 
 def exchanged(record: Sweep, first: str, second: str) -> Sweep:
-    return hidden.exchanged(record, JOINT_INDEX[first], JOINT_INDEX[second])
+    return labels.exchanged(record, JOINT_INDEX[first], JOINT_INDEX[second])
 
 
 def fingers_exchanged(record: Sweep) -> Sweep:
@@ -206,7 +206,7 @@ def test_frames_in_motion_are_judged_where_there_are_any(both_ways):
 @pytest.mark.pybullet  # MuJoCo knows no friction by load
 def test_exchanged_labels_are_refused_and_right_ones_are_not():
     """Flexion alone does not tell MCP from DIP: the negative control."""
-    rows = hidden.labels(2, 7, in_physics=1).data
+    rows = labels.labels(2, 7, in_physics=1).data
     for name, row in rows.items():
         assert row["as labelled, refused"] == 0.0, name
         assert (

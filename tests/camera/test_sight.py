@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.watched import STAND_OFF
+from experiments.strips import STAND_OFF
 from hpac_gym.body.geometry import Capsule, link_poses, load_geometry
 from hpac_gym.calibration.driver import OUT_OF_SIGHT
 from hpac_gym.camera.sheet import CHAINS

@@ -226,7 +226,7 @@ class HpacSliders(HpacTeleoperator):
         self._page.close()
 
     def _wanted(self) -> Array:
-        from hpac_gym.view.page import Shown
+        from hpac_gym.view.shown import Shown
 
         servo = self._page.wanted()
         if self._page.due():

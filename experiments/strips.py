@@ -1,0 +1,204 @@
+"""Hands that are swept before a rendered camera, in lock-step: `calibration.driver` → link → firmware in
+virtual time → pulses → a MuJoCo hand with tags → pictures."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.pictures import Piece, Pinhole
+from experiments.rig import Rig, upright
+from hpac_gym.body.geometry import Phalanx, link_poses, load_geometry
+from hpac_gym.bridge import HandLink, VirtualHand, servo_from_pulses
+from hpac_gym.calibration.driver import Driver
+from hpac_gym.calibration.protocol import Protocol, rest_pose
+from hpac_gym.calibration.record import Sweep, concatenate
+from hpac_gym.calibration.segment import Segment
+from hpac_gym.camera.detection import Lens, Seen, detect
+from hpac_gym.camera.sheet import CHAINS, STRIPS
+from hpac_gym.model import HPAC, JOINT_INDEX, JOINTS, SERVO_INDEX, SERVOS
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.stand import HandOnStand
+from hpac_gym.progress import progress
+
+PROTOCOL = Protocol(points=13, seconds_per_point=1.0, both_directions=True)
+RATE_HZ = 10.0
+"""A shorter sweep than of a real hand, with fewer pictures (chosen)."""
+LATCH_US = 20_000
+"""Period of a servo's pulses [µs]."""
+TOOTH = 2 * np.pi / 25
+"""Of a horn's spline (chosen) [rad]."""
+STRIP_DISTANCE = 0.3
+STRIP_LENS = Lens(focal=(1000.0, 1000.0))
+GLUED = np.radians(3.0)
+"""Standard deviation with which tags are glued on, about each axis [rad]."""
+STAND_OFF = 0.010
+"""From the back of a link to the middle of its tag [m]."""
+CARD_MM = 20.0
+PALM = {
+    "thumb_cmc": np.array([-0.010, 0.0, -0.010]),
+    "index_mcp": np.array([-0.023, 0.036, 0.065]),
+    "middle_mcp": np.array([-0.023, 0.036, 0.065]),
+    "ring_mcp": np.array([-0.022, -0.036, 0.055]),
+    "pinky_mcp": np.array([-0.022, -0.036, 0.055]),
+}
+"""Middle of the palm's tag [m], for the thumb's CMC at the wrist, where no other tag hides it."""
+
+
+class Body:
+    """A simulated hand that follows the pulses of the firmware, with tags on the links of one digit
+    and a camera before them.
+
+    Args:
+        rig: hand, settings and stand.
+        seed: of how the tags are glued on, of the camera's place, and of the pictures' noise.
+    """
+
+    def __init__(self, rig: Rig, seed: int) -> None:
+        self._rig = rig
+        self._rng = np.random.default_rng([seed, 7])
+        self._sim: HandOnStand | None = None
+        self.true: list[Array] = []
+        """The true angles of each picture."""
+        self.exchanged: dict[int, int] = {}
+        """Tags that are glued where others belong, by the place of the strip."""
+
+    def mount(self, servo: str) -> None:
+        """Put the hand into the stand for a sweep, with its tags and the camera."""
+        if self._sim is not None:
+            self._sim.close()
+        self._servo = servo
+        rig = self._rig
+        self._sim = HandOnStand(
+            rig.hand, rig.settings, rig.world, tuple(upright(servo)), engine=rig.engine
+        )
+        self._sim.reset(np.zeros(len(SERVOS)))
+        self._time_us: int | None = None
+        self._resting = True
+        side = -1.0 if servo.startswith(("ring", "pinky")) else 1.0
+        rng = self._rng
+        self._frames = []
+        for name in CHAINS[servo]:
+            turn = Rotation.from_rotvec(rng.normal(0.0, GLUED, 3)).as_matrix()
+            self._frames.append((name, turn))
+        self._side = side
+        _, axes = self._places(rest_angles(servo))[0]
+        middles = [middle for middle, _ in self._places(rest_angles(servo))]
+        self._out = self._axis(rest_angles(servo))
+        lean = Rotation.from_rotvec(np.radians(rng.uniform(-12.0, 12.0, 3))).as_matrix()
+        direction = lean @ self._out
+        target = np.mean(middles, axis=0)
+        self._camera = Pinhole(target + STRIP_DISTANCE * direction, target, axes[1])
+
+    def on_pulses(self, now_us: int, pulses: np.ndarray) -> None:
+        """Advance the simulated hand to the firmware's time."""
+        if self._sim is None:
+            return
+        if not pulses.all():
+            if not pulses.any() and not self._resting:
+                self._sim.reset(np.zeros(len(SERVOS)))  # its springs have pulled it to its stops
+                self._resting = True
+            self._time_us = None
+            return
+        if self._time_us is None:
+            self._time_us = now_us
+            self._resting = False
+        if now_us - self._time_us < LATCH_US:
+            return
+        dt = (now_us - self._time_us) * 1e-6
+        servo = servo_from_pulses(pulses)
+        self._sim.command(servo + np.array(self._rig.servo_zero), dt)
+        self._sim.step(dt)
+        self._time_us = now_us
+
+    def look(self) -> Seen:
+        """The tags in a picture of the present moment."""
+        angles = self._sim.joint_pos
+        self.true.append(angles)
+        return detect(self.picture(angles))
+
+    def picture(self, angles: Array) -> np.ndarray:
+        """What the camera sees of a hand with some joint angles, shape (15,) [rad]."""
+        tags = STRIPS[self._servo]
+        pieces = []
+        for place, (middle, (right, top)) in enumerate(self._places(angles)):
+            tag = tags[self.exchanged.get(place, place)]
+            pieces.append((Piece(tag.centre, CARD_MM, CARD_MM), middle, right, top))
+        return self._camera.picture(pieces, self._rng)
+
+    def _axis(self, angles: Array) -> Array:
+        """Axis of the swept joint in the hand's frame, towards the camera, shape (3,)."""
+        _, rotation, phalanx = _links(self._servo.partition("_")[0], angles)[self._servo]
+        return self._side * rotation @ phalanx.axis
+
+    def _places(self, angles: Array) -> list[tuple[Array, tuple[Array, Array]]]:
+        """Middle of each tag (3,) [m], and the directions of its print's right and top."""
+        digit = self._servo.partition("_")[0]
+        links = _links(digit, angles)
+        out = self._axis(rest_angles(self._servo))
+        still = _links(digit, rest_angles(self._servo))
+        places = []
+        for name, glued in self._frames:
+            if name in links:
+                position, rotation, phalanx = links[name]
+                since = rotation @ still[name][1].T
+                middle = position + rotation @ np.array(
+                    [-(phalanx.capsule.radius + STAND_OFF), 0.0, phalanx.length / 2]
+                )
+            elif name == "metacarpal":
+                position, since, phalanx = links["thumb_cmc"]
+                since = since @ still["thumb_cmc"][1].T
+                middle = position + links["thumb_cmc"][1] @ np.array(
+                    [-(phalanx.capsule.radius + STAND_OFF), 0.0, phalanx.length / 2]
+                )
+            else:
+                since = np.eye(3)
+                middle = PALM[self._servo]
+            top = np.array([0.0, 0.0, 1.0]) - out[2] * out
+            top /= np.linalg.norm(top)
+            square = np.stack([np.cross(top, out), top, out], axis=1) @ glued
+            turned = since @ square
+            places.append((middle, (turned[:, 0], turned[:, 1])))
+        return places
+
+
+def _links(digit: str, angles: Array) -> dict[str, tuple[Array, Array, Phalanx]]:
+    """Position, rotation and phalanx of a digit's links by joint."""
+    phalanges = load_geometry().digit(digit).phalanges
+    own = np.array([angles[JOINT_INDEX[phalanx.joint]] for phalanx in phalanges])
+    poses = link_poses(load_geometry().digit(digit), own)
+    return {phalanx.joint: (*pose, phalanx) for phalanx, pose in zip(phalanges, poses, strict=True)}
+
+
+def rest_angles(servo: str) -> Array:
+    """Joint angles at rest of a sweep, shape (15,) [rad]."""
+    angles = np.zeros(len(JOINTS))
+    angles[JOINT_INDEX["thumb_cmc"]] = rest_pose(servo)[SERVO_INDEX["thumb_cmc"]]
+    return angles
+
+
+def watched_sweep(
+    rig: Rig, seed: int, protocol: Protocol, rate_hz: float, servos: Sequence[str] = SERVOS
+) -> tuple[Sweep, Sweep, list[Segment]]:
+    """The record of a sweep in lock-step that a camera watches, the same with the true angles, and its
+    segments.
+    """
+    body = Body(rig, seed)
+    seen = []
+    exact = []
+    segments = []
+    with VirtualHand(on_pulses=body.on_pulses) as hand, HandLink(hand.connect) as link:
+        driver = Driver(link, body.look, HPAC, protocol, rate_hz)
+        for servo in progress(servos, f"hand {seed}", len(servos) > 1):
+            body.mount(servo)
+            body.true.clear()
+            segment = Segment(servo)
+            driver.sweep(segment)
+            segment.angles_from_tags(STRIP_LENS)
+            segments.append(segment)
+            seen.append(segment.sweep())
+            columns = [JOINT_INDEX[name] for name in CHAINS[servo][1:]]
+            true = np.full_like(segment.joint_pos, np.nan)
+            true[:, columns] = np.array(body.true)[:, columns]
+            exact.append(seen[-1].with_joint_pos(true))
+    return concatenate(seen), concatenate(exact), segments

@@ -1,0 +1,92 @@
+"""The links of a hand in the browser, and of the ghosts that predictions lay over it."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
+
+from hpac_gym.body.geometry import Phalanx, rotation_from_rpy
+from hpac_gym.model import DIGITS, JOINT_INDEX
+from hpac_gym.model.checks import Array
+from hpac_gym.physics.engine import HAND_POSITION, SceneSetup
+from hpac_gym.view.meshes import Mesh, hand_meshes
+from hpac_gym.view.shown import GHOSTS
+
+STRONG = 20.0
+"""Tension from which on a tendon has its strongest colour [N]."""
+SLACK_COLOR = np.array([70, 110, 190])
+PULLED_COLOR = np.array([255, 150, 20])
+"""Colours of a slack and of a pulled tendon, which differ for colour-blind people too, RGB."""
+
+
+def add_mesh(server: viser.ViserServer, name: str, mesh: Mesh, **more: object) -> None:
+    color = tuple(round(255 * part) for part in mesh.color[:3])
+    given = {"color": color, "flat_shading": mesh.flat, "cast_shadow": False, **more}
+    server.scene.add_mesh_simple(name, mesh.vertices, mesh.faces, **given)
+
+
+class Links:
+    """The links of the hand, or of a ghost that a prediction lays over it."""
+
+    def __init__(self, server: viser.ViserServer, setup: SceneSetup, ghost: str) -> None:
+        geometry = setup.geometry
+        self._joints = [JOINT_INDEX[phalanx.joint] for phalanx in geometry.phalanges]
+        self._turn = Rotation.from_matrix(
+            [rotation_from_rpy(phalanx.rpy) for phalanx in geometry.phalanges]
+        )
+        self._axes = np.array([phalanx.axis for phalanx in geometry.phalanges])
+        x, y, z, w = setup.hand_quaternion
+        root = f"/scene/{ghost or 'hand'}"
+        self._palm = server.scene.add_frame(
+            root, show_axes=False, wxyz=(w, x, y, z), visible=not ghost
+        )
+        paths = {"palm": root}
+        self._frames = []
+        self._tendons: dict[str, list[viser.LineSegmentsHandle]] = {name: [] for name in DIGITS}
+        for phalanx in geometry.phalanges:
+            paths[phalanx.link] = path = f"{paths[phalanx.parent]}/{phalanx.link}"
+            self._frames.append(
+                server.scene.add_frame(path, show_axes=False, position=phalanx.origin)
+            )
+            if not ghost:
+                self._add_tendon(server, path, phalanx)
+        look = {"color": GHOSTS[ghost][1], "opacity": 0.35} if ghost else {}
+        for index, (link, mesh) in enumerate(hand_meshes(geometry)):
+            if not (ghost and link == "palm"):
+                add_mesh(server, f"{paths[link]}/mesh_{index}", mesh, **look)
+        self._told = np.full(len(DIGITS), -1)
+
+    def _add_tendon(self, server: viser.ViserServer, path: str, phalanx: Phalanx) -> None:
+        """A tendon is drawn along the palmar side of a link."""
+        reach = 1.08 * phalanx.capsule.radius
+        ends = np.array([[[reach, 0.0, 0.0], [reach, 0.0, phalanx.capsule.end[2]]]])
+        line = server.scene.add_line_segments(
+            f"{path}/tendon", ends, tuple(SLACK_COLOR), thickness=0.0022
+        )
+        self._tendons[phalanx.joint.split("_")[0]].append(line)
+
+    def show(self, visible: bool) -> None:
+        """Show or hide the links."""
+        if self._palm.visible != visible:
+            self._palm.visible = visible
+
+    def pose(self, joint_pos: Array, wrist: Array) -> None:
+        """Move the links."""
+        self._palm.position = tuple(HAND_POSITION + wrist)
+        flexed = Rotation.from_rotvec(self._axes * joint_pos[self._joints][:, None])
+        for frame, turn in zip(
+            self._frames, (self._turn * flexed).as_quat(scalar_first=True), strict=True
+        ):
+            frame.wxyz = turn
+
+    def pull(self, tension: Array) -> None:
+        """Colour the tendons by their tension, in sixteen steps."""
+        steps = np.rint(16 * np.clip(tension / STRONG, 0.0, 1.0)).astype(int)
+        for digit, lines in enumerate(self._tendons.values()):
+            if steps[digit] == self._told[digit]:
+                continue
+            color = SLACK_COLOR + steps[digit] / 16 * (PULLED_COLOR - SLACK_COLOR)
+            for line in lines:
+                line.colors = np.rint(color).astype(np.uint8)
+        self._told = steps
