@@ -291,6 +291,24 @@ def test_contacts_are_those_of_the_state_and_push_into_the_object(name):
     simulation.engine.close()
 
 
+def test_a_point_of_contact_in_pybullet_is_on_the_object_and_not_on_the_skin_inside_of_it():
+    """The skin is 1e-5 m inside of a can that it squeezes."""
+    can = ObjectSpec("cylinder", (0.027, 0.027, 0.05), mass=0.15, friction=0.9)
+    simulation = Simulation(make_engine("pybullet"))
+    opposed = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.2])
+    start = SceneSetup(can, np.array([0.048, 0.004, 0.112]), synergy=opposed)
+    simulation.reset([0], [start])
+    simulation.command(servo_from_synergy(CLOSED)[None], 0.8)
+    simulation.rest(1.2)
+    contacts = simulation.engine.contacts(0)
+    rotation = start.hand_rotation @ simulation.state().object_rotation[0]
+    place = (contacts.point - contacts.centre) @ rotation
+    assert len(place) >= 3
+    # A contact that lasts stays where it began: few are further off.
+    assert np.median(np.abs(np.hypot(place[:, 0], place[:, 1]) - 0.027)) < 3e-6
+    simulation.engine.close()
+
+
 @engines
 def test_a_snapshot_goes_on_to_the_bit(name):
     """After another future of the episode, and after another episode."""
