@@ -274,11 +274,6 @@ def main() -> int:
     parser.add_argument("--controls", action="store_true", help="the named faults alone")
     parser.add_argument("--quick", action="store_true", help="leave the sanitizers out")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
-    parser.add_argument(
-        "--only",
-        type=Path,
-        help="judge only the mutants whose lines stand in this file, survivors of a run before say",
-    )
     parser.add_argument("--sample", type=int, help="so many of them, drawn at random")
     parser.add_argument("--seed", type=int, default=1, help="of the draw (default: %(default)s)")
     parser.add_argument(
@@ -301,9 +296,6 @@ def main() -> int:
         sources = [*workshops[0].core, *workshops[0].port]
         chosen = [path for path in sources if not options.files or path.name in options.files]
         mutants = [mutant for source in chosen for mutant in mutants_of(source)]
-        if options.only:
-            wanted = options.only.read_text()
-            mutants = [mutant for mutant in mutants if _line(mutant) in wanted]
         if options.sample is not None:
             mutants = random.Random(options.seed).sample(mutants, min(options.sample, len(mutants)))
         options.record.parent.mkdir(exist_ok=True)

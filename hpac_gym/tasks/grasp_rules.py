@@ -26,10 +26,6 @@ from hpac_gym.tasks.task import FINGER_PARTS, THUMB_PART
 SPARES = 0.1
 """Largest fraction of the hold, or of the force, at which a part counts as not touching the object.
 """
-LOOK_EVERY = 4
-"""Control steps between two evaluations of the contacts of a hold, since one takes about as long as
-a step.
-"""
 NOTHING = "nothing touches"
 """Missed clause of a hold that has not been evaluated."""
 ASKED = (
@@ -153,10 +149,6 @@ class Rule:
         """Score of a hold for each clause of the rule: 1 satisfies it, less does so in part."""
         return {name: min(value(hold), 1.0) for name, value in self.terms()}
 
-    def kept(self, hold: Hold) -> bool:
-        """True if a hold satisfies all clauses."""
-        return all(value >= 1.0 for value in self.clauses(hold).values())
-
 
 _CLAUSES: tuple[tuple[str, str, Callable[..., float]], ...] = (
     ("touch", "{0} touches", lambda hold, rule, asked: hold.touched[asked] / TOUCHES),
@@ -270,8 +262,7 @@ class Judged:
         Args:
             state: state of the worlds.
             since: control steps since the hold began, shape (n,); negative while the hand closes.
-            wanted: worlds whose contacts may be looked at, in every `LOOK_EVERY`th step, shape
-                (n,).
+            wanted: worlds whose contacts are looked at in this step, shape (n,).
             contacts: function of a world that returns its contacts.
         """
         self.kept = np.where(since < 0, self.touched_share(state.touching), self.kept)

@@ -14,9 +14,7 @@ from types import MappingProxyType
 from hpac_gym.body.object_models import load_object_models
 from hpac_gym.errors import ParameterError
 from hpac_gym.model import (
-    HPAC,
     POSTURES,
-    Hand,
     clip_synergy,
     clip_to_workspace,
     synergy_from_joints,
@@ -49,12 +47,9 @@ class GraspType:
     rule: Rule
 
 
-def synergy_of_posture(name: str, hand: Hand = HPAC) -> Array:
-    """Synergy that reaches a posture's q_d by Eqs. (14) and (15), shape (6,) [rad], read-only."""
-    target = clip_to_workspace(POSTURES[name].target_joint_pos, hand)
-    synergy = clip_synergy(synergy_from_joints(target, hand), hand)
-    synergy.setflags(write=False)
-    return synergy
+def synergy_of_posture(name: str) -> Array:
+    """Synergy that reaches a posture's q_d by Eqs. (14) and (15), shape (6,) [rad]."""
+    return clip_synergy(synergy_from_joints(clip_to_workspace(POSTURES[name].target_joint_pos)))
 
 
 def grasp_types_from_toml(text: str) -> dict[str, GraspType]:

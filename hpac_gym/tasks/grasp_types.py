@@ -24,7 +24,7 @@ from hpac_gym.tasks.arrival import WRIST_ACTIONS, arrived, in_the_way, out_of_re
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
 from hpac_gym.tasks.grasp import CLOSE, Grasp
 from hpac_gym.tasks.grasp_data import NOMINAL
-from hpac_gym.tasks.grasp_rules import LOOK_EVERY, Judged
+from hpac_gym.tasks.grasp_rules import Judged
 from hpac_gym.tasks.grasp_setups import setup_of_grasp
 from hpac_gym.tasks.grasp_type_data import (
     GRASP_TYPES,
@@ -36,7 +36,7 @@ from hpac_gym.tasks.grasp_type_data import (
 from hpac_gym.tasks.options import Option, check_choice, config_option
 from hpac_gym.tasks.phases import CONTROL_HZ, Timetable
 from hpac_gym.tasks.scripted import CLOSE_TIME, Script
-from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term
+from hpac_gym.tasks.task import FAILURE, SUCCESS, effort_term, outcome_term, paid_where
 from hpac_gym.tasks.terms import (
     COMMAND_TERMS,
     OBJECT_TERMS,
@@ -48,6 +48,10 @@ from hpac_gym.tasks.terms import (
 
 OBJECTS = ("train", "test")
 WRISTS = ("free", "script")
+LOOK_EVERY = 4
+"""Control steps between two evaluations of the contacts of a hold, since one takes about as long as
+a step.
+"""
 SETTLES = 0.002
 """Displacement in the first step beyond which the arriving hand has pushed the object; settling
 alone takes 1 mm [m].
@@ -161,15 +165,16 @@ class GraspByType(Grasp):
                 "contact",
                 f"while closing: {weights.touch:g} · fraction of the required parts that touch the object, {weights.avoid:g} "
                 "for each forbidden part that touches it",
-                lambda now: np.where(now.began == CLOSE, self._paid_touch(now.state), 0.0),
+                lambda now: paid_where(now.began == CLOSE, lambda: self._paid_touch(now.state)),
             ),
             self._push_term(),
             RewardTerm(
                 "carry",
                 f"afterwards: {weights.carry:g} · (1 − slip / MAX_SLIP) for an object that the hand carries free of its support, "
                 "times the score of the type's rule: the mean over its clauses at the last evaluation",
-                lambda now: np.where(
-                    now.began == CLOSE, 0.0, weights.carry * self.grip.firmness * self.holds.kept
+                lambda now: paid_where(
+                    now.began != CLOSE,
+                    lambda: weights.carry * self.grip.firmness * self.holds.kept,
                 ),
             ),
             effort_term(weights),

@@ -12,9 +12,8 @@ from hpac_gym.evaluation.evaluate import evaluate
 from hpac_gym.model import HPAC
 from hpac_gym.policies.policy import EpisodePolicy
 from hpac_gym.tasks.arrival import START, WRIST_CENTRE, WRIST_REACH, WRIST_TURN
-from hpac_gym.tasks.grasp_rules import LOOK_EVERY
 from hpac_gym.tasks.grasp_type_data import GRASP_TYPES, HELD_OUT_TYPES
-from hpac_gym.tasks.grasp_types import SETTLES
+from hpac_gym.tasks.grasp_types import LOOK_EVERY, SETTLES
 from tests.envs.episodes import EASY, run
 from tools.tables import DOCS
 
