@@ -38,8 +38,8 @@ class Wrists:
         times = np.cumsum(np.full(round(task.duration * CONTROL_HZ) * self._substeps, dt))
         self.times = tuple(times.tolist())
         self.step = np.zeros(num_worlds, dtype=int)
-        self._worlds = np.arange(num_worlds)
         self._clock = self._by_step(times)
+        self._rows = np.arange(num_worlds) * len(self._clock)
         self._way = np.zeros((num_worlds, *self._clock.shape, 3))
 
     def _by_step(self, table: Array) -> Array:
@@ -61,4 +61,5 @@ class Wrists:
         """
         step = np.minimum(self.step, len(self._clock) - 1)
         self.step += 1
-        return self._way[self._worlds, step], self._task.push(self._clock[step])
+        way = self._way.reshape(-1, *self._way.shape[2:]).take(self._rows + step, axis=0)
+        return way, self._task.push(self._clock.take(step, axis=0))

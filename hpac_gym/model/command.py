@@ -203,7 +203,7 @@ def streamed_servo(servo: Array, target: Array, period: float, hand: Hand = HPAC
         shape (..., 6) [rad].
     """
     travel = target - servo
-    duration = (np.abs(travel) / hand.servo_rate_limit).max(axis=-1, keepdims=True)
+    duration = np.maximum.reduce(np.abs(travel) / hand.servo_rate_limit, axis=-1, keepdims=True)
     within: Array = servo + period / np.maximum(duration, period) * travel
     return within
 

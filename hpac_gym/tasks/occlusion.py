@@ -167,27 +167,27 @@ def covered(
     # A row for every asked point, a column for every capsule.
     b = (ray @ bone.swapaxes(1, 2))[world, point]
     c = (ray @ way.swapaxes(1, 2))[world, point]
-    a = np.einsum("npi,npi->np", ray, ray)[world, point, None]
-    e = np.einsum("nmi,nmi->nm", bone, bone).take(world, axis=0)
-    f = np.einsum("nmi,nmi->nm", bone, way).take(world, axis=0)
-    excess = np.einsum("nmi,nmi->nm", way, way) - (SKIN * radius) ** 2
+    a = dots(ray, ray)[world, point, None]
+    e = dots(bone, bone).take(world, axis=0)
+    f = dots(bone, way).take(world, axis=0)
+    excess = dots(way, way) - (SKIN * radius) ** 2
     # In place: with many worlds new memory for every operation costs more than the arithmetic.
     along = b * f
     along -= c * e
     apart = a * e
     apart -= b * b
-    along /= np.clip(apart, 1e-18, None, out=apart)
-    across = b * np.clip(along, 0.0, 1.0, out=along)
+    along /= apart.clip(1e-18, None, out=apart)
+    across = b * along.clip(0.0, 1.0, out=along)
     across += f
     across /= e
-    np.multiply(b, np.clip(across, 0.0, 1.0, out=across), out=along)
+    np.multiply(b, across.clip(0.0, 1.0, out=across), out=along)
     along -= c
     along /= a
     # excess + along (along a + 2 (c − across b)) + across (across e − 2 f)
     distance = np.multiply(across, b, out=apart)
     np.subtract(c, distance, out=distance)
     distance *= 2
-    distance += np.clip(along, 0.0, 1.0, out=along) * a
+    distance += along.clip(0.0, 1.0, out=along) * a
     distance *= along
     distance += excess.take(world, axis=0)
     rest = np.multiply(across, e, out=b)
@@ -198,6 +198,13 @@ def covered(
     found = np.zeros(asked.shape, dtype=bool)
     found[world, point] = (distance < 0.0).any(axis=1)
     return found
+
+
+def dots(first: Array, second: Array) -> Array:
+    """Scalar products of vectors, shapes (..., 3) to (...,): for a single hand in a quarter of the
+    time of `numpy.einsum`.
+    """
+    return (first * second) @ np.ones(3)
 
 
 @lru_cache(maxsize=256)

@@ -14,7 +14,7 @@ from hpac_gym.model.checks import Array
 from hpac_gym.physics.engine import SceneSetup, SceneState, Viewpoint
 from hpac_gym.physics.tendons import Drive
 from hpac_gym.tasks.cameras import CameraNoise, ObjectCamera
-from hpac_gym.tasks.occlusion import Rows, Skeleton, covered, surface
+from hpac_gym.tasks.occlusion import Rows, Skeleton, covered, dots, surface
 from hpac_gym.tasks.terms import GRASP_CENTRE, LENGTH_UNIT, Term
 
 POINTS = 64
@@ -231,7 +231,7 @@ class Senses:
         points = self._points[rows, :count] @ rotation + state.object_pos[rows, None]
         normals = self._normals[rows, :count] @ rotation
         eye = self._eye[rows]
-        facing = np.einsum("npi,npi->np", normals, eye[:, None] - points) > 0
+        facing = dots(normals, eye[:, None] - points) > 0
         bones = self._skeleton.segments(state.joint_pos[rows], rows)
         hidden = covered(eye, points, facing, *bones, self._skeleton.radius[rows])
         return facing, hidden, points

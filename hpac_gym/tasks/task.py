@@ -148,8 +148,8 @@ class Task(ABC):
         """
         return {
             "is_success": now.outcome == SUCCESS,
-            "outcome": _OUTCOMES[now.outcome],
-            "phase": _names(self.phases)[now.phase],
+            "outcome": _OUTCOMES.take(now.outcome),
+            "phase": _names(self.phases).take(now.phase),
             "contact_force": np.add.reduce(now.state.contact_force, axis=1),
             "hold_time": now.grip.time.copy(),
             "slip": now.grip.slip.copy(),
