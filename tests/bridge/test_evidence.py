@@ -17,7 +17,7 @@ from hpac_gym.bridge.firmware import BUILD_VARIABLE
 from hpac_gym.bridge.frame import decode
 from hpac_gym.bridge.hands import VirtualHand
 from tests.options import called
-from tools.evidence import safety, scenarios, sessions
+from tools.evidence import hostile, safety, scenarios, sessions
 
 FIRMWARE = Path(__file__).parents[2] / "firmware"
 
@@ -39,7 +39,7 @@ def check(claims):
 @pytest.mark.parametrize("row", safety._PLAYED, ids=lambda row: row[0])
 def test_every_claim_about_a_hand_holds_beside_a_control_that_does_not(row):
     *given, play = row[:5]
-    words = {scenarios.hostile: [2_000], scenarios.random_moves: [*row[5:], 150]}.get(play, row[5:])
+    words = {hostile.hostile: [2_000], scenarios.random_moves: [*row[5:], 150]}.get(play, row[5:])
     check([safety._played(*given, play, *words)])
 
 

@@ -24,7 +24,7 @@ from hpac_gym.bridge.hands import HostBoard
 from hpac_gym.bridge.link import HandLink
 from hpac_gym.bridge.protocol import CONSTANTS, Action
 from hpac_gym.command import run_module, whole_number
-from tools.evidence import scenarios
+from tools.evidence import hostile, scenarios
 from tools.evidence.judged_hand import (
     AlwaysOn,
     Babbling,
@@ -195,21 +195,21 @@ _PLAYED = [
         Renumbering,
         scenarios.old_moves,
     ),
-    ("no damaged frame is carried out", 0, "frames", Forgiving, scenarios.damaged),
-    ("a hostile host: all of the above", 0, "complaints", Shifted, scenarios.hostile, 20_000),
+    ("no damaged frame is carried out", 0, "frames", Forgiving, hostile.damaged),
+    ("a hostile host: all of the above", 0, "complaints", Shifted, hostile.hostile, 20_000),
     (
         "boot text and restarts, at opening and in the session: lost or left with pulses",
         0,
         "sessions",
         Babbling,
-        scenarios.boots,
+        hostile.boots,
     ),
     (
         "a fully closed hand opens by itself (chosen load model)",
         300,
         "s",
         AlwaysOn,
-        scenarios.overload,
+        hostile.overload,
     ),
 ]
 """Claim, limit, unit, faulty hand of the negative control, scenario and its arguments."""
